@@ -376,6 +376,8 @@ class Config(AnyConfig):
     law_penalty : float
         Weight of the squared distance from its start of what all Gaussians' laws of scattering have in common, in the
         same units: of "normal-lobes" the logarithm of the exponent, which starts with that of 2.
+    law_from : float
+        It is learned from this share on of the iterations: as long as surfaces have no shape, any law would do.
     initial_scale : float
         Standard deviation of a Gaussian at the start, in resolution cells.
     initial_optical_depth : float
@@ -402,6 +404,8 @@ class Config(AnyConfig):
         ln(1 + κ/0.05) of them.
     dropout : float
         Share of the Gaussians left out of each step, by chance; the others make up for their optical depth.
+    few_views : float
+        The same where that is more: the square of this number by the number of training views, and at most 0.4.
     rays_per_pixel : float
         Rays per pixel spacing; more are more accurate and slower.
     fine_rays_per_pixel : float
@@ -450,7 +454,8 @@ class Config(AnyConfig):
     scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
     scattering_penalty: NotNegative = 0.03
-    law_penalty: NotNegative = 0.003
+    law_penalty: NotNegative = 0.005
+    law_from: Share = 0.4
     initial_scale: Positive = 0.2
     initial_optical_depth: OpticalDepth = 0.5
     initial_scattering: NotNegative = 0.5
@@ -463,6 +468,7 @@ class Config(AnyConfig):
     directional_std: Positive | None = None
     sparsity: NotNegative = 0.0
     dropout: Annotated[float, Meta(ge=0, le=0.9)] = 0.0
+    few_views: NotNegative = 4.8
     rays_per_pixel: Positive = 2.0
     fine_rays_per_pixel: Positive = 4.0
     fine_from: Share = 0.5

@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
 
+from sarsplat.reconstruction.config import Config
+
 _STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03
 """Odd numbers whose multiples have bits of all kinds."""
 
@@ -15,6 +17,14 @@ _MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 """Steele, Lea & Flood, Fast splittable pseudorandom number generators, 2014, as improved by Stafford (variant 13)."""
 
 _BITS = 24
+
+_MOST = 0.4
+"""Share that few views ask for at most."""
+
+
+def share_dropped(config: Config, views: int) -> float:
+    """Share of the Gaussians that a step leaves out where there are so many training views."""
+    return max(config.dropout, min(_MOST, (config.few_views / views) ** 2))
 
 
 def dropped(count: int, share: float, seed: int, step: int, device: torch.device) -> Bool[Tensor, " {count}"]:

@@ -25,6 +25,7 @@ PRESETS: dict[str, Config] = {
         preset="quick",
         iterations=400,
         gaussians_per_cell=24.0,
+        scale_bounds=(0.067, 0.6),
         fine_from=1.0,
         rates=Rates(means=0.33),
         points=PointExtraction(rays_per_pixel=7.0, voxel=0.083),
@@ -38,6 +39,7 @@ PRESETS: dict[str, Config] = {
         loss="speckle",
         scattering_penalty=0.3,
         law_penalty=3e-4,
+        dropout=0.1,
         initial_scale=0.27,
         scale_bounds=(0.2, 0.83),
         fine_from=1.0,
@@ -60,6 +62,7 @@ PRESETS: dict[str, Config] = {
         initial_optical_depth=0.1,
         scale_bounds=(0.033, 1.0),
         harmonics_every=2500,
+        few_views=0.0,
         fine_from=1.0,
         rates=Rates(
             means=0.033,
@@ -96,6 +99,7 @@ PRESETS: dict[str, Config] = {
         directional_std=2.0,
         sparsity=0.1,
         dropout=0.25,
+        few_views=0.0,
         fine_from=1.0,
         rates=Rates(
             means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4, shift=0.1
@@ -129,6 +133,7 @@ PRESETS: dict[str, Config] = {
         initial_scattering=0.5,
         scale_bounds=(0.42, 0.42),
         harmonics_degree=0,
+        few_views=0.0,
         fine_from=1.0,
         rates=Rates(means=0.083, means_end=0.004, quaternions=0.0, log_optical_depth=0.08, scattering=0.05),
         relocation=Relocation(rounds=4),

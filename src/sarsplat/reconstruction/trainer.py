@@ -20,7 +20,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.device import usable_device
-from sarsplat.reconstruction.dropout import dropped
+from sarsplat.reconstruction.dropout import dropped, share_dropped
 from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser, followed
@@ -114,7 +114,7 @@ class Trainer:
         `check` reports what was out of range on a GPU.
         """
         self._look()
-        chosen, step, share = self._queue.next(), self.iteration + 1, self.config.dropout
+        chosen, step, share = self._queue.next(), self.iteration + 1, share_dropped(self.config, len(self.views))
         left_out = dropped(len(self.model), share, self.config.seed, step, self.device) if share else None
         loss, rendering = self._compared(chosen, left_out)
         if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad or loss.is_complex():

@@ -19,6 +19,7 @@ from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, r
 from sarsplat.geometry import Stack
 from sarsplat.radiometry import brighter
 from sarsplat.reconstruction.config import Config
+from sarsplat.reconstruction.dropout import share_dropped
 from sarsplat.reconstruction.levels import Levels
 from sarsplat.reconstruction.outlines import levels_db, outline
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, column_means, in_rows, late, normal_nats
@@ -68,6 +69,9 @@ class Target(Part):
         def falling(done: float) -> float:
             return (rates.means_end / rates.means) ** done
 
+        def later(done: float) -> float:
+            return late(done) if done >= config.law_from else 0.0
+
         return {
             "means": Learned((None, 3), (rates.means * self._cell_m,), falling, low, high),
             "quaternions": Learned((None, 4), (rates.quaternions,)),
@@ -80,7 +84,7 @@ class Target(Part):
                 logarithmic=True,
             ),
             "scattering": Learned((None, columns), (rates.scattering, *[rates.directional_scattering] * (columns - 1))),
-        } | ({"law": Learned((1, len(ranges)), (rates.law,), late, *torch.tensor(ranges).T)} if ranges else {})
+        } | ({"law": Learned((1, len(ranges)), (rates.law,), later, *torch.tensor(ranges).T)} if ranges else {})
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         config = self.config
@@ -135,7 +139,8 @@ class Target(Part):
         """The Gaussians that are left compensate for the optical depth of those `dropped`."""
         depth = p["optical_depth"]
         if dropped is not None:
-            more = (depth / (1 - self.config.dropout)).clamp(max=self.config.max_optical_depth)
+            left = 1 - share_dropped(self.config, len(self.setting.views))
+            more = (depth / left).clamp(max=self.config.max_optical_depth)
             depth = torch.where(dropped, 0.0, more)
         target = Gaussians(self._lifted(p["means"]), p["quaternions"], p["scales"], depth, self._scattering(p, degree))
         return target if scene is None else Gaussians.cat([scene, target])
