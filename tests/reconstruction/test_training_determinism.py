@@ -73,7 +73,7 @@ def test_threads_do_not_change_what_many_gaussians_cost(
         scattering += torch.randn(scattering.shape, generator=generator)
     for count in (1, 2, 3):
         threads(count)
-        (spread,) = model.penalties().values()
+        spread = model.penalties()["scattering penalty"]
         actual.append((spread.item(), torch.autograd.grad(spread, scattering)[0]))
     assert len({spread for spread, _ in actual}) == 1
     assert all(torch.equal(gradient, actual[0][1]) for _, gradient in actual[1:])

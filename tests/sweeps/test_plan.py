@@ -116,7 +116,7 @@ def test_parts_inherit_and_override(place):
 
 def test_the_same_settings_are_the_same_run_whatever_led_to_them(place):
     two = 'datasets = ["data/*"]\npreset = ["default", "quick"]\n[settings]\n'
-    same = "iterations = 9\ngaussians_per_cell = 9.0\nfine_from = 1.0\nrates.means = 0.3\n"
+    same = "iterations = 9\ngaussians_per_cell = 9.0\nscale_bounds = [[0.1, 0.4]]\nfine_from = 1.0\nrates.means = 0.3\n"
     same += "points.rays_per_pixel = 9.0\npoints.voxel = 0.1\ncheckpoint_every = "
     found = cells(place, f"{two}{same}5") + cells(place, f"{two}{same}7")
     assert len({cell.address for cell in found}) == 1

@@ -373,11 +373,14 @@ class Config(AnyConfig):
     scattering_penalty : float
         Weight of differences between the Gaussians' scattering, in units of the loss of black images. Most materials
         scatter the same: a thin layer that scatters strongly looks like an opaque one, and costs more.
-    law_penalty : float
-        Weight of the squared distance from its start of what all Gaussians' laws of scattering have in common, in the
-        same units: of "normal-lobes" the logarithm of the exponent, which starts with that of 2.
+    common_law : bool
+        Whether all Gaussians have in common what their law of scattering says: of "normal-lobes" the exponent, which
+        starts as 2. Otherwise each has its own.
     law_from : float
-        It is learned from this share on of the iterations: as long as surfaces have no shape, any law would do.
+        That is learned from this share on of the iterations: as long as surfaces have no shape, any law would do.
+    law_penalty : float
+        Weight of its squared distance from its start, in the units of `scattering_penalty`; of an exponent that is the
+        logarithm's.
     initial_scale : float
         Standard deviation of a Gaussian at the start, in resolution cells.
     initial_optical_depth : float
@@ -454,8 +457,9 @@ class Config(AnyConfig):
     scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
     scattering_penalty: NotNegative = 0.03
-    law_penalty: NotNegative = 0.005
+    common_law: bool = True
     law_from: Share = 0.4
+    law_penalty: NotNegative = 0.005
     initial_scale: Positive = 0.2
     initial_optical_depth: OpticalDepth = 0.5
     initial_scattering: NotNegative = 0.5

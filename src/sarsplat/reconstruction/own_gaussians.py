@@ -74,6 +74,7 @@ def own_scene(
         gaussians=len(own),
         scattering=scattering.kind,
         p_min=scattering.p_min,
+        common_law=False,
         harmonics_every=1,
     )
     configs = [replace(usual, harmonics_degree=degree) for degree in _DEGREES]

@@ -62,9 +62,9 @@ class Target(Part):
     @property
     def learned(self) -> dict[str, Learned]:
         config, rates = self.config, self.config.rates
-        low, high = self._box
+        lowest, highest = self._box
         smallest, _, largest = scales_m(config, self._cell_m)
-        columns, ranges = self._own, self._law.common
+        columns, ranges = self._own, self._common
 
         def falling(done: float) -> float:
             return (rates.means_end / rates.means) ** done
@@ -72,8 +72,8 @@ class Target(Part):
         def later(done: float) -> float:
             return late(done) if done >= config.law_from else 0.0
 
-        return {
-            "means": Learned((None, 3), (rates.means * self._cell_m,), falling, low, high),
+        learned = {
+            "means": Learned((None, 3), (rates.means * self._cell_m,), falling, lowest, highest),
             "quaternions": Learned((None, 4), (rates.quaternions,)),
             "scales": Learned((None, 3), (rates.log_scales,), low=smallest, high=largest, logarithmic=True),
             "optical_depth": Learned(
@@ -84,7 +84,11 @@ class Target(Part):
                 logarithmic=True,
             ),
             "scattering": Learned((None, columns), (rates.scattering, *[rates.directional_scattering] * (columns - 1))),
-        } | ({"law": Learned((1, len(ranges)), (rates.law,), later, *torch.tensor(ranges).T)} if ranges else {})
+        }
+        if ranges:
+            low, high = torch.tensor(ranges, device="cpu").T
+            learned["law"] = Learned((1, len(ranges)), (rates.law,), later, low, high)
+        return learned
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         config = self.config
@@ -106,7 +110,7 @@ class Target(Part):
             "scales": means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1),
             "optical_depth": means.new_full((n,), config.initial_optical_depth),
             "scattering": scattering[:, : self._own].contiguous(),
-        } | ({"law": self._law.parameters[:, self._own :].clone()} if self._law.common else {})
+        } | ({"law": self._law.parameters[:, self._own :].clone()} if self._common else {})
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         """Gaussians are empty rather than not, and scatter in all directions rather than in some."""
@@ -130,8 +134,7 @@ class Target(Part):
             spread = _SIMILAR**2 * column_means(torch.log1p((difference / _SIMILAR) ** 2)).sum()
             yield "scattering penalty", self.config.scattering_penalty * spread
         if self.config.law_penalty and "law" in p:
-            start = self._law.parameters[:, self._own :].to(self.device)
-            yield "law penalty", self.config.law_penalty * ((p["law"] - start) ** 2).sum(1).sum(0)
+            yield "law penalty", self.config.law_penalty * ((p["law"] - self._usual) ** 2).sum(1).sum(0)
 
     def scene(
         self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
@@ -186,9 +189,19 @@ class Target(Part):
         return law(self.config, 1, 0.0, self.setting.stacks)
 
     @property
+    def _common(self) -> tuple[tuple[float, float], ...]:
+        """Ranges of the columns that all Gaussians have in common."""
+        return self._law.common if self.config.common_law else ()
+
+    @cached_property
+    def _usual(self) -> Float[Tensor, "1 k"]:
+        """What all Gaussians have in common at the start."""
+        return self._law.parameters[:, self._own :].to(self.device)
+
+    @property
     def _own(self) -> int:
         """Columns of the scattering in which Gaussians differ: all but the last ones, which they have in common."""
-        return self._law.parameters.shape[1] - len(self._law.common)
+        return self._law.parameters.shape[1] - len(self._common)
 
     @cached_property
     def _box(self) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
