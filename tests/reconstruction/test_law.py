@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from datasets import dataset_of
-from sarsplat import Dataset, NormalLobes, Run, ScatteringLaw, View, reconstruct, simulate_raycast
+from sarsplat import Dataset, NormalLobes, Run, SarsplatError, ScatteringLaw, View, reconstruct, simulate_raycast
 from sarsplat.gaussians import SCATTERINGS, register_scattering
 from sarsplat.reconstruction import Config
 
@@ -72,3 +72,16 @@ def test_laws_of_ones_own_share_what_they_say(dataset: Dataset, config: Config, 
     assert parameters[:, 1].unique().numel() == parameters[:, 2].unique().numel() == 1
     assert abs(float(parameters[0, 1])) <= 0.01
     assert torch.equal(Run.load(tmp_path / "run").gaussians.scattering.parameters, parameters)
+
+
+def test_a_law_that_leaves_nothing_to_each_gaussian_is_refused(
+    dataset: Dataset, config: Config, tuned: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Tuned, "common", ((0.0, 1.0),) * 3)
+    with pytest.raises(SarsplatError, match=r"Tuned.common has 3 ranges for 3 columns of parameters; leave each"):
+        reconstruct(dataset, replace(config, scattering=tuned), quiet=True)
+
+
+def test_each_gaussian_has_an_exponent_of_its_own_if_asked_for(dataset: Dataset, config: Config) -> None:
+    found = exponents(reconstruct(dataset, replace(config, common_law=False), quiet=True))
+    assert found.unique().numel() > 100

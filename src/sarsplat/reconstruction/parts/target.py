@@ -235,6 +235,11 @@ def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ())
             f"{kind.__name__}.initial({count}, …) returned {what}; it must return a {kind.__name__} whose parameters "
             f"are torch.float32 [{count}, K]"
         )
+    if len(kind.common) >= made.parameters.shape[1]:
+        raise SarsplatError(
+            f"{kind.__name__}.common has {len(kind.common)} ranges for {made.parameters.shape[1]} columns of "
+            "parameters; leave each Gaussian at least one of its own"
+        )
     polarisations = tuple(dict.fromkeys(stacks[0].of_channels)) if stacks else ()
     return (made.for_polarisations(polarisations) if len(polarisations) > 1 else made).detailed(config.harmonics_degree)
 
