@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -112,6 +113,22 @@ def test_speckle_of_a_target_alone_has_a_likelihood_where_the_image_is_black_and
         actual.append(value.item())
         assert value > loss(unit * power, unit * power)
     assert actual == pytest.approx([actual[0]] * 3, rel=1e-4)
+
+
+def test_total_power_is_asked_for_of_each_image() -> None:
+    truth, _ = pair(2, 20, 20)
+    scale = ImageScale(float(truth.max()), 1.0)
+    rendered = truth * torch.tensor([0.5, 2.0])[:, None, None]
+    black = torch.zeros_like(truth)
+
+    def cost(*images: torch.Tensor) -> float:
+        """What it adds to the likelihood."""
+        of = [named_loss(replace(preset("speckled"), total_power=weight), scale)(*images) for weight in (0.0, 0.3)]
+        return float(of[1] - of[0])
+
+    assert cost(rendered, truth) == pytest.approx(0.3 * (2 / 3) ** 2, rel=1e-3)
+    assert cost(black, truth) == pytest.approx(0.3 * 4, rel=1e-3)
+    assert cost(truth, truth) == cost(black, black) == 0
 
 
 @pytest.mark.parametrize("name", ["default", "speckled", "measured"])

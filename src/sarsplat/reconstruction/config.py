@@ -366,13 +366,17 @@ class Config(AnyConfig):
         "amplitude": L1 and SSIM of amplitudes; "speckle": likelihood of single-look speckle; or another of `LOSSES`.
     ssim_weight : float
         Weight of SSIM in the loss on amplitudes; L1 has the rest.
+    total_power : float
+        Weight that "speckle" gives, where nothing surrounds the target, to the squared relative difference between the
+        total powers of rendered and true images: otherwise glints, smoothed with the speckle, come out too dark.
     scattering : str
         Scattering law: "harmonics", "normal-lobes", or another that is registered.
     p_min : float
         Smallest γ⁰ of a Gaussian.
     scattering_penalty : float
-        Weight of differences between the Gaussians' scattering, in units of the loss of black images. Most materials
-        scatter the same: a thin layer that scatters strongly looks like an opaque one, and costs more.
+        Weight of differences between the Gaussians' scattering, in units of the loss of black images, or, with a
+        likelihood, in nats per pixel. Most materials scatter the same: a thin layer that scatters strongly looks like
+        an opaque one, and costs more.
     common_law : bool
         Whether all Gaussians have in common what their law of scattering says: of "normal-lobes" the exponent, which
         starts as 2. Otherwise each has its own.
@@ -454,6 +458,7 @@ class Config(AnyConfig):
     initialisation: Literal["box", "hemisphere"] = "box"
     loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0
+    total_power: NotNegative = 0.0
     scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
     scattering_penalty: NotNegative = 0.03

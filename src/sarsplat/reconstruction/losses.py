@@ -158,6 +158,18 @@ def speckle_nats(
     return _means(power.log() + intensity / power)
 
 
+def total_power_loss(
+    power: Float[Tensor, "v rows columns"], intensity: Float[Tensor, "v rows columns"]
+) -> Float[Tensor, ""]:
+    """How far total powers are apart, (difference / mean)² averaged over images: of all pixels speckle is nearly gone.
+
+    Near equality that is the square of the logarithm of their ratio; it is at most 4.
+    """
+    rendered, true = _means(power), _means(intensity)
+    mean = ((rendered + true) / 2).clamp(min=torch.finfo(power.dtype).tiny)
+    return (((rendered - true) / mean) ** 2).mean(0)
+
+
 def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
     return _means(images).mean(0)
 
@@ -185,8 +197,14 @@ def _amplitude(config: Config, scale: ImageScale) -> Loss:
 def _speckle(config: Config, scale: ImageScale) -> Loss:
     if config.surroundings:  # with a noise floor of their own
         return lambda rendered, truth: speckle_loss(rendered / scale.unit, truth / scale.unit)
-    unit = scale.brightest
-    return lambda rendered, truth: speckle_loss(rendered / unit + SPECKLE_FLOOR, truth / unit + SPECKLE_FLOOR)
+    unit, weight = scale.brightest, config.total_power
+
+    def loss(rendered: Tensor, truth: Tensor) -> Tensor:
+        power, intensity = rendered / unit, truth / unit
+        likelihood = speckle_loss(power + SPECKLE_FLOOR, intensity + SPECKLE_FLOOR)
+        return likelihood + weight * total_power_loss(power, intensity) if weight else likelihood
+
+    return loss
 
 
 @dataclass(frozen=True)
@@ -196,6 +214,11 @@ class NamedLoss:
     make: Callable[[Config, ImageScale], Loss]
     title: str
     unit: str
+
+    @property
+    def in_nats(self) -> bool:
+        """Whether it is a likelihood, in nats per pixel."""
+        return self.unit.startswith("nats")
 
 
 def _passes(config: Config, scale: ImageScale) -> Loss:

@@ -311,7 +311,7 @@ class SceneModel:
         return torch.stack(terms).sum() / self.setting.samples if terms else None
 
     def penalties(self) -> dict[str, Float[Tensor, ""]]:
-        """What else is minimised, by name, in units of the loss of black images."""
+        """What else is minimised, by name, in units of the loss of black images, or in nats per pixel."""
         return dict(term for part in self.parts for term in part.penalties(self.parameters))
 
     def scene_bounds(self) -> Bounds:

@@ -37,6 +37,7 @@ PRESETS: dict[str, Config] = {
         views_per_step=8,
         gaussians_per_cell=18.0,
         loss="speckle",
+        total_power=0.05,
         scattering_penalty=0.3,
         law_penalty=3e-4,
         dropout=0.1,

@@ -21,7 +21,7 @@ from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import Config
 from sarsplat.reconstruction.device import usable_device
 from sarsplat.reconstruction.dropout import dropped, share_dropped
-from sarsplat.reconstruction.losses import ImageScale, Loss, named_loss
+from sarsplat.reconstruction.losses import LOSSES, ImageScale, Loss, named_loss
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.optimiser import Optimiser, followed
 from sarsplat.reconstruction.snapshot import Snapshot
@@ -79,6 +79,8 @@ class Trainer:
     def _minimise(self, loss: Loss | None) -> Tensor:
         """Minimise this loss, or the configuration's; returns the unit of what else is minimised."""
         self._loss = loss or named_loss(self.config, ImageScale(self.images.brightest, self.model.unit))
+        if loss is None and LOSSES[self.config.loss].in_nats:  # so are penalties, then
+            return torch.ones((), device=self.device)
         return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
 
     def _images_of(self, dataset: Dataset) -> TrainingImages:

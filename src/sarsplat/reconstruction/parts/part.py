@@ -115,7 +115,7 @@ class Part(ABC):
         return iter(())
 
     def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
-        """What else is minimised, by name, in units of the loss of black images."""
+        """What else is minimised, by name, in units of the loss of black images, or in nats per pixel."""
         return iter(())
 
     def look_at(self, cell_m: float) -> None:
