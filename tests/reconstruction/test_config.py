@@ -50,6 +50,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("initialisation", "cube", "one of box, hemisphere"),
         ("scattering", "waves", "one of harmonics, normal-lobes"),
         ("initialisation", ["box"], "one of box, hemisphere"),
+        ("common_law", 1.5, "true or false"),
         ("harmonics_degree", 4, "from 0 to 3"),
         ("p_min", "0.03", "a number from 0"),
         ("p_min", math.nan, "a number from 0"),

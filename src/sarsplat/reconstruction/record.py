@@ -142,6 +142,8 @@ def _allowed(hint: Any) -> str:
         return f"a list, each {_allowed(get_args(hint)[0])}"
     if get_origin(hint) is dict:
         return "a table"
+    if hint is bool:
+        return "true or false"
     if get_origin(hint) is tuple:
         return f"{len(get_args(hint))} values, each {_allowed(get_args(hint)[0])}"
     if len(_choices(hint)) > 1:
