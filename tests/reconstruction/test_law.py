@@ -14,7 +14,7 @@ import torch
 from datasets import dataset_of
 from sarsplat import Dataset, NormalLobes, Run, SarsplatError, ScatteringLaw, View, reconstruct, simulate_raycast
 from sarsplat.gaussians import SCATTERINGS, register_scattering
-from sarsplat.reconstruction import Config
+from sarsplat.reconstruction import Config, Trainer
 
 VIEWS = [View(azimuth, grazing) for azimuth in range(0, 360, 45) for grazing in (20.0, 45.0, 70.0)]
 
@@ -48,6 +48,22 @@ def test_the_exponent_follows_the_images_and_is_one_for_all(dataset: Dataset, co
 def test_a_heavy_penalty_keeps_it(dataset: Dataset, config: Config) -> None:
     kept = exponents(reconstruct(seen(dataset, 8.0), replace(config, law_penalty=100.0), quiet=True))
     assert float(kept[0]) == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize("loss", ["speckle", "amplitude"])
+def test_penalties_are_in_nats_beside_a_likelihood(dataset: Dataset, config: Config, loss: str) -> None:
+    """Otherwise in units of the loss of black images."""
+    trainer = Trainer(dataset, replace(config, loss=loss))
+    with torch.no_grad():
+        trainer.model.parameters["scattering"][::2] += 1.0
+    expected = {name: value.item() for name, value in trainer.model.penalties().items()}
+    trainer.step()
+    found = {name: trainer.terms[name].item() for name in expected}
+    assert expected["scattering penalty"] > 0
+    if loss == "speckle":
+        assert found == pytest.approx(expected, rel=1e-6)
+    else:
+        assert found["scattering penalty"] < 0.1 * expected["scattering penalty"]
 
 
 @dataclass(frozen=True)

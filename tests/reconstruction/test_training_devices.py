@@ -22,7 +22,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.reconstruction import Config, Step, Trainer, adam, extract_points, model, points
 from sarsplat.reconstruction.config import Densification, Relocation
-from sarsplat.reconstruction.dropout import dropped
+from sarsplat.reconstruction.dropout import dropped, share_dropped
 from sarsplat.renderer import Rendering
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
@@ -120,6 +120,13 @@ def test_what_is_dropped_is_a_share_by_chance() -> None:
     assert torch.equal(again, steps[6])
     assert not torch.equal(again, dropped(count, 0.25, 1, 7, cpu))
     assert dropped(count, 0.25, 0, 7, torch.device("meta")).device.type == "meta"
+
+
+def test_fewer_views_leave_more_out() -> None:
+    usual = replace(preset("default"), dropout=0.1, few_views=6.0)
+    assert [share_dropped(usual, views) for views in (1, 9, 12, 24, 1000)] == pytest.approx([0.4, 0.4, 0.25, 0.1, 0.1])
+    assert share_dropped(replace(usual, dropout=0.6), 9) == 0.6
+    assert share_dropped(replace(usual, dropout=0.0, few_views=0.0), 1) == 0.0
 
 
 @pytest.mark.parametrize("name", CONFIGS)

@@ -104,6 +104,17 @@ def test_rows_that_are_not_contiguous_are_read_as_they_are() -> None:
     assert torch.equal(amplitudes_towards(strided, VIEWS), amplitudes_towards(scene, VIEWS))
 
 
+@pytest.mark.parametrize("count", [50, 5000])
+def test_a_cotangent_that_is_not_contiguous_is_read_as_it_is(count: int) -> None:
+    """Copied for the engine, and kept until the engine has read it."""
+    scene = gaussians(count)
+    leaves = scene.quaternions, scene.scattering.parameters
+    cotangent = torch.randn(count, generator=torch.Generator().manual_seed(2)).expand(len(VIEWS), -1)[..., None]
+    found = torch.autograd.grad(amplitudes_towards(scene, VIEWS), leaves, cotangent)
+    wanted = torch.autograd.grad(amplitudes_towards(scene, VIEWS), leaves, cotangent.contiguous())
+    assert all(torch.equal(one, other) for one, other in zip(found, wanted, strict=True))
+
+
 def test_second_derivatives_are_refused() -> None:
     scene = gaussians(5)
     with pytest.raises(SarsplatError, match="no second derivatives"):

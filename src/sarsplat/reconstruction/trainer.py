@@ -72,7 +72,7 @@ class Trainer:
         self._queue = ViewQueue(len(self._finest.views), config.views_per_step, self._generator)
         self.strategies = [*strategies_of(config, dataset.select("train")), *strategies]
         self._learn(self._first_model(dataset))
-        self._black_loss = self._minimise(loss)
+        self._penalty_unit = self._minimise(loss)
         self.iteration = 0
         self.terms: dict[str, Tensor] = {}
 
@@ -125,7 +125,7 @@ class Trainer:
                 f"the loss returned {what}; it must return one real number, a tensor of shape () computed from the "
                 "rendered images by torch"
             )
-        terms = {name: self._black_loss * value for name, value in self.model.penalties().items()}
+        terms = {name: self._penalty_unit * value for name, value in self.model.penalties().items()}
         if (penalty := self.model.penalty()) is not None:
             terms = {"priors": penalty} | terms
         self.terms = {name: term.detach() for name, term in terms.items()}

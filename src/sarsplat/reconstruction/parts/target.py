@@ -125,9 +125,10 @@ class Target(Part):
             yield normal_nats(scattering[:, 1:] / (config.directional_std * level[:, None].detach()), 1.0)
 
     def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
-        """How much the Gaussians' scattering differs: of small differences the variance, of large ones little more.
+        """How much the Gaussians' scattering differs, and how far from the usual one the law is that they share.
 
-        The negative logarithm of Student's t-distribution, up to factors: most Gaussians scatter the same.
+        Of small differences the variance counts, of large ones little more: the negative logarithm of Student's
+        t-distribution, up to factors. Most Gaussians scatter the same.
         """
         if self.config.scattering_penalty:
             difference = p["scattering"] - column_means(p["scattering"].detach())
