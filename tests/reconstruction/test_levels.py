@@ -15,6 +15,7 @@ from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import RayGrid
 from sarsplat.reconstruction import Config, Trainer
 from sarsplat.reconstruction.levels import Levels
+from sarsplat.reconstruction.parts.target import scales_m
 from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.strategies import Info
 from sarsplat.reconstruction.strategies.growth import holding
@@ -108,7 +109,9 @@ def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Da
     assert 300 < counts[9] < 600
     assert largest == pytest.approx(0.2 * GRID.multilooked(2).cell_m)
     assert trainer.grid == GRID
-    assert float(trainer.gaussians.scales.max()) <= config.scale_bounds[1] * GRID.cell_m * (1 + 1e-6)
+    largest = scales_m(config, GRID.cell_m, 2)[2]
+    assert largest == pytest.approx(config.scale_bounds[1] * GRID.cell_m * 2 ** (1 / 6))  # wider, as the scene is large
+    assert float(trainer.gaussians.scales.max()) <= largest * (1 + 1e-6)
 
 
 def test_a_training_that_stopped_on_any_level_goes_on_the_same(scene: Dataset, config: Config) -> None:

@@ -392,7 +392,8 @@ class Config(AnyConfig):
     initial_scattering : float
         γ⁰ of a Gaussian at the start, its mean over all directions.
     scale_bounds : tuple of float
-        Smallest and largest standard deviation of a Gaussian, in resolution cells.
+        Smallest and largest standard deviation of a Gaussian, in resolution cells; the largest times f¹ᐟ⁶ where the
+        training begins with blocks of f × f pixels.
     margin : float
         How far centres may leave the space that the images bound, in resolution cells.
     max_optical_depth : float

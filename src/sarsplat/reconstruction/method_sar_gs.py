@@ -249,13 +249,14 @@ def lengths(config: Config, grid: ImageGrid) -> str:
     """One line: the lengths, in metres, that a reconstruction of images on this grid works with."""
     cell_m = grid.cell_m
     scales, rates = scales_m(config, cell_m), config.rates
+    wider = ", wider in large scenes" if config.coarsest > 1 else ""
     rays = [
         RayGrid.for_image(grid, count).spacing_m[0] for count in (config.rays_per_pixel, config.fine_rays_per_pixel)
     ]
     ray = f"{rays[0]:.2g} m" if config.fine_from == 1 else f"{rays[0]:.2g}, then {rays[1]:.2g} m"
     return (
         f"lengths from {cell_m:.3g} m resolution cells: start {scales[1]:.2g} m, sizes {scales[0]:.2g} … "
-        f"{scales[2]:.2g} m, steps {rates.means * cell_m:.2g} → {rates.means_end * cell_m:.2g} m, rays {ray}, "
+        f"{scales[2]:.2g} m{wider}, steps {rates.means * cell_m:.2g} → {rates.means_end * cell_m:.2g} m, rays {ray}, "
         f"voxels {config.points.voxel * cell_m:.2g} m"
     )
 

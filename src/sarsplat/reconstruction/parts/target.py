@@ -63,7 +63,7 @@ class Target(Part):
     def learned(self) -> dict[str, Learned]:
         config, rates = self.config, self.config.rates
         lowest, highest = self._box
-        smallest, _, largest = scales_m(config, self._cell_m)
+        smallest, _, largest = scales_m(config, self._cell_m, self._levels.coarsest)
         columns, ranges = self._own, self._common
 
         def falling(done: float) -> float:
@@ -156,7 +156,8 @@ class Target(Part):
         if self.setting.terrain is not None:
             below, above = self.setting.terrain.span_m
             low, high = low + low.new_tensor([0, 0, below]), high + high.new_tensor([0, 0, above])
-        return Bounds((*low.tolist(),), (*high.tolist(),), max(scales_m(config, self._coarsest_m)), depth, "cpu")
+        largest = max(scales_m(config, self._coarsest_m, self._levels.coarsest))
+        return Bounds((*low.tolist(),), (*high.tolist(),), largest, depth, "cpu")
 
     def _scattering(self, p: Parameters, degree: int) -> Scattering:
         rows = p["scattering"]
@@ -245,8 +246,11 @@ def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ())
     return (made.for_polarisations(polarisations) if len(polarisations) > 1 else made).detailed(config.harmonics_degree)
 
 
-def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:
+def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, float, float]:
     """Smallest, first and largest standard deviation of a Gaussian, m; the smallest at least `MIN_SCALE`.
+
+    The largest grows with the scene, whose flat surfaces are larger too: where the training begins with blocks of
+    `coarsest` × `coarsest` pixels, by that number's sixth root.
 
     Raises
     ------
@@ -254,7 +258,8 @@ def scales_m(config: Config, cell_m: float) -> tuple[float, float, float]:
         If the first or the largest cannot be rendered.
     """
     smallest, first, largest = (
-        cells * cell_m for cells in (config.scale_bounds[0], config.initial_scale, config.scale_bounds[1])
+        cells * cell_m
+        for cells in (config.scale_bounds[0], config.initial_scale, config.scale_bounds[1] * coarsest ** (1 / 6))
     )
     for name, scale in (("initial_scale", first), ("scale_bounds", largest)):
         if not MIN_SCALE <= scale <= MAX_SCALE:
