@@ -191,3 +191,12 @@ def test_threads_change_nothing(kind, threads):
         found.append([amplitudes.detach(), *(leaf.grad for leaf in leaves if leaf.grad is not None)])
     for others in found[1:]:
         assert all(torch.equal(one, other) for one, other in zip(found[0], others, strict=True))
+
+
+def test_laws_are_said_in_words() -> None:
+    lobes = NormalLobes(torch.tensor([[0, 0, math.log(2)], [0, 0, math.log(2.5)]]), 0.03)
+    said = "normal-lobes, γ⁰ = 0.03 + b₀ + b₁·|n·u|ᵉ"
+    assert lobes.in_words == f"{said}, e = 2.00 … 2.50"
+    assert replace(lobes, parameters=lobes.parameters[:1]).in_words == f"{said}, e = 2.00"
+    assert replace(lobes, parameters=lobes.parameters[:0]).in_words == said
+    assert Harmonics(torch.zeros(3, 9)).in_words == "harmonics of degree 2"

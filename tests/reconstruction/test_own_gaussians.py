@@ -71,7 +71,7 @@ def test_gaussians_of_ones_own_are_scored_exported_and_shown_in_a_report(
     export(run, tmp_path / "own.obj")
     saved = Run.load(run.save(tmp_path / "run").folder)
     assert saved.dataset.fingerprint() == dataset.fingerprint()
-    assert saved.facts == {"made by": "own loop"}
+    assert saved.facts == {"made by": "own loop", "scattering": saved.gaussians.scattering.in_words}
     with pytest.raises(SarsplatError, match="Gaussians that were not trained here, which cannot be resumed"):
         reconstruct(dataset, replace(saved.config, iterations=9), saved.folder, resume=True, quiet=True)
 

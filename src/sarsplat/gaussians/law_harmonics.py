@@ -35,6 +35,11 @@ class Harmonics(Scattering):
         """Of degree 0 to 3."""
         return 1, 4, 9, 16
 
+    @property
+    def in_words(self) -> str:
+        """See `Scattering.in_words`."""
+        return f"{self.kind} of degree {self.degree}"
+
     def amplitudes(
         self,
         directions: Float[Tensor, "v 3"],

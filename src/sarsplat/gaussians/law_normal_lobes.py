@@ -51,6 +51,13 @@ class NormalLobes(Scattering):
         """b₀, b₁ and e."""
         return (3,)
 
+    @property
+    def in_words(self) -> str:
+        """See `Scattering.in_words`; with the smallest and the largest exponent, if they differ."""
+        exponents = torch.aminmax(self.parameters[:, 2]) if len(self.parameters) else ()
+        shown = dict.fromkeys(f"{math.exp(float(e)):.2f}" for e in exponents)
+        return f"{self.kind}, γ⁰ = {self.p_min:g} + b₀ + b₁·|n·u|ᵉ" + (f", e = {' … '.join(shown)}" if shown else "")
+
     def amplitudes(
         self,
         directions: Float[Tensor, "v 3"],

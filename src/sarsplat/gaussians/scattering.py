@@ -107,6 +107,11 @@ class Scattering(ABC):
             "initial(count, gamma0, p_min)"
         )
 
+    @property
+    def in_words(self) -> str:
+        """What `sarsplat info` and reports say of it; its kind, unless a law says more."""
+        return self.kind
+
     def detailed(self, degree: int) -> Self:
         """The law with no more detail than `degree`, 0 to 3: a training adds it by and by; most laws have none."""
         return self

@@ -230,7 +230,7 @@ class GaussianReconstruction(Reconstruction):
     def facts(self) -> dict[str, str]:
         own = self.config.preset == OWN_LOOP
         made = {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
-        return made | self._ground
+        return made | {"scattering": self.gaussians.scattering.in_words} | self._ground
 
     @property
     def _ground(self) -> dict[str, str]:
