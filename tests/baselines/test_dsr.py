@@ -68,6 +68,7 @@ def trained(scene: Scene, images: torch.Tensor, steps: int) -> tuple[Dsr, list[f
     return model, losses
 
 
+@pytest.mark.slow
 def test_it_learns_a_ball_from_an_ellipsoid(scene_and_images):
     scene, images = scene_and_images
     assert mask_iou(Dsr(scene, BRISK)) < 0.6
