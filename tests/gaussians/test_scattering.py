@@ -199,4 +199,5 @@ def test_laws_are_said_in_words() -> None:
     assert lobes.in_words == f"{said}, e = 2.00 … 2.50"
     assert replace(lobes, parameters=lobes.parameters[:1]).in_words == f"{said}, e = 2.00"
     assert replace(lobes, parameters=lobes.parameters[:0]).in_words == said
+    assert replace(lobes, parameters=torch.full((1, 3), 1e6)).in_words == f"{said}, e = {math.exp(5):.2f}"  # no more
     assert Harmonics(torch.zeros(3, 9)).in_words == "harmonics of degree 2"

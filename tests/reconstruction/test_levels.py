@@ -111,6 +111,7 @@ def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Da
     assert trainer.grid == GRID
     largest = scales_m(config, GRID.cell_m, 2)[2]
     assert largest == pytest.approx(config.scale_bounds[1] * GRID.cell_m * 2 ** (1 / 6))  # wider, as the scene is large
+    assert trainer.model.learned["scales"].high == largest
     assert float(trainer.gaussians.scales.max()) <= largest * (1 + 1e-6)
 
 

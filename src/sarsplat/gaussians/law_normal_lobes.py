@@ -54,8 +54,8 @@ class NormalLobes(Scattering):
     @property
     def in_words(self) -> str:
         """See `Scattering.in_words`; with the smallest and the largest exponent, if they differ."""
-        exponents = torch.aminmax(self.parameters[:, 2]) if len(self.parameters) else ()
-        shown = dict.fromkeys(f"{math.exp(float(e)):.2f}" for e in exponents)
+        exponents = torch.aminmax(self._exponents) if len(self.parameters) else ()
+        shown = dict.fromkeys(f"{float(e):.2f}" for e in exponents)
         return f"{self.kind}, γ⁰ = {self.p_min:g} + b₀ + b₁·|n·u|ᵉ" + (f", e = {' … '.join(shown)}" if shown else "")
 
     def amplitudes(
@@ -69,8 +69,12 @@ class NormalLobes(Scattering):
         normals = rotated(quaternions, shortest.to(quaternions))
         squared = ((directions @ normals.T) ** 2).clamp(min=_GRAZING)  # [V, N]
         b = softplus(self.parameters[:, :2])
-        exponent = self.parameters[:, 2].clamp(-_MOST_LOG, _MOST_LOG).exp()
-        return (self.p_min + b[:, 0] + b[:, 1] * squared ** (exponent / 2))[..., None]
+        return (self.p_min + b[:, 0] + b[:, 1] * squared ** (self._exponents / 2))[..., None]
+
+    @property
+    def _exponents(self) -> Float[Tensor, " n"]:
+        """The exponent of each Gaussian."""
+        return self.parameters[:, 2].clamp(-_MOST_LOG, _MOST_LOG).exp()
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
