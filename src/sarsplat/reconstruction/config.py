@@ -183,7 +183,7 @@ class PointExtraction(Record):
     behind : float
         … by more than this distance, in resolution cells.
     seen_by : int
-        Remove a point unless this many of the views, or a fifth of them if that is fewer, have their first return
+        Remove a point unless this many of the views, or an eighth of them if that is fewer, have their first return
         within this distance of it ("rays"): each view takes speckle for something else. 0: keep it.
     cluster_radius : float or None
         Keep only the largest cluster (DBSCAN with this ε, in resolution cells); None: keep all points.

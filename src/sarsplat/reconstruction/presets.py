@@ -103,17 +103,17 @@ PRESETS: dict[str, Config] = {
         few_views=0.0,
         fine_from=1.0,
         rates=Rates(
-            means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.4, shift=0.1
+            means=0.16, quaternions=0.01, log_scales=0.02, scattering=0.4, directional_scattering=0.1, shift=0.1
         ),
         relocation=Relocation(rounds=0),
         points=PointExtraction(
-            optical_depth=1.5,
+            optical_depth=1.0,
             voxel=0.32,
             min_height=0.3,
             rays_per_pixel=4.0,
-            seen_through=0.25,
-            behind=0.65,
-            seen_by=3,
+            seen_through=0.5,
+            behind=1.0,
+            seen_by=5,
             cluster_radius=1.0,
         ),
         ground=FlatGround(std=0.3),
