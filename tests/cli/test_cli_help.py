@@ -84,11 +84,8 @@ def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatc
     ):
         for field in fields(record):
             if isinstance(value := getattr(record, field.name), int | float):
-                name = f"no-{field.name}" if value is True else field.name
-                flag = f"--{prefix}{name}".replace("_", "-")
-                assert re.search(rf"{re.escape(flag)} ((?!--).)*\(default: {getattr(record, field.name)}\)", shown), (
-                    flag
-                )
+                flag = f"--{prefix}{field.name}".replace("_", "-")
+                assert re.search(rf"{re.escape(flag)} ((?!--).)*\(default: {value}\)", shown), flag
     for part in ("rates", "points", "densification", "ground", "surroundings"):
         assert f"{part} options" in shown
 

@@ -147,3 +147,12 @@ def test_a_run_is_resumed_and_extended_with_its_own_settings(tmp_path: Path, ref
     assert "started with preset 'default', not 'paper'" in refused(f"{resume} --preset paper")
     assert "has already done 4 iterations, more than 3" in refused(f"{resume} --iterations 3")
     assert Run.load(run).config == extended.config
+
+
+@pytest.mark.parametrize("said", ["True", "False"])
+def test_what_is_true_or_false_is_said_alike_before_and_after(said: str, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    words = f"reconstruct plain --out {run} --gaussians 50 --common-law {said} --iterations"
+    assert main(f"{words} 1".split()) == 0
+    assert main(f"{words} 2 --resume".split()) == 0
+    assert Run.load(run).config.common_law is (said == "True")

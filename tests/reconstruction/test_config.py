@@ -69,6 +69,8 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("rates", None, "an object with means, means_end"),
         ("points.method", "best", "one of rays, centres"),
         ("points.voxel", "fine", "a number"),
+        ("points.rays_per_pixel", 1e6, "a number from 0.01 to 1000"),
+        ("points.optical_depth", 41, "a number from 0 to 40"),
         ("points.cluster_radius", 0, "a number from 1e-06 to 1e+06 or nothing"),
         ("densification.start", 10_000.5, "a whole number"),
         ("densification.max_gaussians", None, "a whole number"),

@@ -65,6 +65,12 @@ def test_the_first_images_are_as_coarse_as_the_target_is_large(side_m: float, co
     assert made.factor(99) == 1
 
 
+def test_images_of_one_row_are_looked_at_as_they_are() -> None:
+    grid = ImageGrid(1, 640, (0.3, 300.0), (0.3, 300.0))
+    setting = Setting(Region.box((0.0, 0.0, 0.0), (9e4, 9e4, 5.0)), 1.0, tuple(VIEWS), grid)
+    assert Levels.of(preset("default"), setting).coarsest == 1
+
+
 def test_levels_follow_each_other_and_the_last_has_the_least_time() -> None:
     made = levels(100.0, coarsest=4)
     factors = [made.factor(k) for k in range(100)]

@@ -58,7 +58,7 @@ def test_what_one_view_alone_sees_is_left_out_if_others_must_see_it(ball_with_a_
     assert np.allclose(np.linalg.norm(points - [0, 0, HEIGHT], axis=1), RADIUS, atol=0.3)
 
 
-def test_of_few_views_an_eighth_is_enough(ball_with_a_hole: Gaussians) -> None:
+def test_of_few_views_a_fifth_is_enough(ball_with_a_hole: Gaussians) -> None:
     views = VIEWS[::4]  # opposite ones, which see nothing in common
     usual = extract_points(ball_with_a_hole, views, GRID, KEPT)
     assert len(usual) > 0
@@ -86,7 +86,7 @@ def test_how_far_behind_a_place_its_ray_returns() -> None:
 
 def test_points_are_those_that_enough_of_all_views_confirm(ball_with_a_hole: Gaussians) -> None:
     """By the definition, every point held against every view."""
-    how = replace(KEPT, seen_by=2)
+    how = replace(KEPT, seen_by=3)
     rays = RayGrid.for_image(GRID, how.rays_per_pixel)
     views = [*VIEWS, *between(VIEWS)]
     returns = [_FirstReturns.of(ball_with_a_hole, view, GRID, rays, how.optical_depth) for view in views]
@@ -95,7 +95,7 @@ def test_points_are_those_that_enough_of_all_views_confirm(ball_with_a_hole: Gau
     expected = np.stack([every[owner.ravel() == k].mean(axis=0) for k in range(len(cells))])
     beyond = np.stack([each.beyond(expected) for each in returns])
     through, seen = beyond > how.behind * GRID.cell_m, np.abs(beyond) <= how.behind * GRID.cell_m
-    expected = expected[(through.mean(axis=0) <= how.seen_through) & (seen.sum(axis=0) >= 2)]
+    expected = expected[(through.mean(axis=0) <= how.seen_through) & (seen.sum(axis=0) >= 3)]
     assert 0 < len(expected) < len(cells)
     np.testing.assert_allclose(extract_points(ball_with_a_hole, VIEWS, GRID, how), expected, atol=1e-9)
 

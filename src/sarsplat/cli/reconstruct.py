@@ -52,6 +52,8 @@ Settings = make_dataclass(
         ("preset", Annotated[str, tyro.conf.Fixed, tyro.conf.Suppress], "default"),
         ("target_box", TargetBox, None),
         ("scattering", tyro.extras.literal_type_from_choices(SCATTERINGS), Config.scattering),
+        # a flag's name would depend on its default, which a run or a file may change
+        ("common_law", Annotated[bool, tyro.conf.FlagConversionOff], Config.common_law),
         *((name, kind, field(default_factory=kind)) for name, kind in _PARTS.items()),
     ],
     bases=(Config,),

@@ -29,6 +29,7 @@ NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
 OpticalDepth = Annotated[float, Meta(ge=1e-3, le=40)]
 """Up to `sarsplat.gaussians.MAX_OPTICAL_DEPTH`."""
 
+RaysPerPixel = Annotated[float, Meta(ge=0.01, le=1000)]
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 
@@ -183,7 +184,7 @@ class PointExtraction(Record):
     behind : float
         … by more than this distance, in resolution cells.
     seen_by : int
-        Remove a point unless this many of the views, or an eighth of them if that is fewer, have their first return
+        Remove a point unless this many of the views, or a fifth of them if that is fewer, have their first return
         within this distance of it ("rays"): each view takes speckle for something else. 0: keep it.
     cluster_radius : float or None
         Keep only the largest cluster (DBSCAN with this ε, in resolution cells); None: keep all points.
@@ -194,11 +195,11 @@ class PointExtraction(Record):
     _section: ClassVar[str] = "points."
 
     method: Literal["rays", "centres"] = "rays"
-    optical_depth: NotNegative = 0.7
+    optical_depth: Annotated[float, Meta(ge=0, le=40)] = 0.7
     power_share: Share = 1.0
     voxel: Positive = 0.067
     min_height: Number = 0.0
-    rays_per_pixel: Positive = 10.0
+    rays_per_pixel: RaysPerPixel = 10.0
     seen_through: Share = 0.17
     behind: NotNegative = 0.17
     seen_by: Iteration = 0
@@ -479,8 +480,8 @@ class Config(AnyConfig):
     sparsity: NotNegative = 0.0
     dropout: Annotated[float, Meta(ge=0, le=0.9)] = 0.0
     few_views: NotNegative = 4.8
-    rays_per_pixel: Positive = 2.0
-    fine_rays_per_pixel: Positive = 4.0
+    rays_per_pixel: RaysPerPixel = 2.0
+    fine_rays_per_pixel: RaysPerPixel = 4.0
     fine_from: Share = 0.5
     rates: Rates = Rates()
     points: PointExtraction = PointExtraction()

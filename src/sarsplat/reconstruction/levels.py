@@ -46,7 +46,8 @@ class Levels:
         grid, (width_m, depth_m, _) = setting.grid, setting.region.high - setting.region.low
         shown_m = (grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1])  # a box may be given, of any size
         across_m, factor = min(math.sqrt(width_m * depth_m), *shown_m), 1
-        while 2 * factor <= config.coarsest and across_m >= _ACROSS * grid.multilooked(2 * factor).cell_m:
+        coarsest = min(config.coarsest, grid.rows, grid.columns)
+        while 2 * factor <= coarsest and across_m >= _ACROSS * grid.multilooked(2 * factor).cell_m:
             factor *= 2
         return cls(factor, grid, config.iterations)
 

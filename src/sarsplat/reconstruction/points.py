@@ -158,7 +158,7 @@ def _seen_points(
             seen[left] += abs(beyond) <= how.behind * cell
             left = left[through[left] <= how.seen_through * len(views)]
             shown.advance(1)
-    enough = min(how.seen_by, len(views) // 8)  # an eighth, so that of few views there are points, too
+    enough = min(how.seen_by, len(views) // 5)  # a fifth, so that of few views there are points, too
     return points[left[seen[left] >= enough]]
 
 
