@@ -56,11 +56,6 @@ def refused(begun: Path, dataset: Dataset, config: Config, message: str) -> None
     assert content(begun) == before
 
 
-def test_what_lost_its_checkpoints_does_not_begin_anew(begun: Path, dataset: Dataset) -> None:
-    shutil.rmtree(begun / "checkpoints")
-    refused(begun, dataset, CONFIG, "holds no checkpoint; reconstruct it again")
-
-
 def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
     assert Run.load(begun).iteration == 1
     assert reconstruct(dataset, CONFIG, begun, resume=True).iteration == 2

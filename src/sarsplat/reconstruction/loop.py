@@ -102,8 +102,7 @@ class Training(Generic[T]):
                 f"{run.path} was started with another dataset ({run.dataset_path}); resume it with that one"
             )
         refuse_other_settings(run.folder, run.config, config)
-        snapshot = run.snapshot
-        if run.iteration > config.iterations:
+        if run.checkpoint_path is not None and run.iteration > config.iterations:
             raise SarsplatError(
                 f"{run.path} has already done {run.iteration} iterations, more than {config.iterations}; resume it "
                 f"with at least {run.iteration}"
@@ -113,17 +112,19 @@ class Training(Generic[T]):
         self.run = resumed = replace(run, dataset_path=where, config=config)
         if resumed != run:
             write_header(resumed)
+        snapshot = None if run.checkpoint_path is None else run.snapshot
         if self._processes is not None:
             self._processes.shared(snapshot)
-        try:
-            self.trainer.restore(snapshot)
-        except (LookupError, TypeError, ValueError, RuntimeError, OverflowError) as error:
-            raise SarsplatError(
-                f"{run.checkpoint_path} does not match this version ({error}); start again with overwrite=True"
-            ) from error
-        self._begun -= snapshot.seconds
-        self.history = [line for line in run.history if line.iteration <= snapshot.iteration]  # a killed one's end
-        self.shown.start_at(snapshot.iteration)
+        if snapshot is not None:
+            try:
+                self.trainer.restore(snapshot)
+            except (LookupError, TypeError, ValueError, RuntimeError, OverflowError) as error:
+                raise SarsplatError(
+                    f"{run.checkpoint_path} does not match this version ({error}); start again with overwrite=True"
+                ) from error
+            self._begun -= snapshot.seconds
+            self.history = [line for line in run.history if line.iteration <= snapshot.iteration]  # a killed one's end
+            self.shown.start_at(snapshot.iteration)
         if other_results or self.trainer.iteration < config.iterations:
             with plain_os_errors("write", run.folder):
                 for name in _RESULTS:
