@@ -78,7 +78,8 @@ PRESETS: dict[str, Config] = {
         points=PointExtraction("centres", optical_depth=0.01, voxel=0.067),
         checkpoint_every=2500,
     ),
-    # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood. Large Gaussians average speckle;
+    # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood. Gaussians of about a cell
+    # average speckle; larger opaque ones would have their edges where nothing is;
     # glints are 20 dB above the ground, so the harmonics must travel far.
     "measured": Config(
         preset="measured",
