@@ -1,9 +1,11 @@
-"""The engine's Adam and the one in plain torch against torch's own, step for step."""
+"""The engines' Adam and the one in plain torch against torch's own, step for step."""
 
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -15,7 +17,10 @@ from sarsplat.gaussians import SCATTERINGS, Scattering, register_scattering
 from sarsplat.reconstruction import Config, Trainer, adam
 from sarsplat.reconstruction.optimiser import Optimiser
 from sarsplat.reconstruction.parts.part import Learned
-from sarsplat.renderer import cpu
+from sarsplat.renderer import cpu, cuda
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
+from emulated_cuda import Emulator, compile_emulator
 
 BUILT = cpu.INSTRUCTION_SETS[1:]
 AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
@@ -107,14 +112,18 @@ def test_no_step_leaves_the_positive_numbers(how: str) -> None:
         assert bool((parameters["scales"] == end).all())
 
 
-@pytest.fixture(params=[*AVAILABLE, "plain"])
+@pytest.fixture(params=[*AVAILABLE, "cuda", "plain"])
 def how(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """The engine with each instruction set that this processor has, and without it."""
-    engine = cpu.adam
+    """The CPU engine with each instruction set that this processor has, the CUDA engine emulated, and neither."""
     if request.param == "plain":
-        monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
+        engine = None
+    elif request.param == "cuda":
+        pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
+        library = compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
+        engine = partial(cuda.adam, Emulator(library))
     else:
-        monkeypatch.setattr(adam.cpu, "adam", lambda *arguments: engine(*arguments, instruction_set=request.param))
+        engine = partial(cpu.adam, instruction_set=request.param)
+    monkeypatch.setattr(adam, "engine_for", lambda tensors: engine)
     return request.param
 
 

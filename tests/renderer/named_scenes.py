@@ -54,7 +54,7 @@ class Scene:
     def call(self, renderer: Callable, leaves: dict[str, Tensor], **more: object):
         """Render with these leaves."""
         fields = self.gaussians.tensors()
-        own = {name: leaves.get(name, tensor.to(leaves["means"].dtype)) for name, tensor in fields.items()}
+        own = {name: leaves.get(name, tensor.to(leaves["means"])) for name, tensor in fields.items()}
         arguments = {name: leaves[name] for name in ("amplitudes", "shift", "gain") if name in leaves}
         if self.ground is not None:
             levels = {name: leaves[f"ground.{name}"] for name in ("gamma0", "exponent") if f"ground.{name}" in leaves}

@@ -1,16 +1,19 @@
-"""One step of Adam: by the CPU engine in one call, or in plain torch on any device, without waiting for it."""
+"""One step of Adam: by an engine, or in plain torch on any device, without waiting for it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from ctypes import Structure
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sarsplat.renderer import cpu, structs
+from sarsplat.renderer import cpu, cuda, structs
+from sarsplat.renderer.cuda_device import device
 
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
 
@@ -23,12 +26,23 @@ _MAX_COLUMNS = len(structs.AdamGroup().rate)
 
 def engine_takes(tensors: Iterable[Tensor]) -> bool:
     """Whether the CPU engine can compute with these: float32 on the CPU, tables of at most 16 columns."""
-    return all(
-        tensor.dtype == torch.float32
-        and tensor.device.type == "cpu"
-        and (tensor.ndim != 2 or tensor.shape[1] <= _MAX_COLUMNS)
-        for tensor in tensors
-    )
+    own = list(tensors)
+    return _engines_compute(own) and all(tensor.is_cpu for tensor in own)
+
+
+def engine_for(tensors: Sequence[Tensor]) -> Callable[[Structure], None] | None:
+    """What steps these parameters: the engine of their device, or None for plain torch."""
+    if engine_takes(tensors):
+        return cpu.adam
+    places = {tensor.device for tensor in tensors}
+    if len(places) == 1 and (place := places.pop()).type == "cuda" and _engines_compute(tensors):
+        return partial(cuda.adam, device(place.index))
+    return None
+
+
+def _engines_compute(tensors: Iterable[Tensor]) -> bool:
+    """Whether these are float32, and tables of at most 16 columns."""
+    return all(t.dtype == torch.float32 and (t.ndim != 2 or t.shape[1] <= _MAX_COLUMNS) for t in tensors)
 
 
 @dataclass(frozen=True)
@@ -63,10 +77,10 @@ def step(tensors: Sequence[Stepped], gradients: Sequence[Tensor], decays: Sequen
 
 
 class EngineAdam:
-    """`step` on parameters of at most 16 columns, whose memory the engine writes in place."""
+    """`step` on parameters of at most 16 columns, whose memory an engine writes in place: `engine_for` theirs."""
 
-    def __init__(self, tensors: Sequence[Stepped]) -> None:
-        self._tensors = tensors  # kept alive: the engine has their addresses only
+    def __init__(self, engine: Callable[[Structure], None], tensors: Sequence[Stepped]) -> None:
+        self._engine, self._tensors = engine, tensors  # kept alive: the engine has their addresses only
         self._groups = (structs.AdamGroup * len(tensors))()
         for group, tensor in zip(self._groups, tensors):
             group.value, group.mean, group.square = (t.data_ptr() for t in (tensor.value, tensor.mean, tensor.square))
@@ -83,6 +97,6 @@ class EngineAdam:
         for group, gradient, decay in zip(self._groups, gradients, decays, strict=True):
             group.gradient, group.decay = gradient.data_ptr(), decay
         powers = BETA1**count, BETA2**count
-        cpu.adam(structs.AdamStep(self._groups, len(self._groups), BETA1, BETA2, EPSILON, *powers))
+        self._engine(structs.AdamStep(self._groups, len(self._groups), BETA1, BETA2, EPSILON, *powers))
         # the engine wrote behind torch's back: whoever kept the old values for a backward pass is notified
         torch.autograd.graph.increment_version([tensor.value for tensor in self._tensors])

@@ -34,8 +34,8 @@ def dropped(count: int, share: float, seed: int, step: int, device: torch.device
     """
     mixed = _rows(count, device) + _signed(seed * _SEED + step * _STEP)
     for factor, shift in zip(_MIX, (30, 27), strict=True):
-        mixed = (mixed ^ (mixed >> shift)) * _signed(factor)
-    return ((mixed >> 32) & (2**_BITS - 1)) < share * 2**_BITS
+        mixed.bitwise_xor_(mixed >> shift).mul_(_signed(factor))
+    return (mixed >> 32).bitwise_and_(2**_BITS - 1) < share * 2**_BITS
 
 
 @lru_cache(maxsize=4)

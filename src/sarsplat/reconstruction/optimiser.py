@@ -18,7 +18,7 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 class Optimiser:
     """Adam for all parameters of a training; its moments are saved, restored and re-indexed with them.
 
-    On the CPU a step is one call of the engine, elsewhere it is plain torch.
+    A step is one call of the device's engine, or plain torch where there is none.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ class Optimiser:
         """One update, with the rates of this iteration; gradients are cleared."""
         if self._adam is None:
             tensors = [self._stepped(name, tensor) for name, tensor in self._parameters.items()]
-            by_engine = adam.engine_takes(self._parameters.values())
-            self._adam = adam.EngineAdam(tensors).step if by_engine else partial(adam.step, tensors)
+            engine = adam.engine_for(list(self._parameters.values()))
+            self._adam = partial(adam.step, tensors) if engine is None else adam.EngineAdam(engine, tensors).step
         self._steps += 1
         gradients = []
         for name, tensor in self._parameters.items():

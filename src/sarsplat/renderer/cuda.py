@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from ctypes import c_float, c_int32, c_void_p
+from ctypes import c_float, c_int32, c_int64, c_void_p
 from typing import Protocol
 
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.bounds import LEFT_BOUNDS, Capacity
 from sarsplat.renderer.cpu import FAULTS
-from sarsplat.renderer.cuda_lattices import cut_into_tiles, ordered_bits, smallest_lattice, tiles_of, total
+from sarsplat.renderer.cuda_lattices import cut_into_tiles, smallest_lattice, tiles_of, total
 from sarsplat.renderer.structs import Channels, Lattice, Outputs, Projection, structure
 
 # of csrc/cuda_state.cuh
@@ -29,7 +29,7 @@ _MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
 _MAX_PAIRS = 1 << 31
 
 _NOTHING = (1 << 63) - 1
-"""The largest key, and the largest minimum."""
+"""The largest key, and more than there is of anything."""
 
 _PLANE = ("splats", "reach", "lattices", "counts", "ends", "keys", "owners", "order", "starts")
 _Plane = structure("Plane", *((name, c_void_p) for name in _PLANE))
@@ -52,6 +52,13 @@ class Launcher(Protocol):
     def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
         """Queue a kernel after those before it; its arguments are C values."""
         ...
+
+
+def adam(launcher: Launcher, step: ctypes.Structure) -> None:
+    """One step of Adam on every group, and its values back into their bounds."""
+    for group in step.groups[: step.count]:
+        if blocks := -(-group.rows * group.columns // _THREADS):
+            launcher.launch("step_adam", blocks, _THREADS, group, step)
 
 
 class Pass:
@@ -100,6 +107,14 @@ class Pass:
             *(c_void_p(transmittance), c_void_p(first_return)),
         )
 
+    def normal_lobes(self, lobes: ctypes.Structure) -> None:
+        """Fill in γ⁰ of Gaussians towards views."""
+        self._launch("normal_lobes", -(-lobes.gaussians // _THREADS), lobes)
+
+    def normal_lobes_backward(self, lobes: ctypes.Structure) -> None:
+        """Fill in the gradients."""
+        self._launch("normal_lobes_backward", -(-lobes.gaussians // _THREADS), lobes)
+
     # ---- a whole rendering
     def _render(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
         bounds = self._begin(problem)
@@ -114,7 +129,8 @@ class Pass:
         pixels = self._pixels(problem)
         self._arrange(problem, {"rays": self._rays, "pixels": pixels})
         if self._capacity is not None:
-            self._report(self._capacity, bounds)
+            broken = c_void_p(self._capacity.broken.data_ptr())
+            self._launcher.launch("keep_fault", 1, 1, problem, self._state, c_int64(LEFT_BOUNDS), broken)
         self._attenuate_tiles(problem, channels, outputs)
         self._splat_tiles(problem, channels, pixels, outputs.images)
         return "", -1
@@ -200,7 +216,7 @@ class Pass:
         self._pairs = views * n
         if self._pairs >= _MAX_PAIRS:
             raise SarsplatError(f"{views} views of {n} Gaussians are too many at once; render fewer views at a time")
-        minima = self._new("minima", 1 + 4 * views, dtype=torch.int64).fill_(-1)
+        minima = self._new("minima", 2 + 4 * views, dtype=torch.int64).fill_(-1)
         self._state.minima = minima.data_ptr()
         return minima
 
@@ -237,7 +253,7 @@ class Pass:
         if self._capacity is not None:
             self._lattices = list(self._capacity.lattices)
         else:
-            fault, *bounds = minima.tolist()
+            fault, *bounds, _ = minima.tolist()
             if fault >= 0:
                 return _fault(fault)
             self._lattices = [smallest_lattice(bounds[k : k + 4]) for k in range(0, len(bounds), 4)]
@@ -246,18 +262,6 @@ class Pass:
                     return "lattice", v
         self._rays = cut_into_tiles(self._lattices, 0.5)
         return None
-
-    def _report(self, capacity: Capacity, minima: Tensor) -> None:
-        """Note the first fault, or that the capacity was not enough; all of it on the device."""
-        limits = [
-            ordered_bits(edge)
-            for k0x, k0y, rows, columns in self._lattices
-            for edge in (k0x, k0y, -(k0x + columns), -(k0y + rows))
-        ]
-        beyond = (minima[1:] & _NOTHING) < self._send("limits", torch.tensor(limits, dtype=torch.int64, device="cpu"))
-        left = torch.cat([beyond, *(self._arrays[f"{name} clipped"] for name in capacity.tiles)]).any()
-        fault = minima[0].masked_fill((minima[0] < 0) & left, LEFT_BOUNDS)
-        capacity.broken.copy_(torch.where(capacity.broken < 0, fault, capacity.broken))
 
     def _pixels(self, problem: ctypes.Structure) -> list[ctypes.Structure]:
         return cut_into_tiles([(0, 0, problem.rows, problem.columns)] * problem.views, 0.0)
@@ -324,11 +328,8 @@ class Pass:
         plane.lattices = self._send(f"{name} lattices", raw).data_ptr()
         counts = self._new(f"{name} counts", problem.views * problem.gaussians, dtype=torch.int64)
         plane.counts = counts.data_ptr()
-        self._over_pairs("count_tiles", problem, problem, plane)
-        if self._capacity is not None:
-            most = self._capacity.tiles[name]
-            self._keep(f"{name} clipped", counts > most)
-            counts.clamp_(max=most)
+        most = _NOTHING if self._capacity is None else self._capacity.tiles[name]
+        self._over_pairs("count_tiles", problem, problem, self._state, plane, c_int64(most))
         ends = self._keep(f"{name} ends", torch.cumsum(counts, 0))
         plane.ends = ends.data_ptr()
         return ends[-1] if len(ends) else counts.sum()
@@ -343,9 +344,10 @@ class Pass:
         self._over_pairs("list_tiles", problem, problem, plane, c_int32(by_depth))
         del self._arrays[f"{name} keys"]
         keys, order = torch.sort(keys, stable=True)
-        borders = torch.arange(tiles + 1, dtype=torch.int64, device=keys.device) << 32
         plane.order = self._keep(f"{name} order", order).data_ptr()
-        plane.starts = self._keep(f"{name} starts", torch.searchsorted(keys, borders)).data_ptr()
+        plane.starts = self._new(f"{name} starts", tiles + 1, dtype=torch.int64).data_ptr()
+        sorted_keys, starts = c_void_p(keys.data_ptr()), c_void_p(plane.starts)
+        self._launch("start_tiles", slots // _THREADS + 1, sorted_keys, c_int64(slots), c_int32(tiles), starts)
 
     def _launch(self, name: str, blocks: int, *arguments: ctypes._CData) -> None:
         if blocks:

@@ -33,12 +33,6 @@ def _unordered(bits: int) -> float:
     return struct.unpack("f", struct.pack("I", bits))[0]
 
 
-def ordered_bits(value: float) -> int:
-    """The bits of a float32, made to sort as an unsigned integer."""
-    bits = struct.unpack("I", struct.pack("f", value + 0.0))[0]
-    return ~bits & 0xFFFFFFFF if bits & 0x80000000 else bits | 0x80000000
-
-
 def cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float) -> list[ctypes.Structure]:
     """The views' lattices as the kernels want them, with tiles and points counted through."""
     cut, tile, point = [], 0, 0

@@ -1,8 +1,8 @@
-"""What Gaussians return towards the views of a call; of a training's usual law by the CPU engine."""
+"""What Gaussians return towards the views of a call; of a training's usual law by an engine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from ctypes import Structure
 from typing import Any
 
@@ -12,18 +12,20 @@ from torch import Tensor
 
 from sarsplat.gaussians import Gaussians, NormalLobes
 from sarsplat.geometry import View
-from sarsplat.renderer import cpu
 from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.passes import Pass
 from sarsplat.renderer.problem import directions_to
 from sarsplat.renderer.structs import Lobes
 
 
-def amplitudes_towards(gaussians: Gaussians, views: Sequence[View]) -> Float[Tensor, "v n c"]:
-    """`Gaussians.amplitudes` towards the radar of each view; of float32 on the CPU differentiable at least once."""
-    law, means = gaussians.scattering, gaussians.means
-    directions = directions_to(views, means)
-    if type(law) is NormalLobes and means.dtype == torch.float32 and means.is_cpu:
-        return _Engine.apply(directions, law, gaussians.quaternions, gaussians.scales, law.parameters)
+def amplitudes_towards(
+    new_pass: Callable[[], Pass], gaussians: Gaussians, views: Sequence[View]
+) -> Float[Tensor, "v n c"]:
+    """`Gaussians.amplitudes` towards the radar of each view, float32, on an engine's passes; differentiable once."""
+    law = gaussians.scattering
+    directions = directions_to(views, gaussians.means)
+    if type(law) is NormalLobes:
+        return _Engine.apply(new_pass, directions, law, gaussians.quaternions, gaussians.scales, law.parameters)
     return gaussians.amplitudes(directions)
 
 
@@ -31,12 +33,14 @@ class _Engine(torch.autograd.Function):
     """`NormalLobes.amplitudes`, as there without a gradient of the scales."""
 
     @staticmethod
-    def forward(ctx: Any, directions: Tensor, law: NormalLobes, *inputs: Tensor) -> Tensor:
+    def forward(
+        ctx: Any, new_pass: Callable[[], Pass], directions: Tensor, law: NormalLobes, *inputs: Tensor
+    ) -> Tensor:
         kept = [tensor.contiguous() for tensor in (directions, *inputs)]
         ctx.save_for_backward(*kept)
-        ctx.p_min = law.p_min
+        ctx.new_pass, ctx.p_min = new_pass, law.p_min
         made = directions.new_empty(len(directions), len(inputs[0]), 1)
-        cpu.Pass().normal_lobes(_problem(ctx.p_min, kept, made))
+        new_pass().normal_lobes(_problem(ctx.p_min, kept, made))
         return made
 
     @staticmethod
@@ -44,8 +48,8 @@ class _Engine(torch.autograd.Function):
     def backward(ctx: Any, seed: Tensor) -> tuple[Tensor | None, ...]:
         _, quaternions, _, parameters = kept = ctx.saved_tensors
         gradients, seed = (torch.empty_like(quaternions), torch.empty_like(parameters)), seed.contiguous()
-        cpu.Pass().normal_lobes_backward(_problem(ctx.p_min, kept, None, seed, *gradients))
-        return None, None, gradients[0], None, gradients[1]
+        ctx.new_pass().normal_lobes_backward(_problem(ctx.p_min, kept, None, seed, *gradients))
+        return None, None, None, gradients[0], None, gradients[1]
 
 
 def _problem(p_min: float, kept: Sequence[Tensor], *others: Tensor | None) -> Structure:

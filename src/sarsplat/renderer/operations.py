@@ -68,7 +68,7 @@ def render_with(
     if amplitudes is None and isinstance(g.scattering, Harmonics):
         harmonics = g.scattering.parameters  # kernels evaluate these themselves
     elif amplitudes is None:
-        amplitudes = amplitudes_towards(g, views)
+        amplitudes = amplitudes_towards(new_pass, g, views)
     ray_maps: tuple[RayMap, ...] | None = None
 
     def some(branch: Branch, arrays: Tensors) -> tuple[Tensor, ...]:
@@ -124,7 +124,7 @@ def project_with(
     ray_centers, ray_roots, depth, range_m, tilt, pixel_centers, pixel_roots, gamma0 = _Project(
         new_pass(), views, grid, rays, law.p_min
     ).of(g.means, g.quaternions, g.scales, g.optical_depth, harmonics, None, _shift(g, views, shift))
-    amplitudes = gamma0[..., None] if harmonics is not None else amplitudes_towards(g, views)
+    amplitudes = gamma0[..., None] if harmonics is not None else amplitudes_towards(new_pass, g, views)
     return Projection(
         Footprints(ray_centers, ray_roots), depth, range_m, tilt, Footprints(pixel_centers, pixel_roots), amplitudes
     )

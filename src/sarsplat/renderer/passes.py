@@ -25,6 +25,14 @@ class Pass(Protocol):
         """Where the rays of a view stand."""
         ...
 
+    def normal_lobes(self, lobes: ctypes.Structure) -> None:
+        """Fill in γ⁰ of Gaussians towards views."""
+        ...
+
+    def normal_lobes_backward(self, lobes: ctypes.Structure) -> None:
+        """Fill in the gradients."""
+        ...
+
     def trace(
         self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
     ) -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -27,6 +28,7 @@ from sarsplat.reconstruction.setting import Setting
 from sarsplat.reconstruction.stack_region import enough_gaussians, imaged_sample
 from sarsplat.renderer import Bounds
 from sarsplat.renderer.checks import MAX_SCALE
+from sarsplat.renderer.once import differentiable_once
 from sarsplat.renderer.places import at_places
 
 _MIN_OPTICAL_DEPTH = 1e-3
@@ -131,9 +133,7 @@ class Target(Part):
         t-distribution, up to factors. Most Gaussians scatter the same.
         """
         if self.config.scattering_penalty:
-            difference = p["scattering"] - column_means(p["scattering"].detach())
-            spread = _SIMILAR**2 * column_means(torch.log1p((difference / _SIMILAR) ** 2)).sum()
-            yield "scattering penalty", self.config.scattering_penalty * spread
+            yield "scattering penalty", self.config.scattering_penalty * _Spread.apply(p["scattering"])
         if self.config.law_penalty and "law" in p:
             yield "law penalty", self.config.law_penalty * ((p["law"] - self._usual) ** 2).sum(1).sum(0)
 
@@ -219,6 +219,24 @@ class Target(Part):
         if self.config.ground is not None:
             low[2] = low[2].clamp(min=0.0)  # what is below is not seen
         return low, high
+
+
+class _Spread(torch.autograd.Function):
+    """How much the rows of a table differ from their mean, which is held constant; value and gradient in one go."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor) -> Tensor:
+        difference = (rows - column_means(rows)).div_(_SIMILAR)
+        squared = difference.square()
+        value = _SIMILAR**2 * column_means(squared.log1p()).sum()
+        ctx.save_for_backward(difference.div_(squared.add_(1)).mul_(2 * _SIMILAR / max(len(rows), 1)))
+        return value
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, slope: Tensor) -> Tensor:
+        (gradient,) = ctx.saved_tensors
+        return gradient * slope
 
 
 def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ()) -> Scattering:

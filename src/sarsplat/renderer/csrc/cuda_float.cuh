@@ -13,6 +13,7 @@ SG_FN float choose(bool condition, float a, float b) { return condition ? a : b;
 SG_FN float root(float x) { return sqrtf(x); }
 SG_FN float absolute(float x) { return fabsf(x); }
 SG_FN float larger(float a, float b) { return fmaxf(a, b); }
+SG_FN float smaller(float a, float b) { return fminf(a, b); }
 SG_FN float nearest(float x) { return rintf(x); }
 SG_FN float natural_log(float x) { return logf(x); }
 

@@ -121,15 +121,18 @@ SG_FN Box tiles(const Plane& plane, const Lattice& lattice, int64_t j) {
   return {{b.x.first / kTile, b.x.last / kTile}, {b.y.first / kTile, b.y.last / kTile}};
 }
 
-extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p, Plane plane) {
+// most: slots there is room for, of each Gaussian in each view
+extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p, State s, Plane plane, int64_t most) {
   const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
   const Box t = tiles(plane, plane.lattices[view], j);
-  plane.counts[j] = (int64_t)(t.x.last - t.x.first + 1) * (t.y.last - t.y.first + 1);
+  const int64_t count = (int64_t)(t.x.last - t.x.first + 1) * (t.y.last - t.y.first + 1);
+  if (count > most) atomicMin(s.minima + 1 + 4 * p.views, 0ull);
+  plane.counts[j] = count < most ? count : most;
 }
 
 // by_depth: front to back inside a tile; otherwise, and for ties, by index, since the sort is stable. A footprint whose
-// count was clipped (cuda.py) has no more slots than that.
+// count was clipped has no more slots than that.
 extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, Plane plane, int32_t by_depth) {
   const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
@@ -143,6 +146,27 @@ extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, 
       plane.keys[slot] = (int64_t)(lattice.first_tile + y * lattice.tiles_x + x) << 32 | depth;
       plane.owners[slot] = (int32_t)j;
     }
+}
+
+// Where each tile begins among the sorted keys, of which those of unused slots come last. One thread a key, and one more.
+extern "C" __global__ void __launch_bounds__(kThreads) start_tiles(const int64_t* keys, int64_t slots, int32_t tiles, int64_t* starts) {
+  const int64_t k = (int64_t)blockIdx.x * kThreads + thread();
+  if (k > slots) return;
+  const int64_t mine = k < slots ? keys[k] >> 32 : tiles;
+  for (int64_t tile = k > 0 ? (keys[k - 1] >> 32) + 1 : 0; tile <= mine && tile <= tiles; tile++) starts[tile] = k;
+}
+
+// One thread: the first fault, or else that there was not room for everything, unless `broken` has an earlier one.
+extern "C" __global__ void keep_fault(sg_problem p, State s, int64_t no_room, int64_t* broken) {
+  if (thread() > 0 || *broken >= 0) return;
+  bool left = s.minima[1 + 4 * p.views] == 0;
+  for (int v = 0; v < p.views; v++) {
+    const Lattice& l = s.rays.lattices[v];
+    const float x = l.x0 - 0.5f, y = l.y0 - 0.5f, edges[4] = {x, y, -(x + (float)l.columns), -(y + (float)l.rows)};
+    for (int k = 0; k < 4; k++) left = left || s.minima[1 + 4 * v + k] < ordered(edges[k]);
+  }
+  if (s.minima[0] != ~0ull) *broken = (int64_t)s.minima[0];
+  else if (left) *broken = no_room;
 }
 
 // ---- adjoint ---------------------------------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ struct Plane {
 };
 
 struct State {
-  unsigned long long* minima;  // [1 + 4 V] the first fault; lowest x, y, -x, -y of each view's footprints on rays
+  unsigned long long* minima;  // [2 + 4 V] the first fault; lowest x, y, -x, -y of each view's footprints on rays; 0: no room
   Plane rays, pixels;
   float* slope;             // [V N, 2] tilt of the densest surface: z_r per ray
   float* transmittance;     // [rays] behind everything

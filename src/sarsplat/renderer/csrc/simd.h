@@ -20,6 +20,7 @@ SG_FN I load(const int32_t* p) { return *(const I*)p; }
 SG_FN void store(int32_t* p, I x) { *(I*)p = x; }
 SG_FN F choose(I mask, F a, F b) { return mask ? a : b; }
 SG_FN I choose(I mask, I a, I b) { return mask ? a : b; }
+SG_FN float root(float x) { return __builtin_sqrtf(x); }
 SG_FN F root(F x) { return __builtin_elementwise_sqrt(x); }
 SG_FN F absolute(F x) { return __builtin_elementwise_abs(x); }
 SG_FN F larger(F a, F b) { return __builtin_elementwise_max(a, b); }
