@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction import adam, preset
+from sarsplat.reconstruction import adam, losses, preset
 from sarsplat.reconstruction.losses import (
     ImageScale,
     amplitude_loss,
@@ -19,6 +21,9 @@ from sarsplat.reconstruction.losses import (
     structural_similarity,
 )
 from sarsplat.renderer import cpu
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
+from emulated_cuda import Emulator, compile_emulator
 
 BUILT = cpu.INSTRUCTION_SETS[1:]
 AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
@@ -38,10 +43,14 @@ def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tenso
 # one vector and less, tails, a window that fits once, more rows than one task, tasks shorter than the window
 @pytest.mark.parametrize("shape", [(1, 11, 11), (2, 12, 29), (3, 40, 17), (1, 130, 128), (2, 33, 64)])
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
-@pytest.mark.parametrize("how", [*AVAILABLE, "plain"])
-def test_amplitude_loss_and_its_gradient_are_those_of_float64(shape, weight, how, monkeypatch) -> None:
-    if how == "plain":
+@pytest.mark.parametrize("how", [*AVAILABLE, "cuda", "plain"])
+def test_amplitude_loss_and_its_gradient_are_those_of_float64(shape, weight, how, request, monkeypatch) -> None:
+    if how in ("cuda", "plain"):
         monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
+        if how == "cuda":
+            pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
+            emulator = Emulator(compile_emulator(Path(request.config.cache.mkdir("cuda-emulator"))))
+            monkeypatch.setattr(losses, "gpu_of", lambda tensors: emulator)
     else:
         monkeypatch.setattr(adam.cpu, "Pass", partial(cpu.Pass, how))
     power, truth = pair(*shape)

@@ -20,10 +20,10 @@ from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.reconstruction import Config, Step, Trainer, adam, extract_points, model, points
+from sarsplat.reconstruction import Config, Step, Trainer, adam, extract_points, losses, model, points
 from sarsplat.reconstruction.config import Densification, Relocation
 from sarsplat.reconstruction.dropout import dropped, share_dropped
-from sarsplat.renderer import Rendering, cuda
+from sarsplat.renderer import Rendering
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
 from emulated_cuda import Emulator, compile_emulator, render_on
@@ -166,6 +166,15 @@ def library(request: pytest.FixtureRequest) -> Path:
     return compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
 
 
+def use_emulated(library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Train as on a GPU, whose kernels are emulated."""
+    emulator = Emulator(library)
+    monkeypatch.setattr(model, "render", partial(render_on, emulator))
+    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
+    for module in (adam, losses):
+        monkeypatch.setattr(module, "gpu_of", lambda tensors: emulator)
+
+
 def train(dataset: Dataset, config: Config, steps: int) -> tuple[Tensor, Trainer]:
     """The loss of every step."""
     trainer = Trainer(dataset, config)
@@ -176,11 +185,9 @@ def train(dataset: Dataset, config: Config, steps: int) -> tuple[Tensor, Trainer
 def test_the_cuda_engines_source_learns_as_the_cpus(
     name: str, steps: int, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its kernels are emulated; the loss is plain torch."""
+    """Its kernels are emulated; SSIM and likelihoods are plain torch."""
     expected, usual = train(dataset, CONFIGS[name], steps)
-    monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
-    monkeypatch.setattr(adam, "engine_for", lambda tensors: partial(cuda.adam, Emulator(library)))
+    use_emulated(library, monkeypatch)
     actual, other = train(dataset, CONFIGS[name], steps)
     # nats have no zero of their own, and cross it: what counts is how far they have come
     far = 1e-3 * float(expected.max() - expected.min()) if name == "measured" else 0.0
@@ -208,9 +215,7 @@ def test_a_step_of_the_cuda_engine_never_looks_at_a_number(
 
         return look
 
-    monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
-    monkeypatch.setattr(adam, "engine_for", lambda tensors: partial(cuda.adam, Emulator(library)))
+    use_emulated(library, monkeypatch)
     trainer = Trainer(dataset, CONFIGS[name])
     trainer.step()  # which draws the order of the views, on the CPU
     for method in ("tolist", "item", "numpy", "cpu", "nonzero", "__bool__", "__float__", "__int__", "__index__"):
@@ -224,9 +229,7 @@ def test_a_step_of_the_cuda_engine_never_looks_at_a_number(
 def test_what_goes_wrong_is_told_when_the_log_is_written_and_never_saved(
     dataset: Dataset, library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(model, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
-    monkeypatch.setattr(adam, "engine_for", lambda tensors: partial(cuda.adam, Emulator(library)))
+    use_emulated(library, monkeypatch)
 
     def move_out(step: Step) -> None:
         if step.iteration == 3:

@@ -21,7 +21,7 @@ from test_cuda_emulated import everything, same_bits
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.reconstruction import device as training_device
-from sarsplat.renderer import cuda, cuda_device, engines, kept, nvrtc, trial
+from sarsplat.renderer import cuda, cuda_device, engines, kept, nvrtc, structs, trial
 
 CPU = torch.device("cpu")
 
@@ -93,6 +93,7 @@ def gpu(library, cache_folder, monkeypatch):
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: (9, 0))
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: "Emulated GPU")
     monkeypatch.setattr(torch.cuda, "device", nullcontext)
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: 0)
     monkeypatch.setattr(torch.cuda, "current_stream", lambda device: SimpleNamespace(cuda_stream=0x1234))
     return cuda_device.Device(torch.device("cpu", 0))
 
@@ -104,6 +105,19 @@ def test_the_launcher_hands_everything_to_the_driver(gpu, library):
     for step in step_cases.STEPS:
         first = step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, "shift and gain")
         assert same_bits(step_cases.found_by(partial(cuda.Pass, gpu), step, "shift and gain"), first), step
+
+
+def test_a_kernel_runs_on_its_gpu_whichever_is_current(gpu, monkeypatch):
+    asked = []
+    monkeypatch.setattr(torch.cuda, "device", lambda device: asked.append(device) or nullcontext())
+    sums = torch.ones(2)
+    arguments = structs.Loss(1, 1, 2, loss=sums[1:].data_ptr()), ctypes.c_void_p(sums.data_ptr()), ctypes.c_int64(1)
+    gpu.launch("sum_loss", 1, 256, *arguments)
+    assert asked == []
+    monkeypatch.setattr(torch.cuda, "current_device", lambda: 1)
+    gpu.launch("sum_loss", 1, 256, *arguments)
+    assert asked == [gpu.device]
+    assert sums.tolist() == [1.0, 0.5]
 
 
 def test_the_driver_refuses(gpu, monkeypatch):

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.renderer import cpu, cuda, structs
-from sarsplat.renderer.cuda_device import device
+from sarsplat.renderer.cuda_device import gpu_of
 
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
 
@@ -34,10 +34,8 @@ def engine_for(tensors: Sequence[Tensor]) -> Callable[[Structure], None] | None:
     """What steps these parameters: the engine of their device, or None for plain torch."""
     if engine_takes(tensors):
         return cpu.adam
-    places = {tensor.device for tensor in tensors}
-    if len(places) == 1 and (place := places.pop()).type == "cuda" and _engines_compute(tensors):
-        return partial(cuda.adam, device(place.index))
-    return None
+    gpu = gpu_of(tensors) if _engines_compute(tensors) else None
+    return None if gpu is None else partial(cuda.adam, gpu)
 
 
 def _engines_compute(tensors: Iterable[Tensor]) -> bool:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from ctypes import Structure
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import torch
@@ -18,7 +19,8 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError, advised, shown
 from sarsplat.reconstruction import adam
 from sarsplat.reconstruction.config import Config
-from sarsplat.renderer import cpu, structs
+from sarsplat.renderer import cpu, cuda, structs
+from sarsplat.renderer.cuda_device import gpu_of
 from sarsplat.renderer.once import differentiable_once
 
 Loss = Callable[[Tensor, Tensor], Tensor]
@@ -75,8 +77,11 @@ def amplitude_loss(
             f"SSIM needs images of at least {SSIM_WINDOW} × {SSIM_WINDOW} pixels, and these have "
             f"{power.shape[1]} × {power.shape[2]}; use larger ones or a preset without SSIM"
         )
+    numbers = reference, FLOOR, ssim_weight, C1, C2
     if adam.engine_takes((power, truth)):
-        return EngineAmplitudeLoss.apply(power, truth, _WINDOW.float(), reference, FLOOR, ssim_weight, C1, C2)
+        return EngineAmplitudeLoss.apply(cpu.Pass().amplitude_loss, power, truth, _WINDOW.float(), *numbers)
+    if ssim_weight == 0 and (gpu := gpu_of((power, truth))) is not None:
+        return EngineAmplitudeLoss.apply(partial(cuda.amplitude_loss, gpu), power, truth, None, *numbers)
     return plain_amplitude_loss(power, truth, reference, ssim_weight)
 
 
@@ -84,14 +89,19 @@ class EngineAmplitudeLoss(torch.autograd.Function):
     """`plain_amplitude_loss`, value and gradient in one go; differentiable once, with respect to `power`."""
 
     @staticmethod
-    def forward(ctx: Any, power: Tensor, truth: Tensor, window: Tensor, *numbers: float) -> Tensor:
-        """Both images, the window's weights, and reference, floor, λ, C1, C2."""
+    def forward(
+        ctx: Any,
+        engine: Callable[[Structure], None],
+        power: Tensor,
+        truth: Tensor,
+        window: Tensor | None,
+        *numbers: float,
+    ) -> Tensor:
+        """Both images, the window's weights (of SSIM alone), and reference, floor, λ, C1, C2."""
         power, truth = power.contiguous(), truth.contiguous()
         value, gradient = power.new_empty(()), torch.empty_like(power)
-        pointers = (tensor.data_ptr() for tensor in (power, truth, window))
-        cpu.Pass().amplitude_loss(
-            structs.Loss(*power.shape, *pointers, *numbers, value.data_ptr(), gradient.data_ptr())
-        )
+        pointers = (None if tensor is None else tensor.data_ptr() for tensor in (power, truth, window))
+        engine(structs.Loss(*power.shape, *pointers, *numbers, value.data_ptr(), gradient.data_ptr()))
         ctx.save_for_backward(gradient)
         return value
 
@@ -100,7 +110,7 @@ class EngineAmplitudeLoss(torch.autograd.Function):
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
         """Only `power` has a gradient."""
         (gradient,) = ctx.saved_tensors
-        return gradient * slope, *[None] * 7
+        return None, gradient * slope, *[None] * 7
 
 
 def plain_amplitude_loss(

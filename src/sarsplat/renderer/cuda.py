@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from ctypes import c_float, c_int32, c_int64, c_void_p
+from functools import lru_cache
 from typing import Protocol
 
 import torch
@@ -59,6 +60,14 @@ def adam(launcher: Launcher, step: ctypes.Structure) -> None:
     for group in step.groups[: step.count]:
         if blocks := -(-group.rows * group.columns // _THREADS):
             launcher.launch("step_adam", blocks, _THREADS, group, step)
+
+
+def amplitude_loss(launcher: Launcher, loss: ctypes.Structure) -> None:
+    """Fill in the loss and its gradient, without SSIM."""
+    blocks = -(-loss.views * loss.rows * loss.columns // _THREADS)
+    sums = torch.empty(blocks, dtype=torch.float32, device=launcher.device)
+    launcher.launch("amplitude_loss", blocks, _THREADS, loss, c_void_p(sums.data_ptr()))
+    launcher.launch("sum_loss", 1, _THREADS, loss, c_void_p(sums.data_ptr()), c_int64(blocks))
 
 
 class Pass:
@@ -324,8 +333,7 @@ class Pass:
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
     ) -> Tensor:
         """Count the tiles of every Gaussian; returns the number of slots, still on the device."""
-        raw = torch.frombuffer(bytearray(b"".join(lattices)), dtype=torch.uint8)
-        plane.lattices = self._send(f"{name} lattices", raw).data_ptr()
+        plane.lattices = self._keep(f"{name} lattices", _sent(b"".join(lattices), self._launcher.device)).data_ptr()
         counts = self._new(f"{name} counts", problem.views * problem.gaussians, dtype=torch.int64)
         plane.counts = counts.data_ptr()
         most = _NOTHING if self._capacity is None else self._capacity.tiles[name]
@@ -363,16 +371,18 @@ class Pass:
         self._arrays[name] = array  # kernels hold its address only
         return array
 
-    def _send(self, name: str, array: Tensor) -> Tensor:
-        """An array of the CPU's, on the device; from pinned memory, for the CPU waits for any other copy."""
-        device = self._launcher.device
-        pinned = array.pin_memory() if device.type == "cuda" else array
-        return self._keep(name, pinned.to(device, non_blocking=True))
-
     def _fill(self, dtype: torch.dtype = torch.float32, **shapes: tuple[int, ...]) -> None:
         """New arrays of the state, by name."""
         for name, shape in shapes.items():
             setattr(self._state, name, self._new(name, *shape, dtype=dtype).data_ptr())
+
+
+# The pixels of views are always the same, and a training asks for the same few views again and again.
+@lru_cache(maxsize=256)
+def _sent(content: bytes, device: torch.device) -> Tensor:
+    """On the device; from pinned memory, for the CPU waits for any other copy."""
+    array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
+    return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)
 
 
 def _in_groups(channels: ctypes.Structure) -> Iterator[tuple[int, str]]:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from collections.abc import Iterable
+from contextlib import nullcontext
 from ctypes import POINTER, byref, c_char_p, c_int, c_uint, c_void_p
 from functools import cache
 
 import torch
+from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.nvrtc import Nvrtc, machine_code
@@ -44,10 +47,11 @@ class Device:
 
     def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
         """Queue a kernel; its arguments are C values, passed as they are."""
-        with torch.cuda.device(self.device):
+        elsewhere = torch.cuda.current_device() != self.device.index
+        with torch.cuda.device(self.device) if elsewhere else nullcontext():
             self._check(self._driver.cuCtxSetCurrent(self._context))  # threads of autograd may not have it yet
             stream = torch.cuda.current_stream(self.device).cuda_stream
-            addresses = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
+            addresses = (c_void_p * len(arguments))(*map(ctypes.addressof, arguments))
             self._check(
                 self._driver.cuLaunchKernel(self._kernel(name), blocks, 1, 1, threads, 1, 1, 0, stream, addresses, None)
             )
@@ -79,6 +83,15 @@ def device(index: int) -> Device:
         If the driver, NVRTC or the device is missing.
     """
     return Device(torch.device("cuda", index))
+
+
+def gpu_of(tensors: Iterable[Tensor]) -> Device | None:
+    """The GPU on which all of these are, as float32, if they are on one."""
+    places = {(tensor.device, tensor.dtype) for tensor in tensors}
+    if len(places) != 1:
+        return None
+    (place, dtype) = places.pop()
+    return device(place.index) if place.type == "cuda" and dtype == torch.float32 else None
 
 
 @cache
