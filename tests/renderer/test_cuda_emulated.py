@@ -173,7 +173,7 @@ def test_memory_is_written_before_it_is_read_and_never_beyond_its_end(name, emul
 
 # ---- the emulator tells right from wrong ----------------------------------------------------------------------------
 def runs(library: Path) -> list[dict[str, torch.Tensor]]:
-    scene, _, norms, *_ = judged("many")  # whose tiles take more than one batch
+    scene, _, norms, *_ = judged("overlap")
     return [everything(scene, partial(render_on, Emulator(library, schedule)), norms) for schedule in SCHEDULES]
 
 

@@ -40,15 +40,6 @@ inline int any_of(emulator::Collective what, int mine) {
 inline void __syncthreads() { emulator::meet(emulator::BLOCK, 0); }
 inline int __syncthreads_or(int mine) { return any_of(emulator::BLOCK, mine); }
 inline int __any_sync(unsigned, int mine) { return any_of(emulator::WARP_ANY, mine); }
-inline void __syncwarp() { emulator::meet(emulator::WARP_ANY, 0); }
-inline unsigned __ballot_sync(unsigned, int mine) {
-  const uint32_t* all = emulator::meet(emulator::WARP_ANY, mine != 0);
-  unsigned ballot = 0;
-  for (int k = 0; k < emulator::size(emulator::WARP_ANY); k++) ballot |= all[k] << k;
-  return ballot;
-}
-inline int __ffs(int x) { return __builtin_ffs(x); }
-inline int __clz(int x) { return x ? __builtin_clz(x) : 32; }
 inline float __shfl_xor_sync(unsigned, float mine, int other) {
   const uint32_t* all = emulator::meet(emulator::WARP_EXCHANGE, __float_as_uint(mine));
   return __int_as_float((int)all[(threadIdx.x % 32) ^ other]);

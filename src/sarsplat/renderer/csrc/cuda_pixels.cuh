@@ -21,7 +21,7 @@ SG_FN const float* turns_of(const sg_channels& a, int64_t view, int first_channe
 
 template <int K, bool kWaves>
 SG_FN void splat_tile(const sg_problem& p, const State& s, const sg_channels& a, int first_channel, float* images,
-                      Footprint* staged, float (*heights)[K], Slopes* slopes, unsigned* touched) {
+                      Footprint* staged, float (*heights)[K], Slopes* slopes) {
   const auto [lattice, pixel, first, count] = tile(s.pixels, p.views, blockIdx.x);
   const int channels = a.count - first_channel < K ? a.count - first_channel : K;
   const float cut = image_cut(p);
@@ -38,27 +38,22 @@ SG_FN void splat_tile(const sg_problem& p, const State& s, const sg_channels& a,
       if constexpr (kWaves) slopes[thread()] = slopes_of(p, a, j);
       for (int c = 0; c < K; c++) heights[thread()][c] = c < channels ? amplitudes[c] * norm : 0.0f;
       staged[thread()] = g;
-      // an unlit one shows nowhere
-      touched[thread()] = norm == 0.0f ? 0u : warps_touched(g, s.pixels.reach + 2 * (int64_t)j, lattice, blockIdx.x);
     }
     __syncthreads();
-    for (int from = 0; from < some; from += kWarp) {  // those that touch this warp's pixels
-      unsigned left = __ballot_sync(kWholeWarp, from + lane() < some && touched[from + lane()] >> warp() & 1);
-      for (; left; left &= left - 1) {
-        const int k = from + __ffs((int)left) - 1;
-        const Footprint& g = staged[k];
-        const float weight = imaging_weight(distance(offset(g, (float)pixel.x, (float)pixel.y)), cut);
-        if constexpr (kWaves) {
-          const float height = elevation(g, slopes[k], (float)pixel.x, (float)pixel.y), *turns = turns_of(a, view, first_channel);
-          for (int c = 0; c < K; c += 2) {
-            if (c >= channels) break;
-            const Phase<float> turned = phase(height * turns[c / 2]);
-            S[c] += weight * (turned.c * heights[k][c] - turned.s * heights[k][c + 1]);
-            S[c + 1] += weight * (turned.s * heights[k][c] + turned.c * heights[k][c + 1]);
-          }
-        } else {
-          for (int c = 0; c < K; c++) S[c] += weight * heights[k][c];
+    for (int k = 0; k < some; k++) {
+      const Footprint& g = staged[k];
+      if (g.height == 0.0f) continue;  // unlit
+      const float weight = imaging_weight(distance(offset(g, (float)pixel.x, (float)pixel.y)), cut);
+      if constexpr (kWaves) {
+        const float height = elevation(g, slopes[k], (float)pixel.x, (float)pixel.y), *turns = turns_of(a, view, first_channel);
+        for (int c = 0; c < K; c += 2) {
+          if (c >= channels) break;
+          const Phase<float> turned = phase(height * turns[c / 2]);
+          S[c] += weight * (turned.c * heights[k][c] - turned.s * heights[k][c + 1]);
+          S[c + 1] += weight * (turned.s * heights[k][c] + turned.c * heights[k][c + 1]);
         }
+      } else {
+        for (int c = 0; c < K; c++) S[c] += weight * heights[k][c];
       }
     }
   }
@@ -140,22 +135,19 @@ SG_FN void gather_pixels(const sg_problem& p, const State& s, const sg_channels&
 
 extern "C" __global__ void __launch_bounds__(kThreads) splat_tiles_1(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
   __shared__ Footprint staged[kThreads];
-  __shared__ unsigned touched[kThreads];
   __shared__ float heights[kThreads][1];
-  splat_tile<1, false>(p, s, a, first, images, staged, heights, nullptr, touched);
+  splat_tile<1, false>(p, s, a, first, images, staged, heights, nullptr);
 }
 extern "C" __global__ void __launch_bounds__(kThreads) splat_tiles_4(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
   __shared__ Footprint staged[kThreads];
-  __shared__ unsigned touched[kThreads];
   __shared__ float heights[kThreads][kTogether];
-  splat_tile<kTogether, false>(p, s, a, first, images, staged, heights, nullptr, touched);
+  splat_tile<kTogether, false>(p, s, a, first, images, staged, heights, nullptr);
 }
-extern "C" __global__ void __launch_bounds__(kThreads, kResident) splat_waves_4(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
+extern "C" __global__ void __launch_bounds__(kThreads) splat_waves_4(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
   __shared__ Footprint staged[kThreads];
-  __shared__ unsigned touched[kThreads];
   __shared__ float heights[kThreads][kTogether];
   __shared__ Slopes slopes[kThreads];
-  splat_tile<kTogether, true>(p, s, a, first, images, staged, heights, slopes, touched);
+  splat_tile<kTogether, true>(p, s, a, first, images, staged, heights, slopes);
 }
 extern "C" __global__ void __launch_bounds__(kThreads, kResident)
 splat_tiles_1_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections, float* d_elevation) {

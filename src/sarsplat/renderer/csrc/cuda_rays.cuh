@@ -8,7 +8,6 @@ namespace SG_ISA {
 
 extern "C" __global__ void __launch_bounds__(kThreads, kResident) attenuate_tiles(sg_problem p, State s) {
   __shared__ Splat splats[kBatch];
-  __shared__ unsigned touched[kBatch];
   __shared__ int64_t slots[kBatch];
   __shared__ float sums[kBatch][kWarps];
   const auto [lattice, ray, first, count] = tile(s.rays, p.views, blockIdx.x);
@@ -18,32 +17,24 @@ extern "C" __global__ void __launch_bounds__(kThreads, kResident) attenuate_tile
   for (int begin = 0; begin < count; begin += kBatch) {
     if (!__syncthreads_or(T >= p.min_transmittance)) break;
     const int size = count - begin < kBatch ? count - begin : kBatch;
-    const bool awake = __any_sync(kWholeWarp, T >= p.min_transmittance);
     if (thread() < size) {
       const int64_t slot = slots[thread()] = s.rays.order[first + begin + thread()];
-      const int32_t j = s.rays.owners[slot];
-      Splat splat = s.rays.splats[j];
+      Splat splat = s.rays.splats[s.rays.owners[slot]];
       splat.g = placed(splat.g, lattice);
       splats[thread()] = splat;
-      touched[thread()] = warps_touched(splat.g, s.rays.reach + 2 * (int64_t)j, lattice, blockIdx.x);
     }
     __syncthreads();
-    for (int some = 0; some < size; some += kWarp) {  // those that touch this warp's rays
-      const int mine = some + lane();
-      if (mine < size) sums[mine][warp()] = 0.0f;
-      unsigned left = __ballot_sync(kWholeWarp, awake && mine < size && touched[mine] >> warp() & 1);
-      for (; left; left &= left - 1) {
-        const int k = some + __ffs((int)left) - 1;
-        const Footprint& g = splats[k].g;
-        const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
-        const float log_tau = log_depth(g, d);
-        const bool live = log_tau >= faintest && T >= p.min_transmittance;
-        if (__any_sync(kWholeWarp, live)) {
-          const float w = warp_sum(attenuate(log_tau, live, T));
-          if (live) last = begin + k;
-          if (k == mine) sums[k][warp()] = w;
-        }
+    for (int k = 0; k < size; k++) {
+      const Footprint& g = splats[k].g;
+      const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
+      const float log_tau = log_depth(g, d);
+      const bool live = log_tau >= faintest && T >= p.min_transmittance;
+      float w = 0.0f;
+      if (__any_sync(kWholeWarp, live)) {
+        w = warp_sum(attenuate(log_tau, live, T));
+        if (live) last = begin + k;
       }
+      if (lane() == 0) sums[k][warp()] = w;
     }
     __syncthreads();
     if (thread() < size) {
@@ -87,7 +78,6 @@ light_gaussians_backward(sg_problem p, State s, sg_channels a, const float* d_li
 extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(sg_problem p, State s, const float* from) {
   __shared__ Splat splats[kBatch];
   __shared__ float h[kBatch];
-  __shared__ unsigned touched[kBatch];
   __shared__ int64_t slots[kBatch];
   __shared__ float sums[kBatch][kWarps][6];
   const auto [lattice, ray, first, count] = tile(s.rays, p.views, blockIdx.x);
@@ -105,29 +95,21 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(
       splat.g = placed(splat.g, lattice);
       splats[thread()] = splat;
       h[thread()] = s.h[j];
-      touched[thread()] = warps_touched(splat.g, s.rays.reach + 2 * (int64_t)j, lattice, blockIdx.x);
     }
     __syncthreads();
     const int sixth = sixth_of(lane());
-    for (int some = (size - 1) / kWarp * kWarp; some >= 0; some -= kWarp) {  // those that touch this warp's rays
-      const int mine = some + lane();
-      for (int k = 0; mine < size && k < 6; k++) sums[mine][warp()][k] = 0.0f;
-      __syncwarp();
-      unsigned left = __ballot_sync(kWholeWarp, mine < size && touched[mine] >> warp() & 1);
-      while (left) {
-        const int bit = 31 - __clz((int)left), k = some + bit;
-        left ^= 1u << bit;
-        const Footprint& g = splats[k].g;
-        const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
-        const float log_tau = log_depth(g, d);
-        const bool live = log_tau >= faintest && last >= begin + k;
-        if (__any_sync(kWholeWarp, live)) {
-          Moments<float> m{};
-          m.add(d, attenuate_backward(log_tau, live, h[k], T, B));
-          const float sum = sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv, lane());
-          if (sixth >= 0) sums[k][warp()][sixth] = sum;
-        }
+    for (int k = size - 1; k >= 0; k--) {
+      const Footprint& g = splats[k].g;
+      const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
+      const float log_tau = log_depth(g, d);
+      const bool live = log_tau >= faintest && last >= begin + k;
+      float sum = 0.0f;
+      if (__any_sync(kWholeWarp, live)) {
+        Moments<float> m{};
+        m.add(d, attenuate_backward(log_tau, live, h[k], T, B));
+        sum = sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv, lane());
       }
+      if (sixth >= 0) sums[k][warp()][sixth] = sum;
     }
     __syncthreads();
     for (int i = thread(); i < 6 * size; i += kThreads) {

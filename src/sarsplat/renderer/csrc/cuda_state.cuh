@@ -110,13 +110,12 @@ SG_FN Box points(const Footprint& placed, const float* reach, const Lattice& lat
 }
 
 // This thread's point of a tile. A warp covers 8 x 4 points: small footprints then miss most warps.
-constexpr int kPatchX = 8, kPatchY = 4;
 struct Point { int x, y; bool inside; int64_t index; };
 SG_FN Point point_of_thread(const Lattice& lattice, int tile) {
   const int in_view = tile - lattice.first_tile;
   Point p;
-  p.x = in_view % lattice.tiles_x * kTile + warp() % 2 * kPatchX + lane() % kPatchX;
-  p.y = in_view / lattice.tiles_x * kTile + warp() / 2 * kPatchY + lane() / kPatchX;
+  p.x = in_view % lattice.tiles_x * kTile + warp() % 2 * 8 + lane() % 8;
+  p.y = in_view / lattice.tiles_x * kTile + warp() / 2 * 4 + lane() / 8;
   p.inside = p.x < lattice.columns && p.y < lattice.rows;
   p.index = lattice.first_point + (int64_t)p.y * lattice.columns + p.x;
   return p;
@@ -129,20 +128,6 @@ SG_FN Lattice lattice_of_tile(const Lattice* lattices, int views, int tile) {
     else high = middle - 1;
   }
   return lattices[low];
-}
-
-// Which warps of a tile a footprint may touch, a bit each: those whose points its box meets.
-SG_FN unsigned warps_touched(const Footprint& placed, const float* reach, const Lattice& lattice, int tile) {
-  const Box box = points(placed, reach, lattice);
-  const int in_view = tile - lattice.first_tile;
-  const int x0 = in_view % lattice.tiles_x * kTile, y0 = in_view / lattice.tiles_x * kTile;
-  unsigned touched = 0;
-  for (int w = 0; w < kWarps; w++) {
-    const int x = x0 + w % 2 * kPatchX, y = y0 + w / 2 * kPatchY;
-    const bool meets = box.x.first < x + kPatchX && box.x.last >= x && box.y.first < y + kPatchY && box.y.last >= y;
-    touched |= (unsigned)meets << w;
-  }
-  return touched;
 }
 
 // A block's tile, this thread's point in it, and its part of `order`.
