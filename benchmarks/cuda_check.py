@@ -4,7 +4,7 @@ The scenes of the tests against the float64 reference, twice for equal bits; mil
 with 24 views at a time, kernel by kernel; a million Gaussians on 2048 × 2048 pixels; the share of the device's own
 rate; gsplat beside it where it is installed; the demo trained on the GPU, with time and scores, and what a step takes
 (`cuda_training.py`, which needs the extras). Results go to `benchmarks/results/cuda-<device>.json`. Needs pytest
-besides the package, and no compiler. Never run on a GPU yet.
+besides the package, and no compiler.
 """
 
 from __future__ import annotations
