@@ -21,7 +21,7 @@ from torch.profiler import profile
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.reconstruction import Trainer, preset
 
-PRESETS = ("default", "paper")  # eight views and one a step, without and with SSIM
+PRESETS = ("default", "paper")  # several views and one a step, without and with SSIM
 STEPS, WARM_UP = 100, 20
 
 
