@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datasets import dataset_of
@@ -71,6 +71,7 @@ def test_honest_angles_are_not(name: str) -> None:
     assert suspicious_angles(HONEST[name]) == []
 
 
+@settings(derandomize=True, deadline=None, database=None)
 @given(
     st.integers(-600, 600),
     st.integers(1, 400),

@@ -47,5 +47,5 @@ def test_an_error_or_ctrl_c_ends_the_others(threads):
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         list(in_order(work, range(10)))
-    assert time.monotonic() - start < 2
+    assert time.monotonic() - start < 8  # to its end, one takes ten seconds
     assert len(ended) <= threads

@@ -78,20 +78,22 @@ def test_a_run_in_another_process_is_left_to_it(place, plan):
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
 def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, capfd):
+    found: list[int] = []
+
     def kill() -> None:
-        until(workers)
-        os.kill(workers()[0], signal.SIGKILL)
+        until(lambda: found.extend(workers()) or found)
+        os.kill(found[0], signal.SIGKILL)
 
     killer = threading.Thread(target=kill)
     killer.start()
-    found = sweep(plan, place / "out", means=Means(processes=1), quiet=True)
+    first = sweep(plan, place / "out", means=Means(processes=1), quiet=True)
     killer.join()
-    (failed,) = found.failed
+    (failed,) = first.failed
     assert "ended by SIGKILL" in failed.reason
-    assert sum(one.finished for one in found.results) == 1
+    assert sum(one.finished for one in first.results) == 1
     plan |= {"seeds": [0, 1, 2]}
-    found = sweep(plan, place / "out", means=Means(processes=2), quiet=True)
-    assert all(one.finished for one in found.results)
+    second = sweep(plan, place / "out", means=Means(processes=2), quiet=True)
+    assert all(one.finished for one in second.results)
     assert expected.items() <= results(place / "out").items()  # bit for bit
 
 
