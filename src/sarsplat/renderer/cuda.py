@@ -333,7 +333,9 @@ class Pass:
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
     ) -> Tensor:
         """Count the tiles of every Gaussian; returns the number of slots, still on the device."""
-        plane.lattices = self._keep(f"{name} lattices", _sent(b"".join(lattices), self._launcher.device)).data_ptr()
+        device = self._launcher.device
+        stream = torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
+        plane.lattices = self._keep(f"{name} lattices", _sent(b"".join(lattices), device, stream)).data_ptr()
         counts = self._new(f"{name} counts", problem.views * problem.gaussians, dtype=torch.int64)
         plane.counts = counts.data_ptr()
         most = _NOTHING if self._capacity is None else self._capacity.tiles[name]
@@ -379,8 +381,8 @@ class Pass:
 
 # The pixels of views are always the same, and a training asks for the same few views again and again.
 @lru_cache(maxsize=256)
-def _sent(content: bytes, device: torch.device) -> Tensor:
-    """On the device; from pinned memory, for the CPU waits for any other copy."""
+def _sent(content: bytes, device: torch.device, stream: int) -> Tensor:
+    """On the device, as soon as the stream gets there; from pinned memory, for the CPU waits for any other copy."""
     array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
     return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)
 
