@@ -214,9 +214,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "times",
         "Training times",
         "T-72, true images by ray casting; one training at a time, on one thread. The paper's times are those of "
-        "its Table II and of the text above its Table VII, on GPUs: compare how they grow, not what they are. This "
-        "series ran beside other work on the same two cores, and so took up to 1.9 times as long as alone: of the same "
-        "runs, 33 s with `paper`, 95 s with 30,000 Gaussians and 154 s with 50,000 had been measured when quiet.",
+        "its Table II and of the text above its Table VII, on GPUs: compare how they grow, not what they are.",
         _TIMES,
         (("time_s",),),
         judged=("time_s",),
