@@ -211,8 +211,8 @@ def cuda_table(devices: list[dict[str, Any]]) -> str:
         errors = device["largest_relative_error"].values()
         values, gradients = (max(error[of] for error in errors) for of in ("values", "gradients"))
         said.append(
-            f"{device['device']}: {len(errors)} scenes agree with the float64 reference to {values:.0e} in every value "
-            f"and to {gradients:.0e} in every gradient, in the Euclidean norm, with the same bits from run to run."
+            f"{device['device']}: {len(errors)} scenes agree with the float64 reference to {values:.1e} in every value "
+            f"and to {gradients:.1e} in every gradient, in the Euclidean norm, with the same bits from run to run."
         )
         for work in device["workloads"].values():
             count = work["views"]

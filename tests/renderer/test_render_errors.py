@@ -177,7 +177,7 @@ def test_the_reference_refuses_at_once_what_would_take_hours():
     begun = time.monotonic()
     with pytest.raises(SarsplatError, match=r"too many rays at a spacing of \(0.001, 0.001\) m: .* use coarser rays"):
         render(cloud(60, 0), VIEWS, GRID, rays=RayGrid((0.001, 0.001)), engine="reference")
-    assert time.monotonic() - begun < 30
+    assert time.monotonic() - begun < 2
 
 
 @pytest.mark.parametrize("engine", ["cpu", "reference"])

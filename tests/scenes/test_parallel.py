@@ -31,7 +31,7 @@ def test_results_come_in_order_with_progress_within_each(threads):
 
 
 def test_an_error_or_ctrl_c_ends_the_others(threads):
-    begun, ended = threading.Event(), []
+    begun, ended, waits = threading.Event(), [], [0]
 
     def work(item, report):
         if item == 0:
@@ -40,12 +40,12 @@ def test_an_error_or_ctrl_c_ends_the_others(threads):
         try:
             for _ in range(1000):
                 report(0.5)
+                waits[0] += 1
                 time.sleep(0.01)
         finally:
             ended.append(item)
 
-    start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         list(in_order(work, range(10)))
-    assert time.monotonic() - start < 8  # to its end, one takes ten seconds
+    assert waits[0] < 200  # two seconds of the ten that one takes to its end, however busy the machine
     assert len(ended) <= threads

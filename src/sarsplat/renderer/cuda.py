@@ -139,7 +139,7 @@ class Pass:
         self._arrange(problem, {"rays": self._rays, "pixels": pixels})
         if self._capacity is not None:
             broken = c_void_p(self._capacity.broken.data_ptr())
-            self._launcher.launch("keep_fault", 1, 1, problem, self._state, c_int64(LEFT_BOUNDS), broken)
+            self._launch("keep_fault", 1, problem, self._state, c_int64(LEFT_BOUNDS), broken)
         self._attenuate_tiles(problem, channels, outputs)
         self._splat_tiles(problem, channels, pixels, outputs.images)
         return "", -1

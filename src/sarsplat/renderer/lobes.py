@@ -21,10 +21,10 @@ from sarsplat.renderer.structs import Lobes
 def amplitudes_towards(
     new_pass: Callable[[], Pass], gaussians: Gaussians, views: Sequence[View]
 ) -> Float[Tensor, "v n c"]:
-    """`Gaussians.amplitudes` towards the radar of each view, float32, on an engine's passes; differentiable once."""
+    """`Gaussians.amplitudes` towards the radar of each view, of float32 on an engine's passes; differentiable once."""
     law = gaussians.scattering
     directions = directions_to(views, gaussians.means)
-    if type(law) is NormalLobes:
+    if type(law) is NormalLobes and gaussians.means.dtype == torch.float32:
         return _Engine.apply(new_pass, directions, law, gaussians.quaternions, gaussians.scales, law.parameters)
     return gaussians.amplitudes(directions)
 
