@@ -176,10 +176,12 @@ def _marched(view: View, grid: ImageGrid, number: float) -> tuple[np.ndarray, np
     """Power, the covariance of two passes, and by how much elevations in a pixel differ; by rays 0.1 m apart."""
     frame, pitch = radar_frame(view), 0.1
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-13, 13, pitch) + 0.05, np.arange(-24, 24, pitch) + 0.05))
+    plane = x[:, None] * frame[0] + y[:, None] * frame[1]
+    roof = (8 - plane[:, 2]) / frame[2, 2]  # where each ray comes down to the height of the highest
     hit = np.full(x.size, np.nan)
-    for depth in np.arange(-30, 40, 0.05):
-        place = x[:, None] * frame[0] + y[:, None] * frame[1] + depth * frame[2]
-        hit[(place[:, 2] <= _height(place[:, 0], place[:, 1])) & np.isnan(hit)] = depth
+    for depth in np.arange(0, 12, 0.05):
+        place = plane + (roof + depth)[:, None] * frame[2]
+        hit = np.where((place[:, 2] <= _height(place[:, 0], place[:, 1])) & np.isnan(hit), roof + depth, hit)
     x, y, slant = (array[~np.isnan(hit)] for array in (x, y, hit))
     across, along = (
         np.exp(-0.5 * (axis[:, None] - at) ** 2 / variance) / math.sqrt(2 * math.pi * variance)

@@ -151,13 +151,15 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
     import tifffile
 
     from sarsplat.data import read_tiff
+    from sarsplat.data.files import open_file
 
-    try:
-        with tifffile.TiffFile(path) as tiff:
-            page = tiff.pages.first
-            shape, description = page.shape, str(page.description)
-    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
-        raise SarsplatError(f"{path} is not a readable TIFF ({error}); give {_UNDERSTOOD}") from error
+    with open_file(path) as file:
+        try:
+            with tifffile.TiffFile(file) as tiff:
+                page = tiff.pages.first
+                shape, description = page.shape, str(page.description)
+        except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+            raise SarsplatError(f"{path} is not a readable TIFF ({error}); give {_UNDERSTOOD}") from error
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
     power = read_tiff(path, (shape[0], shape[1]))
@@ -171,8 +173,9 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
 
 def _ply(path: Path) -> tuple[str, dict[str, str]]:
     from sarsplat.data import read_gaussians_ply, read_points_ply
+    from sarsplat.data.files import open_file
 
-    with path.open("rb") as file:
+    with open_file(path) as file:
         header = file.read(65_536).partition(b"end_header")[0]
     if b"property list" in header:
         return _mesh(path)
