@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill
 
 import matplotlib.pyplot as plt
 from experiment import Experiment
@@ -60,7 +61,9 @@ def _against_x(ax: Axes, experiment: Experiment, finished: list[Line], key: str)
 def _row_by_row(ax: Axes, experiment: Experiment, finished: list[Line], key: str) -> None:
     """A dot for every row, from top to bottom."""
     several = len(experiment.groups()) > 1
-    names = [f"{line.row.group}: {line.row.label}" if several else line.row.label for line in finished]
+    names = [
+        f"{line.row.group}: {line.row.label}" if several and line.row.group else line.row.label for line in finished
+    ]
     colours = {group: _COLOURS[k % len(_COLOURS)] for k, group in enumerate(experiment.groups())}
     for y, line in enumerate(finished):
         if key in line.spreads:
@@ -71,4 +74,4 @@ def _row_by_row(ax: Axes, experiment: Experiment, finished: list[Line], key: str
             ax.plot(line.row.paper[key], y, "s", ms=5, color=_PAPER, mfc="none", label=label)
     ax.set_yticks(range(len(finished)), [name.replace("`", "") for name in names], fontsize=8)
     ax.set_ylim(len(finished) - 0.5, -0.5)
-    ax.set_xlabel(METRIC[key].title)
+    ax.set_xlabel(fill(METRIC[key].title, 30))  # beside long names panels are narrow

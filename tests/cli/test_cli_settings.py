@@ -113,7 +113,7 @@ def test_ground_is_modelled_where_images_show_it(printed) -> None:
 
 def test_a_printed_configuration_is_read_back(printed, refused, tmp_path: Path) -> None:
     first = printed("--preset measured --gaussians 30 --densification.start 3")
-    (tmp_path / "mine.json").write_text(json.dumps(first))
+    (tmp_path / "mine.json").write_text(json.dumps(first), encoding="utf-8-sig")  # as Windows' editors may save it
     assert printed(f"--config {tmp_path / 'mine.json'}") == first
     assert printed(f"--config {tmp_path / 'mine.json'} --gaussians 31") == {**first, "gaussians": 31}
     both = f"reconstruct plain --out new --config {tmp_path}/mine.json --preset paper"

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import stat
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -249,7 +250,7 @@ def _read_text(path: Path) -> bytes:
                 f"{path} is larger than {_LARGEST_JSON} bytes, so sarsplat did not write it; create it again"
             )
         file.seek(0)
-        return file.read()
+        return file.read().removeprefix(BOM_UTF8)  # some editors put that mark first
 
 
 def decode_json(data: bytes, path: Path, type: type[T]) -> T:
