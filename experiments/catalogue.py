@@ -215,7 +215,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "Training times",
         "T-72, true images by ray casting; one training at a time, on one thread. The paper's times are those of "
         "its Table II and of the text above its Table VII, on GPUs: compare how they grow, not what they are. Ours are "
-        "all of one machine; another, or the same beside other work, takes up to twice as long or half.",
+        "all of one machine; on another one, `default`, `quick` and `paper` took two thirds of it.",
         _TIMES,
         (("time_s",),),
         judged=("time_s",),
