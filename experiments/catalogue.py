@@ -214,8 +214,8 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "times",
         "Training times",
         "T-72, true images by ray casting; one training at a time, on one thread. The paper's times are those of "
-        "its Table II and of the text above its Table VII, on GPUs: compare how they grow, not what they are. Ours are "
-        "all of one machine; on another one, `default`, `quick` and `paper` took two thirds of it.",
+        "its Table II and of the text above its Table VII, on GPUs: compare how they grow, not what they are. Seconds "
+        "are of the machine that measured them: compare them with each other.",
         _TIMES,
         (("time_s",),),
         judged=("time_s",),

@@ -179,7 +179,7 @@ def _marched(view: View, grid: ImageGrid, number: float) -> tuple[np.ndarray, np
     plane = x[:, None] * frame[0] + y[:, None] * frame[1]
     roof = (8 - plane[:, 2]) / frame[2, 2]  # where each ray comes down to the height of the highest
     hit = np.full(x.size, np.nan)
-    for depth in np.arange(0, 12, 0.05):
+    for depth in np.arange(0, 12, 0.05):  # at 45°, 11.3 m down to the ground
         place = plane + (roof + depth)[:, None] * frame[2]
         hit = np.where((place[:, 2] <= _height(place[:, 0], place[:, 1])) & np.isnan(hit), roof + depth, hit)
     x, y, slant = (array[~np.isnan(hit)] for array in (x, y, hit))
