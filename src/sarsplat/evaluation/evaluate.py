@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, Mask, read_masks, write_json
@@ -34,7 +34,7 @@ from sarsplat.evaluation.metrics import (
     leading_metric,
     metrics_of_points,
 )
-from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
+from sarsplat.evaluation.points import Cloud, PointMetrics, Yardstick, side_by_side
 from sarsplat.evaluation.surface import imaged_alone, of_stacks, read_truth_mesh, visible_surface
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
@@ -217,7 +217,7 @@ def _surfaces(
 ) -> dict[str, Any]:
     """Scores of the points and of the mesh against the visible and the whole surface, and the truth they refer to."""
     clouds: dict[str, Float[np.ndarray, "p 3"]] = {"points": run.points, "mesh": np.empty((0, 3))}
-    parts: dict[str, tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "s 3"]] | None]
+    parts: dict[str, tuple[Float64[np.ndarray, "t 3 3"], Float64[np.ndarray, "s 3"]] | None]
     parts = dict.fromkeys(("visible", "whole"))
     given = dataset.truth_mesh != run.dataset.truth_mesh
     truth: dict[str, Any] = {"mesh": str(dataset.truth_mesh.resolve()) if given and dataset.truth_mesh else None}
@@ -251,17 +251,17 @@ def _surfaces(
                 warn([f"points were {motion}, which is as far as they may be; bring the mesh nearer to the target"])
             clouds = {kind: motion.moved(points) for kind, points in clouds.items()}
             truth |= {"shift_m": motion.shift_m, "heading_deg": motion.heading_deg}
-        parts["visible"] = surface.triangles, surface.samples
-        parts["whole"] = surface.all_triangles, surface.samples_whole
+        parts["visible"] = surface.triangles, side_by_side(surface.samples)
+        parts["whole"] = surface.all_triangles, side_by_side(surface.samples_whole)
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for kind, points in clouds.items():
-        scores[kind] = {}
+        scores[kind], cloud = {}, Cloud(points, yardstick) if len(points) else None
         for part, surfaces in parts.items():
             measured: PointMetrics | UndefinedScore
-            if surfaces is None or len(points) == 0:
+            if surfaces is None or cloud is None:
                 measured = UndefinedScore(lacks[kind])
             else:
-                measured = point_metrics(points, *surfaces, yardstick)
+                measured = cloud.scores(*surfaces)
                 shown.advance(_DISTANCES, f"distances of the {kind} from the {part} surface")
             scores[kind][part] = compute_all(
                 metrics_of_points(yardstick), dataset, measured, f"{kind}.{part}.", reasons

@@ -13,8 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
 from sarsplat.unbroken import unbroken
 
-_PIECES = 100
-"""Triangles are cut into pieces, to find the nearest ones, whose edges are at most this part of the whole surface."""
+_AT_ONCE = 20_000  # points whose distances fit into a processor's cache
 
 
 @dataclass(frozen=True)
@@ -101,28 +100,61 @@ def point_metrics(
     SarsplatError
         If there is no point or no sample, or one is not finite, or no triangle has an area.
     """
-    for name, values in (("reconstructed points", points), ("samples of the true surface", samples)):
-        if values.ndim != 2 or values.shape[1] != 3 or len(values) == 0:
-            raise SarsplatError(f"the {name} have shape {values.shape}; at least one point [P, 3] is needed")
-        if not np.isfinite(values).all():
-            raise SarsplatError(f"the {name} hold values that are not finite; remove them before evaluation")
-    kept = thin(points, yardstick.voxel_m)
-    to_surface = surface_distance(kept, triangles)
-    to_points = unbroken(cKDTree(kept).query, samples, workers=-1)[0]
-    thresholds = yardstick.thresholds_m
-    precision = {threshold: float(np.mean(to_surface <= threshold)) for threshold in thresholds}
-    recall = {threshold: float(np.mean(to_points <= threshold)) for threshold in thresholds}
-    accuracy, completeness = float(to_surface.mean()), float(to_points.mean())
-    return PointMetrics(
-        accuracy_m=accuracy,
-        completeness_m=completeness,
-        cd_m=(accuracy + completeness) / 2,
-        cd_squared_m2=float((to_surface**2).mean() + (to_points**2).mean()) / 2,
-        precision=precision,
-        recall=recall,
-        f1={threshold: _harmonic_mean(precision[threshold], recall[threshold]) for threshold in thresholds},
-        count=len(kept),
-    )
+    cloud = Cloud(points, yardstick)
+    _check("samples of the true surface", samples)
+    return cloud.scores(triangles, side_by_side(samples))
+
+
+class Cloud:
+    """Reconstructed points, ready to be scored against several parts of the true surface.
+
+    Parameters
+    ----------
+    points, yardstick
+        As in `point_metrics`.
+    """
+
+    def __init__(self, points: Float[np.ndarray, "p 3"], yardstick: Yardstick) -> None:
+        _check("reconstructed points", points)
+        self._kept = side_by_side(thin(points, yardstick.voxel_m))
+        self._tree = cKDTree(self._kept, leafsize=24, balanced_tree=False)
+        self._thresholds_m = yardstick.thresholds_m
+
+    def scores(self, triangles: Float[np.ndarray, "t 3 3"], samples: Float[np.ndarray, "s 3"]) -> PointMetrics:
+        """As `point_metrics`, several times as fast if the samples are `side_by_side`."""
+        to_surface = surface_distance(self._kept, triangles)
+        to_points = unbroken(self._tree.query, samples, workers=-1)[0]
+        precision = {threshold: float(np.mean(to_surface <= threshold)) for threshold in self._thresholds_m}
+        recall = {threshold: float(np.mean(to_points <= threshold)) for threshold in self._thresholds_m}
+        accuracy, completeness = float(to_surface.mean()), float(to_points.mean())
+        return PointMetrics(
+            accuracy_m=accuracy,
+            completeness_m=completeness,
+            cd_m=(accuracy + completeness) / 2,
+            cd_squared_m2=float((to_surface**2).mean() + (to_points**2).mean()) / 2,
+            precision=precision,
+            recall=recall,
+            f1={threshold: _harmonic_mean(precision[threshold], recall[threshold]) for threshold in precision},
+            count=len(self._kept),
+        )
+
+
+def _check(name: str, points: Float[np.ndarray, "p c"]) -> None:
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+        raise SarsplatError(f"the {name} have shape {points.shape}; at least one point [P, 3] is needed")
+    if not np.isfinite(points).all():
+        raise SarsplatError(f"the {name} hold values that are not finite; remove them before evaluation")
+
+
+def side_by_side(points: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
+    """The points in an order in which neighbours in space are neighbours in memory, which speeds up searches."""
+    points = points.astype(np.float64)
+    return points[order_in_space(points)]
+
+
+def order_in_space(points: Float64[np.ndarray, "p 3"]) -> Int64[np.ndarray, " p"]:
+    """Their order in the leaves of a tree."""
+    return cKDTree(points, leafsize=64, compact_nodes=False, balanced_tree=False).indices
 
 
 def thin(points: Float[np.ndarray, "p 3"], voxel: float) -> Float[np.ndarray, "fewer 3"]:
@@ -135,62 +167,30 @@ def thin(points: Float[np.ndarray, "p 3"], voxel: float) -> Float[np.ndarray, "f
 def surface_distance(
     points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"]
 ) -> Float64[np.ndarray, " p"]:
-    """Exact distance of each point from the nearest triangle, m; triangles without area are ignored.
+    """Distance of each point from the nearest triangle, m; triangles without area are ignored.
 
-    Triangles are cut into pieces within a radius r of their centres. The triangle of the nearest centre is at a
-    distance d, and any nearer triangle has a piece whose centre is within d + r: those are tried, so none is missed.
+    The nearest triangle is found in float32, and the distance from it calculated in float64.
     """
-    from trimesh.triangles import nondegenerate
+    import fcpw
+    from trimesh.triangles import closest_point, nondegenerate
 
     triangles = triangles[nondegenerate(triangles)]
     if len(triangles) == 0:
         raise SarsplatError("the true surface has no triangle with an area, so no distance exists; check the mesh")
-    centres, owners, radius = _pieces(triangles)
-    tree = cKDTree(centres)
-    nearest = owners[unbroken(tree.query, points, workers=-1)[1]]
-    distance = _triangle_distance(points, triangles[nearest])
-
-    nearby = unbroken(tree.query_ball_point, points, distance + radius * (1 + 1e-9), workers=-1)
-    pairs = np.repeat(np.arange(len(points)), [len(pieces) for pieces in nearby]) * len(triangles)
-    pairs = np.unique(pairs + owners[np.concatenate(nearby).astype(np.int64)])  # a triangle's pieces count once
-    point, triangle = np.divmod(pairs, len(triangles))
-    np.minimum.at(distance, point, _triangle_distance(points[point], triangles[triangle]))
+    middle = triangles.mean(axis=(0, 1))  # large coordinates would leave few digits for the distance
+    scene = fcpw.scene_3D()
+    scene.set_object_count(1)
+    scene.set_object_vertices((triangles - middle).reshape(-1, 3).astype(np.float32), 0)
+    scene.set_object_triangles(np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3), 0)
+    scene.build(fcpw.aggregate_type.bvh_surface_area, True)
+    distance = np.empty(len(points))
+    for first in range(0, len(points), _AT_ONCE):
+        some, found = points[first : first + _AT_ONCE], fcpw.interaction_3D_list()
+        anywhere = np.full(len(some), np.inf, np.float32)
+        scene.find_closest_points((some - middle).astype(np.float32), anywhere, found)
+        nearest = triangles[np.fromiter((one.primitive_index for one in found), np.int64, len(some))]
+        distance[first : first + _AT_ONCE] = np.linalg.norm(closest_point(nearest, some) - some, axis=1)
     return distance
-
-
-def _pieces(
-    triangles: Float[np.ndarray, "t 3 3"],
-) -> tuple[Float[np.ndarray, "pieces 3"], Int64[np.ndarray, " pieces"], float]:
-    """Centres [N, 3] and triangles [N] of pieces of the triangles, and the largest radius about a centre.
-
-    Halving the longest edge keeps the number of pieces of a long sliver proportional to its length.
-    """
-    corners = triangles.reshape(-1, 3)
-    longest_edge = float(np.linalg.norm(np.ptp(corners, axis=0))) / _PIECES
-    owners, done = np.arange(len(triangles)), []
-    while len(triangles):
-        edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
-        small = edges.max(axis=1) <= longest_edge
-        done.append((triangles[small], owners[small]))
-        triangles, owners, longest = triangles[~small], owners[~small], edges[~small].argmax(axis=1)
-        a, b, c = np.moveaxis(
-            triangles[np.arange(len(triangles))[:, None], (longest[:, None] + np.arange(3)) % 3], 1, 0
-        )
-        middle = (a + b) / 2
-        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-        owners = np.concatenate([owners, owners])
-    pieces, owners = (np.concatenate(part) for part in zip(*done, strict=True))
-    centres = pieces.mean(axis=1)
-    return centres, owners, float(np.linalg.norm(pieces - centres[:, None], axis=2).max())
-
-
-def _triangle_distance(
-    points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "p 3 3"]
-) -> Float64[np.ndarray, " p"]:
-    """Distance of each point from its own triangle, [P]."""
-    from trimesh.triangles import closest_point
-
-    return np.linalg.norm(closest_point(triangles, points) - points, axis=1)
 
 
 def _harmonic_mean(a: float, b: float) -> float:

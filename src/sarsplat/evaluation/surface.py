@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64
+from jaxtyping import Bool, Float32, Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.evaluation.points import order_in_space
 from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import View, radar_frame
 from sarsplat.reconstruction.points import imaged
@@ -35,6 +38,7 @@ _THIN = 1e-3
 """Thickness of ground, m."""
 
 _LARGEST_ROUND = 4_000_000  # samples drawn at once when most of them turn out to be hidden
+_POINTS = 50_000  # that a thread asks at a time whether they are seen
 
 
 @dataclass(frozen=True)
@@ -135,12 +139,11 @@ def visible_surface(
         raise SarsplatError(f"the mesh ({len(mesh.faces)} triangles) has no surface; give a mesh with an area")
     scene = _scene(mesh)
     visible = np.zeros(len(mesh.faces), dtype=bool)
-    for view in views:
-        for origins in _lattice(np.asarray(mesh.vertices), view, ray_spacing):
-            hits = scene.run(origins, _towards(-view.direction))
-            visible[hits[hits >= 0]] = True
-        if each_view is not None:
-            each_view()
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        for hit in threads.map(lambda view: _first_hits(scene, mesh, view, ray_spacing), views):
+            visible |= hit
+            if each_view is not None:
+                each_view()
     if not visible.any():
         raise SarsplatError(
             f"no ray hits the mesh: its parts are smaller than the ray spacing of {ray_spacing:.3g} m; use a finer one"
@@ -153,7 +156,7 @@ def visible_surface(
     while missing > 0:
         count = min(int(missing / fraction * 1.02) + 100, _LARGEST_ROUND)
         candidates, _ = trimesh.sample.sample_surface(mesh, count, face_weight=weight, seed=generator)
-        lit = candidates[_is_seen(scene, candidates, views, lift)][:missing].astype(np.float32)
+        lit = candidates[_are_seen(scene, candidates, views, lift)][:missing].astype(np.float32)
         seen.append(lit)
         missing -= len(lit)
         fraction = max(len(lit) / count, 1e-3)
@@ -175,6 +178,15 @@ def _towards(direction: Float64[np.ndarray, " 3"]) -> Float32[np.ndarray, "1 3"]
     return direction.astype(np.float32)[None]
 
 
+def _first_hits(scene: EmbreeScene, mesh: trimesh.Trimesh, view: View, spacing: float) -> Bool[np.ndarray, " t"]:
+    """Which triangles the rays of a view hit first."""
+    hit = np.zeros(len(mesh.faces), dtype=bool)
+    for origins in _lattice(np.asarray(mesh.vertices), view, spacing):
+        numbers = scene.run(origins, _towards(-view.direction))
+        hit[numbers[numbers >= 0]] = True
+    return hit
+
+
 def _lattice(
     vertices: Float64[np.ndarray, "n 3"], view: View, spacing: float
 ) -> Iterator[Float32[np.ndarray, "rays 3"]]:
@@ -185,18 +197,36 @@ def _lattice(
     x, y = ((np.arange(np.floor(low[k] / spacing), np.ceil(high[k] / spacing)) + 0.5) * spacing for k in (0, 1))
     lines = max(1, _BATCH // max(1, len(x)))
     for first in range(0, len(y), lines):
-        plane = np.stack(np.meshgrid(x, y[first : first + lines]), axis=-1).reshape(-1, 2)
-        yield (plane @ frame[:2] + (low[2] - spacing) * frame[2]).astype(np.float32)
+        along = y[first : first + lines, None] * frame[1] + (low[2] - spacing) * frame[2]
+        yield (along[:, None] + x[:, None] * frame[0]).reshape(-1, 3).astype(np.float32)
 
 
-def _is_seen(
-    scene: EmbreeScene, points: Float[np.ndarray, "p 3"], views: Sequence[View], lift: float
+def _are_seen(
+    scene: EmbreeScene, points: Float64[np.ndarray, "p 3"], views: Sequence[View], lift: float
 ) -> Bool[np.ndarray, " p"]:
     """Whether a ray from `lift` (m) above each surface point reaches the radar of at least one view, bool [P]."""
+    order, seen = order_in_space(points), np.empty(len(points), dtype=bool)
+    views = [views[index] for index in _spread(len(views))]
+    parts = [order[first : first + _POINTS] for first in range(0, len(order), _POINTS)]
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        for part, found in zip(parts, threads.map(lambda part: _seen(scene, points[part], views, lift), parts)):
+            seen[part] = found
+    return seen
+
+
+def _seen(
+    scene: EmbreeScene, points: Float64[np.ndarray, "p 3"], views: Sequence[View], lift: float
+) -> Bool[np.ndarray, " p"]:
     hidden = np.arange(len(points))
     for view in views:
         origins = (points[hidden] + lift * view.direction).astype(np.float32)
-        hidden = hidden[scene.run(origins, _towards(view.direction)) >= 0]
+        hidden = hidden[scene.run(origins, _towards(view.direction), query="OCCLUDED") >= 0]
         if len(hidden) == 0:
             break
     return np.bincount(hidden, minlength=len(points)) == 0
+
+
+def _spread(count: int) -> list[int]:
+    """All of 0 … count − 1, the first ones far apart: a few views from different sides see most of what can be seen."""
+    bits = (count - 1).bit_length()
+    return sorted(range(count), key=lambda index: f"{index:0{bits}b}"[::-1])
