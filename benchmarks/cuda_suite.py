@@ -19,7 +19,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,20 +28,17 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does,
 
 import torch
 from clock import Clock
-from gpu import Gpu
+from gpu import ALL_SIDES, Gpu
 from naive_torch import count_pairs
-from results import REPOSITORY, RESULTS, machine, save
-from scene import Scene
+from results import RESULTS, machine, save
 from work import FLOPS
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View
-from sarsplat.renderer import render
+from sarsplat.geometry import ImageGrid
 from sarsplat.renderer.cuda_device import require_cuda
 
 Found = Iterator[tuple[str, Any]]
 
-ALL_SIDES = tuple(View(45.0 * k, grazing) for grazing in (15.0, 45.0, 75.0) for k in range(8))
 BUDGET_S = 480.0
 WARM_UP = 20  # steps
 TOOL_S = 60  # of compute-sanitizer
@@ -60,20 +56,11 @@ def of_the_machine(gpu: Gpu) -> Found:
     source, copy = torch.empty(2, size, dtype=torch.uint8, device=gpu.device)
     copying = statistics.median(gpu.seconds(lambda: copy.copy_(source), 10))
     yield "bandwidth_bytes_s", 2 * size / copying
-    yield "peak_flop_s", peak_flop_s(gpu)
-
-
-def peak_flop_s(gpu: Gpu) -> float:
-    """What the device can do: a product of float32 matrices, not rounded to TF32."""
-    torch.backends.cuda.matmul.allow_tf32 = False
-    side = gpu.few(8192, 64)
-    factors = torch.rand(2, side, side, device=gpu.device)
-    return 2 * side**3 / statistics.median(gpu.seconds(lambda: torch.mm(*factors), 10))
+    yield "peak_flop_s", gpu.peak_flop_s()
 
 
 def of_scenes(gpu: Gpu) -> Found:
     """The tests' scenes: largest relative errors against the float64 reference, and whether bits stay the same."""
-    sys.path.insert(0, str(REPOSITORY / "tests" / "renderer"))
     from named_scenes import MATRIX
     from test_cpu_engine import NOTHING_TO_SEE, judged, relative
     from test_cuda_native import on_gpu
@@ -99,7 +86,7 @@ def of_steps(gpu: Gpu) -> Found:
     }
     for name, (preset, kind) in steps.items():
         trainer, again = gpu.trainer(preset, kind), gpu.trainer(preset, kind)
-        for _ in range(gpu.few(WARM_UP, 2)):
+        for _ in range(gpu.few(WARM_UP, 1)):
             trainer.step()
             again.step()
         learned, other = trainer.model.parameters, again.model.parameters
@@ -117,13 +104,13 @@ def of_kernels(gpu: Gpu) -> Found:
             trainer.step()
         size = {"gaussians": len(trainer.model), "side": trainer.grid.rows}
         yield name, size | gpu.paced(trainer.step, trainer.config.views_per_step, gpu.few(50, 1))
-    per_view_ms, scenes = {}, {name: workload(name, gpu.quick) for name in ("training", "million")}
+    per_view_ms, scenes = {}, {"training": gpu.many_views(), "million": gpu.many_gaussians()}
     for (name, scene), repeats in zip(scenes.items(), (50, 10), strict=True):
         size = {"gaussians": len(scene.gaussians), "side": scene.grid.rows}
-        found = gpu.paced(image_and_gradients(gpu, scene), len(scene.views), gpu.few(repeats, 1))
+        found = gpu.paced(gpu.image_and_gradients(scene), len(scene.views), gpu.few(repeats, 1))
         yield name, size | found
         per_view_ms[name] = found["per_view_ms"]
-    peak = peak_flop_s(gpu)
+    peak = gpu.peak_flop_s()
     for name, scene in scenes.items():  # last, for a million are counted by the CPU for half a minute
         pairs = [count_pairs(scene.gaussians, view, scene.grid, scene.rays) for view in scene.views]
         flops = statistics.mean(sum(each[plane] * FLOPS[plane] for plane in FLOPS) for each in pairs)
@@ -131,39 +118,12 @@ def of_kernels(gpu: Gpu) -> Found:
         yield f"{name}: arithmetic", {"flops_per_view": flops, "share_of_peak": share}
 
 
-def workload(name: str, quick: bool) -> Scene:
-    """Gaussians as in training, in 24 views, or a million of them in one."""
-    sys.path.insert(0, str(REPOSITORY / "tests" / "renderer"))
-    from named_scenes import cloud
-
-    if name == "training":
-        gaussians = cloud(50 if quick else 15_000, 1, size=(6.4, 3.3, 2.2), scale=0.06, kappa=(0.01, 4.0))
-        side = 16 if quick else 128
-        return Scene(gaussians, ALL_SIDES, ImageGrid(side, side, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3)))
-    side, count = (32, 100) if quick else (2048, 1_000_000)
-    gaussians = cloud(count, 2, size=(side / 10, side / 10, 10.0), scale=0.1, kappa=(0.01, 4.0))
-    return Scene(gaussians, ALL_SIDES[8:9], ImageGrid(side, side, spacing_m=(0.1, 0.1), resolution_m=(0.15, 0.15)))
-
-
-def image_and_gradients(gpu: Gpu, scene: Scene) -> Callable[[], object]:
-    """Forward and backward to every Gaussian."""
-    moved = scene.gaussians.to(gpu.device)
-    leaves = moved.with_tensors(**{name: tensor.requires_grad_() for name, tensor in moved.tensors().items()})
-    seed = torch.rand(len(scene.views), scene.grid.rows, scene.grid.columns, device=gpu.device)
-
-    def program() -> object:
-        images = render(leaves, scene.views, scene.grid, engine="cuda").channel(0)
-        return torch.autograd.grad(images, list(leaves.tensors().values()), seed)
-
-    return program
-
-
 def of_the_demo(gpu: Gpu) -> Found:
     """The demo from its images to its scores, stage by stage, on the GPU and on all cores beside it."""
     from sarsplat.evaluation import evaluate_run
 
     for place, where in (("cuda", gpu.device), ("cpu", "cpu")):
-        run, stages = trained(gpu, gpu.dataset("demo"), "default", where)
+        run, stages = gpu.trained(gpu.dataset("demo"), "default", where)
         clock = Clock()
         clock.wrap("mesh_s", run.mesh)()
         metrics = clock.wrap("scores_s", lambda run=run: evaluate_run(run, quiet=True))()
@@ -172,32 +132,16 @@ def of_the_demo(gpu: Gpu) -> Found:
         yield place, stages | clock.spent | scores
 
 
-def trained(gpu: Gpu, dataset: Any, preset: str, where: str) -> tuple[Any, dict[str, Any]]:
-    """A run with its points and normals, and the seconds of these."""
-    from sarsplat import reconstruct
-    from sarsplat.reconstruction.method_sar_gs import METHOD
-
-    config, clock = METHOD.preset(preset, dataset), Clock()
-    if gpu.quick:
-        few = replace(config.points, rays_per_pixel=2.0, voxel=0.3, optical_depth=0.01, seen_through=1.0, seen_by=0)
-        config = replace(config, iterations=3, gaussians=60, views_per_step=2, points=few)
-    run = clock.wrap("reconstruct_s", lambda: reconstruct(dataset, config, device=where, quiet=True))()
-    run = replace(run, device=where)
-    clock.wrap("points_s", lambda: run.points)()
-    clock.wrap("normals_s", lambda: run.normals)()
-    return run, {"training_s": run.time_s, **clock.spent, "gaussians": len(run.gaussians), "points": len(run.points)}
-
-
 def of_waits(gpu: Gpu) -> Found:
     """How often, and in which line, a step of every preset makes Python wait for the GPU."""
     from sarsplat.reconstruction.presets import PRESETS
 
     kinds = {"measured": "ground", "stack": "stack", "polarimetric": "polarimetric"}
-    steps = {name: (name, kinds.get(name, "demo")) for name in PRESETS}
-    steps |= {f"default with {kind}": ("default", kind) for kind in ("ground", "terrain")}
+    steps = {f"default with {kind}": ("default", kind) for kind in ("ground", "terrain")}
+    steps |= {name: (name, kinds.get(name, "demo")) for name in PRESETS}
     for name, (preset, kind) in steps.items():
         trainer = gpu.trainer(preset, kind)
-        for _ in range(3):
+        for _ in range(gpu.few(3, 1)):
             trainer.step()
         yield name, gpu.waits(trainer.step)
 
@@ -218,7 +162,7 @@ def of_a_village(gpu: Gpu) -> Found:
     yield "simulated", {"side": side, "faces": len(mesh.faces), **clock.spent}
     entries = tuple(DatasetEntry(view, "train", f"{k:03}") for k, view in enumerate(views))
     dataset = Dataset(grid, entries, images, target="village", truth_mesh=truth)
-    run, stages = trained(gpu, dataset, "quick", gpu.device)
+    run, stages = gpu.trained(dataset, "quick", gpu.device)
     yield "quick", stages
     yardstick = Yardstick.of(grid)
     surface = visible_surface(mesh, views, yardstick.ray_spacing_m, samples=gpu.few(200_000, 1000))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import statistics
+import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -14,14 +16,20 @@ from typing import Any
 
 import numpy as np
 import torch
-from clock import in_turn, spread
+from clock import Clock, in_turn, spread
+from results import REPOSITORY
+from scene import Scene
 from torch.autograd import DeviceType
 from torch.profiler import profile
 
-from sarsplat.renderer import cuda
+from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.renderer import cuda, render
 from sarsplat.renderer.cuda_device import Device, device
 from sarsplat.renderer.nvrtc import Nvrtc
 
+sys.path.insert(0, str(REPOSITORY / "tests" / "renderer"))  # whose modules need pytest, and are imported when used
+
+ALL_SIDES = tuple(View(45.0 * k, grazing) for grazing in (15.0, 45.0, 75.0) for k in range(8))
 VIEWS, FEW = ("--protocol", "paper"), ("--azimuth", "0:360:120", "--grazing", "45", "--test-azimuth", "60")
 KINDS = {
     "demo": (),
@@ -97,6 +105,13 @@ class Gpu:
 
         return in_turn({"": finished}, repeats)[""]
 
+    def peak_flop_s(self) -> float:
+        """Multiplications and additions: a product of float32 matrices, not rounded to TF32."""
+        torch.backends.cuda.matmul.allow_tf32 = False
+        side = self.few(8192, 64)
+        factors = torch.rand(2, side, side, device=self.device)
+        return 2 * side**3 / statistics.median(self.seconds(lambda: torch.mm(*factors), 10))
+
     def kernel_ms(self, program: Callable[[], object], repeats: int) -> dict[str, float]:
         """Of each of the engine's kernels in one call, by events around its launch: an idle GPU's wait included."""
         launch, events, total = self.launcher.launch, [], {}
@@ -124,9 +139,9 @@ class Gpu:
                 program()
             self.synchronise()
         rows = [row for row in profiled.key_averages() if row.device_type == DeviceType.CUDA]
-        spent = {row.key[:60]: row.self_device_time_total / 1e3 / repeats for row in rows}
+        spent = {row.key: row.self_device_time_total / 1e3 / repeats for row in rows}
         longest = sorted(spent, key=spent.__getitem__, reverse=True)[:LONGEST]
-        return {"all": sum(spent.values())} | {name: spent[name] for name in longest}
+        return {"all": sum(spent.values())} | {name[:80]: spent[name] for name in longest}
 
     def paced(self, program: Callable[[], object], views: int, repeats: int) -> dict[str, Any]:
         """What one call takes, which is of so many views, and what one of these takes; by kernel, and with what lists.
@@ -158,7 +173,6 @@ class Gpu:
         """The demo's images or images like these, simulated on the CPU."""
         from sarsplat.cli import main
         from sarsplat.data import read_dataset
-        from sarsplat.geometry import Terrain
 
         if kind == "terrain":  # what images show does not matter to a step
             return replace(self.dataset("ground"), terrain=Terrain(np.outer(*2 * [np.hanning(9)]), (2.0, 2.0)))
@@ -179,6 +193,50 @@ class Gpu:
             changes |= {"gaussians": 60, "views_per_step": 2}
         config = replace(METHOD.preset(preset, dataset), harmonics_every=1, **changes)
         return METHOD.trainer(dataset, config, Inputs(), torch.device(self.device), None)
+
+    def trained(self, dataset: Any, preset: str, where: str) -> tuple[Any, dict[str, Any]]:
+        """A run with its points and normals, computed there, and the seconds of these."""
+        from sarsplat import reconstruct
+        from sarsplat.reconstruction.method_sar_gs import METHOD
+
+        config, clock = METHOD.preset(preset, dataset), Clock()
+        if self.quick:
+            few = replace(config.points, rays_per_pixel=2.0, voxel=0.3, optical_depth=0.01, seen_through=1.0, seen_by=0)
+            config = replace(config, iterations=3, gaussians=60, views_per_step=2, points=few)
+        run = clock.wrap("reconstruct_s", lambda: reconstruct(dataset, config, device=where, quiet=True))()
+        run = replace(run, device=where)
+        clock.wrap("points_s", lambda: run.points)()
+        clock.wrap("normals_s", lambda: run.normals)()
+        sizes = {"gaussians": len(run.gaussians), "points": len(run.points)}
+        return run, {"training_s": run.time_s, **clock.spent, **sizes}
+
+    def many_views(self) -> Scene:
+        """Gaussians as in training, in 24 views."""
+        from named_scenes import cloud
+
+        side, count = self.few(128, 16), self.few(15_000, 50)
+        gaussians = cloud(count, 1, size=(6.4, 3.3, 2.2), scale=0.06, kappa=(0.01, 4.0))
+        return Scene(gaussians, ALL_SIDES, ImageGrid(side, side, (0.3, 0.3), (0.3, 0.3)))
+
+    def many_gaussians(self) -> Scene:
+        """A million Gaussians in one view."""
+        from named_scenes import cloud
+
+        side, count = self.few(2048, 32), self.few(1_000_000, 100)
+        gaussians = cloud(count, 2, size=(self.few(200, 3), self.few(200, 3), 10.0), scale=0.1, kappa=(0.01, 4.0))
+        return Scene(gaussians, ALL_SIDES[8:9], ImageGrid(side, side, (0.1, 0.1), (0.15, 0.15)))
+
+    def image_and_gradients(self, scene: Scene) -> Callable[[], object]:
+        """Forward and backward to every Gaussian."""
+        moved = scene.gaussians.to(self.device)
+        leaves = moved.with_tensors(**{name: tensor.requires_grad_() for name, tensor in moved.tensors().items()})
+        seed = torch.rand(len(scene.views), scene.grid.rows, scene.grid.columns, device=self.device)
+
+        def program() -> object:
+            images = render(leaves, scene.views, scene.grid, engine="cuda").channel(0)
+            return torch.autograd.grad(images, list(leaves.tensors().values()), seed)
+
+        return program
 
 
 @contextmanager
