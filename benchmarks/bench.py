@@ -1,7 +1,7 @@
 """Every benchmark, or those named: ratios first, absolute times second.
 
-With --out the results of all parts are written to FOLDER/cpu.json and, where there is a GPU, those of cuda_check.py
-beside it; `make bench` does that and fills the README from them.
+With --out the results of all parts are written to FOLDER/cpu.json and, where there is a GPU, those of cuda_suite.py
+beside it; `make bench` does that and fills docs/performance.md from them.
 """
 
 from __future__ import annotations
@@ -143,9 +143,9 @@ def main() -> None:
     if arguments.out:
         save(arguments.out / "cpu.json", {"machine": about, "parts": results})
         if not arguments.quick and gpu():
-            import cuda_check
+            import cuda_suite
 
-            cuda_check.main(arguments.out)
+            cuda_suite.on_this_gpu(arguments.out)
 
 
 if __name__ == "__main__":

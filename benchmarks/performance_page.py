@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from clock import TURN
+from cuda_suite import SECTIONS
 from draw_growth import draw
 from recipes import COUNT
 from results import REPOSITORY, RESULTS
@@ -202,42 +203,75 @@ def wrapped(*paragraphs: str) -> str:
     return "\n\n".join(textwrap.fill(paragraph, 120, break_on_hyphens=False) for paragraph in paragraphs) + "\n"
 
 
-def cuda_table(devices: list[dict[str, Any]]) -> str:
-    """The results of `cuda_check.py` on every device, as Markdown, or that there was none."""
-    if not devices:
-        return "The CUDA engine has not been run on a GPU.\n"
-    rows, said = [], []
-    for device in devices:
-        errors = device["largest_relative_error"].values()
-        values, gradients = (max(error[of] for error in errors) for of in ("values", "gradients"))
+def cuda(device: dict[str, Any]) -> str:
+    """What `cuda_suite.py` found on a device, as Markdown, and what it did not look for."""
+    sections = device["sections"]
+    found = {name: sections.get(name, {}).get("found", {}) for name in SECTIONS}
+    said, whole = [], [name for name, section in sections.items() if section["done"]]
+    if scenes := found["scenes"].values():
+        values, gradients = (max(scene[of] for scene in scenes) for of in ("values", "gradients"))
+        same = "the same bits" if all(scene["same_bits"] for scene in scenes) else "OTHER BITS"
         said.append(
-            f"{device['device']}: {len(errors)} scenes agree with the float64 reference to {values:.1e} in every value "
-            f"and to {gradients:.1e} in every gradient, in the Euclidean norm, with the same bits from run to run."
+            f"{len(scenes)} scenes agree with the float64 reference to {values:.1e} in every value and to "
+            f"{gradients:.1e} in every gradient, in the Euclidean norm, with {same} from run to run."
         )
-        for work in device["workloads"].values():
-            count = work["views"]
-            scene = f"{work['gaussians']:,} Gaussians, {work['side']} × {work['side']} pixels"
-            share = f"{100 * work['share_of_peak']:.1f} %"
-            views = f"{count} view{'s' * (count > 1)}"
-            what = f"{device['device']}, image and gradients: {scene}, {views}"
-            rows.append((what, ms(work["view_s"]["median"]), share))
-        trained, beside = device["training"], device["gsplat"]
-        for name, step in trained["steps"].items() if trained else ():
-            rows.append((f"a training step, preset {name}", ms(step["step_s"]["median"] / step["views"]), ""))
-        if trained:
-            there, here = (trained["demo"][place] for place in ("cuda", "cpu"))
-            said.append(
-                f"The demo is trained there in {there['training_s']:.1f} s, and in {here['training_s']:.1f} s on all "
-                f"cores of the same machine: PSNR {there['psnr_db']:.2f} and {here['psnr_db']:.2f} dB, CD "
-                f"{there['chamfer_m']:.4f} and {here['chamfer_m']:.4f} m. Small scenes leave a GPU idle most of the "
-                "time, while Python asks for the next step."
-            )
-        if beside:
-            theirs, ours = (ms(beside["view_s"][who]["median"]) for who in ("gsplat", "engine"))
-            what = f"gsplat, orthographic: {theirs}; sarsplat, the first of these scenes"
-            rows.append((what, ours, f"{beside['gsplat / engine']:.2f} × as fast"))
-    table = markdown(("what", "a view", "share of the device's multiply-add rate"), rows)
-    return "\n".join([wrapped(*said), table])
+    if {"cuda", "cpu"} <= found["demo"].keys():
+        there, here = found["demo"]["cuda"], found["demo"]["cpu"]
+        said.append(
+            f"The demo is trained there in {there['training_s']:.1f} s, and in {here['training_s']:.1f} s on all "
+            f"cores of the same machine: PSNR {there['psnr_db']:.2f} and {here['psnr_db']:.2f} dB, CD "
+            f"{there['chamfer_m']:.4f} and {here['chamfer_m']:.4f} m."
+        )
+        said += stages(there, "After it")
+    if village := found["village"].get("quick"):
+        side = found["village"]["simulated"]["side"]
+        said.append(
+            f"A village of {side} × {side} pixels is trained by the preset `quick` in {village['training_s']:.1f} s."
+        )
+        said += stages(village, "After that")
+    if found["waits"]:
+        counts = ", ".join(f"`{name}` {sum(lines.values())}" for name, lines in found["waits"].items())
+        said.append(f"So often a training step makes Python wait for the GPU: {counts}.")
+    if tools := found["sanitizer"]:
+        wrong = [tool for tool, end in tools.items() if end["code"]]
+        said.append(f"NVIDIA's {', '.join(tools)} find {'FAULTS: ' + ', '.join(wrong) if wrong else 'no fault'}.")
+    machine = found["machine"]
+    if "bandwidth_bytes_s" in machine:
+        said.append(f"Copying, it moves {machine['bandwidth_bytes_s'] / 1e9:.0f} GB/s.")
+    if "peak_flop_s" in machine:
+        said.append(f"It multiplies and adds float32 matrices at {machine['peak_flop_s'] / 1e12:.1f} TFlop/s.")
+    unknown = ", ".join(name for name in SECTIONS if name not in whole)
+    head = ("what", "views of a step", "a step", "a view", "of a step, the GPU works", "share of its multiply-add rate")
+    table = markdown(head, pace(found))
+    end = f"Not measured, or not to the end: {unknown} (the sections of `python benchmarks/cuda_suite.py`)."
+    return "\n".join([wrapped(f"{device['device']}: " + " ".join(said)), table, *([wrapped(end)] if unknown else [])])
+
+
+def stages(seconds: dict[str, float], after: str) -> list[str]:
+    """What is made of a training, in one sentence; none where nothing of that was timed."""
+    parts = [f"{name} {seconds[f'{name}_s']:.1f} s" for name in ("points", "normals", "mesh") if f"{name}_s" in seconds]
+    return [f"{after}: {', '.join(parts)}."] if parts else []
+
+
+def pace(found: dict[str, dict[str, Any]]) -> list[Row]:
+    """Scenes and training steps on a GPU: all views of a call, one of them, and for how long of the call it works."""
+    scenes = {name: paced for name, paced in found["kernels"].items() if "views" in paced}
+    titles = {name: f"a training step: {name}" for name in scenes} | {
+        name: f"image and gradients: {paced['gaussians']:,} Gaussians, {paced['side']} × {paced['side']} pixels"
+        for name, paced in scenes.items()
+        if f"{name}: arithmetic" in found["kernels"]
+    }
+    rows = []
+    for title, paced, name in (
+        *((titles[name], paced, name) for name, paced in scenes.items()),
+        *((f"a training step: preset {name}", paced, name) for name, paced in found["steps"].items()),
+    ):
+        kernels_ms = paced["views"] * sum(paced.get("kernel_ms_per_view", {}).values())
+        busy_ms = paced.get("busy_ms", {}).get("all") or kernels_ms
+        share = found["kernels"].get(f"{name}: arithmetic")
+        times = (ms(1e-3 * each) for each in (paced["step_ms"], paced["per_view_ms"], busy_ms))
+        rows.append((title, f"{paced['views']}", *times, f"{100 * share['share_of_peak']:.1f} %" if share else ""))
+    return rows
 
 
 def markdown(head: Row, rows: Sequence[Row]) -> str:
@@ -279,7 +313,13 @@ def section(results: dict[str, Any], devices: list[dict[str, Any]]) -> str:
     ]
     if "paper" in parts:
         said += ["## The paper's training\n", paper_training(parts["paper"])]
-    return "\n".join([*said, "## On a GPU\n", cuda_table(devices)])
+    if not devices:
+        return "\n".join([*said, "## On a GPU\n", "The CUDA engine has not been run on a GPU.\n"])
+    about = wrapped(
+        "A step is of several views at once, and *a view* is a step divided by their number. Small scenes leave a GPU "
+        "idle most of the time, while Python asks for the next step."
+    )
+    return "\n".join([*said, "## On a GPU\n", about, *map(cuda, devices)])
 
 
 def main() -> None:
@@ -291,6 +331,7 @@ def main() -> None:
     if results["machine"]["quick"]:
         sys.exit(f"{path} is from a quick run, whose numbers mean nothing; run `make bench`")
     devices = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(RESULTS.glob("cuda-*.json"))]
+    devices = [device for device in devices if not device["quick"]]
     fill_block(PAGE, "performance", section(results, devices))
     draw(results["parts"]["growth"], PICTURE)
 

@@ -52,13 +52,13 @@ def test_nvrtc_says_what_is_wrong(registers):
         nvrtc.Nvrtc().compile(nvrtc.sources(), "sm_999")
 
 
-def on_gpu(scene: Scene, norms: dict[str, float]) -> dict[str, torch.Tensor]:
+def on_gpu(scene: Scene, norms: dict[str, float], device: str = "cuda") -> dict[str, torch.Tensor]:
     """Every output and every gradient, brought back."""
     leaves = scene.leaves(torch.float32)
-    placed = {name: leaf.detach().cuda().requires_grad_() for name, leaf in leaves.items()}
+    placed = {name: leaf.detach().to(device).requires_grad_() for name, leaf in leaves.items()}
 
     def renderer(gaussians, *arguments, **options):
-        return render(gaussians.to("cuda"), *arguments, engine="cuda", **options)
+        return render(gaussians.to(device), *arguments, engine="cuda", **options)
 
     outputs = {name: t.cpu() for name, t in outputs_of(scene.call(renderer, placed)).items()}
     gradients = torch.autograd.grad(loss_of(outputs, norms), list(placed.values()), allow_unused=True)
