@@ -24,7 +24,10 @@ def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positi
     for name, importer in IMPORTERS.loaded().items():
         importers.command(importer, name=name)
     for name in COMMANDS:
-        program.command(importers if name == "import" else command(name), name=name)
+        if name == "import":
+            program.command(importers, name=name)
+        else:
+            program.command(command(name), name=name)
     with suppress(SystemExit):
         program.cli(prog="sarsplat", args=["--tyro-write-completion", shell, "-"], config=MARKERS)
     if shell == "bash":
