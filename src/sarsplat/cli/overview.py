@@ -11,7 +11,7 @@ from rich.table import Table
 
 def show_overview(program: str, description: str, summaries: Mapping[str, str]) -> None:
     """Print what the words after `program` may be, each with what it is for."""
-    console = Console()
+    console = Console(emoji=False)
     usage = f"usage: {program} [-h] {{{','.join(summaries)}}}"
     console.print(f"{usage}\n\n{description}\n", soft_wrap=True, highlight=False, markup=False)
     width = max(map(len, summaries))
