@@ -22,12 +22,12 @@ def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positi
     """
     program, importers = tyro.extras.SubcommandApp(), tyro.extras.SubcommandApp()
     for name, importer in IMPORTERS.loaded().items():
-        importers.command(importer, name=name)
+        importers.command(name=name)(importer)
     for name in COMMANDS:
         if name == "import":
             program.command(importers, name=name)
         else:
-            program.command(command(name), name=name)
+            program.command(name=name)(command(name))
     with suppress(SystemExit):
         program.cli(prog="sarsplat", args=["--tyro-write-completion", shell, "-"], config=MARKERS)
     if shell == "bash":
