@@ -59,9 +59,11 @@ def test_the_example_imports_and_exports(site: Path, tmp_path: Path) -> None:
 
 def test_a_broken_plugin_is_named_and_the_others_work(site: Path, tmp_path: Path) -> None:
     (site / "sarsplat_example.py").write_text("import nothing_that_exists\n")
-    done = sarsplat(site, "check .", "import folder . --out out")
-    assert re.findall(r"code (\d)", done.stdout) == ["2", "2"]
+    done = sarsplat(site, "import folder . --out out", "import --help", "import arrays box.npz")
+    assert re.findall(r"code (\d)", done.stdout) == ["2", "0", "2"]
+    assert "phase-history" in done.stdout
     first, second = done.stderr.split("warning: ")
     assert first.startswith("error: ")
+    assert "plugin" not in first
     assert second.startswith("the plugin arrays of sarsplat.importers cannot be imported from")
     assert "error: " in second

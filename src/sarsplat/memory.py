@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import psutil
-
 from sarsplat.errors import SarsplatError
 
 _STATED_GIB = 1.0  # and anything beyond a quarter of what is free
@@ -46,6 +44,8 @@ def required(what: str, needed_bytes: float, remedy: str) -> str | None:
 
 def free_bytes() -> float:
     """What this process may still take without swapping: of the machine's memory, and of its container's."""
+    import psutil  # here, because help does without it
+
     return min([float(psutil.virtual_memory().available), *_left_in_groups(_SYSTEM)])
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from sarsplat.cli import main
-from sarsplat.cli.parser import COMMANDS
+from sarsplat.cli.commands import COMMANDS
+from sarsplat.cli.importers import IMPORTERS
 from sarsplat.reconstruction.presets import PRESETS
 from sarsplat.scenes import TARGETS
 
@@ -36,7 +37,7 @@ def completion(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("", set(COMMANDS)),
         ("rec", {"reconstruct"}),
-        ("import ", set(COMMANDS["import"])),
+        ("import ", set(IMPORTERS)),
         ("import mstar chips --tr", {"--train-views", "--train-depression"}),
         ("reconstruct ds --preset ", {"auto", *PRESETS}),
         ("reconstruct ds --preset pa", {"paper"}),

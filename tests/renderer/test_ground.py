@@ -12,8 +12,9 @@ from named_scenes import GRID, VIEWS, cloud
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
-from sarsplat.gaussians.ground import Ground, ground_radius_m
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.renderer import render
 from sarsplat.renderer.ground import free_plane
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground

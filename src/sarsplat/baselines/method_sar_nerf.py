@@ -24,8 +24,8 @@ from sarsplat.baselines.isosurface import isosurface, level_of_half
 from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.rays import Rays
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import View
+from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.reconstruction.config import Count, Positive
 
 _CLEAR = -4.0

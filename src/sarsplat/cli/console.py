@@ -16,10 +16,9 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-_WIDEST = 200  # columns
+from sarsplat.cli.commands import COMMANDS
 
-COMMANDS: list[str] = []
-"""Their names; the parser fills it in, for it imports the commands, which import this file."""
+_WIDEST = 200  # columns
 
 
 def say(text: str) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
-
 EXTRAS: dict[str, dict[str, str]] = {
     "simulate": {"trimesh": "trimesh", "embreex": "embreex"},
     "mesh": {"trimesh": "trimesh", "skimage": "scikit-image"},
@@ -42,6 +40,8 @@ def install_command(extra: str) -> str:
 
 def installed_version(distribution: str) -> str | None:
     """Version of an installed distribution, or None."""
+    from importlib.metadata import PackageNotFoundError, version  # here, because help does without it
+
     try:
         return version(distribution)
     except PackageNotFoundError:

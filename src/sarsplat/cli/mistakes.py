@@ -3,40 +3,30 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
-from typing import Any
 
 
-def explained(words: Sequence[str], box: str, commands: Mapping[str, Any]) -> str:
-    """One sentence in place of tyro's box, for what was typed after the program's name.
-
-    Commands that have commands of their own are mappings again.
-    """
-    program, rest, level = "sarsplat", list(words), commands
-    while isinstance(level, Mapping):
-        if not rest or rest[0] not in level:
-            return _no_command(program, rest, level)
-        program, level = f"{program} {rest[0]}", level[rest.pop(0)]
-    return _plain(program, box)
-
-
-def _no_command(program: str, rest: Sequence[str], commands: Iterable[str]) -> str:
-    if not rest:
+def no_command(program: str, words: Sequence[str], commands: Iterable[str]) -> str:
+    """What to say if the first of the words, if there is one, is none of a program's commands."""
+    if not words:
         return f"{program} needs a command; choose one of {', '.join(commands)}"
-    meant = _meant(rest[0], commands) or f"choose one of {', '.join(commands)}"
-    return f"{rest[0]!r} is not a command of {program}; {meant}"
+    meant = _meant(words[0], commands) or f"choose one of {', '.join(commands)}"
+    return f"{words[0]!r} is not a command of {program}; {meant}"
 
 
 def _meant(word: str, names: Iterable[str]) -> str:
     """Which name is meant, whatever its capitals and hyphens: `T-72` is t72."""
-    plain = {re.sub(r"[\W_]", "", name).lower(): name for name in names}
-    near = get_close_matches(re.sub(r"[\W_]", "", word).lower(), plain, 1)
-    return f"did you mean {plain[near[0]]}?" if near else ""
+    bare = {re.sub(r"[\W_]", "", name).lower(): name for name in names}
+    near = get_close_matches(re.sub(r"[\W_]", "", word).lower(), bare, 1)
+    return f"did you mean {bare[near[0]]}?" if near else ""
 
 
-def _plain(program: str, box: str) -> str:
-    """What tyro says between title and last rule; where letters are few, its frame is of spaces and hyphens."""
+def plain(program: str, box: str) -> str:
+    """One sentence in place of tyro's box, for what was typed after a command's name.
+
+    It is what stands between title and last rule; where letters are few, the frame is of spaces and hyphens.
+    """
     inside = (line.strip("│| ") for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()[1:])  # colours
     words = " ".join(line for line in inside if not re.fullmatch(r"[─╰╯+-]{3,}", line)).split()
     text = " ".join(words).partition(" For full helptext")[0]

@@ -1,74 +1,18 @@
-"""Which commands there are, and how their words are read."""
+"""How the words after the program's name are read: only the command that they name is imported."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stderr, suppress
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import redirect_stderr
 from functools import partial, wraps
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import tyro
-
-from sarsplat.cli import console
-from sarsplat.cli.arguments import MARKERS
-from sarsplat.cli.check import check
-from sarsplat.cli.chips import chips
-from sarsplat.cli.compare import compare
-from sarsplat.cli.doctor import doctor
-from sarsplat.cli.evaluate import evaluate
-from sarsplat.cli.export import export
-from sarsplat.cli.importers import IMPORTERS
-from sarsplat.cli.info import info
-from sarsplat.cli.mistakes import explained
-from sarsplat.cli.reconstruct import reconstruct
-from sarsplat.cli.render import render
-from sarsplat.cli.report import report
-from sarsplat.cli.simulate import simulate
-from sarsplat.cli.sweep import sweep
-from sarsplat.cli.view import view
+from sarsplat.cli.commands import COMMANDS, IMPORT_SUMMARY, command, first_paragraph, summary
+from sarsplat.cli.mistakes import no_command, plain
 from sarsplat.errors import SarsplatError
 
 Command = Callable[..., int | None]
-
-
-def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]) -> None:
-    """Print a shell script that completes commands, options, presets, targets and paths.
-
-    Parameters
-    ----------
-    shell
-        The shell to complete in.
-    """
-    with suppress(SystemExit):
-        _reader(["--tyro-write-completion", shell, "-"])()
-    if shell == "bash":
-        print("complete -o default -F _tyro_sarsplat sarsplat  # paths where nothing else is offered")
-
-
-COMMANDS: dict[str, Command | Mapping[str, Command]] = {
-    "simulate": simulate,
-    "import": IMPORTERS,
-    "check": check,
-    "reconstruct": reconstruct,
-    "evaluate": evaluate,
-    "report": report,
-    "compare": compare,
-    "sweep": sweep,
-    "render": render,
-    "chips": chips,
-    "view": view,
-    "export": export,
-    "info": info,
-    "doctor": doctor,
-    "completion": completion,
-}
-"""Commands by name; those of `import` are found."""
-
-console.COMMANDS[:] = COMMANDS
-
-_GROUPS = {"import": "Import measured images as a dataset."}
-"""What the commands that have commands of their own are for."""
 
 _DESCRIPTION = (
     "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → render. "
@@ -86,34 +30,53 @@ def parse(words: Sequence[str]) -> Callable[[], int | None]:
     SarsplatError
         If they do not parse.
     """
-    read, box = _reader(words), io.StringIO()
+    name, rest = _chosen("sarsplat", _DESCRIPTION, words, COMMANDS, lambda: {one: summary(one) for one in COMMANDS})
+    return _importer(rest) if name == "import" else _read(f"sarsplat {name}", command(name), rest)
+
+
+def _importer(words: Sequence[str]) -> Callable[[], int | None]:
+    from sarsplat.cli.importers import IMPORTERS
+
+    def summaries() -> dict[str, str]:
+        return {name: first_paragraph(importer.__doc__) for name, importer in IMPORTERS.loaded().items()}
+
+    name, rest = _chosen("sarsplat import", IMPORT_SUMMARY, words, IMPORTERS, summaries)
+    return _read(f"sarsplat import {name}", IMPORTERS[name], rest)
+
+
+def _chosen(
+    program: str,
+    description: str,
+    words: Sequence[str],
+    names: Iterable[str],
+    summaries: Callable[[], Mapping[str, str]],
+) -> tuple[str, Sequence[str]]:
+    """Which of the names comes first, and the words after it; help, if that is asked for instead."""
+    if words and words[0] in ("-h", "--help"):
+        from sarsplat.cli.overview import show_overview
+
+        show_overview(program, description, summaries())
+        raise SystemExit(0)
+    plain_names = {name.replace("_", "-"): name for name in names}
+    name = plain_names.get(words[0].replace("_", "-")) if words else None
+    if name is None:
+        raise SarsplatError(no_command(program, words, plain_names.values()))
+    return name, words[1:]
+
+
+def _read(program: str, command: Command, words: Sequence[str]) -> Callable[[], int | None]:
+    import tyro  # here and not for the overview, for it takes as long as all of that
+
+    from sarsplat.cli.arguments import MARKERS
+
+    box = io.StringIO()
     try:
         with redirect_stderr(box):
-            return read()
+            return tyro.cli(_later(command, words), prog=program, args=words, config=MARKERS)
     except SystemExit as end:
         if not end.code:
             raise
-        raise SarsplatError(explained(words, box.getvalue(), COMMANDS)) from None
-
-
-def _reader(words: Sequence[str]) -> Callable[[], Callable[[], int | None]]:
-    return partial(_app(COMMANDS, words).cli, prog="sarsplat", description=_DESCRIPTION, args=words, config=MARKERS)
-
-
-def _app(commands: Mapping[str, Any], words: Sequence[str]) -> tyro.extras.SubcommandApp:
-    app = tyro.extras.SubcommandApp()
-    for name, command in commands.items():
-        if name not in _GROUPS:
-            app.command(name=name)(_later(command, words))
-        elif words and words[0] in (name, "--tyro-write-completion"):
-            app.command(_app(command.loaded(), words), name=name, help=_GROUPS[name])
-        else:
-            app.command(name=name, help=_GROUPS[name])(_nothing)  # no plugin is imported
-    return app
-
-
-def _nothing() -> None:
-    """In place of commands that the words do not ask for."""
+        raise SarsplatError(plain(program, box.getvalue())) from None
 
 
 def _later(command: Command, words: Sequence[str]) -> Callable[..., Callable[[], int | None]]:
@@ -122,7 +85,7 @@ def _later(command: Command, words: Sequence[str]) -> Callable[..., Callable[[],
     @wraps(command)
     def bound(*arguments: Any, **options: Any) -> Callable[[], int | None]:
         if "words" in options:
-            options["words"] = tuple(words[1:])
+            options["words"] = tuple(words)
         return partial(command, *arguments, **options)
 
     return bound

@@ -146,6 +146,8 @@ def reconstruct(
     dataset, out = options.dataset, options.out
     if options.resume and options.overwrite:
         raise SarsplatError("--resume continues the run and --overwrite discards it; give only one of them")
+    if not options.print_config:
+        _announce(dataset)
     from sarsplat.data import read_dataset
     from sarsplat.data.determined import weakest_direction
     from sarsplat.processes import Processes
@@ -192,6 +194,18 @@ def reconstruct(
         f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {time.monotonic() - begun_at:.0f} s "
         f"({run.time_s:.0f} s of training; {method.about(config, images.grid)[0]}, seed {run.seed})",
         _next(images, typed, learns_speckle=getattr(config, "passes", None) is None),
+    )
+
+
+def _announce(dataset: Path) -> None:
+    """Say what is going to be read, at once: importing torch takes seconds."""
+    from sarsplat.data.dataset_folder import read_header
+
+    header = read_header(dataset)
+    train = sum(view.split == "train" for view in header.views)
+    console.say(
+        f"reading {dataset}: {counted(len(header.views), 'image')} of {header.target}, {train:,} of them to train on, "
+        f"{header.grid.rows} × {header.grid.columns} pixels"
     )
 
 

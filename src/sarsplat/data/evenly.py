@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from sarsplat.data.coverage import by_grazing, largest_gap
 from sarsplat.geometry import View
@@ -35,6 +34,8 @@ def even_azimuths(azimuths_deg: Sequence[float], count: int) -> list[float]:
 
 def nearest_to(azimuths_deg: Sequence[float], wanted_deg: Sequence[float]) -> list[int]:
     """Indices of distinct azimuths, one for each that is wanted and in its order, at the least total distance."""
+    from scipy.optimize import linear_sum_assignment  # here, because what describes files does without it
+
     apart = np.subtract.outer(np.asarray(wanted_deg, dtype=float), np.asarray(azimuths_deg, dtype=float))
     _, chosen = linear_sum_assignment(np.abs((apart + 180) % 360 - 180))
     return [int(index) for index in chosen]

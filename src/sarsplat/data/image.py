@@ -8,7 +8,6 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Complex, Complex64, Float, Float32, Real
-from torch import Tensor
 
 from sarsplat.arguments import checks_arguments, expect
 from sarsplat.data.files import write_bytes
@@ -49,7 +48,7 @@ class SarImage:
     signal: Complex64[np.ndarray, "rows columns"] | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.power, Tensor):
+        if hasattr(self.power, "detach"):  # a torch.Tensor: files of images are read without torch
             object.__setattr__(self, "power", self.power.detach().cpu().numpy())
         if not isinstance(self.power, np.ndarray) or self.power.dtype.kind not in "fiu":
             kind = self.power.dtype if isinstance(self.power, np.ndarray) else type(self.power).__name__

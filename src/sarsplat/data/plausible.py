@@ -17,8 +17,8 @@ from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.determined import weak_directions
 from sarsplat.errors import SarsplatWarning, counted
-from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import View
+from sarsplat.geometry.shown import ground_radius_m
 
 _FEW = 3  # angles: of fewer nothing can be said
 _SAME_DIRECTION_DEG = 0.01

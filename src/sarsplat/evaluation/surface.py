@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float32, Float64
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import order_in_space
-from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import View, radar_frame
+from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.reconstruction.points import imaged
 from sarsplat.scenes.mesh_files import read_mesh
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
 
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.geometry import Terrain
 
 
 @dataclass(frozen=True)
@@ -63,11 +62,3 @@ class Ground:
     def span_m(self) -> tuple[float, float]:
         """Lowest and highest z, m."""
         return self.height_m.span_m if isinstance(self.height_m, Terrain) else (self.height_m, self.height_m)
-
-
-def ground_radius_m(views: Sequence[View], grid: ImageGrid) -> float:
-    """Radius of the ground that images from these views show, m, with a margin for footprints and responses."""
-    across = grid.columns * grid.spacing_m[0] + 2 * abs(grid.center_m[0])
-    steepest = math.cos(math.radians(max(view.grazing_deg for view in views)))
-    along = (grid.rows * grid.spacing_m[1] + 2 * abs(grid.center_m[1])) / steepest
-    return math.hypot(across, along) / 2 + 2 * max(grid.resolution_m)

@@ -41,12 +41,12 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     Materials and textures are ignored. Every face refers to existing vertices, which may be NaN or infinite. Raises
     `SarsplatError` if the file is missing, of another format or damaged, or expands to far more than its size.
     """
-    import trimesh
-
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in _FORMATS:
         raise SarsplatError(f"'{path}' is not in a supported mesh format; give an {', '.join(_FORMATS)} file")
+    import trimesh
+
     try:
         if not path.is_file():  # nor a pipe or a device, which may never end
             raise SarsplatError(f"there is no mesh file at '{path}'; give the path of an {', '.join(_FORMATS)} file")

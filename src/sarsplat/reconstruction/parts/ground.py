@@ -12,8 +12,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians.ground import Ground, ground_radius_m
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import Terrain
+from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.reconstruction.config import Config, FlatGround
 from sarsplat.reconstruction.parts.part import Learned, Parameters, Part, normal_nats

@@ -14,8 +14,8 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from sarsplat.errors import counted
-from sarsplat.gaussians.ground import ground_radius_m
 from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.reconstruction.config import Config, Surroundings
 from sarsplat.reconstruction.parts.part import Nuisance, Parameters, Shot
 

@@ -1,0 +1,23 @@
+from .folder import import_folder
+from .images import MeasuredImage, dataset_of, summary, write_imported
+from .mstar import import_mstar
+from .phase_history_images import import_phase_history
+from .phoenix import PhoenixChip, read_phoenix
+from .rslc import import_rslc
+from .sample import import_sample
+from .sicd import import_sicd
+
+__all__ = [
+    "MeasuredImage",
+    "PhoenixChip",
+    "dataset_of",
+    "import_folder",
+    "import_mstar",
+    "import_phase_history",
+    "import_rslc",
+    "import_sample",
+    "import_sicd",
+    "read_phoenix",
+    "summary",
+    "write_imported",
+]
