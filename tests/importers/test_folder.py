@@ -243,8 +243,8 @@ def test_the_command_draws_a_preview_and_says_what_it_took(tmp_path, capsys):
 )
 def test_the_option_for_what_the_numbers_are(tmp_path, capsys, looks, numbers, wrong, told, right):
     rng = np.random.default_rng(0)
-    mean = np.where(np.hypot(*np.mgrid[-40:40, -50:50]) < 6, 300, 0.5)
-    power = rng.gamma(looks, 1 / looks, size=(12, 80, 100)) * mean
+    mean = np.where(np.hypot(*np.mgrid[-24:24, -30:30]) < 4, 300, 0.5)
+    power = rng.gamma(looks, 1 / looks, size=(8, 48, 60)) * mean
     decibels = 10 * np.log10(power)
     stored = {
         "db in 8 bits": np.clip(np.round((decibels + 40) * 255 / 60), 0, 255).astype(np.uint8),
@@ -252,7 +252,7 @@ def test_the_option_for_what_the_numbers_are(tmp_path, capsys, looks, numbers, w
         "db": (decibels + 90).astype(np.float32),
     }[numbers]
     ending = "tif" if numbers == "db" else "png"
-    folder = write(tmp_path / "in", stored, [[f"{k}.{ending}", 30 * k, 30] for k in range(12)], ending=ending)
+    folder = write(tmp_path / "in", stored, [[f"{k}.{ending}", 45 * k, 30] for k in range(8)], ending=ending)
     words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--spacing", "0.2", "--overwrite"]
     words += ["--looks", str(looks), "--quantity"]
     assert main([*words, wrong]) == 1
