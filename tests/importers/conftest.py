@@ -16,3 +16,9 @@ def small_previews() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check_sheet, "check_sheet", partial(check_sheet.check_sheet, most=1))
         yield
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of what imports say alone: no preview."""
+    monkeypatch.setattr("sarsplat.cli.imported._draw", lambda *_: None)

@@ -241,6 +241,7 @@ def test_the_command_draws_a_preview_and_says_what_it_took(tmp_path, capsys):
         (4, "db", "power", "import with --quantity db", "db"),
     ],
 )
+@pytest.mark.usefixtures("undrawn")
 def test_the_option_for_what_the_numbers_are(tmp_path, capsys, looks, numbers, wrong, told, right):
     rng = np.random.default_rng(0)
     mean = np.where(np.hypot(*np.mgrid[-24:24, -30:30]) < 4, 300, 0.5)
@@ -261,6 +262,7 @@ def test_the_option_for_what_the_numbers_are(tmp_path, capsys, looks, numbers, w
     assert "--quantity" not in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_zeros_and_cuts_are_said_once(tmp_path, capsys):
     power = [POWER[0], POWER[1][:-2], POWER[2] * (POWER[2] > 0.3), POWER[3]]
     folder = write(tmp_path / "in", power)
@@ -270,6 +272,7 @@ def test_zeros_and_cuts_are_said_once(tmp_path, capsys):
     assert said.count("held zero") == said.count("cut to what they have in common") == 1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_says_every_oddity_once(tmp_path, capsys):
     folder = write(tmp_path / "in", [np.ones_like(image) for image in POWER])
     words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--quantity", "power", "--spacing", "0.1"]
@@ -306,6 +309,7 @@ def test_measured_chips_are_as_their_own_importer_has_them(tmp_path):
     assert np.corrcoef(made.power[order].ravel(), own.power.ravel())[0, 1] > 0.999999  # but for what was zero
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_rejected_import_is_said_again_where_it_is_trained_on(tmp_path, capsys):
     folder, out = write(tmp_path / "in", [np.ones_like(image) for image in POWER]), tmp_path / "out"
     words = ["import", "folder", str(folder), "--out", str(out), "--quantity", "power", "--spacing", "0.1"]
@@ -329,6 +333,7 @@ def test_a_rejected_import_is_said_again_where_it_is_trained_on(tmp_path, capsys
     assert "contradictions" not in read_dataset(out).source
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_angles_in_radians_are_said_once(tmp_path, capsys):
     rows = [[f"{k}.npy", f"{np.radians(90 * k + 20):.4f}", 0.5236] for k in range(4)]
     folder = write(tmp_path / "in", POWER, rows)

@@ -150,7 +150,7 @@ def test_the_default_aperture_makes_square_cells_of_all_pulses(files, tmp_path):
 
 def test_other_flights_are_kept_apart(files, tmp_path):
     higher = write(tmp_path / "higher.mat", record(circle(np.linspace(-6, 6, 480), 50.0), [(1, 0, 0)]))
-    dataset = import_phase_history([files[0], higher, files[1]], tmp_path / "out", size_m=4, aperture_deg=6)
+    dataset = import_phase_history([files[0], higher, files[1]], tmp_path / "out", size_m=2, aperture_deg=6)
     assert [round(entry.view.grazing_deg) for entry in dataset.entries] == [30, 50, 50]
 
 
