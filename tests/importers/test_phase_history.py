@@ -85,7 +85,7 @@ def test_a_point_is_where_the_radar_frame_says(tmp_path, name):
         assert (turn + 180) % 360 - 180 == pytest.approx(0, abs=1e-3)
         assert found.view.grazing_deg == pytest.approx(View.towards(to_middle).grazing_deg, abs=0.02)
         assert found.looks_left == (degrees[-1] > degrees[0])
-        grid = ImageGrid(100, 100, (0.03, 0.03), found.resolution_m(Taylor()))
+        grid = ImageGrid(80, 80, (0.03, 0.03), found.resolution_m(Taylor()))
         image = focus(found, grid, Taylor())
         azimuth, _, distance = radar_frame(found.view) @ np.array(offset)
         assert peak(image, grid) == pytest.approx((azimuth, distance), abs=0.01)  # of cells of 0.15 m and more
@@ -113,8 +113,8 @@ def test_width_and_side_lobes_are_those_of_theory(tmp_path, weighting, side_lobe
 @pytest.fixture
 def files(tmp_path):
     """Twelve degrees of flight in four files, each going on with the one before; a point 1 m towards +x."""
-    edges = np.linspace(-6, 6, 481)
-    return [write(tmp_path / f"{k}.mat", record(circle(edges[120 * k : 120 * k + 120]), [(1, 0, 0)])) for k in range(4)]
+    edges = np.linspace(-6, 6, 241)
+    return [write(tmp_path / f"{k}.mat", record(circle(edges[60 * k : 60 * k + 60]), [(1, 0, 0)])) for k in range(4)]
 
 
 def test_sub_apertures(files, tmp_path):
@@ -128,7 +128,7 @@ def test_sub_apertures(files, tmp_path):
     assert dataset.signal is not None
     assert dataset.calibration == "relative"
     parts = dataset.source["apertures"]
-    assert [part["pulses"] for part in parts] == pytest.approx([120] * 4, abs=1)
+    assert [part["pulses"] for part in parts] == pytest.approx([60] * 4, abs=1)
     assert {part["looks"] for part in parts} == {"left"}
     assert any("looked to its left" in text for text in dataset.source["assumptions"])
     for index in range(4):
@@ -142,14 +142,14 @@ def test_the_default_aperture_makes_square_cells_of_all_pulses(files, tmp_path):
     dataset = import_phase_history(files, tmp_path / "out", size_m=5, weighting="uniform")
     square = np.degrees(1e9 * 64 / 63 / 35e9 / np.cos(np.radians(30)))  # 1.92°
     assert len(dataset) == round(12 / square)
-    assert sum(part["pulses"] for part in dataset.source["apertures"]) == 480
+    assert sum(part["pulses"] for part in dataset.source["apertures"]) == 240
     azimuth, distance = dataset.grid.resolution_m
     assert azimuth == pytest.approx(distance, rel=0.1)
     assert dataset.grid.spacing_m == pytest.approx([2 / 3 * min(azimuth, distance)] * 2, rel=0.01)
 
 
 def test_other_flights_are_kept_apart(files, tmp_path):
-    higher = write(tmp_path / "higher.mat", record(circle(np.linspace(-6, 6, 480), 50.0), [(1, 0, 0)]))
+    higher = write(tmp_path / "higher.mat", record(circle(np.linspace(-6, 6, 240), 50.0), [(1, 0, 0)]))
     dataset = import_phase_history([files[0], higher, files[1]], tmp_path / "out", size_m=2, aperture_deg=6)
     assert [round(entry.view.grazing_deg) for entry in dataset.entries] == [30, 50, 50]
 
