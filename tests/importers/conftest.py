@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def small_previews() -> Iterator[None]:
     """Of one image: sheets of twelve take longer than the imports."""
     from sarsplat.report import check_sheet
