@@ -13,7 +13,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import lxml.etree
 import numpy as np
@@ -112,9 +114,19 @@ def write_sicd(
     amplitudes: Sequence[complex] | None = None,
 ) -> Path:
     """A SICD of point scatterers at `places`, metres east, north and above the spot."""
+    where = tuple(tuple(map(float, place)) for place in places)
+    path.write_bytes(_sicd(track, where, recording, tuple(amplitudes or [1.0] * len(where))))
+    return path
+
+
+@lru_cache(maxsize=40)
+def _sicd(
+    track: Track, places: tuple[tuple[float, ...], ...], recording: Recording, amplitudes: tuple[complex, ...]
+) -> bytes:
+    """Made once; the files of tests are often the same."""
     tree, grid_of = describe(track, recording)
     image = np.zeros((recording.rows, recording.columns), np.complex128)
-    for place, amplitude in zip(places, amplitudes or [1.0] * len(places), strict=True):
+    for place, amplitude in zip(places, amplitudes, strict=True):
         image += amplitude * response(recording, grid_of(ecef(place)))
     meta = sk.NitfMetadata(
         xmltree=tree,
@@ -122,9 +134,11 @@ def write_sicd(
         im_subheader_part=sk.NitfImSubheaderPart(isorce="made up", security=sk.NitfSecurityFields(clas="U")),
         de_subheader_part=sk.NitfDeSubheaderPart(security=sk.NitfSecurityFields(clas="U")),
     )
-    with path.open("wb") as file, _deprecations_ignored(), sk.NitfWriter(file, meta) as writer:
-        writer.write_image(pixels(image, recording))
-    return path
+    with TemporaryFile() as file, _deprecations_ignored():
+        with sk.NitfWriter(file, meta) as writer:
+            writer.write_image(pixels(image, recording))
+        file.seek(0)
+        return file.read()
 
 
 def xml_of(data: bytes) -> bytes:
@@ -193,6 +207,7 @@ def pixels(image: np.ndarray, recording: Recording) -> np.ndarray:
     return made
 
 
+@lru_cache(maxsize=40)
 @_deprecations_ignored()
 def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTree, object]:
     """The metadata, and the function from ECEF to (xrow, ycol) that the image follows."""

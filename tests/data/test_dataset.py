@@ -30,9 +30,14 @@ def make(path: Path, *, grid=GRID, views=VIEWS, images=IMAGES, truth_mesh=None, 
     return write_dataset(path, dataset_of(grid, views, images, **fields), truth_mesh=truth_mesh, overwrite=overwrite)
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory) -> Path:
+    return make(tmp_path_factory.mktemp("written") / "set").path
+
+
 @pytest.fixture
-def dataset(tmp_path):
-    return make(tmp_path / "set")
+def dataset(tmp_path, written):
+    return read_dataset(shutil.copytree(written, tmp_path / "set"))
 
 
 def test_round_trip(tmp_path):

@@ -2,8 +2,7 @@
 
 import errno
 import os
-import subprocess
-import sys
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +50,10 @@ def test_who_holds_a_lock_may_come_again(tmp_path):
 
 
 def test_a_killed_process_leaves_no_stale_lock(tmp_path):
-    script = "import os, sys; from pathlib import Path; from sarsplat.data.files import locked\n"
-    script += "with locked(Path(sys.argv[1])): os.kill(os.getpid(), 9)"
-    assert subprocess.run([sys.executable, "-c", script, str(tmp_path / "a")], check=False).returncode == -9
+    if (child := os.fork()) == 0:
+        with locked(tmp_path / "a"):
+            os.kill(os.getpid(), signal.SIGKILL)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
     assert names(tmp_path) == [".a.lock"]
     write_bytes(tmp_path / "a", b"new")
     assert names(tmp_path) == ["a"]

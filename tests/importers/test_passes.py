@@ -2,58 +2,31 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from made_imports import GRID, NOISY, THREE, VIEWS, import_passes, write_passes
 from sarsplat import Mechanisms, ScatteringLaw, preset, reconstruct, simulate_stack
 from sarsplat.cli import main
-from sarsplat.data import Dataset, read_dataset
-from sarsplat.errors import SarsplatError
+from sarsplat.data import read_dataset
 from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
-from sarsplat.importers import MeasuredImage, dataset_of, import_folder
+from sarsplat.importers import MeasuredImage, dataset_of
 
 trimesh = pytest.importorskip("trimesh")
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # of few views, for instance
 
-GRID = ImageGrid(20, 16, (0.5, 0.4), (0.6, 0.5))
-VIEWS = (View(0.0, 45.0), View(70.0, 40.0))
 STACK = Stack(0.031, (0.0, 0.0007, -0.0011), noise=(0.1,) * 3)
 LAW = ScatteringLaw(1.0, 0.0, 1.0)
-RNG = np.random.default_rng(0)
-NOISY = (RNG.standard_normal((2, 3, 20, 16, 2)) @ [1, 1j]).astype(np.complex64)
-"""Signals of two views and three channels."""
-
-
-def write(folder: Path, signals: np.ndarray, columns: dict[str, list], views=VIEWS) -> Path:
-    """A file for each channel, and the table; `columns` has a value for each channel of a view."""
-    folder.mkdir(exist_ok=True)
-    with (folder / "passes.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["file", "view", "azimuth", "grazing", *columns])
-        for number, (view, stack) in enumerate(zip(views, signals, strict=True)):
-            for channel, image in enumerate(stack):
-                np.save(folder / f"{number}-{channel}.npy", image)
-                own = [values[channel] for values in columns.values()]
-                table.writerow([f"{number}-{channel}", f"v{number}", view.azimuth_deg, view.grazing_deg, *own])
-    return folder
-
-
-def imported(folder: Path, **options) -> Dataset:
-    fixed = {"spacing_m": GRID.spacing_m, "resolution_m": GRID.resolution_m, "calibration": "absolute"}
-    options = {**fixed, "wavelength_m": 0.031, "overwrite": True, **options}
-    return import_folder(folder, folder.parent / "out", **options)
 
 
 def test_simulated_stacks_come_back(tmp_path):
     mesh = trimesh.creation.box((2.0, 3.0, 2.0)).apply_translation((0, 0, 1.0))
     signals = [simulate_stack(mesh, view, GRID, STACK, LAW, ground_gamma0=0.5, noise=0.1) for view in VIEWS]
-    folder = write(tmp_path / "in", np.stack(signals), {"baseline": list(STACK.offsets_rad)})
-    made = imported(folder, noise=0.1)
+    folder = write_passes(tmp_path / "in", np.stack(signals), {"baseline": list(STACK.offsets_rad)})
+    made = import_passes(folder, noise=0.1)
     np.testing.assert_array_equal(made.signal, np.stack(signals))
     assert (made.views, made.grid, made.stacks) == (VIEWS, GRID, (STACK, STACK))
     assert [entry.name for entry in made.entries] == ["v0", "v1"]
@@ -88,13 +61,13 @@ def test_phases_between_passes_are_those_of_heights(tmp_path, transmit, conjugat
                 level[row, column] = math.dist(antenna, ground) - math.dist(antenna, np.zeros(3))
         signals.append(response * np.exp(-1j * per_metre * (farther - level)))
     signal = np.stack(signals).astype(np.complex64)
-    folder = write(
+    folder = write_passes(
         tmp_path / "in",
         [signal.conj() if conjugate else signal],
         {"baseline": list(STACK.offsets_rad)},
         views=[view],
     )
-    made = imported(folder, transmit=transmit, conjugate=conjugate, flattened=flattened)
+    made = import_passes(folder, transmit=transmit, conjugate=conjugate, flattened=flattened)
     [stack] = made.stacks
     deramped = made.signal[0] * np.exp(-1j * stack.plane_phases(view, made.grid))
     numbers = stack.elevation_numbers(view)
@@ -110,21 +83,21 @@ def test_phases_between_passes_are_those_of_heights(tmp_path, transmit, conjugat
 
 
 def test_relative_power_and_noise_have_one_unit(tmp_path):
-    folder = write(tmp_path / "in", 3 * NOISY, {"baseline": [0.0, 1e-3, 2e-3]})
-    made = imported(folder, calibration="relative", noise=0.9)
+    folder = write_passes(tmp_path / "in", 3 * NOISY, {"baseline": [0.0, 1e-3, 2e-3]})
+    made = import_passes(folder, calibration="relative", noise=0.9)
     assert made.power.mean() == pytest.approx(1, rel=1e-5)
     assert made.stacks[0].noise == pytest.approx([0.9 / made.source["mean_power"]] * 3)
 
 
 def test_polarisations_come_back(tmp_path):
     names = ["HH", "hv", "VV"]
-    folder = write(tmp_path / "in", NOISY, {"pol": names})
-    made = imported(folder)
+    folder = write_passes(tmp_path / "in", NOISY, {"pol": names})
+    made = import_passes(folder)
     np.testing.assert_array_equal(made.signal, NOISY)
     assert made.stacks[0] == Stack(0.031, (0.0,) * 3, polarisations=("HH", "HV", "VV"))
     assert made.polarimetric and not made.interferometric
-    both = write(tmp_path / "in", NOISY[:, :2], {"polarisation": ["HH", "HH"], "baseline": [0.0, 1e-3]})
-    assert imported(both).interferometric
+    both = write_passes(tmp_path / "in", NOISY[:, :2], {"polarisation": ["HH", "HH"], "baseline": [0.0, 1e-3]})
+    assert import_passes(both).interferometric
 
 
 def test_simulated_polarisations_come_back_and_are_learned_from(tmp_path):
@@ -135,8 +108,8 @@ def test_simulated_polarisations_come_back_and_are_learned_from(tmp_path):
         simulate_stack(mesh, view, GRID, stack, LAW, ground_gamma0=0.5, mechanisms=mechanisms, noise=0.1)
         for view in VIEWS
     ]
-    folder = write(tmp_path / "in", np.stack(signals), {"polarisation": list(stack.of_channels)})
-    made = imported(folder, noise=0.1)
+    folder = write_passes(tmp_path / "in", np.stack(signals), {"polarisation": list(stack.of_channels)})
+    made = import_passes(folder, noise=0.1)
     np.testing.assert_array_equal(made.signal, np.stack(signals))
     assert made.stacks == (stack, stack)
     run = reconstruct(made, replace(preset("polarimetric"), iterations=2), quiet=True)
@@ -145,13 +118,13 @@ def test_simulated_polarisations_come_back_and_are_learned_from(tmp_path):
 
 def test_stacks_lie_as_single_images_do(tmp_path):
     turned = np.rot90(NOISY, 2, axes=(2, 3))[..., ::-1]
-    folder = write(tmp_path / "in", turned, {"baseline": [0.0, 1e-3, 2e-3]})
-    np.testing.assert_array_equal(imported(folder, near="bottom", mirrored=True).signal, NOISY)
+    folder = write_passes(tmp_path / "in", turned, {"baseline": [0.0, 1e-3, 2e-3]})
+    np.testing.assert_array_equal(import_passes(folder, near="bottom", mirrored=True).signal, NOISY)
 
 
 def test_rows_with_views_of_their_own_are_single_images_as_before(tmp_path):
-    folder = write(tmp_path / "in", NOISY[:, :1], {"polarisation": ["HH"]})
-    made = imported(folder, wavelength_m=None)
+    folder = write_passes(tmp_path / "in", NOISY[:, :1], {"polarisation": ["HH"]})
+    made = import_passes(folder, wavelength_m=None)
     assert (made.passes, made.signal.shape) == (0, (2, 20, 16))
 
 
@@ -174,73 +147,8 @@ def test_stacks_of_other_spacings_keep_the_phases_of_the_plane():
     np.testing.assert_allclose(made.signal[0][:, 15:-15, 15:-15], made.signal[1][:, 15:-15, 15:-15], atol=2e-3)
 
 
-THREE = {"baseline": [0.0, 1e-3, 2e-3]}
-
-
-@pytest.mark.parametrize(
-    ("columns", "options", "words"),
-    [
-        (THREE, {"wavelength_m": None}, "has several rows for one view, channels of a stack; give its wavelength with"),
-        (THREE, {"wavelength_m": -1.0}, r"the view 'v0': wavelength_m is -1.0; give .* metres"),
-        (THREE, {"wavelength_m": None, "flattened": True}, "--flattened is for stacks; give --wavelength METRES too"),
-        (THREE, {"noise": 0.0}, "the view 'v0': the noise of a channel is 0.0"),
-        (THREE, {"transmit": "both"}, "transmit is 'both'; give one of each, one"),
-        ({}, {}, r"no column of baselines \(b/R, rad\) or of polarisations; name it with --columns baseline=NAME"),
-        ({"baseline": [0.0, 1e-3, 1e-3]}, {}, "the view 'v0': offsets_rad is .* two passes are the same"),
-        ({"baseline": [0.0, 1e-3, 120]}, {}, r"the view 'v0': an offset is 120.0; give b/R in radians, at most ±0.2"),
-        ({"baseline": [0.0, "far", 2e-3]}, {}, "line 3: baseline is 'far'; it must be a number"),
-        ({"baseline": [0.0, "", 2e-3]}, {}, "does not say what the baseline of 0-1 is; give b/R, rad"),
-        ({"baseline_m": [0.0, 0.1, 0.15]}, {}, "'baseline_m' of .* seems to hold m; give perpendicular baselines over"),
-        ({"Baseline (deg)": [0.0, 0.1, 0.15]}, {}, "seems to hold deg; give"),
-        ({"polarisation": ["HH", "HV", "XX"]}, {}, "the view 'v0': a polarisation is 'XX'; give one of HH, HV"),
-        ({"polarisation": ["HH", "", "VV"]}, {}, "1 row of 3 have no polarisation, the first that of 0-1; fill"),
-    ],
-)
-def test_what_a_table_of_passes_may_get_wrong(tmp_path, columns, options, words):
-    folder = write(tmp_path / "in", NOISY, columns)
-    with pytest.raises(SarsplatError, match=words):
-        imported(folder, **options)
-    assert not (tmp_path / "out").exists()
-
-
-def test_channels_that_do_not_go_together(tmp_path):
-    folder = write(tmp_path / "in", NOISY, THREE)
-    np.save(folder / "0-1.npy", NOISY[0, 1][:-2])
-    with pytest.raises(SarsplatError, match=r"different sizes, 20 × 16 pixels in 0-0 and 18 × 16 in 0-1; coregister"):
-        imported(folder)
-    np.save(folder / "0-1.npy", np.abs(NOISY[0, 1]))
-    with pytest.raises(SarsplatError, match="the quantity is 'complex'"):
-        imported(folder)
-    np.save(folder / "0-1.npy", 0 * NOISY[0, 1])
-    with pytest.raises(
-        SarsplatError, match="0-1 is zero everywhere, which no channel of a stack is; leave out its row"
-    ):
-        imported(folder)
-    lines = (folder / "passes.csv").read_text().splitlines()
-    np.save(folder / "0-1.npy", NOISY[0, 1])
-    sets = [f"{line},{split}" for line, split in zip(lines, ["split", "train", "test", *["train"] * 4], strict=True)]
-    (folder / "passes.csv").write_text("\n".join(sets))
-    with pytest.raises(SarsplatError, match="channels of different sets, 'train' in 0-0 and 'test' in 0-1; give them"):
-        imported(folder)
-    (folder / "passes.csv").write_text("\n".join(lines[:-1]))
-    with pytest.raises(SarsplatError, match=r"v0 has 3 channels and v1 has 2 \(0: no stack\); give all views the same"):
-        imported(folder)
-    (folder / "passes.csv").write_text("\n".join(lines[:-2]))
-    with pytest.raises(SarsplatError, match="the view 'v1' has one row; a stack needs several"):
-        imported(folder)
-    (folder / "passes.csv").write_text("\n".join([*lines[:2], lines[2].replace("v0,0.0", "v0,0.1"), *lines[3:]]))
-    with pytest.raises(SarsplatError, match=r"has channels of different angles, View\(.*0.0.* in 0-0 and .*0.1"):
-        imported(folder)
-    (folder / "passes.csv").write_text("\n".join([*lines[:2], lines[2].replace("v0", ""), *lines[3:]]))
-    with pytest.raises(SarsplatError, match="does not say which view 0-1 belongs to; name it in every row"):
-        imported(folder)
-    (folder / "passes.csv").write_text("\n".join(lines).replace("view", "comment"))
-    with pytest.raises(SarsplatError, match="no column that says which rows are channels of one view; name it with"):
-        imported(folder)
-
-
 def test_the_command_says_how_phases_were_read(tmp_path, capsys):
-    folder, out = write(tmp_path / "in", NOISY, THREE), tmp_path / "out"
+    folder, out = write_passes(tmp_path / "in", NOISY, THREE), tmp_path / "out"
     assert main(["info", str(folder)]) == 0
     told = capsys.readouterr().out
     assert "2 views of several channels" in told

@@ -9,7 +9,6 @@ import pytest
 from pulses import FREQUENCIES, C, circle, record, write
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.geometry.responses import UNIFORM, Taylor
 from sarsplat.importers import import_phase_history
@@ -85,7 +84,7 @@ def test_a_point_is_where_the_radar_frame_says(tmp_path, name):
         assert (turn + 180) % 360 - 180 == pytest.approx(0, abs=1e-3)
         assert found.view.grazing_deg == pytest.approx(View.towards(to_middle).grazing_deg, abs=0.02)
         assert found.looks_left == (degrees[-1] > degrees[0])
-        grid = ImageGrid(100, 100, (0.03, 0.03), found.resolution_m(Taylor()))
+        grid = ImageGrid(80, 80, (0.03, 0.03), found.resolution_m(Taylor()))
         image = focus(found, grid, Taylor())
         azimuth, _, distance = radar_frame(found.view) @ np.array(offset)
         assert peak(image, grid) == pytest.approx((azimuth, distance), abs=0.01)  # of cells of 0.15 m and more
@@ -113,8 +112,8 @@ def test_width_and_side_lobes_are_those_of_theory(tmp_path, weighting, side_lobe
 @pytest.fixture
 def files(tmp_path):
     """Twelve degrees of flight in four files, each going on with the one before; a point 1 m towards +x."""
-    edges = np.linspace(-6, 6, 481)
-    return [write(tmp_path / f"{k}.mat", record(circle(edges[120 * k : 120 * k + 120]), [(1, 0, 0)])) for k in range(4)]
+    edges = np.linspace(-6, 6, 241)
+    return [write(tmp_path / f"{k}.mat", record(circle(edges[60 * k : 60 * k + 60]), [(1, 0, 0)])) for k in range(4)]
 
 
 def test_sub_apertures(files, tmp_path):
@@ -128,7 +127,7 @@ def test_sub_apertures(files, tmp_path):
     assert dataset.signal is not None
     assert dataset.calibration == "relative"
     parts = dataset.source["apertures"]
-    assert [part["pulses"] for part in parts] == pytest.approx([120] * 4, abs=1)
+    assert [part["pulses"] for part in parts] == pytest.approx([60] * 4, abs=1)
     assert {part["looks"] for part in parts} == {"left"}
     assert any("looked to its left" in text for text in dataset.source["assumptions"])
     for index in range(4):
@@ -142,15 +141,15 @@ def test_the_default_aperture_makes_square_cells_of_all_pulses(files, tmp_path):
     dataset = import_phase_history(files, tmp_path / "out", size_m=5, weighting="uniform")
     square = np.degrees(1e9 * 64 / 63 / 35e9 / np.cos(np.radians(30)))  # 1.92°
     assert len(dataset) == round(12 / square)
-    assert sum(part["pulses"] for part in dataset.source["apertures"]) == 480
+    assert sum(part["pulses"] for part in dataset.source["apertures"]) == 240
     azimuth, distance = dataset.grid.resolution_m
     assert azimuth == pytest.approx(distance, rel=0.1)
     assert dataset.grid.spacing_m == pytest.approx([2 / 3 * min(azimuth, distance)] * 2, rel=0.01)
 
 
 def test_other_flights_are_kept_apart(files, tmp_path):
-    higher = write(tmp_path / "higher.mat", record(circle(np.linspace(-6, 6, 480), 50.0), [(1, 0, 0)]))
-    dataset = import_phase_history([files[0], higher, files[1]], tmp_path / "out", size_m=4, aperture_deg=6)
+    higher = write(tmp_path / "higher.mat", record(circle(np.linspace(-6, 6, 240), 50.0), [(1, 0, 0)]))
+    dataset = import_phase_history([files[0], higher, files[1]], tmp_path / "out", size_m=2, aperture_deg=6)
     assert [round(entry.view.grazing_deg) for entry in dataset.entries] == [30, 50, 50]
 
 
@@ -176,43 +175,7 @@ def test_an_inclined_flight_is_told(tmp_path):
         import_phase_history([tmp_path / "a.mat"], tmp_path / "out", size_m=4)
 
 
-def changed(**changes):
-    data = record(circle(np.linspace(-1, 1, 20)), [(0, 0, 0)])
-    return {name: value for name, value in {**data, **changes}.items() if value is not None}
-
-
-GOOD = changed()
-BAD = {
-    "no record": (None, "holds no record named data"),
-    "no samples": (changed(fp=None), "has no field fp"),
-    "no height": (changed(z=None), "has no field z"),
-    "text": (changed(freq="X band"), "has no real numbers in freq"),
-    "not complex": (changed(fp=GOOD["fp"].real), "has no complex numbers in fp"),
-    "three dimensions": (changed(fp=GOOD["fp"][..., None].repeat(2, 2)), r"fp of the shape \(64, 20, 2\)"),
-    "one pulse missing": (changed(x=GOOD["x"][:-1]), "has 19 values of x for 20 pulses"),
-    "one frequency missing": (changed(freq=FREQUENCIES[1:]), "samples of 64 frequencies × 20 pulses, but 63 freq"),
-    "half an autofocus": (changed(af={"r_correct": np.zeros(20)}), "has no field ph_correct"),
-    "short autofocus": (changed(af={"r_correct": np.zeros(3), "ph_correct": np.zeros(20)}), "3 values of r_correct"),
-    "not finite": (changed(fp=GOOD["fp"] * np.nan), "holds a sample of nan"),
-    "endless antenna": (changed(y=GOOD["y"] * np.inf), "holds an antenna position of -?inf"),
-    "falling frequencies": (changed(freq=FREQUENCIES[::-1]), "only rising, evenly spaced ones"),
-    "uneven frequencies": (changed(freq=np.geomspace(30e9, 40e9, 64)), "only rising, evenly spaced ones"),
-    "megahertz": (changed(freq=FREQUENCIES / 1e6), "give them in hertz"),
-    "another centre": (changed(r0=GOOD["r0"] + 5), "differs from r0 by 5 m"),
-    "turning back": (changed(y=np.abs(GOOD["y"]), r0=GOOD["r0"]), "the azimuth turns back after pulse"),
-    "underground": (changed(z=-GOOD["z"]), "the antenna is not above"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_files(tmp_path, name):
-    data, words = BAD[name]
-    write(tmp_path / "a.mat", data) if data else (tmp_path / "a.mat").write_bytes(b"MATLAB".ljust(126) + b"IM")
-    with pytest.raises(SarsplatError, match=words):
-        import_phase_history([tmp_path / "a.mat"], tmp_path / "out", size_m=4)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.mat"]
-
-
+GOOD = record(circle(np.linspace(-1, 1, 20)), [(0, 0, 0)])
 OPTIONS = {
     "too large": (["--size", "40"], "show ±4.7 m; give a smaller --size"),
     "too few pixels": (["--size", "0.2"], "makes 2 × 2 pixels of"),
@@ -238,23 +201,6 @@ def test_bad_options(tmp_path, name, capsys):
     assert told in complaint
     assert complaint.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["a.mat"]
-
-
-def test_the_same_file_twice(tmp_path):
-    path = write(tmp_path / "a.mat", GOOD)
-    with pytest.raises(SarsplatError, match=r"a\.mat is given twice; give each file once"):
-        import_phase_history([path, path], tmp_path / "out", size_m=4)
-
-
-def test_other_bands_are_refused(tmp_path):
-    wide = np.linspace(60, 62, 20)
-    paths = [
-        write(tmp_path / "a.mat", record(circle(wide), [(0, 0, 0)])),
-        write(tmp_path / "b.mat", record(circle(wide + 20), [(0, 0, 0)], FREQUENCIES - 25e9)),
-    ]
-    told = r"b\.mat covers 1016 MHz about 10 GHz but .*a\.mat 1016 MHz about 35 GHz; import each band on its own"
-    with pytest.raises(SarsplatError, match=told):
-        import_phase_history(paths, tmp_path / "out", size_m=4)
 
 
 def test_the_command(files, tmp_path, capsys):

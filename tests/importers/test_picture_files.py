@@ -65,6 +65,11 @@ def test_pixels_are_those_written(tmp_path, name, pixels, options):
     np.testing.assert_array_equal(read, expected)
 
 
+def test_opaque_pixels_are_those_without_their_transparency(tmp_path):
+    Image.fromarray(np.stack([EIGHT, np.full_like(EIGHT, 255)], axis=-1)).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_pixels(tmp_path / "a.png"), EIGHT)
+
+
 def test_jpeg(tmp_path):
     path = tmp_path / "a.JPG"
     Image.fromarray(np.kron(EIGHT, np.ones((8, 8), np.uint8))).save(path, "JPEG", quality=100)
@@ -114,44 +119,6 @@ def test_eight_bits_of_decibels_and_zeros():
     assert power_or_signal(REAL * 0, "power", "it").max() == 0
 
 
-@pytest.mark.parametrize(
-    ("pixels", "quantity", "words"),
-    [
-        (COMPLEX, "amplitude", "it holds complex numbers, but the quantity is 'amplitude'; give 'complex'"),
-        (REAL, "complex", "it holds real numbers"),
-        (-REAL, "power", r"it holds -0\.1.* at \(0, 0\) as power"),
-        (np.where(REAL[1, 2] == REAL, np.nan, REAL), "amplitude", r"holds nan at \(1, 2\)"),
-        (REAL * 1e4, "db", "holds .* as db"),
-        (COMPLEX.astype(complex) * 1e300, "complex", "as complex"),
-        (np.full((3, 4, 2), 1e300), "complex", "as complex"),
-    ],
-)
-def test_numbers_that_do_not_fit(pixels, quantity, words):
-    with pytest.raises(SarsplatError, match=words):
-        power_or_signal(pixels, quantity, "it")
-
-
-def test_a_scale_that_is_to_blame_is_named():
-    with pytest.raises(SarsplatError, match=r"at \(0, 0\), times nan plus 0, as power"):
-        power_or_signal(REAL, "power", "it", scale=float("nan"))
-
-
-@pytest.mark.parametrize("quantity", ["amplitude", "power"])
-def test_negative_numbers_may_be_decibels(quantity):
-    with pytest.raises(SarsplatError, match=r"holds -18\.5 at \(0, 0\) as .*; if .* decibels, give --quantity db"):
-        power_or_signal(REAL * 0 - 18.5, quantity, "it")
-
-
-def test_numbers_too_large_for_decibels_may_be_amplitudes():
-    with pytest.raises(SarsplatError, match=r"holds 6119 .* as db; no decibels are that large; give --quantity ampl"):
-        power_or_signal(np.full((2, 2), 6119, np.uint16), "db", "it")
-
-
-def test_real_numbers_may_be_anything():
-    with pytest.raises(SarsplatError, match=r"it holds float32 numbers, .* --quantity"):
-        likely_quantity(REAL, "it")
-
-
 def png_of_zeros(side: int) -> bytes:
     """A PNG that promises `side`² pixels in a thousandth of the bytes."""
 
@@ -199,40 +166,3 @@ def test_files_from_strangers(tmp_path, name, data, words):
         read_pixels(tmp_path / name)
     assert cost.seconds < 1
     assert cost.bytes < 64 << 20
-
-
-def test_transparent_pixels_are_refused(tmp_path):
-    path = tmp_path / "a.png"
-    opaque = np.full_like(EIGHT, 255)
-    Image.fromarray(np.stack([EIGHT, opaque], axis=-1)).save(path)
-    np.testing.assert_array_equal(read_pixels(path), EIGHT)
-    opaque[1, 1:3] = 0
-    for image, options in (
-        (Image.fromarray(np.stack([EIGHT, opaque], axis=-1)), {}),
-        (Image.fromarray(np.stack([EIGHT] * 3 + [opaque], axis=-1)), {}),
-        (Image.fromarray(np.where(opaque, EIGHT, 7)), {"transparency": 7}),
-    ):
-        image.save(path, **options)
-        with pytest.raises(SarsplatError, match="transparent pixels, 2 of 12"):
-            read_pixels(path)
-    Image.fromarray(np.stack([EIGHT, opaque], axis=-1)).save(tmp_path / "a.tif")  # not the real and imaginary part
-    with pytest.raises(SarsplatError, match="has a band for transparency"):
-        read_pixels(tmp_path / "a.tif")
-
-
-def test_colours_and_objects_are_refused(tmp_path):
-    Image.fromarray(np.stack([EIGHT, EIGHT, 255 - EIGHT], axis=-1)).save(tmp_path / "a.png")
-    with pytest.raises(SarsplatError, match="picture in colour"):
-        read_pixels(tmp_path / "a.png")
-    np.save(tmp_path / "a.npy", np.array([[object()]], dtype=object), allow_pickle=True)
-    with pytest.raises(SarsplatError, match="not a readable array"):
-        read_pixels(tmp_path / "a.npy")
-
-
-@pytest.mark.parametrize(
-    ("variables", "words"), [({"b": REAL}, r"2 matrices \(image, b\); give one image"), ({}, None)]
-)
-def test_a_matlab_file_has_one_image(tmp_path, variables, words):
-    path = written(tmp_path, "a.mat", REAL if words else np.ones((1, 5)), **variables)
-    with pytest.raises(SarsplatError, match=words or "has no matrix of numbers; give one image for each file"):
-        read_pixels(path)

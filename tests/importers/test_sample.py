@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-
 import numpy as np
 import pytest
 
 from sample_files import write_sample
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatWarning
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
 from sarsplat.importers import import_sample
 
@@ -68,34 +66,6 @@ def test_what_headers_lack(folder, tmp_path):
     assert made.grid.spacing_m == (0.2021, 0.2021)
     assert "taylor_weights" not in made.source
     assert made.grid.response == GAUSSIAN
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"complex_img": np.ones((4, 4))}, "no complex matrix complex_img"),
-        ({"complex_img": IMAGES[0] * np.nan}, "holds .*nan.* as complex"),
-        ({"azimuth": 33.0}, "azimuth is 33.0, but its name says 20°"),
-        ({"azimuth": "north"}, "azimuth is None"),
-        ({"elevation": None}, "elevation is None, but its name says 16°"),
-        ({"range_pixel_spacing": 0, "xrange_pixel_spacing": -1}, "has no pixel spacing in xrange_pixel_spacing"),
-    ],
-)
-def test_damaged_files(tmp_path, changes, words):
-    write_sample(tmp_path / "set", IMAGES[0], 20.4, changes=changes)
-    with pytest.raises(SarsplatError, match=words):
-        import_sample(tmp_path / "set", tmp_path / "out", target="t72")
-    assert not (tmp_path / "out").exists()
-
-
-def test_what_is_there_is_named(folder, tmp_path):
-    with pytest.raises(SarsplatError, match=r"no real images of 'm1'; it has t72 \(real\), t72 \(synthetic\), zsu23"):
-        import_sample(folder, tmp_path / "out", target="m1")
-    with pytest.raises(SarsplatError, match="the kind is 'odd'"):
-        import_sample(folder, tmp_path / "out", target="t72", kind="odd")
-    shutil.rmtree(folder)
-    with pytest.raises(SarsplatError, match="no file named like those"):
-        import_sample(tmp_path, tmp_path / "out", target="t72")
 
 
 def test_the_command(folder, tmp_path, capsys):

@@ -48,7 +48,7 @@ def passes(folder: Path, first: Track, recording: Recording, offsets=OFFSETS) ->
 
 
 def imported(folder: Path, files: list[Path], **options) -> Dataset:
-    options = {"around": SPOT, "looks": None, "ground": False, "size_m": 32.0, "stack": True} | options
+    options = {"around": SPOT, "looks": None, "ground": False, "size_m": 26.0, "stack": True} | options
     return import_sicd(files, folder / "set", overwrite=True, **options)
 
 

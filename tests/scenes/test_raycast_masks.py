@@ -70,8 +70,8 @@ def test_masks_of_a_box_are_those_of_its_outlines(view, grid):
 def test_surfaces_have_no_holes(grazing):
     """Rays lie far apart in range on a roof seen at a low angle, and on a wall seen from above."""
     grid = ImageGrid(16, 8, (0.3, 0.3), (0.3, 0.3))
-    plate = box(np.array([-40.0, -40, -1]), np.array([40.0, 40, 0]))
-    wall = box(np.array([-1.0, -20, 0]), np.array([0.0, 20, 60]))
+    plate = box(np.array([-32.0, -32, -1]), np.array([32.0, 32, 0]))
+    wall = box(np.array([-1.0, -4, 0]), np.array([0.0, 4, 60]))
     assert (raycast_mask(plate, View(30, grazing), grid) == TARGET).all()
     assert (raycast_mask(wall, View(0, grazing), grid)[:8] == TARGET).all()
 

@@ -30,7 +30,11 @@ def box() -> trimesh.Trimesh:
 def test_power_is_that_of_the_ray_caster(grid: ImageGrid) -> None:
     """Means over draws, and over blocks of pixels."""
     powers = np.mean(
-        [np.abs(simulate_stack(box(), VIEW, grid, STACK, LAW, ground_gamma0=0.4, seed=k)) ** 2 for k in range(40)], 0
+        [
+            np.abs(simulate_stack(box(), VIEW, grid, STACK, LAW, ground_gamma0=0.4, spacing_m=0.14, seed=k)) ** 2
+            for k in range(24)
+        ],
+        0,
     )
     expected = simulate_raycast(box(), VIEW, grid, LAW, ground_gamma0=0.4)
     for power in powers:
@@ -43,7 +47,9 @@ def test_phases_are_those_of_heights() -> None:
     """Flat ground has none once it is deramped; its coherence is the response's."""
     plane = trimesh.creation.box((0.01, 0.01, 0.01))
     plane.apply_translation((0, 0, -5))
-    signals = np.stack([simulate_stack(plane, VIEW, GRID, STACK, LAW, ground_gamma0=1.0, seed=k) for k in range(20)])
+    signals = np.stack(
+        [simulate_stack(plane, VIEW, GRID, STACK, LAW, ground_gamma0=1.0, spacing_m=0.14, seed=k) for k in range(8)]
+    )
     deramped = signals * np.exp(-1j * STACK.plane_phases(VIEW, GRID))
     for n in (1, 2):
         pair = (deramped[:, n] * deramped[:, 0].conj()).mean()
@@ -109,13 +115,16 @@ def test_what_is_refused() -> None:
 def test_polarisations_go_together_as_their_mechanisms_say() -> None:
     """Means over draws, of the top, the sides and the ground; each of the passes has all polarisations."""
     names = ("HH", "HV", "VV")
-    plate = trimesh.creation.box((60.0, 60.0, 0.01))
+    plate = trimesh.creation.box((40.0, 40.0, 0.01))
     stack = Stack(0.031, (0.0,) * 3 + (0.0004,) * 3, polarisations=names * 2)
     beta0 = simulate_raycast(plate, VIEW, GRID, LAW).mean()
     for mechanism, matrix in enumerate(MATRICES):
         all_alike = Mechanisms(np.full(len(plate.faces), mechanism))
         signals = np.stack(
-            [simulate_stack(plate, VIEW, GRID, stack, LAW, mechanisms=all_alike, seed=k) for k in range(3)]
+            [
+                simulate_stack(plate, VIEW, GRID, stack, LAW, mechanisms=all_alike, spacing_m=0.14, seed=k)
+                for k in range(3)
+            ]
         )
         found = np.einsum("kirc,kjrc->ij", signals, signals.conj()) / signals[:, 0].size
         expected = beta0 * matrix
