@@ -103,29 +103,29 @@ class Sight:
 
     def __init__(self, raster: Raster, side: Side, size: int = 1) -> None:
         self._raster, self._side = raster, side
-        self._shape = [
-            max(1, int(np.ceil((raster.high - raster.low)[axis] / raster.pixel_m))) for axis in (side.up, side.across)
-        ]
+        extent = raster.high - raster.low
+        self._shape = [max(1, int(np.ceil(extent[axis] / raster.pixel_m))) for axis in (side.up, side.across)]
         self._near = np.full(self._shape, -np.inf).ravel()
         self._point = np.full(self._shape, -1).ravel()
-        self._around = np.arange(size) - size // 2
+        around = np.arange(size) - size // 2
+        self._up, self._along = (step.ravel() for step in np.meshgrid(around, around))
 
     def add(self, first: int, places: Float[np.ndarray, "3 s"]) -> None:
         """More points, the first of which has that number; of equally near ones, the last is seen."""
-        side, count = self._side, len(self._around)
-        pixel, inside = np.int64(0), np.bool_(True)
-        for axis, size, turn in zip((side.up, side.across), self._shape, ((-1, 1), (1, -1)), strict=True):
-            place = np.floor((places[axis] - self._raster.low[axis]) / self._raster.pixel_m).astype(np.int64)
-            place = place[:, None, None] + self._around.reshape(turn)
-            pixel, inside = pixel * size + place, inside & (place >= 0) & (place < size)
-        near = np.repeat(side.sign * places[side.towards].astype(np.float64), count**2)
-        pixel = pixel.ravel()
-        of_them = np.flatnonzero(inside.ravel())
-        of_them = of_them[near[of_them] >= self._near[pixel[of_them]]]
-        pixel, near = pixel[of_them], near[of_them]
+        side, covered = self._side, len(self._up)
+        row, column = (
+            np.floor((places[k] - self._raster.low[k]) / self._raster.pixel_m).astype(np.int64)[:, None] + steps
+            for k, steps in ((side.up, self._up), (side.across, self._along))
+        )
+        pixel = (row * self._shape[1] + column).ravel()
+        near = np.repeat(side.sign * places[side.towards].astype(np.float64), covered)
+        inside = (row >= 0) & (row < self._shape[0]) & (column >= 0) & (column < self._shape[1])
+        drawn = np.flatnonzero(inside)
+        drawn = drawn[near[drawn] >= self._near[pixel[drawn]]]  # few, once something is everywhere
+        pixel, near = pixel[drawn], near[drawn]
         np.maximum.at(self._near, pixel, near)
         nearest = near == self._near[pixel]
-        self._point[pixel[nearest]] = first + of_them[nearest] // count**2
+        self._point[pixel[nearest]] = first + drawn[nearest] // covered
 
     @property
     def seen(self) -> Seen:
