@@ -39,7 +39,8 @@ _REACH = 0.2  # of the mesh from the nearest point
 # A part that is smaller, of the whole area and in square units, floats.
 _SMALLEST_PART, _SMALLEST_UNITS = 0.01, 12.0
 _NEIGHBOURS = 24  # points that count for a place
-_AT_ONCE = 50_000  # places
+_AT_ONCE = 50_000  # places whose points are searched
+_SUMMED = 4096  # places whose points are summed: what is calculated of them stays in the processor's cache
 _ASKED = 10_000  # points, at most, how far the next one is
 _BRICK = 128  # voxels along a side
 _DARKEST_DB = -30.0  # of the brightest vertex: black
@@ -104,35 +105,46 @@ def surface_mesh(
 class _Planes:
     """The plane through the weighted mean of the points around a place."""
 
-    points: Float64[np.ndarray, "p 3"]
-    normals: Real[np.ndarray, "p 3"]
+    oriented: Float64[np.ndarray, "p 6"]
+    """Points, m, and their normals."""
     tree: cKDTree
     unit_m: float
 
     @classmethod
     def through(cls, points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], cell: float) -> _Planes:
         """Those of oriented points."""
-        tree = cKDTree(points)
+        tree = cKDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)  # the fastest to make and ask
         spacing = 0.0
         if len(points) > 1:
             some = points[:: math.ceil(len(points) / _ASKED)]
             spacing = float(np.median(tree.query(some, k=[2], workers=-1)[0]))
-        return cls(points, normals, tree, max(cell, _SPACINGS * spacing))
+        return cls(np.concatenate([points, normals], axis=1), tree, max(cell, _SPACINGS * spacing))
 
     def at(self, places: Real[np.ndarray, "q 3"]) -> tuple[Float64[np.ndarray, " q"], Float64[np.ndarray, "q 3"]]:
         """Signed distances of places from their planes, m, and the planes' unit normals."""
         distance, normal = np.empty(len(places)), np.empty((len(places), 3))
-        count = np.arange(1, min(_NEIGHBOURS, len(self.points)) + 1)
+        count = np.arange(1, min(_NEIGHBOURS, len(self.oriented)) + 1)
         for first in range(0, len(places), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
-            weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / (_SMOOTHING * self.unit_m) ** 2)[:, :, None]
-            offset = places[part] - (weight * self.points[index]).sum(1) / weight.sum(1)
-            mean = (weight * self.normals[index]).sum(1)
-            length = np.linalg.norm(mean, axis=1, keepdims=True)
-            mean /= np.maximum(length, 1e-12)  # normals on both sides of a sheet may cancel
-            distance[part], normal[part] = np.einsum("pc,pc->p", offset, mean), mean
+            for few in range(0, len(apart), _SUMMED):
+                some = slice(few, few + _SUMMED)
+                place, plane = self._means(apart[some], index[some])
+                offset = places[part][some] - place
+                distance[part][some], normal[part][some] = np.einsum("pc,pc->p", offset, plane), plane
         return distance, normal
+
+    def _means(
+        self, apart: Float64[np.ndarray, "q k"], index: Int64[np.ndarray, "q k"]
+    ) -> tuple[Float64[np.ndarray, "q 3"], Float64[np.ndarray, "q 3"]]:
+        """Weighted mean places and unit normals of points that are so far away, m."""
+        weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / (_SMOOTHING * self.unit_m) ** 2)
+        sums = np.zeros((len(apart), 6))
+        for of, near in zip(weight.T.copy(), index.T.copy(), strict=True):  # one after the other: no large arrays
+            sums += of[:, None] * self.oriented[near]
+        length = np.linalg.norm(sums[:, 3:], axis=1, keepdims=True)
+        # normals on both sides of a sheet may cancel
+        return sums[:, :3] / weight.sum(1, keepdims=True), sums[:, 3:] / np.maximum(length, 1e-12)
 
 
 def _zero_surface(
@@ -142,8 +154,9 @@ def _zero_surface(
     unit = planes.unit_m
     voxel = _VOXEL * unit
     band = _REACH * unit + 2 * voxel  # beyond what is kept: cubes at its rim are whole
-    corner = planes.points.min(axis=0) - band
-    occupied = np.unique(np.rint((planes.points - corner) / voxel).astype(np.int64), axis=0)
+    points = planes.oriented[:, :3]
+    corner = points.min(axis=0) - band
+    occupied = _distinct(np.rint((points - corner) / voxel).astype(np.int64))
     margin = int(band / voxel) + 1  # cubes begin one before what is near, or end one behind
     bricks = _bricks(occupied, margin)
     vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
@@ -172,6 +185,19 @@ def _zero_surface(
     return joined * voxel + corner, owner[np.concatenate(faces)]
 
 
+def _distinct(voxels: Int64[np.ndarray, "v 3"]) -> Int64[np.ndarray, "o 3"]:
+    """Each once, in order."""
+    order, first = _sorted(voxels)
+    return voxels[order[first]]
+
+
+def _sorted(voxels: Int64[np.ndarray, "v 3"]) -> tuple[Int64[np.ndarray, " v"], Int64[np.ndarray, " d"]]:
+    """What sorts them, and where among the sorted ones others begin: `numpy.unique` of rows takes ten times as long."""
+    order = np.lexsort(voxels.T[::-1])
+    ranked = voxels[order]
+    return order, np.flatnonzero(np.append(True, (ranked[1:] != ranked[:-1]).any(axis=1)))
+
+
 def _bricks(
     occupied: Int64[np.ndarray, "o 3"], margin: int
 ) -> list[tuple[Int64[np.ndarray, " 3"], Int64[np.ndarray, "n 3"]]]:
@@ -183,9 +209,9 @@ def _bricks(
         reached = (brick <= last).all(axis=1)
         if not reached.any():
             continue
-        keys, owner = np.unique(brick[reached], axis=0, return_inverse=True)
-        order, ends = np.argsort(owner.ravel(), kind="stable"), np.cumsum(np.bincount(owner.ravel()))
-        for key, part in zip(keys.tolist(), np.split(occupied[reached][order], ends[:-1]), strict=True):
+        order, starts = _sorted(brick[reached])
+        keys = brick[reached][order[starts]].tolist()
+        for key, part in zip(keys, np.split(occupied[reached][order], starts[1:]), strict=True):
             members.setdefault(tuple(key), []).append(part)
     return [(_BRICK * np.array(key), np.concatenate(parts)) for key, parts in sorted(members.items())]
 

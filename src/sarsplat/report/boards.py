@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import KDTree
+from scipy.spatial import cKDTree
 
 from sarsplat.colours import ERROR, HEIGHT, POWER
 from sarsplat.errors import counted
 from sarsplat.report.figure import Block, ColourBar, colour_bar
-from sarsplat.report.sides import Corner, Raster
+from sarsplat.report.sides import SIDES, Corner, Raster, Seen, Sight
+from sarsplat.scenes.surface_samples import blocks_of_samples
 
 if TYPE_CHECKING:
     import trimesh
@@ -44,26 +45,28 @@ def point_boards(
     """
     titles = [f"{name}, {counted(len(points), 'point')}" for name, points in clouds.items()]
     clouds = {name: _at_most(points, _MOST_POINTS) for name, points in clouds.items()}
-    by_height = dict(zip(titles, clouds.values(), strict=True))
-    if surface is not None:
-        by_height = {"true surface": surface, **by_height}
-    low, high = _limits(np.concatenate(list(by_height.values())))
-    fewest = min((len(points) for points in by_height.values() if len(points)), default=0)
+    every = [*clouds.values(), *([] if surface is None else [surface])]
+    low, high = _limits(np.concatenate(every))
+    fewest = min((len(points) for points in every if len(points)), default=0)
     raster = Raster.around(low, high, int(np.clip(2 * np.sqrt(fewest), _LEAST_PIXELS, _MOST_PIXELS)))
-    blocks, bars = [], []
-    if heights or surface is None:
-        span = float(low[2]), float(high[2])
-        for name, points in by_height.items():
-            blocks.append(raster.board(name, points, points[:, 2], span, HEIGHT, _apart_m(points)))
-        bars.append(colour_bar("height z, m", HEIGHT, *span))
+    by_height, by_error, truth = [], [], None
+    span = float(low[2]), float(high[2])
     if surface is not None:
-        tree = KDTree(surface)
-        for name, points in clouds.items():
-            distance = tree.query(points)[0] if len(points) else np.empty(0)
-            title, limits = f"error of {name}", (0.0, farthest_m)
-            blocks.append(raster.board(title, points, distance, limits, ERROR, _apart_m(points)))
+        truth = _tree(surface)
+        if heights:
+            seen = raster.sides(surface, _apart_m(truth))
+            by_height.append(raster.board("true surface", seen, surface[:, 2], span, HEIGHT))
+    for (name, points), title in zip(clouds.items(), titles, strict=True):
+        seen = raster.sides(points, _apart_m(_tree(points)))
+        if heights or truth is None:
+            by_height.append(raster.board(title, seen, points[:, 2], span, HEIGHT))
+        if truth is not None:
+            distances = _distances(truth, points, seen)
+            by_error.append(raster.board(f"error of {name}", seen, distances, (0.0, farthest_m), ERROR))
+    bars = [colour_bar("height z, m", HEIGHT, *span)] if by_height else []
+    if by_error:
         bars.append(colour_bar("distance to the true surface, m", ERROR, 0, farthest_m))
-    return tuple(blocks), tuple(bars)
+    return (*by_height, *by_error), tuple(bars)
 
 
 def _at_most(points: Points, most: int) -> Float[np.ndarray, "fewer 3"]:
@@ -71,12 +74,27 @@ def _at_most(points: Points, most: int) -> Float[np.ndarray, "fewer 3"]:
     return points if len(points) <= most else points[np.random.default_rng(0).choice(len(points), most, replace=False)]
 
 
-def _apart_m(points: Points) -> float:
+def _tree(points: Points) -> cKDTree:
+    """Made faster than it would be for very many questions."""
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
+
+
+def _apart_m(cloud: cKDTree) -> float:
     """How wide points are drawn to close the gaps between them: thinning to voxels left them about as far apart, m."""
-    if len(points) <= _NEIGHBOURS:
+    if cloud.n <= _NEIGHBOURS:
         return 0.0
-    sample = points[:: max(1, len(points) // 2000)]
-    return _CLOSING * float(np.median(KDTree(points).query(sample, k=[1 + _NEIGHBOURS])[0]))
+    sample = cloud.data[:: max(1, cloud.n // 2000)]
+    return _CLOSING * float(np.median(cloud.query(sample, k=[1 + _NEIGHBOURS])[0]))
+
+
+def _distances(truth: cKDTree, points: Points, seen: Sequence[Seen]) -> Float[np.ndarray, " p"]:
+    """Distances of the points that are seen, and 0 of the others."""
+    shown = np.concatenate([side[side >= 0] for side in seen])
+    _, first = np.unique(shown, return_index=True)
+    shown = shown[np.sort(first)]  # pixel by pixel: what lies together is found in less time
+    distances = np.zeros(len(points))
+    distances[shown] = truth.query(points[shown])[0]
+    return distances
 
 
 def _limits(points: Points) -> tuple[Corner, Corner]:
@@ -101,9 +119,11 @@ def mesh_boards(reconstructed: trimesh.Trimesh, truth: trimesh.Trimesh | None) -
 
 
 def _board(raster: Raster, title: str, mesh: trimesh.Trimesh) -> Block:
-    from trimesh.sample import sample_surface
-
     count = min(int(_SAMPLES_PER_PIXEL * mesh.area / raster.pixel_m**2) + 1, _MOST_SAMPLES)
-    places, faces = sample_surface(mesh, count, seed=0)
-    lit = _AMBIENT + (1 - _AMBIENT) * np.abs(mesh.face_normals[faces] @ (_LIGHT / np.linalg.norm(_LIGHT)))
-    return raster.board(title, np.asarray(places), lit, (0.0, 1.0), POWER)
+    sights, face_of = [Sight(raster, side) for side in SIDES], np.empty(count, np.int64)
+    for first, places, faces in blocks_of_samples(mesh, count, np.random.default_rng(0)):
+        face_of[first : first + len(faces)] = faces
+        for sight in sights:
+            sight.add(first, places)
+    lit = _AMBIENT + (1 - _AMBIENT) * np.abs(mesh.face_normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
+    return raster.board(title, [sight.seen for sight in sights], lit[face_of], (0.0, 1.0), POWER)

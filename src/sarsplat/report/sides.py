@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,10 @@ from sarsplat.report.figure import Block, Panel, axis, scale_bar
 from sarsplat.report.raster import data_uri, indexed, png
 
 Corner = Float[np.ndarray, " 3"]
+Seen = Int64[np.ndarray, "rows columns"]
+"""Index of the point that is seen in each pixel, row 0 at the top; −1 where there is none."""
+
+_AT_ONCE = 1 << 14  # points: what is calculated of them stays in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -50,33 +55,30 @@ class Raster:
 
         A point covers `size` × `size` pixels.
         """
-        across, up = side.across, side.up
-        shape = [max(1, int(np.ceil((self.high - self.low)[axis] / self.pixel_m))) for axis in (up, across)]
-        place = np.floor((points[:, (up, across)] - self.low[[up, across]]) / self.pixel_m).astype(int)
-        far_first = np.argsort(side.sign * points[:, side.towards], kind="stable")
-        around = np.stack(np.meshgrid(*2 * [np.arange(size) - size // 2]), axis=-1).reshape(-1, 2)
-        place = (place[far_first, None] + around).reshape(-1, 2)
-        inside = ((place >= 0) & (place < shape)).all(axis=1)
-        seen = np.full(shape, -1)
-        seen[tuple(place[inside].T)] = np.repeat(far_first, size**2)[inside]
-        return seen[::-1], seen[::-1] >= 0
+        sight = Sight(self, side, size)
+        for first in range(0, len(points), _AT_ONCE):
+            sight.add(first, points[first : first + _AT_ONCE].T)
+        return sight.seen, sight.seen >= 0
+
+    def sides(self, points: Float[np.ndarray, "p 3"], width_m: float) -> list[Seen]:
+        """What is seen from the three sides of points that are so wide, m."""
+        size = int(np.clip(np.ceil(width_m / self.pixel_m), 1, _WIDEST))
+        return [self.nearest(points, side, size)[0] for side in SIDES]
 
     def board(
-        self, title: str, points: Float[np.ndarray, "p 3"], values: Float[np.ndarray, " p"],
-        limits: tuple[float, float], colours: str, width_m: float = 0.0,
+        self, title: str, seen: Sequence[Seen], values: Float[np.ndarray, " p"],
+        limits: tuple[float, float], colours: str,
     ) -> Block:  # fmt: skip
-        """The three sides as panels: values from the low to the high limit, of points that are so wide, m."""
-        indices = np.maximum(indexed(values, *limits), 1)  # 0: nothing is there
+        """The three sides as panels: values from the low to the high limit of the points that are seen."""
 
-        def picture(side: Side) -> str:
-            seen, covered = self.nearest(points, side, int(np.clip(np.ceil(width_m / self.pixel_m), 1, _WIDEST)))
-            shades = np.zeros(seen.shape, np.uint8)
-            shades[covered] = indices[seen[covered]]
+        def picture(points: Seen) -> str:
+            covered, shades = points >= 0, np.zeros(points.shape, np.uint8)
+            shades[covered] = np.maximum(indexed(values[points[covered]], *limits), 1)  # 0: nothing is there
             return data_uri(png(shades, hollow(colours)))
 
         size, panels = self.high - self.low, []
         names = ("x, m", "y, m", "z, m")
-        for side in SIDES:
+        for side, points in zip(SIDES, seen, strict=True):
             width, height = (float(size[k]) for k in (side.across, side.up))
             shares = height / width, width / float(size.max())
             ticks_down, ticks_across = (int(np.clip(round(4 * share), 2, 4)) for share in shares)
@@ -89,8 +91,43 @@ class Raster:
                     across,
                     down,
                     aspect=width / height,
-                    image=picture(side),
+                    image=picture(points),
                     scale=scale_bar(width),
                 )
             )
         return Block(title, tuple(panels), tuple(float(size[side.across]) for side in SIDES))
+
+
+class Sight:
+    """What is seen from a side, of points that are given some at a time and cover `size` × `size` pixels each."""
+
+    def __init__(self, raster: Raster, side: Side, size: int = 1) -> None:
+        self._raster, self._side = raster, side
+        extent = raster.high - raster.low
+        self._shape = [max(1, int(np.ceil(extent[axis] / raster.pixel_m))) for axis in (side.up, side.across)]
+        self._near = np.full(self._shape, -np.inf).ravel()
+        self._point = np.full(self._shape, -1).ravel()
+        around = np.arange(size) - size // 2
+        self._up, self._along = (step.ravel() for step in np.meshgrid(around, around))
+
+    def add(self, first: int, places: Float[np.ndarray, "3 s"]) -> None:
+        """More points, the first of which has that number; of equally near ones, the last is seen."""
+        side, covered = self._side, len(self._up)
+        row, column = (
+            np.floor((places[k] - self._raster.low[k]) / self._raster.pixel_m).astype(np.int64)[:, None] + steps
+            for k, steps in ((side.up, self._up), (side.across, self._along))
+        )
+        pixel = (row * self._shape[1] + column).ravel()
+        near = np.repeat(side.sign * places[side.towards].astype(np.float64), covered)
+        inside = (row >= 0) & (row < self._shape[0]) & (column >= 0) & (column < self._shape[1])
+        drawn = np.flatnonzero(inside)
+        drawn = drawn[near[drawn] >= self._near[pixel[drawn]]]  # few, once something is everywhere
+        pixel, near = pixel[drawn], near[drawn]
+        np.maximum.at(self._near, pixel, near)
+        nearest = near == self._near[pixel]
+        self._point[pixel[nearest]] = first + drawn[nearest] // covered
+
+    @property
+    def seen(self) -> Seen:
+        """Of the points so far."""
+        return self._point.reshape(self._shape)[::-1]

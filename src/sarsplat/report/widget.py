@@ -34,6 +34,7 @@ _BYTES = 900_000
 
 _LARGEST = 128  # pixels along a side
 _MOST_RENDERED = 8_000_000  # pixels and Gaussians of all images on the raster: of these, an image takes its time
+_TOGETHER, _AT_A_TIME = 1_000_000, 8  # of these, and images, rendered at once: memory stays small
 _DEEPEST_DB, _SHALLOWEST_DB = 60.0, 10.0  # below the brightest training pixel, that can be shown
 _LEVELS = 120  # of brightness: half a decibel each
 _FINEST_DEG = 5.0  # of the raster
@@ -75,12 +76,15 @@ def widget(run: Run) -> Widget | None:
     views = [dataset.views[index] for index in chosen]
     truth, rendered = dataset.power[chosen], run.render(views)
     errors = difference.of(truth, fitted(truth, rendered, looks, dataset.score_margin))
-    raster = _raster(dataset.views, _count(part, rendered, peak, len(run.gaussians or ())))
+    each = part.grid.rows * part.grid.columns + len(run.gaussians or ())
+    raster = _raster(dataset.views, _count(part, rendered, peak, each))
     shown = [_codes(part.of_images(rendered), peak)]
+    together = min(max(1, _TOGETHER // each), _AT_A_TIME)
     with stage("report: images from all sides", len(raster)) as done:
-        for view in raster:  # one at a time: memory stays small
-            shown.append(_codes(part.of_images(run.render([view])), peak))
-            done.advance(1)
+        for first in range(0, len(raster), together):
+            some = raster[first : first + together]
+            shown.append(_codes(part.of_images(run.render(some)), peak))
+            done.advance(len(some))
 
     rows, columns = part.size
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
@@ -152,11 +156,11 @@ def _affordable(dataset: Dataset, part: Part, peak: float) -> list[int]:
     return [train[k] for k in of_train] + [test[k] for k in of_test]
 
 
-def _count(part: Part, rendered: Real[np.ndarray, "v rows columns"], peak: float, gaussians: int) -> int:
-    """How many images of the raster, of so many Gaussians, fit into the budget."""
+def _count(part: Part, rendered: Real[np.ndarray, "v rows columns"], peak: float, each: int) -> int:
+    """How many images of the raster, of so many pixels and Gaussians each, fit into the budget."""
     sample = rendered[evenly(len(rendered), _TRIED)]
     by_bytes = _BYTES / _bytes_each(_codes(part.of_images(sample), peak)) - len(rendered)
-    return max(0, int(min(by_bytes, _MOST_RENDERED / (part.grid.rows * part.grid.columns + gaussians))))
+    return max(0, int(min(by_bytes, _MOST_RENDERED / each)))
 
 
 def _raster(views: Sequence[View], count: int) -> list[View]:

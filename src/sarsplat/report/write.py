@@ -25,6 +25,7 @@ from sarsplat.report.page import page
 from sarsplat.report.stacks import stack_figures, which_points
 from sarsplat.report.views import chosen_views, unseen_figure
 from sarsplat.report.widget import Widget, widget
+from sarsplat.scenes.surface_samples import surface_samples
 
 _FOLDER = "report"
 
@@ -150,9 +151,7 @@ def _points(run: Run) -> Figure:
 
 def sampled(mesh: Path) -> Float[np.ndarray, "s 3"]:
     """Points on a true surface, spread by area, m."""
-    from trimesh.sample import sample_surface
-
-    return np.asarray(sample_surface(read_truth_mesh(mesh), _SURFACE_SAMPLES, seed=0)[0])
+    return surface_samples(read_truth_mesh(mesh), _SURFACE_SAMPLES, np.random.default_rng(0))
 
 
 def _truth(run: Run) -> tuple[Path | None, Alignment]:
