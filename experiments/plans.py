@@ -147,7 +147,7 @@ def _time_s(row: Row, runs: Sequence[Finished]) -> float | None:
     return statistics.fmean(times) if times else None
 
 
-def _defaults(row: Row) -> BaselineConfig:
+def defaults(row: Row) -> BaselineConfig:
     """Default settings of its method, which is a baseline."""
     method = METHODS[row.method]
     assert isinstance(method, BaselineMethod), f"{row.method} has presets instead"
@@ -156,13 +156,13 @@ def _defaults(row: Row) -> BaselineConfig:
 
 def _iterations(row: Row) -> int:
     """Of the training of a baseline."""
-    return int(row.changes.get("iterations", _defaults(row).iterations))
+    return int(row.changes.get("iterations", defaults(row).iterations))
 
 
 def shortened(row: Row) -> Mapping[str, Any]:
     """Settings of the same training in small: whatever counts iterations shrinks by the same factor."""
     if row.method != DEFAULT_METHOD:
-        voxels = {"surface_voxels": _FEW_VOXELS} if hasattr(_defaults(row), "surface_voxels") else {}
+        voxels = {"surface_voxels": _FEW_VOXELS} if hasattr(defaults(row), "surface_voxels") else {}
         return {"iterations": min(_FEW_ITERATIONS, _iterations(row)), **voxels}
     config = PRESETS["default" if row.preset == "auto" else row.preset].with_settings(row.changes)
     share = _QUICK_ITERATIONS / config.iterations
