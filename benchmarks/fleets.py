@@ -66,7 +66,7 @@ def measured(executor: str, means: Means, folder: Path) -> dict[str, Any]:
     _, few, many = KINDS["tiny"][2]
     _, some, more = (timed("tiny", count, executor, means, folder)[0] for count in KINDS["tiny"][2])
     each = (more - some) / (many - few)
-    _, run_s = timed("t72", *KINDS["t72"][2], executor, means, folder)
+    _, run_s = timed("t72", KINDS["t72"][2][0], executor, means, folder)
     return {"executor": executor, "begin_s": some - each * few, "tiny_s": each * PROCESSES, "t72_s": run_s}
 
 

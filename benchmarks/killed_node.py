@@ -42,7 +42,8 @@ def scores(folder: Path) -> list[dict[str, float]]:
 def main() -> None:
     """Run it twice and fill the page."""
     with tempfile.TemporaryDirectory() as place, cluster() as made:
-        folder, said = Path(place), []
+        folder = Path(place)
+        said: list[str] = []
         simulate(target="t72", out=folder / "t72", pixels=(64,), spacing=(0.6,))
         (folder / "plan.toml").write_text(PLAN)
         words = ["sweep", "plan.toml", "--out", "fleet", "--executor", "ray", "--address", made.address]

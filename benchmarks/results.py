@@ -51,7 +51,9 @@ def save(path: Path, results: Mapping[str, Any]) -> None:
 
 def add_rows(path: Path, words: Sequence[str], sides: Sequence[int]) -> None:
     """Add to a file the row of each side that it lacks, as they finish: `python WORDS SIDE --alone` prints it."""
-    held = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"machine": machine(), "rows": []}
+    held: dict[str, Any] = {"machine": machine(), "rows": []}
+    if path.exists():
+        held = json.loads(path.read_text(encoding="utf-8"))
     for side in sides:
         if side in {row["side"] for row in held["rows"]}:
             continue

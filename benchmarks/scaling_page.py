@@ -130,8 +130,9 @@ def section(
 
 
 if __name__ == "__main__":
-    scenes, tiles, fleets = (
-        json.loads(path.read_text(encoding="utf-8")) if (path := RESULTS / name).exists() else None
-        for name in ("scenes-quick.json", "tiles.json", "fleets.json")
+    scenes, tiles = (
+        json.loads((RESULTS / name).read_text(encoding="utf-8")) for name in ("scenes-quick.json", "tiles.json")
     )
+    known = RESULTS / "fleets.json"
+    fleets = json.loads(known.read_text(encoding="utf-8")) if known.exists() else None
     fill_block(PAGE, "scaling", section(scenes, tiles, fleets, draw(scenes["rows"], tiles["rows"])))

@@ -52,6 +52,7 @@ def one(preset: str, side: int) -> dict[str, Any]:
         begun = time.perf_counter()
         run = reconstruct(dataset, preset, quiet=True)
         done("train", begun)
+        assert run.gaussians is not None  # sar-gs has some
         yardstick = Yardstick.of(grid)
         surface = visible_surface(mesh, views, yardstick.ray_spacing_m, samples=SAMPLES)
         scores = point_metrics(run.points, surface.triangles, surface.samples, yardstick)

@@ -47,7 +47,9 @@ def one(path: str, preset_name: str, tiles: int) -> dict[str, Any]:
     config = replace(config, ground=FlatGround()) if dataset.ground else config
     runs = Path(f"{path}-seams")
     out, spent = runs / f"{preset_name}-{tiles}", runs / f"{preset_name}-{tiles}.json"
-    before = json.loads(spent.read_text()) if spent.exists() else {"seconds": 0.0, "peak_gib": 0.0, "tiles": []}
+    before: dict[str, Any] = {"seconds": 0.0, "peak_gib": 0.0, "tiles": []}
+    if spent.exists():
+        before = json.loads(spent.read_text())
     begun = time.process_time() - before["seconds"]
 
     def on_step(step: Any) -> None:
@@ -61,6 +63,7 @@ def one(path: str, preset_name: str, tiles: int) -> dict[str, Any]:
 
     runs.mkdir(exist_ok=True)
     run = reconstruct(dataset, config, out, on_step=on_step, resume=out.exists(), quiet=True)
+    assert run.gaussians is not None  # sar-gs has some
     gaussians, seen = len(run.gaussians), run.points
     peak = resident_bytes()[1] / 2**30
     tests = [k for k, entry in enumerate(dataset.entries) if entry.split != "train"]
@@ -69,6 +72,7 @@ def one(path: str, preset_name: str, tiles: int) -> dict[str, Any]:
     psnr = psnr_db(tested.power, run.render(tested.views), brightest)
 
     yardstick = Yardstick.of(dataset.grid)
+    assert dataset.truth_mesh is not None, f"{path} has no true mesh"
     mesh, views = read_truth_mesh(dataset.truth_mesh), dataset.select("train").views
     surface = visible_surface(mesh, views, COARSER * yardstick.ray_spacing_m, samples=SAMPLES)
     points = thin(seen, yardstick.voxel_m)

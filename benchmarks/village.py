@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import trimesh
 
@@ -21,7 +23,9 @@ def village(side_m: float, seed: int = 0, edge_m: float = 1.0) -> trimesh.Trimes
         house.apply_transform(trimesh.transformations.rotation_matrix(np.radians(turn), (0, 0, 1)))
         house.apply_translation([*((np.array(place) + 0.5) * side_m / lots - side_m / 2 + shift), 0])
         parts.append(house)
-    return trimesh.util.concatenate(parts).subdivide_to_size(edge_m)
+    divided = _together(parts).subdivide_to_size(edge_m)
+    assert isinstance(divided, trimesh.Trimesh)  # no indices are asked for
+    return divided
 
 
 def _house(chance: np.random.Generator) -> trimesh.Trimesh:
@@ -35,7 +39,11 @@ def _house(chance: np.random.Generator) -> trimesh.Trimesh:
         parts = [_box(width, depth, height, (0, 0)), _box(width / 3, depth / 3, height + 1.5, (0, 0))]
     if chance.random() < 0.5:
         parts.append(_box(4.2, 1.8, 1.4, (width / 2 + 1.6, -depth / 4)))
-    return trimesh.util.concatenate(parts)
+    return _together(parts)
+
+
+def _together(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    return cast("trimesh.Trimesh", trimesh.util.concatenate(parts))
 
 
 def _box(width: float, depth: float, height: float, at: tuple[float, float]) -> trimesh.Trimesh:

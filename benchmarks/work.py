@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from clock import in_turn
@@ -44,12 +45,8 @@ def visited(scene: Scene) -> dict[str, int]:
         per_view.append(self.statistics(problem))
         return result
 
-    cpu.Pass.forward = counted  # type: ignore[method-assign]
-    try:
-        with torch.no_grad():
-            scene.images()
-    finally:
-        cpu.Pass.forward = forward  # type: ignore[method-assign]
+    with patch.object(cpu.Pass, "forward", counted), torch.no_grad():
+        scene.images()
     return {field[0]: int(getattr(per_view[0], field[0])) for field in per_view[0]._fields_}
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -29,7 +30,10 @@ LAW = ScatteringLaw(floor=1.0, lobe=0.0)  # the same at every angle: the faces' 
 GRAZING = (30.0, 45.0, 60.0)
 GAMMA0 = {"equal": Gamma0(0.5, 0.5, 0.5), "unequal": Gamma0(wall=0.8, roof=0.3, ground=0.1)}
 SOURCES: dict[Simulator, str] = {"splat": "splat renderer", "raycast": "ray caster"}
-STYLES = {"splat": {"color": LIGHT.train, "marker": "o"}, "raycast": {"color": LIGHT.test, "marker": "x"}}
+STYLES: dict[str, dict[str, Any]] = {
+    "splat": {"color": LIGHT.train, "marker": "o"},
+    "raycast": {"color": LIGHT.test, "marker": "x"},
+}
 LETTER = {"ground": "SG", "wall": "SW", "roof": "SR"}
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -41,13 +42,15 @@ def line(ax: Axes, start: np.ndarray, end: np.ndarray, colour: str, style: str =
 def arrow(ax: Axes, start: np.ndarray, end: np.ndarray, colour: str, both: bool = False) -> None:
     shape = "<|-|>" if both else "-|>"
     style = {"arrowstyle": shape, "color": colour, "lw": 1.8, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 13}
-    ax.annotate("", xy=end, xytext=start, arrowprops=style, zorder=5)
+    ax.annotate("", xy=(end[0], end[1]), xytext=(start[0], start[1]), arrowprops=style, zorder=5)
 
 
-def label(ax: Axes, at: np.ndarray, text: str, colour: str, **options: object) -> None:
+def label(ax: Axes, at: np.ndarray, text: str, colour: str, **options: Any) -> None:
     """Text that stays legible over lines."""
     halo = {"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.85}
-    ax.text(*at, text, **{"color": colour, "ha": "center", "va": "center", "fontsize": 11, "bbox": halo, **options})
+    ax.text(
+        at[0], at[1], text, **{"color": colour, "ha": "center", "va": "center", "fontsize": 11, "bbox": halo, **options}
+    )
 
 
 def dot(ax: Axes, at: np.ndarray, colour: str, radius: float) -> None:

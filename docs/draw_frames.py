@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -30,20 +31,22 @@ OUTPUT = Path(__file__).parent / "images" / "frames.png"
 def arrow(ax: Axes, start: np.ndarray, end: np.ndarray, colour: str, width: float = 1.8) -> None:
     """A straight arrow."""
     style = {"arrowstyle": "-|>", "color": colour, "lw": width, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14}
-    ax.annotate("", xy=end, xytext=start, arrowprops=style, zorder=5)
+    ax.annotate("", xy=(end[0], end[1]), xytext=(start[0], start[1]), arrowprops=style, zorder=5)
 
 
-def label(ax: Axes, at: np.ndarray, text: str, colour: str, **options: object) -> None:
+def label(ax: Axes, at: np.ndarray, text: str, colour: str, **options: Any) -> None:
     """Text that stays legible over lines."""
     halo = {"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.85}
-    ax.text(*at, text, **{"color": colour, "ha": "center", "va": "center", "bbox": halo, "zorder": 6, **options})
+    ax.text(
+        at[0], at[1], text, **{"color": colour, "ha": "center", "va": "center", "bbox": halo, "zorder": 6, **options}
+    )
 
 
 def radar(ax: Axes, at: np.ndarray, looks: np.ndarray) -> None:
     """A radar at `at` whose beam goes along the unit vector `looks`."""
     angle = math.degrees(math.atan2(looks[1], looks[0]))
-    ax.add_patch(Wedge(at, 2.4, angle - 11, angle + 11, color=RADAR, alpha=0.25, lw=0, zorder=4))
-    ax.add_patch(Circle(at, 0.3, color=RADAR, zorder=6))
+    ax.add_patch(Wedge((at[0], at[1]), 2.4, angle - 11, angle + 11, color=RADAR, alpha=0.25, lw=0, zorder=4))
+    ax.add_patch(Circle((at[0], at[1]), 0.3, color=RADAR, zorder=6))
 
 
 def vehicle_seen_along(ax: Axes, triangles: np.ndarray, page: np.ndarray) -> np.ndarray:
@@ -96,7 +99,7 @@ def top_view(ax: Axes, triangles: np.ndarray) -> None:
     label(ax, 2.9 * to_radar + (-0.35, -0.6), "u", ANGLE)
     radius = 5.0
     ax.add_patch(
-        Arc(origin, 2 * radius, 2 * radius, theta1=-VIEW.azimuth_deg + 4, theta2=0, color=ANGLE, lw=1.6, zorder=4)
+        Arc((0, 0), 2 * radius, 2 * radius, theta1=-VIEW.azimuth_deg + 4, theta2=0, color=ANGLE, lw=1.6, zorder=4)
     )
     tip, before = (radius * np.array([math.cos(a), math.sin(a)])
                    for a in np.radians([-VIEW.azimuth_deg, -VIEW.azimuth_deg + 5]))  # fmt: skip
@@ -144,7 +147,7 @@ def side_view(ax: Axes, triangles: np.ndarray) -> None:
         start = plane + step * elevation
         length = min(start[1] / math.sin(theta), first_hit(start, range_, flat))
         ax.plot(*np.stack([start, start + length * range_]).T, color=FAINT, lw=0.6, zorder=1)
-        ax.add_patch(Circle(start, 0.07, color=RADAR, zorder=4))
+        ax.add_patch(Circle((start[0], start[1]), 0.07, color=RADAR, zorder=4))
     origin, antenna = np.zeros(2), -9.6 * range_
     radar(ax, antenna, range_)
     label(ax, np.add(antenna, (0.2, 0.7)), "radar", RADAR)
@@ -152,7 +155,7 @@ def side_view(ax: Axes, triangles: np.ndarray) -> None:
     arrow(ax, origin, -3.6 * range_, ANGLE)
     label(ax, -3.3 * range_ + (0.45, 0.35), "u", ANGLE)
     radius = 5.2
-    ax.add_patch(Arc(origin, 2 * radius, 2 * radius, theta1=180 - VIEW.grazing_deg, theta2=180, color=ANGLE, lw=1.6))
+    ax.add_patch(Arc((0, 0), 2 * radius, 2 * radius, theta1=180 - VIEW.grazing_deg, theta2=180, color=ANGLE, lw=1.6))
     half = math.radians(180 - VIEW.grazing_deg / 2)
     label(ax, (radius + 0.5) * np.array([math.cos(half), math.sin(half)]), "θ", ANGLE)
     arrow(ax, origin, 5.2 * elevation, RADAR)
@@ -162,7 +165,7 @@ def side_view(ax: Axes, triangles: np.ndarray) -> None:
     for step in np.arange(0.5, 5.0, 0.5):  # range cells
         ax.plot(*np.stack([step * range_ - 0.16 * elevation, step * range_ + 0.16 * elevation]).T, color=RADAR, lw=1.2)
     label(ax, 3.2 * range_ + (-1.5, -1.5), "imaging plane\n" + r"($x_r$, $z_r$)", RADAR, fontsize=10)
-    ax.add_patch(Circle(origin, 0.24, facecolor="white", edgecolor=RADAR, lw=1.4, zorder=6))
+    ax.add_patch(Circle((0, 0), 0.24, facecolor="white", edgecolor=RADAR, lw=1.4, zorder=6))
     for sign in (1, -1):
         ax.plot([-0.15, 0.15], [-0.15 * sign, 0.15 * sign], color=RADAR, lw=1.4, zorder=7)
     label(ax, np.array([-0.8, -0.65]), r"$x_r$", RADAR)

@@ -34,7 +34,7 @@ def main(files: list[str]) -> None:
     (flight,) = flights([read_gotcha(path) for path in files])
     (aperture,) = apertures(flight, np.zeros(3), None)
     figure = plt.figure(figsize=(12, 6.4), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=(2.2, 1))
+    ((left, right),) = figure.subfigures(1, 2, squeeze=False, width_ratios=(2.2, 1))
     draw_image(left.subplots(), aperture)
     for axes, along in zip(right.subplots(2, sharey=True), ("azimuth", "range"), strict=True):
         for name, weighting, colour in (("uniform", UNIFORM, "tab:gray"), ("taylor", Taylor(), "tab:blue")):

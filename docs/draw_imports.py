@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import sys
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -50,7 +51,7 @@ def levels(edges: Edges) -> dict[str, int]:
     return found
 
 
-def draw(axes: Axes, edges: Edges, colours: dict[str, object], size: float, *, names: bool) -> None:
+def draw(axes: Axes, edges: Edges, colours: Mapping[str, object], size: float, *, names: bool) -> None:
     """Every level a row; arrows run from what imports to what is imported."""
     rows: dict[int, list[str]] = defaultdict(list)
     for name, level in sorted(levels(edges).items(), key=lambda item: (room_of(item[0]), item[0])):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -44,7 +45,7 @@ def dataset(seed: int) -> Dataset:
     kinds = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
     mechanisms = Mechanisms(kinds, len(parts), np.array([*MATRICES.values()], np.complex128), NAMES)
     stack = Stack(0.24, (0.0,) * 3, noise=(NOISE,) * 3, polarisations=NAMES)
-    mesh, law = trimesh.util.concatenate(parts), ScatteringLaw(2.0, 0.0, 1.0)
+    mesh, law = cast("trimesh.Trimesh", trimesh.util.concatenate(parts)), ScatteringLaw(2.0, 0.0, 1.0)
     signals = [
         simulate_stack(
             mesh, view, GRID, stack, law, ground_gamma0=0.7, mechanisms=mechanisms, noise=NOISE, seed=100 * seed + k
@@ -68,7 +69,7 @@ def error(run: Run, name: str) -> float:
 
 def within(run: Run, name: str) -> np.ndarray:
     if name == "ground":
-        return sum(run.covariance_within(((*low, -LOW_M), (*high, LOW_M))) for low, high in OPEN)
+        return np.sum([run.covariance_within(((*low, -LOW_M), (*high, LOW_M))) for low, high in OPEN], axis=0)
     corner, side = BOXES[name]
     low, high = np.array(corner) - NEAR_M, np.array(corner) + side + NEAR_M
     low[2] = max(low[2], NEAR_M)  # what is lower may be ground
@@ -78,6 +79,7 @@ def within(run: Run, name: str) -> np.ndarray:
 def draw(run: Run) -> None:
     data = run.dataset
     stack = data.stacks[0]
+    assert data.signal is not None  # it is complex
     samples = data.signal[:, :, None] * data.signal[:, None].conj()
     shown = (0, 1, 3)
     figure, axes = plt.subplots(1, 2 * len(shown), figsize=(13, 2.7), sharey=True, layout="constrained")

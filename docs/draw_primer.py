@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -69,7 +70,7 @@ def beam(ax: Axes, u: np.ndarray, to: np.ndarray, length: float) -> None:
     label(ax, to + (length + 0.5) * u, "radar", RADAR, fontsize=11)
 
 
-def pair(height: float = 3.3, **options: float) -> tuple[Figure, np.ndarray]:
+def pair(height: float = 3.3, **options: Any) -> tuple[Figure, np.ndarray]:
     """A side view, and the image beside it."""
     return plt.subplots(1, 2, figsize=(WIDTH, height), layout="constrained", width_ratios=(1.25, 1), **options)
 
@@ -199,7 +200,9 @@ def gaussian_picture() -> Figure:
     page(side, (-6.5, 6.0), (-1.4, 8.0), "from the side")
     for (name, place), colour in zip(places.items(), LINES):
         for widths, alpha in ((1, 0.75), (2, 0.35), (3, 0.15)):
-            side.add_patch(Ellipse(place, 0.9 * widths, 0.9 * widths, color=colour, alpha=alpha, lw=0, zorder=3))
+            side.add_patch(
+                Ellipse((place[0], place[1]), 0.9 * widths, 0.9 * widths, color=colour, alpha=alpha, lw=0, zorder=3)
+            )
         label(side, place, name, "black", fontsize=11, bbox={"alpha": 0})
     depth = 2.0  # two-way, through the centre of each
     for offset in np.arange(-4.4, 2.0, 0.4):

@@ -19,10 +19,11 @@ from sarsplat import Run, View, reconstruct
 from sarsplat.cli.simulate import simulate
 from sarsplat.colours import ERROR, POWER, colormap
 from sarsplat.evaluation import Yardstick, read_truth_mesh, visible_surface
+from sarsplat.names import TargetName
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, brighter, to_db
 
 PICTURE = Path(__file__).parent / "images" / "reconstructions.png"
-VEHICLES = ("t72", "btr70", "2s1", "kraz")
+VEHICLES: tuple[TargetName, ...] = ("t72", "btr70", "2s1", "kraz")
 UNSEEN = View(120.0, 45.0)
 FARTHEST_M = 0.2  # larger distances look alike
 SAMPLES = 200_000
@@ -72,6 +73,7 @@ def main() -> None:
             run = reconstruct(Path(folder) / vehicle)
             dataset = run.dataset
             rays_m = Yardstick.of(dataset.grid).ray_spacing_m
+            assert dataset.truth_mesh is not None  # it was simulated
             mesh = read_truth_mesh(dataset.truth_mesh)
             surface = visible_surface(mesh, dataset.select("train").views, rays_m, samples=SAMPLES).samples
             show_images(row[:2], run)

@@ -7,7 +7,7 @@ figures/splat-against-raycast.png, prints the tables and fills them into docs/fo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,7 +54,7 @@ def splat(gaussians: Gaussians, faces: np.ndarray, spacing: float, farther: floa
         return render(gaussians, VIEWS, GRID, rays=rays, amplitudes=scattering, shift=shift).channel(0).numpy()
 
 
-def scores(truth: Sequence[np.ndarray], images: Sequence[np.ndarray]) -> np.ndarray:
+def scores(truth: Iterable[np.ndarray], images: Iterable[np.ndarray]) -> np.ndarray:
     """PSNR of every view, dB."""
     return np.array([psnr(a, b) for a, b in zip(truth, images, strict=True)])
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
 from sarsplat import Run, View, radar_frame
@@ -54,8 +55,8 @@ def drawn(run: Run, points: np.ndarray, normals: np.ndarray, view: View) -> Imag
     spacing_m = run.grid.spacing_m[0] / FINER
     grid = asked_grid(run.grid, None, spacing_m, None)
     decibels = to_db(run.render([view], grid)[0], run.brightest)
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.95), layout="constrained", facecolor=DARK.card)
-    figure.get_layout_engine().set(h_pad=0.12)  # inches: titles stay clear of the edge
+    layout = ConstrainedLayoutEngine(h_pad=0.12)  # inches: titles stay clear of the edge
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.95), layout=layout, facecolor=DARK.card)
     levels = {"cmap": colormap(POWER), "vmin": -DYNAMIC_RANGE_DB, "vmax": 0}
     left.imshow(decibels, extent=grid.extent_m, interpolation="bicubic", **levels)
     middle, reach_m = bounds(points)

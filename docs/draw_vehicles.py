@@ -113,7 +113,7 @@ def measured_chips() -> tuple[list[View], np.ndarray, np.ndarray]:
         views = dataset.select("train").views
         others = np.array([view.azimuth_deg for view in dataset.select("test-17").views])
         nearest = [np.abs((others - view.azimuth_deg + 180) % 360 - 180).argmin() for view in views]
-        return views, dataset.images("train"), dataset.images("test-17")[nearest]
+        return list(views), dataset.images("train"), dataset.images("test-17")[nearest]
 
 
 def compare() -> str:

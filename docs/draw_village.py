@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -31,7 +32,7 @@ FARTHEST_M = 0.3  # larger distances look alike
 SEEN_FROM = View(30.0, 40.0)
 
 
-def show(ax: Axes, places: np.ndarray, colour: np.ndarray, **how: object) -> PathCollection:
+def show(ax: Axes, places: np.ndarray, colour: np.ndarray, **how: Any) -> PathCollection:
     """Places as they look from there, what is nearer on top."""
     azimuth, grazing = np.radians([SEEN_FROM.azimuth_deg, SEEN_FROM.grazing_deg])
     towards, right = np.array([np.cos(azimuth), -np.sin(azimuth)]), np.array([np.sin(azimuth), np.cos(azimuth)])

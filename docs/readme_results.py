@@ -9,7 +9,6 @@ import os
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -20,6 +19,7 @@ from sarsplat import Run, View
 from sarsplat.colours import HEIGHT, POWER, colormap
 from sarsplat.evaluation import Yardstick, comparison, metrics_of_points, paper_scores, summary_metrics, visible_surface
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, to_db
+from sarsplat.reconstruction.run_folder import Metrics
 
 HERE = Path(__file__).parent
 README, PICTURE = HERE.parent / "README.md", HERE / "images" / "demo.png"
@@ -30,7 +30,7 @@ CROP = 40  # pixels left out on every side
 SHOWN_POINTS = 40_000  # of either cloud: a denser one would only look more solid
 
 
-def table(metrics: dict[str, Any]) -> str:
+def table(metrics: Metrics) -> str:
     """The scores of a run with one test set, as Markdown."""
     yardstick = Yardstick(metrics["parameters"]["yardstick_m"])
     points = {metric.key for metric in metrics_of_points(yardstick)}

@@ -18,6 +18,6 @@ images[0].save("first-image.png")  # decibels, axes in metres; in a notebook, `i
 dataset = Dataset.from_images(images, target="my vehicle")
 
 run = reconstruct(dataset, replace(preset("default"), iterations=150, gaussians=3000))  # out="run" keeps it on the disk
-print(f"{len(run.gaussians)} Gaussians, {len(run.points)} points; heights up to {np.ptp(run.points[:, 2]):.1f} m")
+print(f"{run.learned}, {len(run.points)} points; heights up to {np.ptp(run.points[:, 2]):.1f} m")
 unseen = SarImage(run.render([View(15.0, 45.0)])[0], View(15.0, 45.0), run.grid)
 unseen.save("unseen-view.png")

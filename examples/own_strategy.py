@@ -6,9 +6,11 @@ Usage: python own_strategy.py DATASET
 import sys
 
 import torch
+from torch import Tensor
 
 from sarsplat import reconstruct
-from sarsplat.reconstruction.strategies import State, Strategy, ops
+from sarsplat.reconstruction.optimiser import Optimiser
+from sarsplat.reconstruction.strategies import Info, State, Strategy, ops
 
 
 class KeepBrightest(Strategy):
@@ -17,11 +19,13 @@ class KeepBrightest(Strategy):
     def __init__(self, every: int, count: int) -> None:
         self.every, self.count = every, count
 
-    def initial_state(self, params):
+    def initial_state(self, params: dict[str, Tensor]) -> State:
         """Mean cross-section of each Gaussian, m²: a row for each, which follows when others move rows."""
         return State(rows={"sigma": torch.zeros(len(params["means"]))})
 
-    def step_post_backward(self, params, optimizers, state, step, info):
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
         """Sum up, and now and then remove all but the brightest."""
         state.rows["sigma"] += info.rendering.cross_sections[..., 0].mean(0)
         if step % self.every == 0 and len(state.rows["sigma"]) > self.count:
@@ -31,4 +35,4 @@ class KeepBrightest(Strategy):
 
 if __name__ == "__main__":
     run = reconstruct(sys.argv[1], "quick", strategies=[KeepBrightest(50, 2000)])
-    print(f"{len(run.gaussians)} Gaussians")
+    print(run.learned)

@@ -26,7 +26,7 @@ watched = View(20.0, 45.0)  # not trained on
 def watch(step: Step) -> bool:
     """Called after every step; True ends the training."""
     if step.iteration % 40 == 0:
-        image = render(step.trainer.gaussians, [watched], grid, rays=RayGrid.for_image(grid, 4)).channel(0)[0]
+        image = render(step.trainer.gaussians, [watched], grid, rays=RayGrid.for_image(grid, 4)).channel(0)[0].numpy()
         SarImage(image, watched, grid).save(f"step-{step.iteration:04d}.png")
         print(f"{step.iteration:4d}  loss {float(step.loss):.5f}")
         return bool(step.loss < 0.0005)

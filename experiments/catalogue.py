@@ -22,6 +22,11 @@ IMAGES = ("psnr_db", "psnr_target_db", "ssim", "lpips")
 POINTS = ("accuracy_m", "completeness_m", "cd_m", "precision@0.3", "recall@0.3", "f1@0.3", "f1@0.1")
 
 
+def _published(target: str) -> dict[str, float]:
+    """The paper's scores of a target."""
+    return {key: value for key, value in paper_scores(target).values.items() if value is not None}
+
+
 def _rendered(presets: tuple[str, ...]) -> tuple[Row, ...]:
     """Each vehicle with the paper's row, and the mean of all."""
     rows = []
@@ -29,7 +34,7 @@ def _rendered(presets: tuple[str, ...]) -> tuple[Row, ...]:
         for source, words in SOURCES.items():
             group = f"preset `{preset}`, {words}"
             for target in VEHICLES:
-                paper = paper_scores(target).values if target in PUBLISHED else {}
+                paper = _published(target) if target in PUBLISHED else {}
                 rows.append(Row(target, (scene(target, source=source),), preset, group=group, paper=paper))
             every = tuple(scene(target, source=source) for target in VEHICLES)
             rows.append(Row("mean", every, preset, group=group))
@@ -117,7 +122,7 @@ _TIMES = (
             f"preset `{name}`",
             T72,
             name,
-            paper={"time_s": paper_scores("t72").values["time_s"]} if name == "paper" else {},
+            paper={"time_s": _published("t72")["time_s"]} if name == "paper" else {},
         )
         for name in (*SHORT_TRAININGS, "paper")
     ),

@@ -32,7 +32,7 @@ def new_clutter(measured: Measured, which: np.ndarray, draw: Draw, work: Path) -
             ]
             clutter = middle(apart(run.masks(views))) == CLUTTER
             for place, mask in zip(np.flatnonzero(own), clutter, strict=True):
-                made[place] = _replaced(made[place], mask, speckle, np.random.default_rng([number, place]))
+                made[place] = _replaced(made[place], mask, speckle, np.random.default_rng([number, int(place)]))
         unfinished = path.with_suffix(".tmp.npy")
         np.save(unfinished, made)
         unfinished.replace(path)

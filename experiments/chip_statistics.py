@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -64,7 +65,7 @@ COLUMNS: dict[str, Callable[[Chips, Masks, Chips, Masks], float]] = {
     "alike in azimuth": lambda chips, masks, *_: alike(chips, masks, 2),
     "pixels above half": lambda chips, *_: bright_pixels(chips),
     f"share of DN ≤ {DARK}": lambda chips, *_: darkness(chips),
-    "target's histogram (dB)": lambda *both: histogram_distance_db(*both, TARGET),
-    "clutter's histogram (dB)": lambda *both: histogram_distance_db(*both, CLUTTER),
+    "target's histogram (dB)": partial(histogram_distance_db, label=TARGET),
+    "clutter's histogram (dB)": partial(histogram_distance_db, label=CLUTTER),
 }
 """Statistics of a set and its masks, with those of the measured chips that it should be like."""

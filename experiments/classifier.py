@@ -105,7 +105,7 @@ def _network(classes: int) -> nn.Module:
     for module in network:
         if isinstance(module, nn.Conv2d):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
-    return network.to(memory_format=torch.channels_last)
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch does not declare it
 
 
 def _reckon(network: nn.Module, measured: Source, chance: np.random.Generator) -> None:

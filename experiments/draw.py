@@ -6,6 +6,7 @@ from pathlib import Path
 from textwrap import fill
 
 import matplotlib.pyplot as plt
+import numpy as np
 from experiment import Experiment
 from matplotlib.axes import Axes
 from metrics import METRIC
@@ -50,7 +51,7 @@ def _against_x(ax: Axes, experiment: Experiment, finished: list[Line], key: str)
         spreads = [line.spreads[key] for line in members]
         if members:
             means, sds = [spread.mean for spread in spreads], [spread.sd or 0.0 for spread in spreads]
-            xs = [line.row.x for line in members]
+            xs = np.array([line.row.x for line in members], float)
             ax.errorbar(xs, means, sds, fmt="o-", ms=4, capsize=3, color=colour, label=group.replace("`", "") or "ours")
     published = [(line.row.x, line.row.paper[key]) for line in finished if key in line.row.paper]
     if published:

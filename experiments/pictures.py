@@ -75,5 +75,6 @@ def _draw(shown: Sequence[tuple[str, Path]], path: Path) -> None:
 
 def _around(bright: Bool[np.ndarray, "v rows columns"]) -> tuple[slice, slice]:
     """Rows and columns in which any of the images is bright, and some around them."""
-    rows, columns = (np.flatnonzero(bright.any(axis=axes)) for axes in ((0, 2), (0, 1)))
-    return tuple(slice(max(0, int(places[0]) - _RIM), int(places[-1]) + 1 + _RIM) for places in (rows, columns))
+    places = (np.flatnonzero(bright.any(axis=axes)) for axes in ((0, 2), (0, 1)))
+    rows, columns = (slice(max(0, int(there[0]) - _RIM), int(there[-1]) + 1 + _RIM) for there in places)
+    return rows, columns

@@ -15,6 +15,8 @@ from experiment import Experiment, Options, Row
 from runs import Finished
 
 from sarsplat import Dataset, import_mstar, read_dataset, target_mesh, write_dataset
+from sarsplat.baselines import BaselineMethod
+from sarsplat.baselines.baseline import BaselineConfig
 from sarsplat.data import read_masks
 from sarsplat.data.mesh import write_mesh
 from sarsplat.reconstruction import METHODS
@@ -81,8 +83,8 @@ def make(experiment: Experiment, work: Path, chips: Chips | None) -> None:
         elif chips is not None:
             options = {name: value for name, value in dataset.items() if name != "folded"}
             if dataset.get("folded"):
-                whole = import_mstar(chips.folder, folder.with_suffix(".whole"), labels=chips.labels, **options)
-                write_dataset(folder, folded(whole))
+                every = import_mstar(chips.folder, folder.with_suffix(".whole"), labels=chips.labels, **options)
+                write_dataset(folder, folded(every))
             else:
                 import_mstar(chips.folder, folder, labels=chips.labels, **options)
 
@@ -145,15 +147,22 @@ def _time_s(row: Row, runs: Sequence[Finished]) -> float | None:
     return statistics.fmean(times) if times else None
 
 
+def defaults(row: Row) -> BaselineConfig:
+    """Default settings of its method, which is a baseline."""
+    method = METHODS[row.method]
+    assert isinstance(method, BaselineMethod), f"{row.method} has presets instead"
+    return method.defaults
+
+
 def _iterations(row: Row) -> int:
-    """Of its training."""
-    return int(row.changes.get("iterations", METHODS[row.method].defaults.iterations))
+    """Of the training of a baseline."""
+    return int(row.changes.get("iterations", defaults(row).iterations))
 
 
 def shortened(row: Row) -> Mapping[str, Any]:
     """Settings of the same training in small: whatever counts iterations shrinks by the same factor."""
     if row.method != DEFAULT_METHOD:
-        voxels = {"surface_voxels": _FEW_VOXELS} if hasattr(METHODS[row.method].defaults, "surface_voxels") else {}
+        voxels = {"surface_voxels": _FEW_VOXELS} if hasattr(defaults(row), "surface_voxels") else {}
         return {"iterations": min(_FEW_ITERATIONS, _iterations(row)), **voxels}
     config = PRESETS["default" if row.preset == "auto" else row.preset].with_settings(row.changes)
     share = _QUICK_ITERATIONS / config.iterations

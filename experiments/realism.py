@@ -121,8 +121,8 @@ def line(name: str, sets: list[dict[str, tuple[np.ndarray, np.ndarray]]]) -> dic
     found["told apart (AUC)"] = None
     if name not in (TRAINING, LEFT_OUT):
         side = min(min(one[LEFT_OUT][0].shape[1:]) for one in sets)
-        both = [np.concatenate([_middle(one[kind][0], side) for one in sets]) for kind in (name, LEFT_OUT)]
-        found["told apart (AUC)"] = area_under_curve(*both)
+        own, others = (np.concatenate([_middle(one[kind][0], side) for one in sets]) for kind in (name, LEFT_OUT))
+        found["told apart (AUC)"] = area_under_curve(own, others)
     print(name, found, flush=True)
     return found
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does, before torch is loaded
@@ -23,7 +24,7 @@ from write import write, write_index
 
 from sarsplat import sweep
 from sarsplat.errors import SarsplatError
-from sarsplat.sweeps import Means
+from sarsplat.sweeps import Means, Result
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -66,7 +67,8 @@ def run(
     failed = []
     for experiment in chosen:
         print(f"{experiment.name}:", flush=True)
-        results, kept = [], out / f"{experiment.name}-runs.csv"
+        results: Sequence[Result] = ()
+        kept = out / f"{experiment.name}-runs.csv"
         if experiment.measured and chips is None:
             print("needs measured chips: give --chips and --labels", flush=True)
         elif not only_write:

@@ -20,6 +20,10 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fuzz_inputs import Reader
 
 _MAX_SECONDS = 1.0
 _FREE_BYTES = 64 << 20
@@ -70,8 +74,8 @@ def main() -> int:
         show(name, tally)
         total = Tally(
             *(getattr(total, key) + getattr(tally, key) for key in ("tried", "refused", "accepted", "failed")),
-            max(total.slowest_s, tally.slowest_s),
-            max(total.max_mib, tally.max_mib),
+            slowest_s=max(total.slowest_s, tally.slowest_s),
+            max_mib=max(total.max_mib, tally.max_mib),
         )
     show("all", total)
     return int(total.failed > 0)
@@ -146,7 +150,7 @@ def work(name: str, inputs: int, seed: int, keep: Path) -> None:
         atheris.Fuzz()
 
 
-def judge(reader: object, folder: Path, data: bytes, tally: Tally) -> str | None:
+def judge(reader: Reader, folder: Path, data: bytes, tally: Tally) -> str | None:
     """Read one input, add it to the tally, and return what was wrong with how it was taken."""
     path = folder / reader.file
     path.write_bytes(data)

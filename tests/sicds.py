@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -163,7 +163,8 @@ def of_version(data: bytes, version: str) -> bytes:
         xml = re.sub(r"<Coef ", '<Coef class="xs:double" ', xml)
         xml = re.sub(r"<(NumRows|SS|ModeType)>", r'<\1 class="xs:string">', xml)
     if version == "0.4.0":
-        start, rate, end = xml.partition("<DRateSFPoly")[0], *re.findall(r"(<DRateSFPoly.*</DRateSFPoly>)(.*)", xml)[0]
+        start = xml.partition("<DRateSFPoly")[0]
+        rate, end = re.findall(r"(<DRateSFPoly.*</DRateSFPoly>)(.*)", xml)[0]
         xml = start + re.sub(r' (order2|exponent2)="0"', "", rate) + end
     return with_xml(data, xml.encode())
 
@@ -209,7 +210,7 @@ def pixels(image: np.ndarray, recording: Recording) -> np.ndarray:
 
 @lru_cache(maxsize=40)
 @_deprecations_ignored()
-def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTree, object]:
+def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTree, Callable[[np.ndarray], np.ndarray]]:
     """The metadata, and the function from ECEF to (xrow, ycol) that the image follows."""
     scp, east_north_up = ecef(recording.offset), axes()
     arp, velocity = ecef(track.position()), track.velocity() @ east_north_up

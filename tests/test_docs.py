@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -219,7 +220,8 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open(module):
 def test_documented_metrics_are_those_of_the_registry():
     text = (ROOT / "docs" / "datasets-and-runs.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(images\.<set>|points\.<surface>)\.(.*?)` \| (.*) \|$", text, re.MULTILINE)
-    expected = [("images.<set>", metric.key, metric.definition) for metric in (*IMAGE_METRICS, *MASK_METRICS)]
+    every: tuple[Any, ...] = (*IMAGE_METRICS, *MASK_METRICS)
+    expected = [("images.<set>", metric.key, metric.definition) for metric in every]
     expected += [("points.<surface>", metric.key, metric.definition) for metric in metrics_of_points(Yardstick(0.3))]
     assert rows == expected
     assert re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE).count(("time_s", RUN_METRICS[0].definition)) == 1

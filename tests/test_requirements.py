@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import sys
 import tomllib
-from importlib.metadata import PackageMetadata, distribution
+from importlib.metadata import distribution
+from typing import Any
 
 from packaging.requirements import Requirement
 
@@ -17,7 +18,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 COPYLEFT = re.compile(r"[AL]?GPL|GNU (Affero |Lesser |Library )?General Public", re.IGNORECASE)
 
 
-def licence(metadata: PackageMetadata) -> str:
+def licence(metadata: Any) -> str:
     """What a distribution says of itself. A whole licence text may quote others, so only its beginning counts."""
     classifiers = [line for line in metadata.get_all("Classifier") or [] if line.startswith("License :: ")]
     return metadata.get("License-Expression") or "; ".join(classifiers) or (metadata.get("License") or "").strip()[:200]

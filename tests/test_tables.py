@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from sarsplat import ImageGrid, View, import_mstar, sweep
 from sarsplat.cli.arguments import views_from
 from sarsplat.cli.simulate import simulate
 from sarsplat.evaluation import Yardstick, all_metrics
-from sarsplat.reconstruction import METHODS, preset
+from sarsplat.reconstruction import preset
 from sarsplat.sweeps import EXECUTORS, Means
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.plan import Plan
@@ -46,7 +47,7 @@ def row(made: SimpleNamespace, label: str, targets: tuple[str, ...] = ("t72",), 
 
 
 def finished(
-    line: object, seed: int, cd_m: float, f1: float | None = 0.9, older: bool = False, time_s: float = 1.0
+    line: Any, seed: int, cd_m: float, f1: float | None = 0.9, older: bool = False, time_s: float = 1.0
 ) -> Result:
     """What a sweep says of a run of this row."""
     scores = {"images.test.psnr_db": 40.0, "points.visible.cd_m": cd_m, "points.visible.f1@0.1": 0.5, "time_s": time_s}
@@ -57,7 +58,7 @@ def finished(
     return Result(cell, row, older)
 
 
-def waiting(line: object, seed: int) -> Result:
+def waiting(line: Any, seed: int) -> Result:
     return Result(SimpleNamespace(labels={"part": line.name}, seed=seed), None)
 
 
@@ -78,7 +79,7 @@ def test_every_experiment_can_be_run_and_reported(made):
         for line in found.rows:
             assert set(line.paper) <= keys
             start = preset("default" if line.preset == "auto" else line.preset)
-            start = start if line.method == "sar-gs" else METHODS[line.method].defaults
+            start = start if line.method == "sar-gs" else made.plans.defaults(line)
             for changes in (line.changes, made.plans.shortened(line)):
                 assert start.with_settings(changes)
             if found.name.endswith("terms"):

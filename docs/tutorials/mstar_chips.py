@@ -114,7 +114,7 @@ dataset[0]
 
 # %%
 run = reconstruct(dataset, replace(preset("measured"), iterations=200), quiet=True)
-f"{len(run.gaussians)} Gaussians, {len(run.points)} points, {run.time_s:.0f} s"
+f"{run.learned}, {len(run.points)} points, {run.time_s:.0f} s"
 
 # %%
 test = dataset.splits()[-1]

@@ -57,16 +57,20 @@ def decibels(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
 
 # %%
 settings = replace(preset("default"), iterations=150, gaussians=3000)
+
+
+def trained(loss):
+    curve = []
+
+    def watch(step):
+        curve.append(float(step.loss))
+
+    return reconstruct(dataset, settings, loss=loss, quiet=True, on_step=watch), curve
+
+
 runs, curves = {}, {}
 for name, loss in (("the preset's", None), ("decibels", decibels)):
-    curve = curves[name] = []
-    runs[name] = reconstruct(
-        dataset,
-        settings,
-        loss=loss,
-        quiet=True,
-        on_step=lambda step, curve=curve: curve.append(float(step.loss)) and None,
-    )
+    runs[name], curves[name] = trained(loss)
 
 figure, ax = plt.subplots(figsize=(6, 2.8), layout="constrained")
 for name, curve in curves.items():

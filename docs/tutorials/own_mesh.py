@@ -29,9 +29,7 @@ cabin = trimesh.creation.box(extents=(2.4, 1.8, 1.4))
 cabin.apply_translation((-1.2, 0, 1.9))
 mast = trimesh.creation.cylinder(radius=0.12, height=2.4)
 mast.apply_translation((-1.2, 0, 3.8))
-mesh = trimesh.util.concatenate(
-    [hull, cabin, mast]
-)  # yours: trimesh.load_mesh("boat.obj")
+mesh = hull + cabin + mast  # yours: trimesh.load_mesh("boat.obj")
 mesh.bounds
 
 # %% [markdown]
@@ -66,11 +64,13 @@ images[1]
 # %%
 dataset = Dataset.from_images(images, test=unseen, target="boat")
 run = reconstruct(dataset, "quick", quiet=True)
-f"{len(run.gaussians)} Gaussians, {len(run.points)} points, {run.time_s:.0f} s"
+f"{run.learned}, {len(run.points)} points, {run.time_s:.0f} s"
 
 # %%
 figure, axes = plt.subplots(2, 4, figsize=(9, 4.8), layout="constrained")
-for row, pictures in zip(axes, ([image.power for image in unseen], run.render(test))):
+for row, pictures in zip(
+    axes, ([image.power for image in unseen], list(run.render(test)))
+):
     for ax, power, view in zip(row, pictures, test):
         ax.imshow(
             10 * np.log10(power / run.brightest + 1e-6), cmap="gray", vmin=-40, vmax=0

@@ -145,7 +145,7 @@ f"{len(capon)} points"
 
 # %%
 run = reconstruct(dataset, quiet=True)
-f"{len(run.gaussians)} Gaussians, {len(run.points)} points, {run.time_s:.0f} s"
+f"{run.learned}, {len(run.points)} points, {run.time_s:.0f} s"
 
 # %%
 rendered = run.render_covariances([view], stack)[0]
@@ -198,10 +198,10 @@ plt.show()
 
 # %%
 scores = evaluate_run(run, quiet=True)
-for name, points in (("Capon", "capon"), ("reconstruction", "points")):
-    found = scores[points]["visible"]
-    near = [f"{found[key]:.3f} within {key[3:]} m" for key in found if "f1@" in key]
-    print(f"{name:15s} F1 {', '.join(near)}")
+for name, whose in (("Capon", "capon"), ("reconstruction", "points")):
+    found = scores[whose]["visible"]
+    close = [f"{found[key]:.3f} within {key[3:]} m" for key in found if "f1@" in key]
+    print(f"{name:15s} F1 {', '.join(close)}")
 
 # %% [markdown]
 # `write_report(run, "building.html")` writes a page with the phase, the coherence and a

@@ -5,9 +5,10 @@ from typing import Annotated
 
 import tyro
 
+from sarsplat import Dataset, View
 from sarsplat.cli.arguments import Folder
 from sarsplat.cli.importers import Contents, Recognised
-from sarsplat.exports import Format
+from sarsplat.exports import Format, Points
 
 
 def import_arrays(
@@ -19,11 +20,10 @@ def import_arrays(
     return carry_out(read_arrays, file, out, overwrite=overwrite, spacing=spacing)
 
 
-def read_arrays(file: Path, out: Path, *, spacing: float, overwrite: bool):
+def read_arrays(file: Path, out: Path, *, spacing: float, overwrite: bool) -> Dataset:
     """The same in Python: the dataset, written to `out`."""
     import numpy as np
 
-    from sarsplat import View
     from sarsplat.importers import MeasuredImage, dataset_of, write_imported
 
     arrays, cell = np.load(file), (spacing, spacing)
@@ -41,7 +41,7 @@ def recognise(contents: Contents) -> Recognised | None:
     return Recognised("stacks of images", {}, command.format(stacks[0]), certainty=0.5) if stacks else None
 
 
-def write_csv(points, path: Path, colour: str) -> None:
+def write_csv(points: Points, path: Path, colour: str) -> None:
     """The points of a run, m, as text."""
     lines = ["x,y,z", *(",".join(f"{number:.4f}" for number in point) for point in points.positions)]
     path.write_text("\n".join(lines) + "\n")

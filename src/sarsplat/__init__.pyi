@@ -1,6 +1,8 @@
 """What `sarsplat` offers, by the folder that defines it: read by type checkers, and when the package is imported."""
 # ruff: isort: skip_file
 
+__all__: list[str]
+
 from .data import (
     Dataset as Dataset,
     DatasetEntry as DatasetEntry,

@@ -88,7 +88,7 @@ def test_the_number_of_threads_changes_no_bit(scene_and_images, threads):
     results = []
     for count in (1, 3):
         threads(count)
-        model, losses = trained(*scene_and_images, 2)
+        model, losses = trained(*scene_and_images, steps=2)
         results.append((losses, model.moved.detach().clone()))
     assert results[0][0] == results[1][0]
     assert torch.equal(results[0][1], results[1][1])

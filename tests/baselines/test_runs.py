@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,17 +16,19 @@ import torch
 from scipy.spatial import cKDTree
 
 from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, reconstruct, write_report
+from sarsplat.baselines import BaselineMethod
 from sarsplat.cli.app import run as command
 from sarsplat.data import read_points_ply, write_points_ply
 from sarsplat.evaluation.points import surface_distance
 from sarsplat.reconstruction import METHODS
 
+BASELINES = cast("Mapping[str, BaselineMethod]", METHODS)
 SHORT = {"sar-nerf": 2, "sar-nerf-grid": 12, "dsr": 6}
 EVERY = pytest.mark.parametrize("method", SHORT)
 
 
 def short(method: str):
-    settings = METHODS[method].defaults
+    settings = BASELINES[method].defaults
     coarse = {"surface_voxels": 24} if hasattr(settings, "surface_voxels") else {}
     few = {"rays": 4} if hasattr(settings, "rays") else {}
     return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **coarse, **few)
@@ -111,7 +114,7 @@ def test_its_run_is_rendered_scored_and_shown(method, tmp_path, run_of):
 def test_a_box_on_the_ground_is_found(method, quick, most, most_m, dataset):
     """In unseen images, of cells of 0.3 m, and as a surface; the perceptron would take hours."""
     masks = dataset.path / "masks" if method == "dsr" else None
-    settings = replace(METHODS[method].defaults, **quick)
+    settings = replace(BASELINES[method].defaults, **quick)
     run = reconstruct(dataset, settings, method=method, masks=masks, device="cpu", quiet=True)
     test = dataset.select("test")
     true = np.sqrt(test.power)
@@ -210,7 +213,10 @@ def test_what_the_surface_is_made_of_is_kept(tmp_path, run_of):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"preset": METHODS["dsr"].defaults}, "the settings are a DsrConfig; sar-nerf-grid takes a SarNerfGridConfig"),
+        (
+            {"preset": BASELINES["dsr"].defaults},
+            "the settings are a DsrConfig; sar-nerf-grid takes a SarNerfGridConfig",
+        ),
         ({"masks": "masks"}, "sar-nerf-grid uses no masks; omit 'masks', or choose a method that does"),
         ({"preset": "paper"}, "sar-nerf-grid has no presets, so 'paper' is unknown"),
         ({"loss": len}, "sar-nerf-grid uses no loss; omit "),

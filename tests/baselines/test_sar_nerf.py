@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ class Given(Field):
         return self.functions[0](places)
 
 
-def model(what, settings) -> SarNerf:
+def model(what, settings) -> Any:
     return (SarNerfGrid if isinstance(settings, SarNerfGridConfig) else SarNerf)(what, settings)
 
 

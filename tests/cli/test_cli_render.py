@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,6 +34,7 @@ def frames_of(path: Path) -> list[np.ndarray]:
             frames.append(read[1].mean(axis=2))
         return frames
     frames = []
+    animation: Any
     with Image.open(path) as animation:
         assert animation.info["loop"] == 0  # for ever
         for number in range(animation.n_frames):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -30,7 +32,7 @@ def test_from_heights_to_a_reconstruction(tmp_path, geotiff, capsys):
     words = ["--preset", "quick", "--iterations", "20", "--out", str(run)]
     assert main(["reconstruct", str(data), *words]) == 0
     loaded = Run.load(run)
-    kept = loaded.model.ground().height_m
+    kept: Any = loaded.model.ground().height_m
     assert np.array_equal(kept.heights_m, dataset.terrain.heights_m)
     assert (
         loaded.gaussians.means[:, 2].numpy() >= kept.height_m(*loaded.gaussians.means[:, :2].numpy().T) - 1e-5

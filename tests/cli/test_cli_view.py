@@ -58,7 +58,9 @@ def test_a_port_in_use_is_one_sentence(folder, refused):
 
 
 def test_gaussians_in_a_file_are_shown(tmp_path, said, monkeypatch):
-    gaussians = Gaussians(*(torch.ones(2, k) for k in (3, 4, 3)), torch.ones(2), Harmonics(torch.ones(2, 1)))
+    gaussians = Gaussians(
+        *(torch.ones(2, k) for k in (3, 4, 3)), optical_depth=torch.ones(2), scattering=Harmonics(torch.ones(2, 1))
+    )
     write_gaussians_ply(tmp_path / "g.ply", gaussians)
 
     def interrupt(_: float) -> None:

@@ -290,7 +290,7 @@ def test_scores_do_not_depend_on_the_scale(tmp_path, scale):
     generator = np.random.default_rng(0)
     truth, rendered = (generator.exponential(size=(2, 64, 64)).astype(np.float32) + 1 for _ in range(2))
     faint = [(power * np.float32(scale)).astype(np.float32) for power in (truth, rendered)]
-    assert psnr_db(*faint, float(np.sqrt(faint[0].max()))) == pytest.approx(
+    assert psnr_db(*faint, reference_amplitude=float(np.sqrt(faint[0].max()))) == pytest.approx(
         psnr_db(truth, rendered, float(np.sqrt(truth.max()))), abs=1e-3
     )
     assert log_correlation(*faint) == pytest.approx(log_correlation(truth, rendered), abs=1e-3)

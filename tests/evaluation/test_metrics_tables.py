@@ -133,9 +133,10 @@ def test_without_test_views_the_points_have_their_row():
 def test_the_table_fits_a_terminal(speckled):
     some = IMAGE_METRICS[4:] if speckled else IMAGE_METRICS[:4]
     every = {metric.key: 53.712 if metric.unit == "dB" else 0.98765 for metric in some}
-    console = Console(file=io.StringIO(), width=80)
+    shown = io.StringIO()
+    console = Console(file=shown, width=80)
     console.print(table(metrics(**{"test-17": every})))
-    printed = console.file.getvalue()
+    printed = shown.getvalue()
     figures = ("0.988", "0.988") if speckled else ("53.71", "0.9877")
     for figure in (*figures, "0.0741", "0.983", "0.765", "62", "sar-gs, test-17"):
         assert figure in printed

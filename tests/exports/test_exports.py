@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def test_gaussians_come_back_exactly_whatever_their_colour(run: Run, tmp_path: P
 def test_meshes_are_read_by_trimesh(run: Run, tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"mesh.{ending}"
     assert "triangles, metres" in export(run, path, "mesh").summary
-    read = trimesh.load(path, force="mesh")  # a scene's nodes applied
+    read: Any = trimesh.load(path, force="mesh")  # a scene's nodes applied
     expected = run.mesh()
     (x0, y0, z0), (x1, y1, z1) = expected.bounds
     upright = [(x0, z0, -y1), (x1, z1, -y0)] if ending == "glb" else expected.bounds  # y is up in glTF
@@ -62,7 +63,7 @@ def test_meshes_are_read_by_trimesh(run: Run, tmp_path: Path, ending: str) -> No
 
 def test_points_are_read_by_trimesh(run: Run, tmp_path: Path) -> None:
     export(run, tmp_path / "points.ply", "points")
-    read = trimesh.load(tmp_path / "points.ply")
+    read: Any = trimesh.load(tmp_path / "points.ply")
     np.testing.assert_array_equal(np.float32(read.vertices), run.points)
     values = read.metadata["_ply_raw"]["vertex"]["data"]
     np.testing.assert_array_equal(np.ravel(values["gamma0"]), run.points_gamma0)

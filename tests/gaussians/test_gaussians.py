@@ -93,4 +93,4 @@ def test_whole_numbers_are_refused_in_a_right_sentence() -> None:
     with pytest.raises(
         SarsplatError, match=r"^means is torch.int64; give floating-point numbers, such as torch.float32$"
     ):
-        Gaussians(*list(whole.values())[:4], Harmonics(whole["scattering"]))
+        Gaussians(*list(whole.values())[:4], scattering=Harmonics(whole["scattering"]))

@@ -25,7 +25,7 @@ def wave(rows: int, columns: int, spacing: tuple[float, float], center=(0.0, 0.0
 def measured(index: int, count: int = 4, shape=(40, 44), spacing=(0.15, 0.17), center=(0.0, 0.0), **fields):
     pixels = fields.pop("pixels", None)
     if pixels is None:
-        pixels = wave(*shape, spacing, center) * (1 + index)
+        pixels = wave(*shape, spacing=spacing, center=center) * (1 + index)
     view = View(index * 360 / count, 20.0)
     return MeasuredImage(f"{index}.img", pixels, view, spacing, RESOLUTION, center, **fields)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -113,7 +114,8 @@ def test_simulated_polarisations_come_back_and_are_learned_from(tmp_path):
     np.testing.assert_array_equal(made.signal, np.stack(signals))
     assert made.stacks == (stack, stack)
     run = reconstruct(made, replace(preset("polarimetric"), iterations=2), quiet=True)
-    assert run.gaussians.scattering.polarisations == stack.polarisations
+    law: Any = run.gaussians.scattering
+    assert law.polarisations == stack.polarisations
 
 
 def test_stacks_lie_as_single_images_do(tmp_path):

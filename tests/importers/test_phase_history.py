@@ -217,7 +217,7 @@ def test_the_command(files, tmp_path, capsys):
 @needs_measured
 def test_measured_pulses_are_sharp_and_the_autofocus_makes_them_so():
     path = next(MEASURED.glob("*az001*.mat"))
-    (found,) = apertures(*flights([read_gotcha(path)]), ORIGIN, None)
+    (found,) = apertures(*flights([read_gotcha(path)]), around_m=ORIGIN, width_deg=None)
     grid = ImageGrid(60, 60, (0.3, 0.3), (0.3, 0.3), (-21.0, 10.5))  # around a calibration target
     as_flown = read_mat(path)["data"]
     raw = replace(

@@ -144,7 +144,9 @@ def test_ground_is_in_shadow_if_half_of_its_light_is_taken(depth, hidden):
 
 
 def test_the_maps_of_nothing_are_empty():
-    nothing = Gaussians(*(torch.zeros(0, k) for k in (3, 4, 3)), torch.zeros(0), Harmonics(torch.zeros(0, 1)))
+    nothing = Gaussians(
+        *(torch.zeros(0, k) for k in (3, 4, 3)), optical_depth=torch.zeros(0), scattering=Harmonics(torch.zeros(0, 1))
+    )
     maps = radar_maps(Surface(nothing, np.zeros((0, 3))), VIEW, GRID)
     assert np.isnan(maps.height_m).all()
     assert not maps.shadow.any()

@@ -90,11 +90,11 @@ def test_azimuths_known_exactly_are_left_alone(images: np.ndarray) -> None:
     known = labelled(images, AROUND, np.zeros(len(images)))
     short = replace(CONFIG, iterations=10)
     never = replace(short, surroundings=Surroundings(azimuth_rounds=0))
-    run, never = (reconstruct(known, config, quiet=True) for config in (short, never))
+    run, other = (reconstruct(known, config, quiet=True) for config in (short, never))
     assert not run.azimuth_offset_deg.any()
     assert run.snapshot.views == known.views
-    assert run.snapshot.tensors.keys() == never.snapshot.tensors.keys()
-    assert all(torch.equal(tensor, never.snapshot.tensors[name]) for name, tensor in run.snapshot.tensors.items())
+    assert run.snapshot.tensors.keys() == other.snapshot.tensors.keys()
+    assert all(torch.equal(tensor, other.snapshot.tensors[name]) for name, tensor in run.snapshot.tensors.items())
 
 
 def around(best: Float64[np.ndarray, " k"], std: float, labels: Sequence[float]):

@@ -150,7 +150,7 @@ def test_what_floats_is_left_out(ball: Ball) -> None:
 def test_lengths_are_those_of_the_resolution_cell(ball: Ball) -> None:
     """A scene ten times as large, seen by a radar ten times as coarse, has the same mesh, ten times as large."""
     tenfold = Seen(ball.seen.means * 10, *(getattr(ball.seen, name) for name in ("cross_section", "lit_area")),
-                   ball.seen.towards, ball.seen.radius_m * 10)  # fmt: skip
+                   towards=ball.seen.towards, radius_m=ball.seen.radius_m * 10)  # fmt: skip
     large = surface_mesh(ball.points * 10, ball.normals, tenfold, GRID.cell_m * 10)
     assert len(large.faces) == pytest.approx(len(ball.mesh.faces), rel=0.01)
     assert large.area == pytest.approx(100 * ball.mesh.area, rel=0.01)

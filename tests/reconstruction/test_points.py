@@ -148,7 +148,7 @@ def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(
 ) -> None:
     """The ball's cost has a limit, whatever rays and views are asked for."""
     counted: list[int] = []
-    first_returns = _FirstReturns.of.__func__
+    first_returns = vars(_FirstReturns)["of"].__func__
 
     def counting(cls: type, *arguments: object) -> _FirstReturns:
         returns = first_returns(cls, *arguments)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,7 +105,7 @@ def test_it_is_scored_shown_and_kept(run):
     page = write_report(run, quiet=True).read_text()
     assert "HH − VV" in page
     assert "azimuth 270°" in page
-    law = read_gaussians_ply(run.path / "gaussians.ply").scattering
+    law: Any = read_gaussians_ply(run.path / "gaussians.ply").scattering
     assert law.polarisations == POLARISATIONS
     assert torch.equal(law.parameters, run.gaussians.scattering.parameters)
     loaded = Run.load(run.path)

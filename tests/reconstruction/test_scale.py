@@ -51,8 +51,8 @@ def test_a_scaled_scene_is_learned_alike(original: Run, dataset: Dataset, factor
     assert np.median(off) < 0.15
     assert np.quantile(off, 0.95) < 0.8
     for name in ("means", "shift") if original.config.surroundings else ("means",):
-        actual, expected = (run.model.parameters[name].detach() for run in (scaled, original))
-        assert float((actual / factor - expected).norm() / expected.norm()) < 0.01, name
+        ours, theirs = (run.model.parameters[name].detach() for run in (scaled, original))
+        assert float((ours / factor - theirs).norm() / theirs.norm()) < 0.01, name
 
 
 def test_what_was_chosen_is_told_in_one_line(dataset: Dataset, capsys: pytest.CaptureFixture[str]) -> None:

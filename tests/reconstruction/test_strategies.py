@@ -134,11 +134,15 @@ def begun() -> tuple[dict[str, Tensor], Optimiser, State]:
 
 WHICH = torch.tensor([False, True, False])
 OPERATIONS: dict[str, tuple[Callable[..., Tensor], list[int], list[bool]]] = {
-    "remove": (lambda *a: ops.remove(*a, WHICH), [0, 2], [True, True]),
-    "duplicate": (lambda *a: ops.duplicate(*a, WHICH), [0, 1, 2, 1], [True, True, True, False]),
-    "split": (lambda *a: ops.split(*a, WHICH, torch.Generator()), [0, 2, 1, 1], [True, True, False, False]),
+    "remove": (lambda *a: ops.remove(*a, gone=WHICH), [0, 2], [True, True]),
+    "duplicate": (lambda *a: ops.duplicate(*a, which=WHICH), [0, 1, 2, 1], [True, True, True, False]),
+    "split": (
+        lambda *a: ops.split(*a, which=WHICH, generator=torch.Generator()),
+        [0, 2, 1, 1],
+        [True, True, False, False],
+    ),
     "relocate": (
-        lambda *a: ops.relocate(*a, torch.tensor([0]), torch.tensor([1]), torch.Generator()),
+        lambda *a: ops.relocate(*a, idle=torch.tensor([0]), strong=torch.tensor([1]), generator=torch.Generator()),
         [1, 1, 2],
         [False, False, True],
     ),

@@ -64,7 +64,7 @@ def render_nothing(
 ) -> Rendering:
     """As far as shapes, devices and autograd are concerned, a renderer for the device that has no memory."""
     count, device = (len(views), len(gaussians)), gaussians.means.device
-    level = sum(tensor.sum() for tensor in gaussians.tensors().values())
+    level: Any = sum(tensor.sum() for tensor in gaussians.tensors().values())
     if ground is not None:
         level = level + ground.gamma0.sum() + ground.exponent.sum()
     images = level.expand(len(views), 1, grid.rows, grid.columns)

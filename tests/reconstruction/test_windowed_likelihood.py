@@ -23,7 +23,9 @@ CASES = {  # passes, planes of pairs, window, rows, columns
 }
 
 
-def made(passes: int, pairs: int, window: int, rows: int, columns: int) -> tuple[ExpectedStacks, ...]:
+def made(
+    passes: int, pairs: int, window: int, rows: int, columns: int
+) -> tuple[ExpectedStacks, torch.Tensor, torch.Tensor]:
     """What is expected, float32 leaves; phases to be taken out; and packed samples."""
     g, views = torch.Generator().manual_seed(passes), 2
     size = (rows, columns)
@@ -61,7 +63,7 @@ def test_value_and_gradients_are_those_of_plain_torch(case):
     window, double = CASES[case][2], in_double(expected)
     values, gradients = [], []
     for each, *others in ((expected, level, samples), (double, level.double(), samples.double())):
-        value = windowed_nats(each, *others, window)
+        value = windowed_nats(each, *others, window=window)
         values.append(value.item())
         found = torch.autograd.grad(1.7 * value, leaves(each), allow_unused=True)
         gradients.append([torch.zeros(1) if one is None else one for one in found])

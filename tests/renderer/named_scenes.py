@@ -55,7 +55,9 @@ class Scene:
         """Render with these leaves."""
         fields = self.gaussians.tensors()
         own = {name: leaves.get(name, tensor.to(leaves["means"])) for name, tensor in fields.items()}
-        arguments = {name: leaves[name] for name in ("amplitudes", "shift", "gain") if name in leaves}
+        arguments: dict[str, object] = {
+            name: leaves[name] for name in ("amplitudes", "shift", "gain") if name in leaves
+        }
         if self.ground is not None:
             levels = {name: leaves[f"ground.{name}"] for name in ("gamma0", "exponent") if f"ground.{name}" in leaves}
             arguments["ground"] = replace(self.ground, **levels)

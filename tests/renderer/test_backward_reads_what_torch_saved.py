@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -29,7 +30,7 @@ def images(*parameters: torch.Tensor, output: str = "images") -> torch.Tensor:
     return getattr(render(scene(*(tensor * 1.0 for tensor in parameters)), VIEWS, GRID, engine="cpu"), output)
 
 
-def gradients(rendered: torch.Tensor, parameters: list[torch.Tensor], **options: bool) -> tuple[torch.Tensor, ...]:
+def gradients(rendered: torch.Tensor, parameters: list[torch.Tensor], **options: Any) -> tuple[torch.Tensor, ...]:
     _litter = [torch.full((300, k), 7.0) for k in (1, 3, 4, 16) for _ in range(8)]  # over what was freed
     return torch.autograd.grad(rendered.square().flatten(1).sum(1).sum(0), parameters, **options)
 

@@ -31,7 +31,9 @@ def scene(
     f = torch.float32
     law = Harmonics(torch.full((n, 1), -100.0), gamma0)
     depths = torch.as_tensor(np.broadcast_to(depth, n).copy(), dtype=f)
-    return Gaussians(*(torch.as_tensor(a, dtype=f) for a in (means, quaternions, scales)), depths, law)
+    return Gaussians(
+        *(torch.as_tensor(a, dtype=f) for a in (means, quaternions, scales)), optical_depth=depths, scattering=law
+    )
 
 
 def sheet(size: float, normal: np.ndarray, pitch: float, reach: float) -> Gaussians:
@@ -88,7 +90,7 @@ def slab(height: float, extinction: float, gamma0: float, of_ground: float, graz
     fields = [
         torch.cat([getattr(g, name) for g in laws]) for name in ("means", "quaternions", "scales", "optical_depth")
     ]
-    return Gaussians(*fields, Harmonics(_softplus_inverse(amplitudes)[:, None] / 0.28209479, 0.0))
+    return Gaussians(*fields, scattering=Harmonics(_softplus_inverse(amplitudes)[:, None] / 0.28209479, 0.0))
 
 
 def _softplus_inverse(x: torch.Tensor) -> torch.Tensor:

@@ -11,7 +11,9 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import cpu, render
 
-GAUSSIANS = Gaussians(*(torch.ones(1, k) for k in (3, 4, 3)), torch.ones(1), Harmonics(torch.ones(1, 1)))
+GAUSSIANS = Gaussians(
+    *(torch.ones(1, k) for k in (3, 4, 3)), optical_depth=torch.ones(1), scattering=Harmonics(torch.ones(1, 1))
+)
 VIEWS = [View(azimuth, 40.0) for azimuth in range(0, 360, 15)]
 GRID = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
 

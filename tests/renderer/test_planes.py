@@ -40,7 +40,7 @@ def test_cross_sections_of_pairs_and_gradients_are_those_of_plain_torch(count, p
     for engine, dtype in (("cpu", torch.float32), ("reference", torch.float64)):
         own = [each.to(dtype).requires_grad_() for each in inputs]
         law = Harmonics(torch.ones(count, 1, dtype=dtype))
-        scene = Gaussians(*own[:3], torch.ones(count, dtype=dtype), law)
+        scene = Gaussians(*own[:3], optical_depth=torch.ones(count, dtype=dtype), scattering=law)
         pixels = Footprints(torch.zeros(v, count, 2, dtype=dtype), own[3])
         outputs = elevated(scene, VIEWS, pixels, numbers, own[4], own[5] if imaginary else None, engine)
         gradients = torch.autograd.grad(outputs, own, [each.to(dtype) for each in cotangents])
@@ -91,7 +91,7 @@ def test_the_reference_agrees():
     gaussians = scene(False)
     double = Gaussians(
         *(getattr(gaussians, name).double() for name in ("means", "quaternions", "scales", "optical_depth")),
-        Harmonics(gaussians.scattering.parameters.double()),
+        scattering=Harmonics(gaussians.scattering.parameters.double()),
     )
     own = render_covariances(gaussians, VIEWS, GRID, stack)
     true = render_covariances(double, VIEWS, GRID, stack, engine="reference")

@@ -2,6 +2,7 @@
 
 import base64
 import io
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from sarsplat.report.window import target_window
 
 def test_grey_levels_of_the_png() -> None:
     power = np.array([[100.0, 1.0], [0.01, 0.0]])  # 0, −20, −40 dB and nothing
-    picture = Image.open(io.BytesIO(decibel_png(power, Look(100.0))))
+    picture: Any = Image.open(io.BytesIO(decibel_png(power, Look(100.0))))
     assert np.asarray(picture).tolist() == [[255, 128], [0, 0]]
     assert "-40 dB" in picture.text["Description"]
 

@@ -203,7 +203,7 @@ def test_what_is_refused(run: Run) -> None:
         with pytest.raises(SarsplatError, match=r"scatterers is .*; give a number above 0, or inf"):
             run.sample(VIEW, scatterers=few)
     parts = (torch.ones(1, columns) for columns in (3, 4, 3))
-    own = Run.from_gaussians(Gaussians(*parts, torch.ones(1), Harmonics(torch.ones(1, 1))))
+    own = Run.from_gaussians(Gaussians(*parts, optical_depth=torch.ones(1), scattering=Harmonics(torch.ones(1, 1))))
     with pytest.raises(SarsplatError, match="was learned without speckle"):
         own.sample(VIEW)
 

@@ -7,6 +7,7 @@ import io
 import json
 import tarfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -144,10 +145,15 @@ def test_another_set_is_not_gone_on_with_and_not_lost(
 
 def test_numbers_of_numpy_make_the_same_files(run: Run, tmp_path: Path) -> None:
     angles = {"azimuths_deg": (angle for angle in np.arange(0, 360, 90)), "grazing_deg": np.array([16, 17])}
-    numbers = {"count": np.int64(3), "seed": np.int64(2), "crop": np.uint8(20), "jpeg_quality": np.uint8(80)}
+    numbers: dict[str, Any] = {
+        "count": np.int64(3),
+        "seed": np.int64(2),
+        "crop": np.uint8(20),
+        "jpeg_quality": np.uint8(80),
+    }
     made = chips([run], **angles, **numbers, scatterers=np.float32(3))
     write_chips(made, tmp_path / "set", shard=np.int64(2))
-    plain = {name: int(number) for name, number in numbers.items()}
+    plain = {name: number.item() for name, number in numbers.items()}
     made = chips([run], azimuths_deg=[0, 90, 180, 270], grazing_deg=(16.0, 17.0), **plain, scatterers=3.0)
     write_chips(made, tmp_path / "plain", shard=2)
     assert tree(tmp_path / "set") == tree(tmp_path / "plain")

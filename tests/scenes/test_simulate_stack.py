@@ -82,8 +82,8 @@ def test_signs_are_those_of_distances_from_the_antennas(view: View, transmit: st
         signals = simulate_stack(plate, view, GRID, stack, LAW)
         flat = Gaussians(
             *(torch.tensor([row]) for row in ([0.0, 0.0, height], [1.0, 0.0, 0.0, 0.0], [0.8, 0.8, 0.01])),
-            torch.tensor([4.0]),
-            Harmonics(torch.tensor([[1.0]])),
+            optical_depth=torch.tensor([4.0]),
+            scattering=Harmonics(torch.tensor([[1.0]])),
         )
         for pair in (signals[1] * signals[0].conj(), render_covariances(flat, [view], GRID, stack)[0, 1, 0].numpy()):
             deramped = (pair * np.exp(-1j * (level[1] - level[0]))).sum()

@@ -7,6 +7,7 @@ import re
 import socket
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,10 +29,10 @@ def served():
     stop_server(server)
 
 
-def ask(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
+def ask(port: int, path: str, **headers: str) -> Any:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
     connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
-    answer = connection.getresponse()
+    answer: Any = connection.getresponse()
     answer.content = answer.read()
     connection.close()
     return answer
