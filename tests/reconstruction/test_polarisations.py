@@ -62,7 +62,7 @@ def polarimetric(tmp_path_factory) -> Dataset:
 @pytest.fixture(scope="module")
 def run(polarimetric, tmp_path_factory) -> Run:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PRESETS, "polarimetric", replace(preset("polarimetric"), iterations=120))
+        patch.setitem(PRESETS, "polarimetric", replace(preset("polarimetric"), iterations=200))
         return reconstruct(polarimetric, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
 
 

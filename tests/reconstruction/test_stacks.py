@@ -70,7 +70,7 @@ def run(stacks, tmp_path_factory) -> Run:
 
 def shorten(patch: pytest.MonkeyPatch) -> None:
     """Trainings of the preset for stacks."""
-    patch.setitem(PRESETS, "stack", replace(preset("stack"), iterations=120))
+    patch.setitem(PRESETS, "stack", replace(preset("stack"), iterations=180))
 
 
 def test_a_dataset_of_stacks_is_read_as_written(stacks):

@@ -55,7 +55,7 @@ def compile_emulator(folder: Path, sources: Path = nvrtc.SOURCES, flags: tuple[s
 
 
 def mutated(kept: Path, folder: Path, before: str, after: str, which: int = 0) -> Path:
-    """The emulator with one place of `cuda_rays.cuh` changed, kept like the other; the changed sources are in `folder`."""
+    """The emulator with one place of `cuda_rays.cuh` changed, in `kept` like the other; `folder` is for its sources."""
     folder.mkdir()
     for path in nvrtc.SOURCES.iterdir():
         if path.suffix in (".cu", ".cuh", ".h"):

@@ -71,17 +71,20 @@ def child(which):
         resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     print(json.dumps([which, said, torch.equal(render(small, VIEWS, GRID).images, before)]), flush=True)
 
-print(json.dumps(["rows went away", rows_went_away(), True]), flush=True)
-torch.set_num_threads(2)
+torch.set_num_threads(1)  # threads have memory of their own, which would be left over
 small = cloud(60, 1)
 before = render(small, VIEWS, GRID, engine="cpu").images
 for which in sys.argv[2:]:
-    if which != "forked":
+    if which == "forked":
+        torch.set_num_threads(2)
+        render(small, VIEWS, GRID, engine="cpu")
+    else:
         import resource
     if not (process := os.fork()):
         child(which)
         os._exit(0)
     os.waitpid(process, 0)
+print(json.dumps(["rows went away", rows_went_away(), True]), flush=True)
 """
 LIMITED = ["forward", "rays", "backward"]
 """Address space as Linux limits it; sanitizers need all of it."""
@@ -90,8 +93,8 @@ LIMITED = ["forward", "rays", "backward"]
 @pytest.fixture(scope="module")
 def done() -> dict[str, tuple[str | None, bool]]:
     """What was said in each case, and whether the engine rendered the same afterwards."""
-    cases = ["forked"] * hasattr(os, "fork")
-    cases += LIMITED if sys.platform == "linux" and "SARSPLAT_TEST_ENGINE" not in os.environ else []
+    cases = LIMITED if sys.platform == "linux" and "SARSPLAT_TEST_ENGINE" not in os.environ else []
+    cases = [*cases, *["forked"] * hasattr(os, "fork")]
     arguments = [sys.executable, "-c", PROGRAM, str(Path(__file__).parent), *cases]
     program = subprocess.run(arguments, capture_output=True, text=True, timeout=100)
     assert program.returncode == 0, program.stderr
