@@ -24,7 +24,7 @@ from sarsplat.reconstruction.counting import counting
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
 
-GRID = ImageGrid(44, 40, (0.4, 0.35), (0.5, 0.45))
+GRID = ImageGrid(40, 36, (0.4, 0.35), (0.5, 0.45))
 
 
 @cache
@@ -113,7 +113,8 @@ def test_every_orientation_is_recovered(bare: Dataset, grounded: Dataset, seen: 
     """Images, azimuths or both lie otherwise than an import was told: it names the options that were right."""
     right = Layout(seen.near, False, seen.counter_clockwise ^ seen.mirrored)  # the same, but for a mirrored target
     told = (Layout(), Layout("left", True), Layout("bottom", False, True))
-    for dataset, layouts in ((speckled(grounded, 1, 0), told), (bare, told[1:2])):
+    first = HALF.index(seen) % 3
+    for dataset, layouts in ((speckled(grounded, 1, 0), (told + told)[first : first + 2]), (bare, told[1:2])):
         for layout in layouts:
             said = examine(imported(dataset, layout, seen)).contradictions
             if layout in (right, right.twin):
@@ -265,11 +266,12 @@ def test_a_resolution_that_images_do_not_have(grounded: Dataset) -> None:
     assert len(fine) == 2
 
 
-def test_speckle_that_correlates_tells_the_resolution(grounded: Dataset) -> None:
+def test_speckle_that_correlates_tells_the_resolution() -> None:
     """Speckle as a coherent sensor has it: white noise seen through the response of the amplitude."""
     from scipy.ndimage import gaussian_filter
 
-    rng, grid = np.random.default_rng(0), replace(GRID, resolution_m=(0.8, 0.7))
+    rng, grid = np.random.default_rng(0), ImageGrid(56, 48, (0.4, 0.35), (0.8, 0.7))
+    grounded = simulated(0.05, replace(grid, resolution_m=GRID.resolution_m))
     sigma = (0.0, *(np.sqrt(2) * width / 2.3548 / pixel for width, pixel in ((0.7, 0.35), (0.8, 0.4))))
     noise = [gaussian_filter(rng.normal(size=grounded.power.shape), sigma) for _ in range(2)]
     field = noise[0] ** 2 + noise[1] ** 2
