@@ -29,8 +29,8 @@ EVERY = pytest.mark.parametrize("method", SHORT)
 
 def short(method: str):
     settings = BASELINES[method].defaults
-    coarse = {"surface_voxels": 24} if hasattr(settings, "surface_voxels") else {}
-    few = {"rays": 4} if hasattr(settings, "rays") else {}
+    coarse = {"surface_voxels": 12} if hasattr(settings, "surface_voxels") else {}
+    few = {"rays": 2} if hasattr(settings, "rays") else {}
     return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **coarse, **few)
 
 

@@ -401,11 +401,11 @@ def test_a_ball_is_learned(mode):
     images = ball_images(mode)
     unseen = View(100.0, 35.0)
     baseline = model(
-        scene(VIEWS, BALL_GRID, BALL_LOW, BALL_HIGH), config("grid", mode, surface_voxels=32, iterations=150)
+        scene(VIEWS, BALL_GRID, BALL_LOW, BALL_HIGH), config("grid", mode, surface_voxels=32, iterations=100)
     )
     seen = [baseline.image(view).detach() for view in VIEWS]
     before = torch.stack(seen).sqrt().sub(images.sqrt()).square().mean()
-    trained(baseline, images, 150)
+    trained(baseline, images, 100)
     after = torch.stack([baseline.image(view).detach() for view in VIEWS]).sqrt().sub(images.sqrt()).square().mean()
     assert after < (0.6 if mode == "published" else 0.05) * before, (before, after)
     assert baseline.image(unseen).isfinite().all()

@@ -223,7 +223,7 @@ def test_the_command_line_knows_the_law_of_a_package(dataset: Dataset, tmp_path:
     (site / "fans-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: fans\nVersion: 1.0\n")
     names = "[sarsplat.scattering]\nfan = fans:Fan\nfun = fans:Fan\n"
     (site / "fans-1.0.dist-info" / "entry_points.txt").write_text(names)
-    reconstruct = f"reconstruct {dataset.path} --preset quick --iterations 20 --gaussians 100 --scattering"
+    reconstruct = f"reconstruct {dataset.path} --preset quick --iterations 2 --gaussians 20 --scattering"
     done = sarsplat(site, f"{reconstruct} fan --out run", "info run/gaussians.ply", f"{reconstruct} fun --out wrong")
     assert "fan, 3 numbers each" in done.stdout, done.stderr
     assert "error: the entry point 'fun' of sarsplat.scattering names <class 'fans.Fan'>" in done.stderr

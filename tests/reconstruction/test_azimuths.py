@@ -22,9 +22,9 @@ from sarsplat.reconstruction.strategies.azimuths import AZIMUTH_OFFSETS, Azimuth
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
 
-GRID = ImageGrid(48, 48, (0.25, 0.25), (0.3, 0.3))
+GRID = ImageGrid(44, 44, (0.25, 0.25), (0.3, 0.3))
 STD_DEG = 3.0
-SHORT = {"iterations": 90, "gaussians": 1000, "harmonics_every": 30, "checkpoint_every": 40}
+SHORT = {"iterations": 60, "gaussians": 700, "harmonics_every": 20, "checkpoint_every": 26}
 CONFIG = replace(preset("measured"), **SHORT, points=FEW_POINTS)
 AROUND = np.arange(0, 360, 20)
 
@@ -76,7 +76,7 @@ def test_wrong_azimuths_are_put_right(wrong: tuple[Dataset, np.ndarray], refined
 
 def test_a_resumed_training_is_the_same(wrong: tuple[Dataset, np.ndarray], refined: Run, tmp_path: Path) -> None:
     """Stopped between two rounds."""
-    reconstruct(wrong[0], CONFIG, tmp_path / "run", on_step=lambda step: step.iteration == 45, quiet=True)
+    reconstruct(wrong[0], CONFIG, tmp_path / "run", on_step=lambda step: step.iteration == 30, quiet=True)
     assert Run.load(tmp_path / "run").azimuth_offset_deg.any()
     resumed = reconstruct(wrong[0], CONFIG, tmp_path / "run", quiet=True, resume=True)
     expected = refined.snapshot.tensors
@@ -150,8 +150,8 @@ def test_rounds_are_evenly_spaced(images: np.ndarray) -> None:
     ("name", "value"),
     [
         ("part/texture/ratio", None),
-        ("part/texture/ratio", torch.ones(3, 48, 48)),
-        ("part/texture/ratio", torch.full((18, 48, 48), torch.nan)),
+        ("part/texture/ratio", torch.ones(3, 44, 44)),
+        ("part/texture/ratio", torch.full((18, 44, 44), torch.nan)),
         ("part/texture/shift_m", torch.zeros(18)),
         ("part/texture/view_deg", torch.full((18, 2), torch.inf).double()),
         ("model/noise", None),

@@ -26,6 +26,7 @@ from sarsplat import (
     write_report,
 )
 from sarsplat.data import Dataset, DatasetEntry, write_dataset
+from sarsplat.reconstruction.presets import PRESETS
 from sarsplat.reconstruction.stack_region import stack_region
 from sarsplat.scenes.mechanisms import MATRICES, POLARISATIONS
 
@@ -61,7 +62,9 @@ def polarimetric(tmp_path_factory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def run(polarimetric, tmp_path_factory) -> Run:
-    return reconstruct(polarimetric, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS, "polarimetric", replace(preset("polarimetric"), iterations=200))
+        return reconstruct(polarimetric, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
 
 
 def per_power(matrix: np.ndarray) -> np.ndarray:
@@ -114,11 +117,11 @@ def test_it_is_scored_shown_and_kept(run):
 
 
 def test_a_resumed_run_is_the_same_for_any_number_of_threads(polarimetric, tmp_path, threads):
-    config = replace(preset("polarimetric"), iterations=30, checkpoint_every=10)
+    config = replace(preset("polarimetric"), iterations=9, checkpoint_every=3)
     threads(1)
     whole = reconstruct(polarimetric, config, quiet=True)
     threads(3)
-    reconstruct(polarimetric, config, tmp_path / "run", quiet=True, on_step=lambda step: step.iteration == 20)
+    reconstruct(polarimetric, config, tmp_path / "run", quiet=True, on_step=lambda step: step.iteration == 6)
     resumed = reconstruct(polarimetric, config, tmp_path / "run", quiet=True, resume=True)
     assert torch.equal(whole.gaussians.means, resumed.gaussians.means)
     assert torch.equal(whole.gaussians.scattering.parameters, resumed.gaussians.scattering.parameters)
@@ -130,7 +133,7 @@ def test_passes_and_polarisations_together():
     nats: list[float] = []
     run = reconstruct(
         both,
-        replace(preset("polarimetric"), iterations=30),
+        replace(preset("polarimetric"), iterations=20),
         quiet=True,
         on_step=lambda step: nats.append(float(step.loss)),
     )

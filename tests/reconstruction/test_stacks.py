@@ -28,7 +28,7 @@ from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
 from sarsplat.data.plausible import suspicions
 from sarsplat.processes import Processes
 from sarsplat.reconstruction.config import FlatGround, Surroundings
-from sarsplat.reconstruction.presets import preset
+from sarsplat.reconstruction.presets import PRESETS, preset
 from sarsplat.reconstruction.stack_region import stack_region
 from sarsplat.reconstruction.stack_trainer import refuse_with_passes
 
@@ -63,7 +63,14 @@ def stacks(tmp_path_factory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def run(stacks, tmp_path_factory) -> Run:
-    return reconstruct(stacks, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
+    with pytest.MonkeyPatch.context() as patch:
+        shorten(patch)
+        return reconstruct(stacks, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
+
+
+def shorten(patch: pytest.MonkeyPatch) -> None:
+    """Trainings of the preset for stacks."""
+    patch.setitem(PRESETS, "stack", replace(preset("stack"), iterations=180))
 
 
 def test_a_dataset_of_stacks_is_read_as_written(stacks):
@@ -124,17 +131,18 @@ def test_centres_move_in_elevation_alone(run, stacks):
 
 
 def test_a_resumed_run_is_the_same(stacks, tmp_path):
-    config = replace(preset("stack"), iterations=30, checkpoint_every=10)
+    config = replace(preset("stack"), iterations=12, checkpoint_every=4)
     whole = reconstruct(stacks, config, quiet=True)
-    reconstruct(stacks, config, tmp_path / "run", quiet=True, on_step=lambda step: step.iteration == 20)
+    reconstruct(stacks, config, tmp_path / "run", quiet=True, on_step=lambda step: step.iteration == 8)
     resumed = reconstruct(stacks, config, tmp_path / "run", quiet=True, resume=True)
     assert torch.equal(whole.gaussians.means, resumed.gaussians.means)
     loaded = Run.load(tmp_path / "run")
     np.testing.assert_array_equal(loaded.render([VIEW]), resumed.render([VIEW]))
 
 
-def test_heights_are_found_without_known_noise():
+def test_heights_are_found_without_known_noise(monkeypatch):
     """It is learned with them: low, for single looks can be explained by Gaussians as well."""
+    shorten(monkeypatch)
     learned = reconstruct(dataset(noise=False), quiet=True)
     noise = learned.snapshot.tensors["model/pass_noise"].exp() * learned.snapshot.unit
     assert noise.shape == (1, 6)
@@ -150,7 +158,7 @@ def test_two_headings_share_a_scene():
         warnings.simplefilter("error")
         both = reconstruct(
             dataset(views=(VIEW, View(180.0, 45.0))),
-            replace(preset("stack"), iterations=60),
+            replace(preset("stack"), iterations=40),
             quiet=True,
             on_step=lambda step: nats.append(float(step.loss)),
         )

@@ -39,7 +39,7 @@ def dataset() -> Dataset:
 
 @pytest.fixture(scope="module")
 def config() -> Config:
-    return replace(preset("quick"), iterations=60, gaussians=800, tiles=2, checkpoint_every=20, points=FEW_POINTS)
+    return replace(preset("quick"), iterations=36, gaussians=600, tiles=2, checkpoint_every=12, points=FEW_POINTS)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def assert_same(run: Run, other: Run) -> None:
 def test_nothing_is_lost_or_doubled_at_the_seams(finished: Run, dataset: Dataset, config: Config) -> None:
     """Tiles meet near the middle, in the shape of a cross: there is as much as where the whole is learned at once."""
     whole = reconstruct(dataset, replace(config, tiles=1), quiet=True)
-    assert finished.iteration == whole.iteration == 60
+    assert finished.iteration == whole.iteration == 36
     rendered, expected = (run.render(VIEWS) ** 0.5 for run in (finished, whole))
     truth = dataset.power**0.5
     assert ((rendered - truth) ** 2).mean() < 1.1 * ((expected - truth) ** 2).mean()
@@ -84,19 +84,19 @@ def test_a_stopped_one_goes_on_to_the_same_bits(
 
     def stop(step: Any) -> None:
         steps.append(step.iteration)
-        if len(steps) in (10, 65, 66, 100):  # of the whole; of the second tile, twice; of the last one
+        if len(steps) in (6, 39, 40, 60):  # of the whole; of the second tile, twice; of the last one
             raise RuntimeError("stopped")
 
     for _ in range(4):
         with pytest.raises(RuntimeError, match="stopped"):
             reconstruct(dataset, config, out, on_step=stop, quiet=True, resume=out.exists())
-    assert steps.count(60) == 3  # finished tiles are kept
+    assert steps.count(36) == 3  # finished tiles are kept
     assert (out / "tiles").is_dir()
     resumed = reconstruct(dataset, config, out, quiet=True, resume=True)
     assert_same(resumed, finished)
     np.testing.assert_array_equal(resumed.points, finished.points)
     assert not (out / "tiles").exists()
-    assert [line.iteration for line in resumed.history][-1] == 60
+    assert [line.iteration for line in resumed.history][-1] == 36
 
 
 def test_threads_and_folders_make_no_difference(finished: Run, dataset: Dataset, config: Config, threads: Any) -> None:

@@ -54,8 +54,8 @@ def compile_emulator(folder: Path, sources: Path = nvrtc.SOURCES, flags: tuple[s
     return library
 
 
-def mutated(folder: Path, before: str, after: str, which: int = 0) -> Path:
-    """The emulator with one place of `cuda_rays.cuh` changed; the changed sources are in `folder`."""
+def mutated(kept: Path, folder: Path, before: str, after: str, which: int = 0) -> Path:
+    """The emulator with one place of `cuda_rays.cuh` changed, in `kept` like the other; `folder` is for its sources."""
     folder.mkdir()
     for path in nvrtc.SOURCES.iterdir():
         if path.suffix in (".cu", ".cuh", ".h"):
@@ -64,7 +64,7 @@ def mutated(folder: Path, before: str, after: str, which: int = 0) -> Path:
     parts = rays.read_text().split(before)
     assert len(parts) > which + 1
     rays.write_text(before.join(parts[: which + 1]) + after + before.join(parts[which + 1 :]))
-    return compile_emulator(folder.parent, folder, flags=())
+    return compile_emulator(kept, folder, flags=())
 
 
 class Emulator:

@@ -161,11 +161,19 @@ def trials(gpu, monkeypatch):
     _forget()
 
 
+@pytest.fixture
+def passed(gpu, monkeypatch):
+    """Trials that pass untried, for what is done with verdicts."""
+    monkeypatch.setattr(trial, "_disagreement", lambda launcher: "")
+    yield Trials(gpu, monkeypatch)
+    _forget()
+
+
 ON_GPU = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 0))
 
 
-def test_auto_takes_a_gpu_that_agrees_and_says_so_once(trials, caplog):
-    assert trials() == ""
+def test_auto_takes_a_gpu_that_agrees_and_says_so_once(passed, caplog):
+    assert passed() == ""
     with caplog.at_level(logging.INFO, "sarsplat"):
         assert [engines.chosen_engine("auto", ON_GPU) for _ in range(2)] == ["cuda", "cuda"]
     assert caplog.messages == ["engine='auto' is 'cuda' for torch.float32 on cuda:0"]
@@ -176,20 +184,20 @@ def test_auto_takes_a_gpu_that_agrees_and_says_so_once(trials, caplog):
     assert engines.chosen_engine("auto", double) == "reference"
 
 
-def test_the_verdict_is_kept_until_something_changes(trials, monkeypatch, tmp_path):
-    assert [trials(), trials()] == ["", ""]
-    assert trials.count == 1
+def test_the_verdict_is_kept_until_something_changes(passed, monkeypatch, tmp_path):
+    assert [passed(), passed()] == ["", ""]
+    assert passed.count == 1
     for path in (tmp_path / "sarsplat").glob("trial-*"):
         path.write_bytes(b"damaged")
-    assert trials() == ""
-    assert trials.count == 2
-    monkeypatch.setattr(trials.gpu, "description", "Emulated GPU, sm_90, driver of CUDA 13010")
-    assert trials() == ""
-    assert trials.count == 3
+    assert passed() == ""
+    assert passed.count == 2
+    monkeypatch.setattr(passed.gpu, "description", "Emulated GPU, sm_90, driver of CUDA 13010")
+    assert passed() == ""
+    assert passed.count == 3
     changed = nvrtc.sources() | {"pair_math.h": "// another source"}
     monkeypatch.setattr(trial.nvrtc, "sources", lambda: changed)
-    assert trials() == ""
-    assert trials.count == 4
+    assert passed() == ""
+    assert passed.count == 4
 
 
 def test_a_wrong_kernel_means_one_warning_and_the_cpu(trials, monkeypatch):
@@ -227,14 +235,14 @@ def test_a_gpu_that_fails_is_not_asked_again(trials, monkeypatch):
     assert trials.count == 1
 
 
-def test_what_prevents_the_check_is_not_kept(trials, monkeypatch):
+def test_what_prevents_the_check_is_not_kept(passed, monkeypatch):
     def missing(index: int) -> None:
         raise SarsplatError("NVRTC, which compiles the CUDA engine, cannot be loaded; install it")
 
     with monkeypatch.context() as patch:
         patch.setattr(trial, "device", missing)
-        assert trials().startswith("NVRTC, which compiles")
-    assert trials() == ""
+        assert passed().startswith("NVRTC, which compiles")
+    assert passed() == ""
 
 
 def test_a_gpu_that_is_full_is_asked_again(trials, monkeypatch):
@@ -250,13 +258,13 @@ def test_a_gpu_that_is_full_is_asked_again(trials, monkeypatch):
     assert trials.count == 2
 
 
-def test_a_check_that_cannot_be_kept(trials, cache_folder):
+def test_a_check_that_cannot_be_kept(passed, cache_folder):
     shutil.rmtree(cache_folder)
     cache_folder.touch()
     with pytest.warns(SarsplatWarning, match="cannot be kept") as told:
-        assert [trials(), trials()] == ["", ""]
+        assert [passed(), passed()] == ["", ""]
     assert len(told) == 1
-    assert trials.count == 2
+    assert passed.count == 2
 
 
 def test_the_check_runs_whatever_torch_is_set_to(trials):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -101,30 +99,6 @@ def test_memory_does_not_grow():
     iterate(200)
     gc.collect()
     assert resident_bytes() - before < 4 << 20  # one pass takes about 1 MB: a leak would be 200
-
-
-FORKED = """
-import os, sys
-sys.path.insert(0, sys.argv[1])
-import torch
-from named_scenes import GRID, VIEWS, cloud
-from sarsplat.renderer import render
-
-torch.set_num_threads(2)
-before = render(cloud(60, 1), VIEWS, GRID, engine="cpu").images
-child = os.fork()
-if not child:
-    torch.set_num_threads(1)
-    os._exit(0 if torch.equal(render(cloud(60, 1), VIEWS, GRID, engine="cpu").images, before) else 1)
-sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
-def test_a_forked_process_renders_too():
-    """On one thread, as torch's data loaders set it: OpenMP's threads do not survive a fork, with or without us."""
-    command = [sys.executable, "-c", FORKED, str(Path(__file__).parent)]
-    subprocess.run(command, check=True, timeout=60)
 
 
 def test_gradient_of_the_gain_of_one_large_image(threads):
