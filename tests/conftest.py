@@ -50,6 +50,14 @@ def few_samples() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module", autouse=True)
+def nothing_is_synced() -> Iterator[None]:
+    """No test pulls the plug, and a shared disk takes tens of milliseconds to sync a file."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
 @pytest.fixture
 def threads() -> Iterator[Callable[[int], None]]:
     """Sets torch's thread count; the old one comes back."""
