@@ -97,8 +97,9 @@ def pytest_testnodedown(node: Any, error: object) -> None:
     shapes.EXECUTED.update(getattr(node, "workeroutput", {}).get("shapes", {}))
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """How much of what is written about shapes was seen to hold."""
+    """How much of what is written about shapes was seen to hold, below the slowest tests."""
     calls = shapes.EXECUTED
     if calls:
         terminalreporter.write_line(
