@@ -64,7 +64,8 @@ def program(module, monkeypatch: pytest.MonkeyPatch) -> Any:
 
     monkeypatch.setattr(draws, "reconstruct", quick)
     monkeypatch.setattr(arms, "EACH", 6)
-    monkeypatch.setattr(classifier, "_RECKONED", 1)
+    for name, value in (("_BATCH", 8), ("_RECKONED", 1), ("_RECKONED_AT_A_TIME", 8)):
+        monkeypatch.setattr(classifier, name, value)
     benchmark = module("experiments/chips")
     monkeypatch.setattr(benchmark, "EVENLY", draws.Draw(4))
     monkeypatch.setattr(benchmark, "STEPS", 2)
@@ -152,9 +153,11 @@ def test_new_clutter_leaves_target_and_shadow(module, chips: Path, tmp_path: Pat
     assert np.abs(after - before)[:, 37:59, 29:67].mean() < 10  # what is left was compressed again
 
 
-def test_steps_are_what_was_trained(module) -> None:
+def test_steps_are_what_was_trained(module, monkeypatch) -> None:
     """A network learns to tell two classes apart that differ."""
     classifier = module("experiments/classifier")
+    for name, value in (("_BATCH", 16), ("_RECKONED", 2), ("_RECKONED_AT_A_TIME", 16)):
+        monkeypatch.setattr(classifier, name, value)
     chance = np.random.default_rng(0)
     chips = chance.integers(0, 60, (24, 96, 96)).astype(np.uint8)
     chips[::2, 40:56, 30:66] += 150

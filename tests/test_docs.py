@@ -23,6 +23,7 @@ from sarsplat.cli.commands import COMMANDS
 from sarsplat.cli.parser import parse
 from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Yardstick, metrics_of_points
 from sarsplat.gaussians import SCATTERINGS
+from sarsplat.reconstruction import PRESETS
 from sarsplat.scenes import target_mesh
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -47,10 +48,11 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_readme_example_gives_every_parameter_a_gradient():
+def test_readme_example_gives_every_parameter_a_gradient(capsys):
     example = blocks(ROOT / "README.md", "python")[0]
     assert sum(bool(line.strip()) for line in example.splitlines()) < 20
-    printed = run_python("-c", example)
+    exec(compile(example, "README.md", "exec"), {})
+    printed = capsys.readouterr().out
     cross_section, image_sum = map(float, re.findall(r"([\d.]+) m²", printed))
     assert cross_section > 0
     assert image_sum == pytest.approx(cross_section, rel=0.01)
@@ -95,6 +97,10 @@ def test_python_of_a_page_runs_from_top_to_bottom(page, bench, threads, monkeypa
     module = ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)  # where a dataclass looks up its annotations
     monkeypatch.setattr(SCATTERINGS, "_entries", dict(SCATTERINGS._entries))  # a law is not registered for other tests
+    for name, whole in PRESETS.items():
+        few = min(whole.iterations, 20), min(whole.gaussians or 300, 300)
+        short = replace(whole, iterations=few[0], gaussians=few[1], fewest_gaussians=few[1], points=FEW_POINTS)
+        monkeypatch.setitem(PRESETS, name, short)
     exec(compile("\n".join(blocks(page, "python")), str(page), "exec"), vars(module))
 
 
@@ -178,7 +184,9 @@ def test_cheap_commands_in_pages_work(bench, capfd):
         named = [word for word in words[1:2] if words[0] not in ("completion", "doctor")]
         if any(not Path(name).exists() for name in named):
             continue  # of a dataset or a run that a dear command makes
-        assert main([*words, *(["--overwrite"] if "--out" in words or words[0] == "export" else [])]) == 0, words
+        words += ["--overwrite"] if "--out" in words or words[0] == "export" else []
+        words += ["--frames", "12"] if "--sweep" in words and "--frames" not in words else []
+        assert main(words) == 0, words
         done.add(words[0])
     assert done == set(CHEAP)
     assert Path("t72.glb").stat().st_size > 0

@@ -8,6 +8,7 @@ import tomllib
 from importlib.metadata import distribution
 from typing import Any
 
+import pytest
 from packaging.requirements import Requirement
 
 from import_graph import PACKAGE, imported
@@ -29,10 +30,10 @@ def is_copyleft(licence: str) -> bool:
     return all(COPYLEFT.search(choice) for choice in licence.split(" OR "))
 
 
-def needed() -> dict[str, str]:
-    """The licence of everything that `pip install 'sarsplat[all]'` brings here, by name; it leaves out Ray."""
+def needed(*others: str) -> dict[str, str]:
+    """The licence of everything that the package and its extras bring here, by name, but for these extras."""
     optional = PROJECT["optional-dependencies"]
-    extras = {name: lines for name, lines in optional.items() if name not in ("all", "dev", "ray")}
+    extras = {name: lines for name, lines in optional.items() if name not in ("all", "dev", *others)}
     waiting = [(Requirement(line), {""}) for lines in (PROJECT["dependencies"], *extras.values()) for line in lines]
     seen, licences = set(), {}
     while waiting:
@@ -48,8 +49,11 @@ def needed() -> dict[str, str]:
     return licences
 
 
-def test_nothing_needed_is_copyleft():
-    licences = needed()
+@pytest.mark.parametrize("others", [("ray", "docs"), ("ray",)], ids=["of users", "of the documentation, too"])
+def test_nothing_needed_is_copyleft(others):
+    if "docs" not in others:
+        pytest.importorskip("material", reason="the extra `docs` is not installed")
+    licences = needed(*others)
     assert {"torch", "numpy", "matplotlib", "sympy"} <= licences.keys()  # what others need included
     assert all(licences.values()), [name for name, words in licences.items() if not words]
     assert not {name: words for name, words in licences.items() if is_copyleft(words)}

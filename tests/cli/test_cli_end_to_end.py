@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,13 +17,14 @@ import tifffile
 import torch
 from PIL import Image
 
+from datasets import FEW_POINTS
 from elsewhere import elsewhere
 from sarsplat import scenes
 from sarsplat.cli import main
 from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply
 from sarsplat.data.folders import only_writer
 from sarsplat.exports import FORMATS
-from sarsplat.reconstruction import Run
+from sarsplat.reconstruction import Config, Run, own_gaussians
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +36,14 @@ def workshop(box: Path) -> Path:
     assert main(f"reconstruct {box}/dataset --out {box}/run {few}".split()) == 0
     assert main(["evaluate", f"{box}/run"]) == 0
     return box
+
+
+@pytest.fixture
+def quick_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few rays for the points of Gaussians in a file, and few images of them."""
+    monkeypatch.setattr(own_gaussians, "Config", partial(Config, points=FEW_POINTS))
+    monkeypatch.setattr(own_gaussians, "_AROUND", own_gaussians._AROUND[::2])
+    monkeypatch.setattr(own_gaussians, "_PIXELS", 64)
 
 
 @pytest.fixture(autouse=True)
@@ -114,7 +124,7 @@ def test_export_and_info(tmp_path: Path, said, refused) -> None:
         assert text in said(f"info {path}").replace("\n", " ")
 
 
-def test_gaussians_in_a_file_are_taken_like_a_run(tmp_path: Path, said, refused) -> None:
+def test_gaussians_in_a_file_are_taken_like_a_run(tmp_path: Path, quick_own, said, refused) -> None:
     gaussians = tmp_path / "g.ply"
     said(f"export run {gaussians}")
     for source, name in (("run", "a.splat"), (gaussians, "b.splat")):
@@ -133,7 +143,7 @@ def test_gaussians_in_a_file_are_taken_like_a_run(tmp_path: Path, said, refused)
     assert f"{psnr_db:.2f}" in told
 
 
-def test_gaussians_in_a_file_are_scored_against_a_mesh_alone(tmp_path: Path, said) -> None:
+def test_gaussians_in_a_file_are_scored_against_a_mesh_alone(tmp_path: Path, quick_own, said) -> None:
     from sarsplat import Gaussians, Harmonics, write_gaussians_ply
 
     place = torch.cartesian_prod(torch.linspace(-1.2, 1.2, 9), torch.linspace(-0.6, 0.6, 5), torch.linspace(0, 1, 4))

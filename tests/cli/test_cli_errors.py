@@ -47,6 +47,26 @@ MISTAKES = {
     ),
 }
 
+STACKS = {
+    "--baseline 0.004": "--baseline is for stacks; give --passes or --polarimetric too",
+    "--polarimetric --baseline 0.004": "--baseline is between passes; give --passes too",
+    "--polarimetric --looks 4": "--looks is for single images; leave it out, or --passes and --pol",
+    "--noise 0.1": "--noise is for stacks",
+    "--passes 1 --baseline 0.004": "--passes is 1; give at least 2",
+    "--passes 3": "--baseline has 0 numbers for 3 passes",
+    "--passes 3 --baseline 0 0.1": "--baseline has 2 numbers for 3 passes",
+    "--passes 2 --baseline 0.004 --looks 4": "--looks is for single images",
+    "--passes 2 --baseline 0.004 --ray-spacing 0.1": "--ray-spacing is for single images",
+    "--passes 2 --baseline 0.004 --source splat": "--source splat makes no stacks",
+    "--passes 2 --baseline 0.004 --wavelength 0": "wavelength",
+    "--passes 2 --baseline 0": "--baseline is 0, so that all passes would be the same; give b/R",
+    "--passes 2 --baseline 0.1 0.1": "two passes are the same",
+}
+MISTAKES |= {
+    f"stacks: {options}": ([*SIMULATE, "--target", "slicy", *ONE_VIEW, "--ground", "0.5", *options.split()], told)
+    for options, told in STACKS.items()
+}
+
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -46,7 +46,7 @@ def test_one_signal_ends_the_extraction_and_the_run_resumes(
 ) -> None:
     out, (module, name, count) = tmp_path / "run", where
     words = ["reconstruct", str(dataset), "--preset", "quick", "--gaussians", "40", "--iterations", "4"]
-    words += ["--out", str(out)]
+    words += ["--points.voxel", "0.3", "--points.rays-per-pixel", "2", "--out", str(out)]
     usual, calls = getattr(module, name), []
 
     def until(*arguments: Any, **options: Any) -> Any:

@@ -13,6 +13,8 @@ from sarsplat.cli import main
 from sarsplat.reconstruction.config import Densification, FlatGround, Surroundings
 from sarsplat.reconstruction.presets import PRESETS
 
+FEW = "--points.voxel 0.3 --points.rays-per-pixel 2"
+
 
 @pytest.fixture(scope="module")
 def place(box: Path) -> Path:
@@ -136,7 +138,7 @@ def test_a_file_that_is_no_configuration(text: str, told: str, tmp_path: Path, r
 
 def test_a_run_is_resumed_and_extended_with_its_own_settings(tmp_path: Path, refused) -> None:
     run = tmp_path / "run"
-    assert main(f"reconstruct plain --out {run} --iterations 2 --gaussians 40 --seed 7".split()) == 0
+    assert main(f"reconstruct plain --out {run} --iterations 2 --gaussians 40 --seed 7 {FEW}".split()) == 0
     resume = f"reconstruct plain --out {run} --resume"
     assert main(resume.split()) == 0
     assert main(f"{resume} --iterations 4 --seed 7 --preset default".split()) == 0
@@ -152,7 +154,7 @@ def test_a_run_is_resumed_and_extended_with_its_own_settings(tmp_path: Path, ref
 @pytest.mark.parametrize("said", ["True", "False"])
 def test_what_is_true_or_false_is_said_alike_before_and_after(said: str, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    words = f"reconstruct plain --out {run} --gaussians 50 --common-law {said} --iterations"
+    words = f"reconstruct plain --out {run} --gaussians 50 --common-law {said} {FEW} --iterations"
     assert main(f"{words} 1".split()) == 0
     assert main(f"{words} 2 --resume".split()) == 0
     assert Run.load(run).config.common_law is (said == "True")

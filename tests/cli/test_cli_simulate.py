@@ -254,30 +254,3 @@ def test_polarisations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert main(["info", str(tmp_path / "alone")]) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert "passes 1, wavelength 0.031 m polarisations HH, HV, VV noise 0.1, 0.1, 0.1 (β⁰ of each channel)" in told
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--baseline", "0.004"], "--baseline is for stacks; give --passes or --polarimetric too"),
-        (["--polarimetric", "--baseline", "0.004"], "--baseline is between passes; give --passes too"),
-        (["--polarimetric", "--looks", "4"], "--looks is for single images; leave it out, or --passes and --pol"),
-        (["--noise", "0.1"], "--noise is for stacks"),
-        (["--passes", "1", "--baseline", "0.004"], "--passes is 1; give at least 2"),
-        (["--passes", "3"], "--baseline has 0 numbers for 3 passes"),
-        (["--passes", "3", "--baseline", "0", "0.1"], "--baseline has 2 numbers for 3 passes"),
-        (["--passes", "2", "--baseline", "0.004", "--looks", "4"], "--looks is for single images"),
-        (["--passes", "2", "--baseline", "0.004", "--ray-spacing", "0.1"], "--ray-spacing is for single images"),
-        (["--passes", "2", "--baseline", "0.004", "--source", "splat"], "--source splat makes no stacks"),
-        (["--passes", "2", "--baseline", "0.004", "--wavelength", "0"], "wavelength"),
-        (["--passes", "2", "--baseline", "0"], "--baseline is 0, so that all passes would be the same; give b/R"),
-        (["--passes", "2", "--baseline", "0.1", "0.1"], "two passes are the same"),
-    ],
-)
-def test_stacks_that_cannot_be(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: str
-) -> None:
-    out = tmp_path / "stacks"
-    assert main(["simulate", "--target", "slicy", *STACK, *options, "--out", str(out)]) == 2
-    assert words in " ".join(capsys.readouterr().err.split())
-    assert not out.exists()

@@ -29,8 +29,8 @@ def test_from_heights_to_a_reconstruction(tmp_path, geotiff, capsys):
     assert dataset.terrain.height_m(np.zeros(1), np.zeros(1)) == pytest.approx(0.0, abs=1e-6)
     assert main(["info", str(data)]) == 0
     assert "24 × 18 m (x × y)" in capsys.readouterr().out
-    words = ["--preset", "quick", "--iterations", "20", "--out", str(run)]
-    assert main(["reconstruct", str(data), *words]) == 0
+    words = ["--preset", "quick", "--iterations", "20", "--points.voxel", "0.3", "--points.rays-per-pixel", "2"]
+    assert main(["reconstruct", str(data), *words, "--out", str(run)]) == 0
     loaded = Run.load(run)
     kept: Any = loaded.model.ground().height_m
     assert np.array_equal(kept.heights_m, dataset.terrain.heights_m)

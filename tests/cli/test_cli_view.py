@@ -1,10 +1,12 @@
 """`sarsplat view`: where it is, how it ends, and what it says if it cannot be."""
 
 import os
+import re
 import signal
 import socket
-import subprocess
 import sys
+import threading
+import time
 import urllib.request
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import torch
 
 from datasets import small_dataset
 from sarsplat import Gaussians, Harmonics, write_gaussians_ply
+from sarsplat.cli import main
 from sarsplat.data import write_dataset
 
 pytest.importorskip("viser")
@@ -25,27 +28,34 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends an interrupt")
-def test_it_serves_until_ctrl_c_and_ends_with_one_sentence(folder):
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a child inherits it where a shell ignores Ctrl-C
-    process = subprocess.Popen(
-        [sys.executable, "-m", "sarsplat", "view", str(folder), "--port", "0"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    said = []
-    for line in process.stdout:
-        said.append(line)
-        if "open http" in line:
-            break
-    address = said[-1].split()[1]
-    with urllib.request.urlopen(address) as answer:
-        assert b"sarsplat view" in answer.read()
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 0
-    assert "".join(out.split("\n")).strip() == f"ended; {address} no longer answers"
+def test_it_serves_until_ctrl_c_and_ends_with_one_sentence(folder, capsys, monkeypatch):
+    before, told, pages = set(threading.enumerate()), [], []
+
+    def look() -> None:
+        while not (said := re.search(r"open (http\S+)", "".join(told))):
+            told.append(capsys.readouterr().out)
+            time.sleep(0.01)
+        with urllib.request.urlopen(said[1]) as answer:
+            pages.append(answer.read())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    reader = threading.Thread(target=look)
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        reader.start()
+        assert main(["view", str(folder), "--port", "0"]) == 0
+    except KeyboardInterrupt:
+        pytest.fail("it did not end by itself")
+    finally:
+        reader.join()
+        signal.signal(signal.SIGINT, usual)
+    (page,) = pages
+    assert b"sarsplat view" in page
+    out, err = capsys.readouterr()
+    address = re.search(r"open (http\S+)", "".join(told))[1]
+    assert out.split("\n", 1)[-1].replace("\n", "").strip() == f"ended; {address} no longer answers"
     assert err == ""
+    assert not [one for one in set(threading.enumerate()) - before if not one.daemon]  # none keeps the process
 
 
 def test_a_port_in_use_is_one_sentence(folder, refused):

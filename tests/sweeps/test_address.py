@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,8 @@ def code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str]
     """Writes a module of a package and says what the package's code is."""
     (tmp_path / "foreign").mkdir()
     monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("code", "_file", "_tree", "_statements", "_lazy"):  # ours is read once for all tests
+        monkeypatch.setattr(address, name, cache(getattr(address, name).__wrapped__))
 
     def written(name: str, text: str) -> str:
         (tmp_path / "foreign" / f"{name}.py").write_text(text)

@@ -18,10 +18,10 @@ import pytest
 from elsewhere import elsewhere
 from sarsplat import sweep
 from sarsplat.data.files import locked
-from sarsplat.sweeps import Means
-from sarsplat.sweeps.cell import cells_of
+from sarsplat.sweeps import Means, executor_local
+from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
-from sarsplat.sweeps.work import do, row_path
+from sarsplat.sweeps.work import Row, do, row_path
 from sweeps_results import results
 
 SLOW = pytest.mark.slow
@@ -76,6 +76,20 @@ def test_a_run_in_another_process_is_left_to_it(place, plan):
     assert do(one, out).state == "finished"
 
 
+def test_as_many_runs_are_done_at_a_time_as_there_are_processes(place, plan, monkeypatch):
+    both, one_by_one = threading.Barrier(2, timeout=60), threading.Lock()
+
+    class Here(executor_local.Worker):
+        def ask(self, cell: Cell) -> Row | None:
+            both.wait()
+            with one_by_one:  # what is warned of in two threads of one process would be mixed up
+                return do(cell, self._out)
+
+    monkeypatch.setattr(executor_local, "Worker", Here)
+    found = sweep(plan, place / "out", means=Means(processes=2), quiet=True)
+    assert all(one.finished for one in found.results)
+
+
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
 def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, capfd):
     found: list[int] = []
@@ -92,7 +106,7 @@ def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, capf
     assert "ended by SIGKILL" in failed.reason
     assert sum(one.finished for one in first.results) == 1
     plan |= {"seeds": [0, 1, 2]}
-    second = sweep(plan, place / "out", means=Means(processes=2), quiet=True)
+    second = sweep(plan, place / "out", means=Means(processes=1), quiet=True)
     assert all(one.finished for one in second.results)
     assert expected.items() <= results(place / "out").items()  # bit for bit
 

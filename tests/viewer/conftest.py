@@ -21,7 +21,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="session")
 def config() -> Config:
-    short = {"iterations": 40, "gaussians": 600, "harmonics_every": 10, "checkpoint_every": 1000}
+    short = {"iterations": 20, "gaussians": 400, "harmonics_every": 10, "checkpoint_every": 1000}
     return replace(preset("default"), **short, points=FEW_POINTS)
 
 

@@ -22,7 +22,7 @@ def test_no_line_crosses_the_picture_and_none_is_missing_beside_it(eye):
     lines = ground_lines(MIDDLE, REACH, 1.0, seen_through(TILTED, eye))
     every = ground_lines(MIDDLE, REACH, 1.0, np.empty((0, 2)))
     assert len(every) == 2 * 13
-    shares = np.linspace(0, 1, 240)[:, None]
+    shares = np.linspace(0, 1, 120)[:, None]
     places = np.concatenate([start + shares * (end - start) for start, end in every])
     hidden = np.array([in_the_picture(eye, place, TILTED) for place in places])
     assert 0 < hidden.sum() < len(places)

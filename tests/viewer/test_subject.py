@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from datasets import FEW_POINTS
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.radar import Pixel
@@ -87,7 +88,7 @@ def test_a_run_needs_no_dataset(finished, tmp_path):
 
 def test_ground_and_its_shadow_can_be_left_out(dataset):
     ground = replace(dataset, power=dataset.power + np.float32(0.05), ground=True, looks=1.0)
-    config = replace(preset("measured"), iterations=30, gaussians=300)
+    config = replace(preset("measured"), iterations=30, gaussians=300, points=FEW_POINTS)
     run = reconstruct(ground, config, quiet=True)
     from sarsplat.viewer.run_subject import subject_of_run
 

@@ -47,7 +47,7 @@ def code(roots: tuple[str, ...], device: str) -> str:
     """Digest of what modules and all that they import do, and of the device's engine; comments, docstrings and the
     words of errors and warnings do not count, and neither do changes since it was first asked for, until `forget`.
     """
-    sources = {name: ast.unparse(_without_words(_tree(path))) for name, path in imported_by(roots).items()}
+    sources = {name: _statements(path) for name, path in imported_by(roots).items()}
     engine = [LIBRARY] if device == "cpu" else sorted((LIBRARY.parent / "csrc").glob("*.[ch]*"))
     parts = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in engine if path.is_file()}
     return digest([sources, parts])
@@ -135,6 +135,12 @@ def _modules(package: str) -> Iterator[str]:
         yield from (f"{package}.{path.stem}" for path in file.parent.glob("*.py") if path.stem != "__init__")
 
 
+@cache
+def _statements(path: Path) -> str:
+    """What a file does, without its words."""
+    return ast.unparse(_without_words(ast.parse(path.read_text(encoding="utf-8"))))
+
+
 def _without_words(tree: ast.Module) -> ast.Module:
     """The tree without docstrings and without what errors and warnings say."""
     for node in ast.walk(tree):
@@ -159,5 +165,5 @@ def _is_text(node: ast.AST) -> bool:
 
 def forget() -> None:
     """Read everything again from now on."""
-    for cached in (code, _file, _tree, _lazy):
+    for cached in (code, _file, _tree, _statements, _lazy):
         cached.cache_clear()
