@@ -1,5 +1,8 @@
 # make demo    the whole workflow once: simulate, reconstruct, evaluate, report
-# make test    the test suite without the slow tests; make test-slow runs those
+# make test    the test suite without the slow tests; ROOM=renderer tests one room; make test-all runs everything
+# make check   in under a minute: style, types, imports and the tests of what changed since the last commit
+# make engine  the kernels alone, after a change to their sources: no pip, no network
+# make guard   whether the last `make demo` still scores what it did
 # make figures pictures with their tables: buildings, vehicles, splatting against ray casting, reconstructions, a village
 # make bench   speed and memory beside plain PyTorch and beside the arithmetic alone; fills docs/performance.md (3 minutes)
 # make tables  every experiment, beside the paper's tables and other methods, to docs/results (hours; resumable);
@@ -15,25 +18,33 @@
 # make clean   remove everything created here, including the environment
 #
 # Needs Python 3.11 or newer, make and git; no compiler. Choose another interpreter with `make PYTHON=python3.12 demo`.
+# What is installed grows with what is asked for: the demo's packages first, then the tests', then those of the docs.
 
 PYTHON ?= $(shell for p in python3.11 python3; do "$$p" -c "" 2>/dev/null && { echo "$$p"; break; }; done)
 
 SHELL := bash
 BIN := .venv/bin
-READY := .venv/.installed
+DEMO_READY := .venv/.demo
+TEST_READY := .venv/.test
+DOCS_READY := .venv/.docs
+ENGINE := src/sarsplat/renderer/_engine.so
 DEMO := demo
 TARGETS := linux-x86_64 linux-aarch64 macos-arm64 windows-x86_64
 
-# Of what pip says, the packages' names: it takes a minute or two.
+# Of what pip says, the packages' names; its warnings are of folders and versions that are no business of ours.
 NAMES := awk '/^(Collecting|Processing)/ { sub(/.*\//, "", $$2); sub(/(-[0-9]|[^a-zA-Z0-9_.-]).*/, "", $$2); printf " %s", $$2 } \
   /^Installing/ { print " ... installing" } { fflush() }'
+define pip
+PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --no-compile -c constraints.txt $(1) \
+    2> >(grep -v '^WARNING' >&2) | $(NAMES)
+endef
 
 # Says what is done, does it, and says how long it took.
 define step
 @set -o pipefail; printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup test test-slow figures bench tables chips fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
+.PHONY: demo setup engine check guard test test-all figures bench tables chips fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -43,22 +54,33 @@ demo: setup
 	$(call step,evaluate: score the unseen views and the points; write the report,\
 	  $(BIN)/sarsplat evaluate $(DEMO)/run)
 
-test: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+guard:
+	$(BIN)/python benchmarks/guard.py $(DEMO)/run
 
-test-slow: setup
-	$(BIN)/python -m pytest -m slow
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --durations 10
+
+test: $(TEST_READY)
+	$(PYTEST) -m "not slow" tests/$(ROOM)
+
+test-all: $(TEST_READY) $(DOCS_READY)
+	$(PYTEST)
+
+check: $(TEST_READY)
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -m "not slow" tests/test_imports.py $$($(BIN)/python tests/changed.py)
 
 # Guided by coverage where atheris can be installed, by chance elsewhere.
-fuzz: setup
+fuzz: $(TEST_READY)
 	-$(BIN)/python -m pip install --quiet -c constraints.txt atheris
 	$(BIN)/python tests/fuzz.py --inputs 2000
 
-sanitize: setup
+sanitize: $(TEST_READY)
 	$(BIN)/python tests/sanitize.py
 
 # Each with an engine for its platform; `make wheels TARGETS=linux-x86_64` makes one of them.
-wheels: setup
+wheels: $(TEST_READY)
 	rm -rf dist
 	$(call step,wheels: $(TARGETS),\
 	  for target in $(TARGETS); do SARSPLAT_TARGET=$$target $(BIN)/python -m hatchling build -t wheel || exit 1; done)
@@ -67,7 +89,7 @@ check-wheel: wheels
 	$(call step,install the wheel into an empty environment and try it,$(BIN)/python tests/wheel.py)
 
 # Also the tables of docs/forward-model.md and docs/images/buildings.png.
-figures: setup
+figures: $(TEST_READY)
 	$(call step,buildings: both forward models against the closed form,$(BIN)/python docs/draw_buildings.py)
 	$(call step,splat against ray cast: one mesh through both forward models,$(BIN)/python docs/draw_splat_against_raycast.py)
 	$(call step,vehicles beside measured chips,$(BIN)/python docs/draw_vehicles.py)
@@ -79,18 +101,18 @@ figures: setup
 	$(call step,polarimetry: four kinds of scattering (minutes),$(BIN)/python docs/draw_polarimetry.py)
 	$(call step,imports: which file imports which,$(BIN)/python docs/draw_imports.py)
 
-bench: setup
+bench: $(TEST_READY)
 	$(call step,bench: speed and memory of every part (takes minutes; keep the machine idle),\
 	  $(BIN)/python benchmarks/bench.py --out benchmarks/results)
 	$(call step,docs/performance.md from benchmarks/results,$(BIN)/python benchmarks/performance_page.py)
 
 # Finished runs stay in runs/tables: end it at any time and start it again.
-tables: setup
+tables: $(TEST_READY)
 	$(BIN)/python experiments/tables.py $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) \
 	  $(if $(CHIPS),--chips $(CHIPS) --labels $(LABELS)) $(if $(MASKS),--masks $(MASKS))
 
 # Finished networks stay in docs/results/chips-runs.csv, reconstructions and chips in runs/chips: end it at any time.
-chips: setup
+chips: $(TEST_READY)
 	$(BIN)/python experiments/chips.py $(if $(CHIPS),--chips $(CHIPS)) $(if $(LABELS),--labels $(LABELS))
 
 # Warnings are errors: links and anchors that lead nowhere among them.
@@ -99,38 +121,56 @@ docs: notebooks
 	@echo 'next: open site/index.html in a browser'
 
 # Kept in build/notebooks until the tutorial or the library changes.
-notebooks: setup
+notebooks: $(TEST_READY) $(DOCS_READY)
 	$(call step,notebooks: execute the tutorials that changed,$(BIN)/python docs/site_tutorials.py)
 
-primer: setup
+primer: $(TEST_READY)
 	$(BIN)/python docs/draw_primer.py
 
-sweep: setup
+sweep: $(TEST_READY)
 	$(BIN)/python docs/draw_sweep.py $(DEMO)/run
 
-lint: setup
+lint: $(TEST_READY)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/windows
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/windows src
+	$(BIN)/mypy --config-file tests/mypy.toml
 
 # The README's picture and table, from the last `make demo`.
-readme: setup
+readme: $(TEST_READY)
 	$(BIN)/python docs/readme_results.py $(DEMO)/run
 
 clean:
 	rm -rf .venv $(DEMO) figures build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/renderer/_engine.*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-setup: $(READY)
+setup: $(DEMO_READY) $(ENGINE)
 
-$(READY): pyproject.toml constraints.txt build_engine.py $(wildcard src/sarsplat/renderer/csrc/*)
+engine: $(ENGINE)
+
+$(ENGINE): build_engine.py $(wildcard src/sarsplat/renderer/csrc/*) | $(DEMO_READY)
+	$(call step,engine: the kernels that changed,$(BIN)/python build_engine.py)
+
+# The engine is compiled while pip works.
+$(DEMO_READY): pyproject.toml constraints.txt
 	@"$(PYTHON)" -c "import sys; sys.exit(sys.version_info < (3, 11))" 2>/dev/null || { \
 	  echo "sarsplat needs Python 3.11 or newer, but PYTHON is '$(PYTHON)'; name one: make PYTHON=/path/to/python3.11" >&2; \
 	  exit 1; }
-	$(call step,set up .venv (once; a minute or two),\
+	$(call step,set up .venv for the demo (once; a minute or two),\
 	  "$(PYTHON)" -m venv .venv \
-	  && $(BIN)/python -m pip install --quiet -c constraints.txt hatchling editables ziglang \
-	  && $(BIN)/python -m pip install --no-build-isolation -c constraints.txt -e '.[dev]' \
-    | $(NAMES))
+	  && $(call pip,hatchling editables ziglang) \
+	  && { $(BIN)/python build_engine.py & } \
+	  && $(BIN)/python build_engine.py --requirements simulate evaluate report > .venv/requirements.txt \
+	  && $(call pip,-r .venv/requirements.txt) \
+	  && wait $$! \
+	  && $(call pip,--no-build-isolation --no-deps -e .))
+	@touch $@
+
+$(TEST_READY): $(DEMO_READY) $(ENGINE)
+	$(call step,set up .venv for the tests (once; a minute),$(call pip,--no-build-isolation -e '.[test]'))
+	@touch $@
+
+$(DOCS_READY): $(TEST_READY)
+	$(call step,set up .venv for the documentation (once),$(call pip,--no-build-isolation -e '.[docs]'))
 	@touch $@

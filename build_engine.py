@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -130,7 +131,19 @@ def put(source: Path, destination: Path) -> None:
     temporary.replace(destination)
 
 
+def requirements(extras: list[str]) -> list[str]:
+    """What pyproject.toml asks for."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return [*project["dependencies"], *(one for extra in extras for one in project["optional-dependencies"][extra])]
+
+
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["--requirements"]:
+        print(*requirements(sys.argv[2:]), sep="\n")
+        sys.exit()
     if (this := host()) is None:
         sys.exit(f"there is no CPU engine for {sys.platform} on {platform.machine()}")
-    put(engine(this), RENDERER / TARGETS[this].library)
+    try:
+        put(engine(this), RENDERER / TARGETS[this].library)
+    except subprocess.CalledProcessError:
+        sys.exit("sarsplat: the engine was not built; above is what the compiler says")

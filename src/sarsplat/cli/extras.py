@@ -7,11 +7,11 @@ EXTRAS: dict[str, dict[str, str]] = {
     "mesh": {"trimesh": "trimesh", "skimage": "scikit-image"},
     "mstar": {"PIL": "pillow"},
     "evaluate": {
-        "torchmetrics": "torchmetrics",
         "sklearn": "scikit-learn",
         "skimage": "scikit-image",
         "trimesh": "trimesh",
         "embreex": "embreex",
+        "fcpw": "fcpw",
     },
     "baselines": {"trimesh": "trimesh", "skimage": "scikit-image", "embreex": "embreex"},
     "view": {"viser": "viser", "websockets": "websockets", "matplotlib": "matplotlib", "trimesh": "trimesh"},
