@@ -31,10 +31,7 @@ def pytest_collection() -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def few_samples() -> Iterator[None]:
-    """Runs are scored with 5000 samples of each surface instead of a million, and shown in fewer pixels.
-
-    The pieces that true surfaces are cut into are ten times as large: distances are the same, sooner for few triangles.
-    """
+    """Runs are scored with 5000 samples of each surface instead of a million, and shown in fewer pixels."""
     from sarsplat.evaluation.surface import visible_surface
 
     def coarse(mesh: Any, views: Any, ray_spacing: float, each_view: Any) -> Any:
@@ -43,7 +40,6 @@ def few_samples() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)
         patch.setattr("sarsplat.evaluation.evaluate._MESH_SAMPLES", 5000)
-        patch.setattr("sarsplat.evaluation.points._PIECES", 10)
         patch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
         patch.setattr("sarsplat.report.boards._PIXELS", 40)
         patch.setattr("sarsplat.report.widget._MOST_RENDERED", 3000)
