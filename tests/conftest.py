@@ -34,8 +34,8 @@ def few_samples() -> Iterator[None]:
     """Runs are scored with 5000 samples of each surface instead of a million, and shown in fewer pixels."""
     from sarsplat.evaluation.surface import visible_surface
 
-    def coarse(mesh: Any, views: Any, ray_spacing: float, each_view: Any) -> Any:
-        return visible_surface(mesh, views, ray_spacing=5 * ray_spacing, samples=5000, each_view=each_view)
+    def coarse(mesh: Any, views: Any, ray_spacing: float, advanced: Any) -> Any:
+        return visible_surface(mesh, views, ray_spacing=5 * ray_spacing, samples=5000, advanced=advanced)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)

@@ -16,6 +16,38 @@ _shown: ContextVar[Reporter | None] = ContextVar("_shown", default=None)
 """The progress that is being shown."""
 
 
+_tally: ContextVar[Tally | None] = ContextVar("_tally", default=None)
+"""Where the time goes, if anybody asks."""
+
+
+class Tally(dict[str, float]):
+    """Seconds by kind of work: what stands before the colon in what is reported as done."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._last = time.monotonic()
+
+    def count(self, work: str) -> None:
+        """All since the last count was this work."""
+        kind, now = work.partition(":")[0], time.monotonic()
+        self[kind] = self.get(kind, 0.0) + now - self._last
+        self._last = now
+
+    def __str__(self) -> str:
+        return ", ".join(f"{kind} {seconds:.1f} s" for kind, seconds in self.items() if seconds >= 0.05)
+
+
+@contextmanager
+def tally() -> Iterator[Tally]:
+    """Counts where the time of the block goes."""
+    counted = Tally()
+    before = _tally.set(counted)
+    try:
+        yield counted
+    finally:
+        _tally.reset(before)
+
+
 class Reporter:
     """Shows every step that is reported to it, as the terminal allows."""
 
@@ -56,6 +88,8 @@ class Reporter:
     def update(self, done: float, status: str = "") -> None:
         """`done` steps of the total are finished, of which the last may be part of one."""
         self._done = done
+        if (counted := _tally.get()) is not None:
+            counted.count(status or self._description)
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, status=status)
             return

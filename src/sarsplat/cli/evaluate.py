@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -21,6 +23,8 @@ def evaluate(
     masks: OptionalFolder = None,
     lpips_weights: OptionalFolder = None,
     dataset: OptionalFolder = None,
+    no_points: bool = False,
+    no_report: bool = False,
 ) -> None:
     """Score a run on unseen views and against the true surface, and write its report.
 
@@ -42,6 +46,10 @@ def evaluate(
         Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
     dataset
         Dataset to score a PLY file on; a run has its own.
+    no_points
+        Score images only: points and mesh take most of the time.
+    no_report
+        Write the scores only; a report that is there stays as it is.
     """
     from sarsplat.evaluation import (
         NOT_THE_SAME_EXPERIMENT,
@@ -52,6 +60,7 @@ def evaluate(
         metrics_table,
         paper_beside,
     )
+    from sarsplat.progress import tally
     from sarsplat.reconstruction import Run
     from sarsplat.report import write_report
     from sarsplat.report.write import refuse_linked_report
@@ -63,7 +72,10 @@ def evaluate(
         refuse_linked_report(run)
     else:
         raise SarsplatError(f"--dataset {dataset} is for PLY files, and {run} is a run, which has its own; omit it")
-    metrics = evaluate_run(done, mesh=mesh, alignment=align, masks=masks, lpips_weights=lpips_weights)
+    with tally() as spent:
+        metrics = evaluate_run(
+            done, mesh=mesh, alignment=align, masks=masks, lpips_weights=lpips_weights, points=not no_points
+        )
     paper = paper_beside(done.dataset)
     yardstick = Yardstick(metrics["parameters"]["yardstick_m"])
     console.show(metrics_table(comparison(metrics, paper), yardstick, NOT_THE_SAME_EXPERIMENT if paper else None))
@@ -71,9 +83,14 @@ def evaluate(
         console.say(_beside(metrics["points"]["visible"], capon["visible"]))
     for sentence in beaten_by_baselines(metrics):
         console.warn(sentence)
-    if done.path is None:
+    if done.path is None or no_report:
+        console.say(f"time: {spent}")
+        if done.path is not None:
+            console.finish(f"{run / 'metrics.json'}", f"sarsplat report {shlex.quote(str(run))}")
         return
+    begun = time.monotonic()
     page = write_report(done)
+    console.say(f"time: {spent}, report {time.monotonic() - begun:.1f} s")
     console.finish(f"{run / 'metrics.json'} and {page}", f"open {page} in a browser")
 
 

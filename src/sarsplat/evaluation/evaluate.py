@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -46,8 +46,9 @@ if TYPE_CHECKING:
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000
 
-# About how long these take, in the time of one view's rays: samples of what a view sees, and distances of points.
-_SAMPLES, _DISTANCES = 3, 10
+# About how long these take, in the time of a test view and its scores: the mesh, the visible surface, and distances of
+# points or mesh from one part of the surface. They grow with the surface, as images do.
+_MESH, _SURFACE, _DISTANCES = 40, 60, 30
 
 
 @checks_arguments
@@ -58,6 +59,7 @@ def evaluate_run(
     alignment: Literal["none", "rigid"] = "none",
     masks: str | Path | None = None,
     lpips_weights: str | Path | None = None,
+    points: bool = True,
     quiet: bool = False,
 ) -> dict[str, Any]:
     """Score a run on every test set, its points and mesh against the true surface; write `metrics.json`.
@@ -74,6 +76,8 @@ def evaluate_run(
         Folder of true masks, a PNG for each image (`read_masks`): target and shadow are then scored as well.
     lpips_weights : pathlib.Path, optional
         Folder of the LPIPS weights; without it the environment variable SARSPLAT_LPIPS_WEIGHTS, without that no LPIPS.
+    points : bool
+        Whether points and mesh are scored, which takes most of the time.
     quiet : bool
         Show no progress.
 
@@ -105,7 +109,7 @@ def evaluate_run(
         dataset = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
         folder = None if masks is None else Path(masks)
         weights = None if lpips_weights is None else Path(lpips_weights)
-        metrics = _evaluate(run, dataset, alignment, folder, weights, quiet)
+        metrics = _evaluate(run, dataset, alignment, folder, weights, points, quiet)
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
         elif run.memory is not None:
@@ -114,13 +118,23 @@ def evaluate_run(
 
 
 def _evaluate(
-    run: Run, dataset: Dataset, alignment: str, masks_dir: Path | None, weights_dir: Path | None, quiet: bool
+    run: Run,
+    dataset: Dataset,
+    alignment: str,
+    masks_dir: Path | None,
+    weights_dir: Path | None,
+    points: bool,
+    quiet: bool,
 ) -> dict[str, Any]:
     if alignment not in ("none", "rigid"):
         raise SarsplatError(f"alignment {alignment!r} is unknown; choose none or rigid")
+    if alignment == "rigid" and not points:
+        raise SarsplatError("points are left out, so nothing can be aligned; leave out one of the two")
     if alignment == "rigid" and dataset.truth_mesh is None:
         raise SarsplatError(f"{dataset} has no true mesh to align the points to; give one as `mesh` (--mesh FILE)")
     test_sets = [split for split in dataset.splits() if split != "train"]
+    if not test_sets and not points:
+        raise SarsplatError(f"nothing can be scored: {dataset} has no test images, and points are left out; score them")
     if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
         lacks = "no true mesh" if dataset.truth_mesh is None else "the run no points"
         raise SarsplatError(
@@ -142,18 +156,19 @@ def _evaluate(
     images: dict[str, dict[str, float | None]] = {}
     by_image: dict[str, dict[str, Any]] = {}
     tests = sum(len(dataset.images(split)) for split in test_sets)
-    steps = tests + len(masks) + (1 + _SAMPLES) * len(dataset.images("train")) + 4 * _DISTANCES
+    surfaced = points and dataset.truth_mesh is not None
+    steps = tests + len(masks) + (_MESH + _SURFACE + 4 * _DISTANCES if surfaced else 0)
     with progress(f"evaluate {run.path or dataset.target}", steps, quiet) as shown:
         for split in test_sets:
             tested = dataset.select(split)
             pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
-            shown.advance(0, "scores of the test images")
             images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
             by_image[split] = _by_image(tested, pair)
+            shown.advance(0, "scores of the test images")
             numbers = [index for index, entry in enumerate(dataset.entries) if entry.split == split]
             compared = _masks(run, tested, pair.rendered, [masks.get(index) for index in numbers], shown)
             images[split] |= compute_all(MASK_METRICS, tested, compared, f"images.{split}.", reasons)
-        surfaces = _surfaces(run, dataset, alignment == "rigid", yardstick, reasons, shown)
+        surfaces = _surfaces(run, dataset, points, alignment == "rigid", yardstick, reasons, shown)
         shown.update(steps)
     return {
         "images": images,
@@ -210,6 +225,7 @@ def _masks(
 def _surfaces(
     run: Run,
     dataset: Dataset,
+    scored: bool,
     aligned: bool,
     yardstick: Yardstick,
     reasons: dict[str, str],
@@ -221,9 +237,12 @@ def _surfaces(
     parts = dict.fromkeys(("visible", "whole"))
     given = dataset.truth_mesh != run.dataset.truth_mesh
     truth: dict[str, Any] = {"mesh": str(dataset.truth_mesh.resolve()) if given and dataset.truth_mesh else None}
-    lacks = dict.fromkeys(clouds, "the run reconstructed no points")
-    if dataset.truth_mesh is not None and len(run.points):
+    lacks = dict.fromkeys(clouds, "the run reconstructed no points" if scored else "points were left out")
+    if not scored:
+        clouds["points"] = clouds["mesh"]
+    elif dataset.truth_mesh is not None and len(run.points):
         clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)
+        shown.advance(_MESH, "surface: mesh")
         views = dataset.select("train").views
         true_mesh = read_truth_mesh(dataset.truth_mesh)
         stacks = dataset.interferometric or dataset.polarimetric
@@ -231,9 +250,8 @@ def _surfaces(
             of_stacks(true_mesh, dataset) if stacks else true_mesh,
             views,
             ray_spacing=yardstick.ray_spacing_m,
-            each_view=lambda: shown.advance(1, "surface that the views see"),
+            advanced=_advancing(shown, _SURFACE, "surface: what the views see"),
         )
-        shown.advance(_SAMPLES * len(views), "distances from the visible surface")
         if stacks:
             surface = imaged_alone(surface, dataset)
         if dataset.interferometric:
@@ -261,12 +279,24 @@ def _surfaces(
             if surfaces is None or cloud is None:
                 measured = UndefinedScore(lacks[kind])
             else:
-                measured = cloud.scores(*surfaces)
-                shown.advance(_DISTANCES, f"distances of the {kind} from the {part} surface")
+                work = f"distances: {kind} from the {part} surface"
+                measured = cloud.scores(*surfaces, _advancing(shown, _DISTANCES, work))
             scores[kind][part] = compute_all(
                 metrics_of_points(yardstick), dataset, measured, f"{kind}.{part}.", reasons
             )
     return {**scores, "truth": truth}
+
+
+def _advancing(shown: Reporter, steps: int, work: str) -> Callable[[float], None]:
+    """Reports the share of some work as steps."""
+    reported = 0.0
+
+    def advance(share: float) -> None:
+        nonlocal reported
+        shown.advance(steps * (share - reported), work)
+        reported = share
+
+    return advance
 
 
 def _points_on_mesh(run: Run) -> tuple[Float[np.ndarray, "p 3"], str]:

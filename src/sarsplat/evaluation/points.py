@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.unbroken import unbroken
 
 _AT_ONCE = 20_000  # points whose distances fit into a processor's cache
+_SAMPLES_AT_ONCE = 200_000  # a second at most, so that progress is seen
 
 
 @dataclass(frozen=True)
@@ -120,10 +122,22 @@ class Cloud:
         self._tree = cKDTree(self._kept, leafsize=24, balanced_tree=False)
         self._thresholds_m = yardstick.thresholds_m
 
-    def scores(self, triangles: Float[np.ndarray, "t 3 3"], samples: Float[np.ndarray, "s 3"]) -> PointMetrics:
-        """As `point_metrics`, several times as fast if the samples are `side_by_side`."""
+    def scores(
+        self,
+        triangles: Float[np.ndarray, "t 3 3"],
+        samples: Float[np.ndarray, "s 3"],
+        advanced: Callable[[float], object] = lambda share: None,
+    ) -> PointMetrics:
+        """As `point_metrics`, several times as fast if the samples are `side_by_side`.
+
+        `advanced` is called now and then with the share of the work that is done, 0 to 1.
+        """
         to_surface = surface_distance(self._kept, triangles)
-        to_points = unbroken(self._tree.query, samples, workers=-1)[0]
+        to_points = np.empty(len(samples))
+        for first in range(0, len(samples), _SAMPLES_AT_ONCE):
+            part = slice(first, first + _SAMPLES_AT_ONCE)
+            to_points[part] = unbroken(self._tree.query, samples[part], workers=-1)[0]
+            advanced(min(1.0, part.stop / len(samples)))
         precision = {threshold: float(np.mean(to_surface <= threshold)) for threshold in self._thresholds_m}
         recall = {threshold: float(np.mean(to_points <= threshold)) for threshold in self._thresholds_m}
         accuracy, completeness = float(to_surface.mean()), float(to_points.mean())

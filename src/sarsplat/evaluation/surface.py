@@ -99,7 +99,7 @@ def visible_surface(
     *,
     samples: int = 1_000_000,
     seed: int = 0,
-    each_view: Callable[[], object] | None = None,
+    advanced: Callable[[float], object] = lambda share: None,
 ) -> VisibleSurface:
     """Triangles and samples of the surface that at least one of the views sees.
 
@@ -118,8 +118,8 @@ def visible_surface(
         Number of samples of the visible and of the whole surface.
     seed : int
         Seed of the random samples.
-    each_view : callable, optional
-        Called when the rays of another view are done.
+    advanced : callable, optional
+        Called now and then with the share of the work that is done, 0 to 1.
 
     Raises
     ------
@@ -140,10 +140,10 @@ def visible_surface(
     scene = _scene(mesh)
     visible = np.zeros(len(mesh.faces), dtype=bool)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        for hit in threads.map(lambda view: _first_hits(scene, mesh, view, ray_spacing), views):
+        hits = threads.map(lambda view: _first_hits(scene, mesh, view, ray_spacing), views)
+        for number, hit in enumerate(hits, 1):
             visible |= hit
-            if each_view is not None:
-                each_view()
+            advanced(number / len(views) / 2)
     if not visible.any():
         raise SarsplatError(
             f"no ray hits the mesh: its parts are smaller than the ray spacing of {ray_spacing:.3g} m; use a finer one"
@@ -159,6 +159,7 @@ def visible_surface(
         lit = candidates[_are_seen(scene, candidates, views, lift)][:missing].astype(np.float32)
         seen.append(lit)
         missing -= len(lit)
+        advanced(1 - missing / samples / 2)
         fraction = max(len(lit) / count, 1e-3)
     triangles = np.asarray(mesh.triangles, dtype=np.float64)
     return VisibleSurface(triangles[visible], triangles, np.concatenate(seen), whole.astype(np.float32))
