@@ -69,7 +69,8 @@ check: $(TEST_READY)
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -m "not slow" tests/test_imports.py $$($(BIN)/python tests/changed.py)
+	$(BIN)/mypy --config-file tests/mypy.toml
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" tests/test_imports.py $$($(BIN)/python tests/changed.py)
 
 # Guided by coverage where atheris can be installed, by chance elsewhere.
 fuzz: $(TEST_READY)

@@ -216,7 +216,7 @@ def measure(gpu: Gpu, folder: Path, seconds: float = BUDGET_S, only: Sequence[st
             print(f"{name}: not run; it takes about {needs:.0f} s, and {max(left, 0):.0f} s are left")
             continue
         print(f"{name} …", flush=True)
-        entry = {"done": False, "date": date.today().isoformat(), "seconds": 0.0, "found": {}}
+        entry: dict[str, Any] = {"done": False, "date": date.today().isoformat(), "seconds": 0.0, "found": {}}
         results["sections"][name] = entry
         try:
             for what, value in section(gpu):

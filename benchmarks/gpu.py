@@ -114,14 +114,14 @@ class Gpu:
 
     def kernel_ms(self, program: Callable[[], object], repeats: int) -> dict[str, float]:
         """Of each of the engine's kernels in one call, by events around its launch: an idle GPU's wait included."""
-        launch, events, total = self.launcher.launch, [], {}
+        launch, events, total = self.launcher.launch, [], dict[str, float]()
 
         def timed(name: str, *arguments: Any) -> None:
             begun = self.moment()
             launch(name, *arguments)
             events.append((name, begun, self.moment()))
 
-        self.launcher.launch = timed  # type: ignore[method-assign]
+        self.launcher.launch = timed  # type: ignore[method-assign,assignment]
         try:
             for _ in range(repeats):
                 program()

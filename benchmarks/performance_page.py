@@ -85,8 +85,9 @@ def beside_the_ordinary(parts: dict[str, Any]) -> str:
     alone = iteration["view_s"]["one view"]
     rows = [
         *(
-            row(name.replace(" / ", " instead of "), *parts["steps"]["contenders_s"][name], quotient)
+            row(name.replace(" / ", " instead of "), first, second, quotient)
             for name, quotient in parts["steps"]["ratios"].items()
+            for first, second in [parts["steps"]["contenders_s"][name]]
         ),
         row(
             f"a training step on 8 views instead of one, time per view, {few} Gaussians",
@@ -101,8 +102,9 @@ def beside_the_ordinary(parts: dict[str, Any]) -> str:
             iteration["ratios"][f"{many} / {few} Gaussians, a view alone"],
         ),
         *(
-            row(_load(load), *parts["degenerate"]["contenders_s"][load], quotient)
+            row(_load(load), first, second, quotient)
             for load, quotient in parts["degenerate"]["ratios"].items()
+            for first, second in [parts["degenerate"]["contenders_s"][load]]
         ),
     ]
     return markdown(("what is different", "with it", "without", "times as long (↓)"), rows)

@@ -178,9 +178,8 @@ def test_commands_in_pages_are_understood(page):
 
 def test_cheap_commands_in_pages_work(bench, capfd):
     cheap = dict.fromkeys(" ".join(words_of(command)) for _, command in EVERY_COMMAND)
-    cheap = [shlex.split(line) for line in cheap if line.startswith(CHEAP)]
     done = set()
-    for words in cheap:
+    for words in [shlex.split(line) for line in cheap if line.startswith(CHEAP)]:
         named = [word for word in words[1:2] if words[0] not in ("completion", "doctor")]
         if any(not Path(name).exists() for name in named):
             continue  # of a dataset or a run that a dear command makes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 
 import pytest
 
@@ -32,3 +33,17 @@ def test_short_parts_of_long_work_are_not_silent_together(
         with progress.stage("mesh", 3) as part:
             part.advance(1)
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["mesh:"]
+
+
+def test_a_tally_says_where_the_time_went() -> None:
+    with progress.tally() as spent, progress.progress("work", 3, quiet=True) as shown:
+        time.sleep(0.12)
+        shown.advance(1, "digging: a hole")
+        time.sleep(0.06)
+        shown.advance(1, "digging: another")
+        shown.advance(1)
+    assert spent["digging"] >= 0.18 > spent["work"]
+    assert re.fullmatch(r"digging \d\.\d s", str(spent))
+    with progress.progress("work", 1, quiet=True) as shown:
+        shown.advance(1, "unasked")
+    assert "unasked" not in spent

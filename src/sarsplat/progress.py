@@ -81,7 +81,7 @@ class Reporter:
         self._first = done
         self.update(done)
 
-    def advance(self, steps: int, status: str = "") -> None:
+    def advance(self, steps: float, status: str = "") -> None:
         """`steps` more are finished; `status` is a short text such as the loss."""
         self.update(self._done + steps, status)
 

@@ -134,6 +134,15 @@ def test_a_rendered_set_is_scored_by_protocol_r(make):
     assert WEIGHTS_VARIABLE in metrics["reasons"]["images.test-17.lpips"]
 
 
+def test_points_may_be_left_out(make) -> None:
+    metrics = evaluate_run(FakeRun(make()), points=False, quiet=True)
+    assert metrics["images"]["test-17"]["psnr_db"] is not None
+    assert metrics["points"]["visible"]["cd_m"] is None and metrics["mesh"]["whole"]["cd_m"] is None
+    assert metrics["reasons"]["points.visible.cd_m"] == "points were left out"
+    with pytest.raises(SarsplatError, match="points are left out, so nothing can be aligned"):
+        evaluate_run(FakeRun(make()), points=False, alignment="rigid", quiet=True)
+
+
 def test_what_is_being_done_is_told_and_how_far(make, capsys, monkeypatch):
     monkeypatch.setattr("sarsplat.progress._SECONDS_BETWEEN_LINES", 0)
     evaluate_run(FakeRun(make()))
@@ -141,7 +150,7 @@ def test_what_is_being_done_is_told_and_how_far(make, capsys, monkeypatch):
     counts = [tuple(map(int, re.search(r": (\d+)/(\d+) ", line).groups())) for line in lines]
     assert counts == sorted(counts)
     assert {total for _, total in counts} == {counts[-1][0]}  # and at the end all is done
-    for stage in ("test views", "surface that the views see", "visible surface", "whole surface"):
+    for stage in ("test views", "what the views see", "visible surface", "whole surface"):
         assert any(stage in line for line in lines)
     evaluate_run(FakeRun(make()), quiet=True)
     assert capsys.readouterr().out == ""

@@ -63,9 +63,7 @@ def test_accuracy_is_measured_to_triangles_not_to_samples():
     assert scores.completeness_m > 0.01
 
 
-@pytest.mark.parametrize("pieces", [10, 100])
-def test_distance_is_exact_for_any_triangles(pieces, monkeypatch):
-    monkeypatch.setattr("sarsplat.evaluation.points._PIECES", pieces)
+def test_distance_is_exact_for_any_triangles():
     generator = np.random.default_rng(0)
     slivers = generator.normal(size=(20, 1, 3)) * 3 + generator.normal(size=(20, 3, 3)) * [4, 0.01, 0.3]
     small = generator.normal(size=(300, 1, 3)) * 2 + generator.normal(size=(300, 3, 3)) * 0.05

@@ -87,13 +87,10 @@ def ssim(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
         raise UndefinedScore(
             f"SSIM's 11×11 window does not fit images of {truth.shape[1]} × {truth.shape[2]} pixels; use larger ones"
         )
-    margin = SSIM_WINDOW // 2
+    amplitudes = (normalised_amplitude(power, reference_amplitude) for power in (truth, rendered))
     scores = []
-    for pair in zip(truth, rendered, strict=True):  # one at a time: memory stays small
-        first, second = (
-            torch.from_numpy(np.pad(normalised_amplitude(power, reference_amplitude), margin, "reflect")).double()[None]
-            for power in pair
-        )
+    for pair in zip(*amplitudes, strict=True):  # one at a time: memory stays small
+        first, second = (torch.from_numpy(np.pad(one, SSIM_WINDOW // 2, "reflect")).double()[None] for one in pair)
         scores.append(float(structural_similarity(second, first)))
     return float(np.mean(scores))
 

@@ -188,7 +188,7 @@ def surface_distance(
     import fcpw
     from trimesh.triangles import closest_point, nondegenerate
 
-    triangles = triangles[nondegenerate(triangles)]
+    points, triangles = np.asarray(points, np.float64), np.asarray(triangles)[nondegenerate(triangles)]
     if len(triangles) == 0:
         raise SarsplatError("the true surface has no triangle with an area, so no distance exists; check the mesh")
     middle = triangles.mean(axis=(0, 1))  # large coordinates would leave few digits for the distance
