@@ -24,7 +24,7 @@ pytest.importorskip("embreex")
 
 GRID = ImageGrid(44, 44, (0.25, 0.25), (0.3, 0.3))
 STD_DEG = 3.0
-SHORT = {"iterations": 60, "gaussians": 700, "harmonics_every": 20, "checkpoint_every": 26}
+SHORT = {"iterations": 50, "gaussians": 500, "harmonics_every": 20, "checkpoint_every": 26}
 CONFIG = replace(preset("measured"), **SHORT, points=FEW_POINTS)
 AROUND = np.arange(0, 360, 20)
 
@@ -76,7 +76,7 @@ def test_wrong_azimuths_are_put_right(wrong: tuple[Dataset, np.ndarray], refined
 
 def test_a_resumed_training_is_the_same(wrong: tuple[Dataset, np.ndarray], refined: Run, tmp_path: Path) -> None:
     """Stopped between two rounds."""
-    reconstruct(wrong[0], CONFIG, tmp_path / "run", on_step=lambda step: step.iteration == 30, quiet=True)
+    reconstruct(wrong[0], CONFIG, tmp_path / "run", on_step=lambda step: step.iteration == 25, quiet=True)
     assert Run.load(tmp_path / "run").azimuth_offset_deg.any()
     resumed = reconstruct(wrong[0], CONFIG, tmp_path / "run", quiet=True, resume=True)
     expected = refined.snapshot.tensors

@@ -27,6 +27,12 @@ pytest.importorskip("embreex")
 GRID = ImageGrid(40, 36, (0.4, 0.35), (0.5, 0.45))
 
 
+@pytest.fixture(autouse=True)
+def coarsely(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ground is compared in fewer places."""
+    monkeypatch.setattr("sarsplat.reconstruction.neighbours._PLACES", 64)
+
+
 @cache
 def simulated(
     ground: float | None, grid: ImageGrid = GRID, scale: float = 1.0, azimuths: range = range(0, 360, 30)

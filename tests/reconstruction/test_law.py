@@ -38,7 +38,7 @@ def exponents(run: Run) -> torch.Tensor:
 
 
 def test_the_exponent_follows_the_images_and_is_one_for_all(dataset: Dataset, config: Config) -> None:
-    longer = replace(config, iterations=200)
+    longer = replace(config, iterations=130)
     narrow, wide = (exponents(reconstruct(seen(dataset, e), longer, quiet=True)) for e in (8.0, 2.0))
     assert narrow.unique().numel() == wide.unique().numel() == 1
     assert narrow[0] > 4.5

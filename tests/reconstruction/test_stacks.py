@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
-from typing import cast
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -217,20 +219,6 @@ def test_polarisations_may_be_learned_from_by_power_alone():
         render_covariances(reconstruct(polarimetric, few, quiet=True).gaussians, [VIEW], GRID, pair)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("coarsest", 8), ("tiles", 2), ("ground", FlatGround()), ("surroundings", Surroundings())]
-)
-def test_settings_that_covariances_know_nothing_of(name: str, value: object):
-    with pytest.raises(SarsplatError, match=f"{name} is .*, which learning from passes knows nothing of"):
-        reconstruct(dataset(), replace(preset("stack"), **{name: value}), quiet=True)
-
-
-def test_a_box_that_no_image_shows_is_refused():
-    away = replace(dataset(), target_box_m=((100.0, 100.0, 0.0), (110.0, 110.0, 5.0)))
-    with pytest.raises(SarsplatError, match="no training image shows anything of the box"):
-        reconstruct(away, quiet=True)
-
-
 def test_without_a_box_all_that_images_show_is_looked_at_wherever_they_lie():
     moved = replace(GRID, center_m=(40.0, -30.0))
     images = dataset()
@@ -256,29 +244,51 @@ def of_stacks(*stacks: Stack) -> Dataset:
     return Dataset.of_complex(ImageGrid(24, 20, (0.5, 0.5), (0.6, 0.6)), entries, signal, looks=1.0, ground=True)
 
 
+def of_two(**fields: object) -> Dataset:
+    """Two passes of 24 × 20 pixels."""
+    return of_stacks(Stack(0.031, (0.0, 0.001), **fields))
+
+
+PAIRS = [Stack(0.24, (0.0, 0.0), polarisations=("HH", other)) for other in ("VV", "HV")]
+PASSES = preset("stack").passes
+AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
+
+
 @pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
-def test_views_of_other_polarisations_are_refused():
-    pairs = [Stack(0.24, (0.0, 0.0), polarisations=("HH", other)) for other in ("VV", "HV")]
-    with pytest.raises(SarsplatError, match=r"v0 has the polarisations HH, VV and v1 has HH, HV; give all views"):
-        reconstruct(of_stacks(*pairs), quiet=True)
+@pytest.mark.parametrize(
+    ("images", "changes", "message"),
+    [
+        *(
+            (dataset, changes, f"{next(iter(changes))} is .*, which learning from passes knows nothing of")
+            for changes in ({"coarsest": 8}, {"tiles": 2}, {"ground": FlatGround()}, {"surroundings": Surroundings()})
+        ),
+        (lambda: replace(dataset(), target_box_m=AWAY), {}, "no training image shows anything of the box"),
+        (
+            lambda: of_stacks(*PAIRS),
+            {},
+            r"v0 has the polarisations HH, VV and v1 has HH, HV; give all views",
+        ),
+        *(
+            (
+                partial(of_two, noise=(noise, 0.1)),
+                {},
+                rf"v0 states noise of {noise:g} where .* state at least .*, or none",
+            )
+            for noise in (1e-12, 1e-7)
+        ),
+        (
+            of_two,
+            {"passes": replace(PASSES, window=25)},
+            r"passes.window is 25, more than the 24 × 20 pixels of the images; give a",
+        ),
+        (of_two, {"passes": None}, r"the loss passes is learned from stacks with passes on, and passes is off"),
+    ],
+)
+def test_refusals(images: Callable[[], Dataset], changes: dict[str, Any], message: str):
+    with pytest.raises(SarsplatError, match=message):
+        reconstruct(images(), replace(preset("stack"), **changes) if changes else "auto", quiet=True)
 
 
-@pytest.mark.parametrize("noise", [1e-12, 1e-7])
-def test_noise_too_low_for_float32_is_refused(noise: float):
-    images = of_stacks(Stack(0.031, (0.0, 0.001), noise=(noise, 0.1)))
-    with pytest.raises(SarsplatError, match=rf"v0 states noise of {noise:g} where .* state at least .*, or none"):
-        reconstruct(images, quiet=True)
-
-
-def test_settings_of_passes_that_make_no_sense():
-    images, stack = of_stacks(Stack(0.031, (0.0, 0.001))), preset("stack")
-    assert stack.passes is not None
-    wide = replace(stack, passes=replace(stack.passes, window=25))
-    with pytest.raises(SarsplatError, match=r"passes.window is 25, more than the 24 × 20 pixels of the images; give a"):
-        reconstruct(images, wide, quiet=True)
+def test_screens_too_narrow_are_refused():
     with pytest.raises(SarsplatError, match=r"passes.screen_std is 1e-30; give at least 1e-06 radians, or 0 to switch"):
-        replace(stack.passes, screen_std=1e-30)
-    with pytest.raises(
-        SarsplatError, match=r"the loss passes is learned from stacks with passes on, and passes is off"
-    ):
-        reconstruct(images, replace(stack, passes=None), quiet=True)
+        replace(PASSES, screen_std=1e-30)

@@ -86,10 +86,10 @@ def test_it_contains_the_target_and_little_more_in_scenes_of_any_size(slab, view
 
 
 STEEP_TOO = [View(azimuth, grazing) for azimuth in range(0, 360, 45) for grazing in (15, 45, 75)]
-TWENTY = [View(azimuth, 20.0) for azimuth in range(7, 360, 10)]
+TWENTY = [View(azimuth, 20.0) for azimuth in range(7, 360, 15)]
 
 
-@pytest.mark.parametrize("views", [STEEP_TOO, TWENTY, TWENTY[::5]])
+@pytest.mark.parametrize("views", [STEEP_TOO, TWENTY, TWENTY[::3]])
 @pytest.mark.parametrize("speckle", [False, True])
 def test_nothing_of_what_is_high_lies_outside_and_little_is_beside_it_or_above(
     views: list[View], speckle: bool
