@@ -96,6 +96,11 @@ class Workshop:
         return [*steps, *(("KILL_AFTER", chance.uniform(0, seconds)) for _ in range(by_clock))]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_samples() -> None:
+    """As many as usual: the processes that are killed know nothing of few."""
+
+
 SIMULATE = "simulate --mesh box.obj --azimuth 0:360:90 --grazing 30 --test-azimuth 45 --pixels 32 --looks 1"
 
 
@@ -161,10 +166,11 @@ def test_a_new_run(workshop: Workshop) -> None:
 def test_resuming(workshop: Workshop) -> None:
     """Again and again, until nothing is left to do."""
     command, out = "reconstruct dataset --out again --resume", workshop.folder / "again"
-    begun = workshop.folder / "begun"
-    while not begun.exists() or (begun / "points.ply").exists():  # a run killed half-way
-        shutil.rmtree(begun, ignore_errors=True)
-        workshop.killed("reconstruct dataset --out begun --seed 5", "KILL_BEFORE", 60)
+    begun, moment = workshop.folder / "begun", 50
+    while not begun.exists():  # until one is killed after its first checkpoint
+        moment += 10
+        workshop.killed("reconstruct dataset --out begun --seed 5", "KILL_BEFORE", moment)
+    assert not (begun / "points.ply").exists()
     (workshop.folder / ".begun.lock").unlink(missing_ok=True)
     shutil.copytree(begun, out)
     moments = workshop.moments(command)
