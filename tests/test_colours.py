@@ -29,6 +29,12 @@ def test_every_ramp_is_a_palette_a_gradient_and_a_colour_map(name: str) -> None:
     assert hollow[0, 3] == 0 and (hollow[1:] == palette[1:]).all()
 
 
+@pytest.mark.parametrize("name", colours.POWER_RAMPS[1:])
+def test_ramps_of_matplotlib_that_are_kept_here_are_its_own(name: str) -> None:
+    matplotlib = pytest.importorskip("matplotlib")
+    np.testing.assert_array_equal(colours.ramp(name), np.round(255 * matplotlib.colormaps[name](np.arange(256))))
+
+
 def test_power_is_grey_without_matplotlib() -> None:
     assert (colours.ramp(colours.POWER)[:, :3] == np.arange(256)[:, None]).all()
 

@@ -20,3 +20,15 @@ def test_the_time_left_is_told_once_something_is_done_here(
         reporter.advance(2, "box")
     lines = [re.sub(r" +", " ", line).rstrip() for line in capsys.readouterr().out.splitlines()]
     assert lines == ["sweep: 4/8", "sweep: 4/8 running", "sweep: 6/8 box 30 s left"]
+
+
+def test_short_parts_of_long_work_are_not_silent_together(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = iter(range(0, 100, 4))  # the work and its parts look at the clock when they begin, and at every step
+    monkeypatch.setattr(progress.time, "monotonic", lambda: float(next(now)))
+    with progress.progress("report", 2) as reporter:
+        reporter.advance(0, "points")
+        with progress.stage("mesh", 3) as part:
+            part.advance(1)
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["mesh:"]

@@ -22,13 +22,16 @@ class Reporter:
     def __init__(self, total: int, bar: Progress | None, description: str, quiet: bool = False) -> None:
         self._total, self._bar, self._description, self._quiet = total, bar, description, quiet
         self._task = bar.add_task(description, total=total, status="") if bar else None
-        self._begun = self._last = time.monotonic()
+        self._begun = time.monotonic()
+        self._spoken = [self._begun]  # when the last line was printed
         self._first = self._done = 0.0
         self._ended = False
 
     def part(self, description: str, total: int) -> Reporter:
         """The progress of a part of the work."""
-        return Reporter(total, self._bar, description, self._quiet)
+        inner = Reporter(total, self._bar, description, self._quiet)
+        inner._spoken = self._spoken  # one after the other, they are not silent for longer than one is
+        return inner
 
     def within(self, before: int, name: str) -> Reporter:
         """The progress of a part of the work that is a part of its steps, after so many."""
@@ -57,9 +60,9 @@ class Reporter:
             self._bar.update(self._task, completed=done, status=status)
             return
         now = time.monotonic()
-        if self._quiet or self._ended or (now - self._last < _SECONDS_BETWEEN_LINES and done < self._total):
+        if self._quiet or self._ended or (now - self._spoken[0] < _SECONDS_BETWEEN_LINES and done < self._total):
             return
-        self._last, self._ended = now, done >= self._total  # the last line only once
+        self._spoken[0], self._ended = now, done >= self._total  # the last line only once
         here = done - self._first  # without which nothing tells how long the others take
         left = f"  {(now - self._begun) / here * (self._total - done):.0f} s left" if here > 0 else ""
         print(f"{self._description}: {int(done)}/{self._total}  {status}{left}", flush=True)

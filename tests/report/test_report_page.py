@@ -191,7 +191,7 @@ def test_the_progress_of_a_report_is_shown_unless_it_is_to_be_quiet(
 ) -> None:
     run = make_run(tmp_path, make_dataset(tmp_path), None)
     write_report(run)
-    assert "report: 5/5" in capsys.readouterr().out
+    assert "report: 22/22" in capsys.readouterr().out
     write_report(run, quiet=True)
     assert capsys.readouterr().out == ""
 

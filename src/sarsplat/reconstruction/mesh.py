@@ -9,7 +9,7 @@ one after the other: time grows with the surface, and memory hardly.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
@@ -42,6 +42,7 @@ _NEIGHBOURS = 24  # points that count for a place
 _AT_ONCE = 50_000  # places whose points are searched
 _SUMMED = 4096  # places whose points are summed: what is calculated of them stays in the processor's cache
 _ASKED = 10_000  # points, at most, how far the next one is
+_SEARCH, _NEAR, _NORMALS = 70, 75, 90  # per cent of the time, until they are done
 _BRICK = 128  # voxels along a side
 _DARKEST_DB = -30.0  # of the brightest vertex: black
 
@@ -81,15 +82,22 @@ def surface_mesh(
             f"a mesh needs {error.name}, which is not installed; install it with: pip install 'sarsplat[mesh]'"
         ) from error
     vertices, faces, vertex_normals = np.empty((0, 3)), np.empty((0, 3), np.int64), None
-    if len(points):
-        planes = _Planes.through(np.asarray(points, np.float64), normals, cell)
-        vertices, faces = _zero_surface(planes, marching_cubes)
-        if len(faces):
-            near = unbroken(planes.tree.query, vertices, workers=-1)[0] <= _REACH * planes.unit_m
+    with stage("surface: mesh", 100) as shown:
+        if len(points):
+            planes = _Planes.through(np.asarray(points, np.float64), normals, cell)
+            vertices, faces = _zero_surface(planes, marching_cubes, lambda share: shown.update(_SEARCH * share))
+            near = np.empty(len(vertices), bool)
+            for part in _some_at_a_time(len(vertices)):
+                near[part] = unbroken(planes.tree.query, vertices[part], workers=-1)[0] <= _REACH * planes.unit_m
+                shown.update(_SEARCH + (_NEAR - _SEARCH) * part.stop / len(vertices))
             vertices, faces = _without_crumbs(vertices, faces[near[faces].all(axis=1)], planes.unit_m)
             if len(faces):
-                _, vertex_normals = planes.at(vertices)  # of many points: those of a voxel's few triangles jump
-    gamma0, _ = seen.around(vertices)
+                vertex_normals = np.empty((len(vertices), 3))
+                for part in _some_at_a_time(len(vertices)):  # of many points: those of a voxel's few triangles jump
+                    _, vertex_normals[part] = planes.at(vertices[part])
+                    shown.update(_NEAR + (_NORMALS - _NEAR) * part.stop / len(vertices))
+        gamma0, _ = seen.around(vertices)
+        shown.update(100)
     grey = np.uint8(np.round(255 * shade(gamma0, gamma0.max(initial=np.finfo(float).tiny), -_DARKEST_DB)))
     return trimesh.Trimesh(
         vertices,
@@ -124,8 +132,7 @@ class _Planes:
         """Signed distances of places from their planes, m, and the planes' unit normals."""
         distance, normal = np.empty(len(places)), np.empty((len(places), 3))
         count = np.arange(1, min(_NEIGHBOURS, len(self.oriented)) + 1)
-        for first in range(0, len(places), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
+        for part in _some_at_a_time(len(places)):
             apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
             for few in range(0, len(apart), _SUMMED):
                 some = slice(few, few + _SUMMED)
@@ -147,10 +154,18 @@ class _Planes:
         return sums[:, :3] / weight.sum(1, keepdims=True), sums[:, 3:] / np.maximum(length, 1e-12)
 
 
+def _some_at_a_time(count: int) -> Iterator[slice]:
+    """Parts of so many places."""
+    return (slice(first, min(first + _AT_ONCE, count)) for first in range(0, count, _AT_ONCE))
+
+
 def _zero_surface(
-    planes: _Planes, marching_cubes: Callable[..., tuple[np.ndarray, ...]]
+    planes: _Planes, marching_cubes: Callable[..., tuple[np.ndarray, ...]], tell: Callable[[float], object]
 ) -> tuple[Float64[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:
-    """Vertices, m, and faces where the signed distance, positive outside, changes its sign near points."""
+    """Vertices, m, and faces where the signed distance, positive outside, changes its sign near points.
+
+    Of the time that takes, it tells the part that is over.
+    """
     unit = planes.unit_m
     voxel = _VOXEL * unit
     band = _REACH * unit + 2 * voxel  # beyond what is kept: cubes at its rim are whole
@@ -160,27 +175,28 @@ def _zero_surface(
     margin = int(band / voxel) + 1  # cubes begin one before what is near, or end one behind
     bricks = _bricks(occupied, margin)
     vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
-    with stage("surface: mesh", len(bricks)) as shown:
-        for brick, near_by in bricks:
-            first, last = near_by.min(axis=0), near_by.max(axis=0)
-            low, high = np.maximum(brick, first - margin), np.minimum(brick + _BRICK, last + margin)
-            start, end = np.minimum(low, first), np.maximum(high, last)
-            empty = np.ones(end - start + 1, dtype=bool)
-            empty[tuple((near_by - start).T)] = False
-            inside = tuple(slice(begin, begin + size) for begin, size in zip(low - start, high - low + 1, strict=True))
-            near = (distance_transform_edt(empty, sampling=voxel) <= band)[inside]
-            distance = np.full(near.shape, unit)
-            distance[near], _ = planes.at((np.argwhere(near) + low) * voxel + corner)
-            shown.advance(1)
-            if not distance.min() < 0 < distance.max():
-                continue
-            try:
-                some, triangles, _, _ = marching_cubes(distance, 0.0, mask=near, allow_degenerate=False)
-            except RuntimeError:  # no cube whose corners are all near has the surface in it
-                continue
-            vertices.append(some + low.astype(np.float64))
-            faces.append(triangles.astype(np.int64) + count)
-            count += len(some)
+    done, total = 0, sum(len(near_by) for _, near_by in bricks)
+    for brick, near_by in bricks:
+        first, last = near_by.min(axis=0), near_by.max(axis=0)
+        low, high = np.maximum(brick, first - margin), np.minimum(brick + _BRICK, last + margin)
+        start, end = np.minimum(low, first), np.maximum(high, last)
+        empty = np.ones(end - start + 1, dtype=bool)
+        empty[tuple((near_by - start).T)] = False
+        inside = tuple(slice(begin, begin + size) for begin, size in zip(low - start, high - low + 1, strict=True))
+        near = (distance_transform_edt(empty, sampling=voxel) <= band)[inside]
+        distance = np.full(near.shape, unit)
+        distance[near], _ = planes.at((np.argwhere(near) + low) * voxel + corner)
+        done += len(near_by)
+        tell(done / total)
+        if not distance.min() < 0 < distance.max():
+            continue
+        try:
+            some, triangles, _, _ = marching_cubes(distance, 0.0, mask=near, allow_degenerate=False)
+        except RuntimeError:  # no cube whose corners are all near has the surface in it
+            continue
+        vertices.append(some + low.astype(np.float64))
+        faces.append(triangles.astype(np.int64) + count)
+        count += len(some)
     joined, owner = _welded(np.concatenate(vertices))
     return joined * voxel + corner, owner[np.concatenate(faces)]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,17 +74,12 @@ def widget(run: Run) -> Widget | None:
 
     chosen = _affordable(dataset, part, peak)
     views = [dataset.views[index] for index in chosen]
-    truth, rendered = dataset.power[chosen], run.render(views)
-    errors = difference.of(truth, fitted(truth, rendered, looks, dataset.score_margin))
     each = part.grid.rows * part.grid.columns + len(run.gaussians or ())
+    truth, rendered = dataset.power[chosen], np.concatenate([*_images(run, views, each, "at the dataset's views")])
+    errors = difference.of(truth, fitted(truth, rendered, looks, dataset.score_margin))
     raster = _raster(dataset.views, _count(part, rendered, peak, each))
     shown = [_codes(part.of_images(rendered), peak)]
-    together = min(max(1, _TOGETHER // each), _AT_A_TIME)
-    with stage("report: images from all sides", len(raster)) as done:
-        for first in range(0, len(raster), together):
-            some = raster[first : first + together]
-            shown.append(_codes(part.of_images(run.render(some)), peak))
-            done.advance(len(some))
+    shown += [_codes(part.of_images(some), peak) for some in _images(run, raster, each, "from all sides")]
 
     rows, columns = part.size
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
@@ -128,6 +123,16 @@ def widget(run: Run) -> Widget | None:
     )
     heights = colour_bar("height z, m", HEIGHT, float(low[2]), float(high[2]))
     return Widget(panels, heights, power_bar(), difference_bar(difference), text, data)
+
+
+def _images(run: Run, views: Sequence[View], each: int, which: str) -> Iterator[Real[np.ndarray, "v rows columns"]]:
+    """Rendered images of so many pixels and Gaussians each, some at a time."""
+    together = min(max(1, _TOGETHER // each), _AT_A_TIME)
+    with stage(f"report: images {which}", len(views)) as done:
+        for first in range(0, len(views), together):
+            some = views[first : first + together]
+            yield run.render(some)
+            done.advance(len(some))
 
 
 def _angles(view: View) -> list[float]:

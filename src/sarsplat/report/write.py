@@ -71,19 +71,19 @@ def _html(run: Run, quiet: bool) -> bytes:
     with scores_expected(run):
         chosen = chosen_views(run.dataset, run.metrics)
     figures, turning = list[Figure](), list[Widget | None]()
-    parts: dict[str, Callable[[], object]] = {
-        "unseen views": lambda: figures.append(unseen_figure(run, chosen)),
-        **({"stacks": lambda: figures.extend(_stacks(run))} if run.dataset.passes else {}),
-        "masks": lambda: figures.extend(_masks(run)),
-        "points": lambda: figures.append(_points(run)),
-        "mesh": lambda: figures.extend(_mesh(run)),
-        "images from all sides": lambda: turning.append(widget(run)),
-    }
-    with progress("report", len(parts), quiet) as shown:
-        for name, draw in parts.items():
+    parts: list[tuple[str, int, Callable[[], object]]] = [  # and about how long they take, in the time of the first
+        ("unseen views", 1, lambda: figures.append(unseen_figure(run, chosen))),
+        *([("stacks", 10, lambda: figures.extend(_stacks(run)))] if run.dataset.passes else []),
+        ("masks", 1, lambda: figures.extend(_masks(run))),
+        ("points", 5, lambda: figures.append(_points(run))),
+        ("mesh", 5, lambda: figures.extend(_mesh(run))),
+        ("images from all sides", 10, lambda: turning.append(widget(run))),
+    ]
+    with progress("report", sum(steps for _, steps, _ in parts), quiet) as shown:
+        for name, steps, draw in parts:
             shown.advance(0, name)
             draw()
-            shown.advance(1)
+            shown.advance(steps)
     with scores_expected(run):
         return page(run, figures, [*_curves(run), *_azimuths(run)], turning[0]).encode()
 
