@@ -26,10 +26,11 @@ def words_of(page: Path) -> str:
     return re.sub(r"base64,[A-Za-z0-9+/=]+", "base64,", page.read_text())
 
 
-@pytest.fixture
-def page(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a run with a few scores."""
-    return write_report(make_run(tmp_path, make_dataset(tmp_path), make_metrics(psnr_db=51.23, ssim=0.999)))
+    folder = tmp_path_factory.mktemp("page")
+    return write_report(make_run(folder, make_dataset(folder), make_metrics(psnr_db=51.23, ssim=0.999)))
 
 
 def test_the_page_stands_alone(page: Path) -> None:

@@ -18,6 +18,7 @@ from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
 from sarsplat.report.residual import Difference, Window
+from sarsplat.report.sides import SIDES, Raster
 from sarsplat.report.views import evenly
 from sarsplat.report.window import target_window
 
@@ -164,3 +165,21 @@ def test_a_contact_sheet_of_nothing_is_refused() -> None:
     grid = ImageGrid(16, 16, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
     with pytest.raises(SarsplatError, match="no images"):
         contact_sheet(np.empty((0, 16, 16)), [], grid, Look(1.0))
+
+
+@pytest.mark.parametrize("size", [1, 3])
+def test_of_points_that_cover_a_pixel_the_nearest_is_seen_and_of_equally_near_ones_the_last(
+    monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    monkeypatch.setattr("sarsplat.report.sides._AT_ONCE", 64)
+    points = np.random.default_rng(0).integers(-1, 11, (500, 3)).astype(float)  # on a lattice, some of them outside
+    raster = Raster(np.zeros(3), np.full(3, 10.0), 1.0)
+    for side in SIDES:
+        painted = np.full((12 + size, 12 + size), -1)
+        for point in np.argsort(side.sign * points[:, side.towards], kind="stable"):
+            up, across = (int(points[point, axis]) + 1 for axis in (side.up, side.across))
+            painted[up : up + size, across : across + size] = point
+        first = 1 + size // 2
+        seen, covered = raster.nearest(points, side, size)
+        np.testing.assert_array_equal(seen, painted[first : first + 10, first : first + 10][::-1])
+        np.testing.assert_array_equal(covered, seen >= 0)

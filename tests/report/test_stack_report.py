@@ -120,7 +120,8 @@ def test_the_page_shows_phase_coherence_and_a_slice(tmp_path) -> None:
 
 @pytest.mark.filterwarnings("ignore:there is one training view")
 def test_the_page_of_a_run_of_power_alone_shows_neither(tmp_path) -> None:
-    few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
+    few = preset("speckled")
+    few = replace(few, iterations=1, fewest_gaussians=10, points=replace(few.points, rays_per_pixel=1.0))
     run = reconstruct(dataset(), few, quiet=True)
     text = write_report(run, tmp_path / "page.html", quiet=True).read_text()
     assert "Phase and coherence" not in text and "Slice through" not in text

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from sarsplat.colours import DARK, LIGHT, PREDICTED, RADAR, TRUE
 from sarsplat.data import Dataset
@@ -17,6 +18,9 @@ from sarsplat.report.figure import Figure
 from sarsplat.report.scores import Row, ScoreTable, score_tables
 from sarsplat.report.widget import Widget
 from sarsplat.version import program_version
+
+if TYPE_CHECKING:
+    import jinja2
 
 
 def page(run: Run, figures: list[Figure], training: list[Figure], widget: Widget | None) -> str:
@@ -50,6 +54,12 @@ def page(run: Run, figures: list[Figure], training: list[Figure], widget: Widget
 
 def rendered(template: str, **values: Any) -> str:
     """A template of this package with its values as HTML that needs no other file."""
+    return _templates().get_template(template).render(**values)
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    """It keeps the templates compiled."""
     import jinja2
 
     templates = jinja2.Environment(
@@ -60,7 +70,7 @@ def rendered(template: str, **values: Any) -> str:
         lstrip_blocks=True,
     )
     templates.globals.update(light=vars(LIGHT), dark=vars(DARK), true_mask=TRUE, own_mask=PREDICTED, radar=RADAR)
-    return templates.get_template(template).render(**values)
+    return templates
 
 
 def in_words(names: Iterable[str]) -> str:
