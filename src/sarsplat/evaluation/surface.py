@@ -38,6 +38,7 @@ _THIN = 1e-3
 """Thickness of ground, m."""
 
 _LARGEST_ROUND = 4_000_000  # samples drawn at once when most of them turn out to be hidden
+_THREADS = min(8, os.cpu_count() or 1)  # each holds a batch of rays, so more would take gigabytes
 _POINTS = 50_000  # that a thread asks at a time whether they are seen
 
 
@@ -139,7 +140,7 @@ def visible_surface(
         raise SarsplatError(f"the mesh ({len(mesh.faces)} triangles) has no surface; give a mesh with an area")
     scene = _scene(mesh)
     visible = np.zeros(len(mesh.faces), dtype=bool)
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(_THREADS) as threads:
         hits = threads.map(lambda view: _first_hits(scene, mesh, view, ray_spacing), views)
         for number, hit in enumerate(hits, 1):
             visible |= hit
@@ -209,7 +210,7 @@ def _are_seen(
     order, seen = order_in_space(points), np.empty(len(points), dtype=bool)
     views = [views[index] for index in _spread(len(views))]
     parts = [order[first : first + _POINTS] for first in range(0, len(order), _POINTS)]
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(_THREADS) as threads:
         for part, found in zip(parts, threads.map(lambda part: _seen(scene, points[part], views, lift), parts)):
             seen[part] = found
     return seen
