@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float64
-from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 _FARTHEST = 3.0  # cells, along each axis; distances beyond it count as this
@@ -60,6 +59,8 @@ def align(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], c
     cell : float
         Side of a resolution cell, m. Points are moved by at most three cells, and distances are capped there.
     """
+    from scipy.optimize import minimize  # here, because it takes half a second to import, and few ask for it
+
     chance = np.random.default_rng(0)
     own, true = (np.asarray(cloud, np.float64)[chance.permutation(len(cloud))[:_COUNT]] for cloud in (points, surface))
     farthest = _FARTHEST * cell

@@ -39,6 +39,7 @@ from sarsplat.evaluation.surface import imaged_alone, of_stacks, read_truth_mesh
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.reconstruction import Run
+from sarsplat.scenes.surface_samples import surface_samples
 
 if TYPE_CHECKING:
     from sarsplat.reconstruction.run_folder import Metrics
@@ -48,7 +49,7 @@ _MESH_SAMPLES = 100_000
 
 # About how long these take, in the time of a test view and its scores: the mesh, the visible surface, and distances of
 # points or mesh from one part of the surface. They grow with the surface, as images do.
-_MESH, _SURFACE, _DISTANCES = 40, 60, 30
+_MESH, _SURFACE, _DISTANCES = 40, 80, 30
 
 
 @checks_arguments
@@ -301,12 +302,10 @@ def _advancing(shown: Reporter, steps: int, work: str) -> Callable[[float], None
 
 def _points_on_mesh(run: Run) -> tuple[Float[np.ndarray, "p 3"], str]:
     """Random points of a run's mesh, spread by area, or none and the reason."""
-    from trimesh.sample import sample_surface
-
     try:
         mesh = run.mesh()
     except SarsplatError as error:
         return np.empty((0, 3)), str(error)
     if len(mesh.faces) == 0:
         return np.empty((0, 3)), "the points make no surface"
-    return np.asarray(sample_surface(mesh, _MESH_SAMPLES, seed=0)[0]), ""
+    return surface_samples(mesh, _MESH_SAMPLES, np.random.default_rng(0)), ""

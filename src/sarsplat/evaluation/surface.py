@@ -20,6 +20,7 @@ from sarsplat.geometry import View, radar_frame
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.reconstruction.points import imaged
 from sarsplat.scenes.mesh_files import read_mesh
+from sarsplat.scenes.surface_samples import surface_samples
 
 if TYPE_CHECKING:
     import trimesh
@@ -127,8 +128,6 @@ def visible_surface(
     SarsplatError
         If there is no view, no ray hits the mesh, or a number is not positive and finite.
     """
-    import trimesh
-
     if not views:
         raise SarsplatError("the visible surface needs at least one view; give the training views")
     if not (0 < ray_spacing < math.inf and samples > 0):
@@ -151,12 +150,12 @@ def visible_surface(
         )
 
     generator = np.random.default_rng(seed)
-    whole, _ = trimesh.sample.sample_surface(mesh, samples, seed=generator)
+    whole = surface_samples(mesh, samples, generator)
     weight, lift = mesh.area_faces * visible, _LIFT * mesh.scale
     seen, missing, fraction = [np.empty((0, 3), np.float32)], samples, 1.0
     while missing > 0:
         count = min(int(missing / fraction * 1.02) + 100, _LARGEST_ROUND)
-        candidates, _ = trimesh.sample.sample_surface(mesh, count, face_weight=weight, seed=generator)
+        candidates = surface_samples(mesh, count, generator, weight)
         lit = candidates[_are_seen(scene, candidates, views, lift)][:missing].astype(np.float32)
         seen.append(lit)
         missing -= len(lit)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64
-from scipy.optimize import linprog
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
@@ -69,6 +68,8 @@ def bounded_region(
     SarsplatError
         If an image has no bright pixel, or the bounds leave no space.
     """
+    from scipy.optimize import linprog  # here, because it takes half a second to import, and only trainings start
+
     bright = brighter(power, threshold_db)
     normals, offsets = [np.array([0.0, 0.0, -1.0])], [0.0]
     half_a, half_r = grid.spacing_m[0] / 2, grid.spacing_m[1] / 2
