@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from sarsplat import ImageGrid, View
 from sarsplat.errors import SarsplatError
@@ -77,6 +78,18 @@ def test_distance_from_the_middle_of_a_sphere_where_all_triangles_compete():
     sphere = np.asarray(trimesh.creation.icosphere(subdivisions=2).triangles)
     middle = np.array([[1e-3, 0, 0]])
     assert surface_distance(middle, sphere) == pytest.approx(brute_force(middle, sphere), abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5000])
+@pytest.mark.parametrize("middle_m", [0.0, 40_000.0])
+def test_samples_near_and_far_find_the_nearest_point(count: int, middle_m: float) -> None:
+    generator = np.random.default_rng(count)
+    points = generator.normal(size=(count, 3)) * [6, 2, 0.01] + middle_m
+    samples = np.concatenate([points[:3000] + 0.01, generator.normal(size=(3000, 3)) * 30 + middle_m])
+    nearest = cKDTree(thin(points, YARDSTICK.voxel_m)).query(samples)[0]
+    scores = point_metrics(points, SQUARE + middle_m, samples, YARDSTICK)
+    assert scores.completeness_m == pytest.approx(nearest.mean(), rel=1e-7)
+    assert scores.recall[0.3] == np.mean(nearest <= 0.3)
 
 
 def test_triangles_without_area_are_ignored():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +12,10 @@ from scipy.spatial import cKDTree
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
+from sarsplat.unbroken import unbroken
 
 _AT_ONCE = 20_000  # points whose distances fit into a processor's cache
+_SAMPLES_AT_ONCE = 200_000  # a second at most, so that progress is seen
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ class Cloud:
     def __init__(self, points: Float[np.ndarray, "p 3"], yardstick: Yardstick) -> None:
         _check("reconstructed points", points)
         self._kept = side_by_side(thin(points, yardstick.voxel_m))
-        self._nearest = _Nearest(np.repeat(self._kept[:, None], 3, axis=1))  # a triangle whose corners are one
+        self._tree = cKDTree(self._kept, leafsize=24, balanced_tree=False)
         self._thresholds_m = yardstick.thresholds_m
 
     def scores(
@@ -132,8 +134,9 @@ class Cloud:
         """
         to_surface = surface_distance(self._kept, triangles)
         to_points = np.empty(len(samples))
-        for part, nearest in self._nearest.to(samples):
-            to_points[part] = np.linalg.norm(self._kept[nearest] - samples[part], axis=1)
+        for first in range(0, len(samples), _SAMPLES_AT_ONCE):
+            part = slice(first, first + _SAMPLES_AT_ONCE)
+            to_points[part] = unbroken(self._tree.query, samples[part], workers=-1)[0]
             advanced(min(1.0, part.stop / len(samples)))
         precision = {threshold: float(np.mean(to_surface <= threshold)) for threshold in self._thresholds_m}
         recall = {threshold: float(np.mean(to_points <= threshold)) for threshold in self._thresholds_m}
@@ -182,40 +185,26 @@ def surface_distance(
 
     The nearest triangle is found in float32, and the distance from it calculated in float64.
     """
+    import fcpw
     from trimesh.triangles import closest_point, nondegenerate
 
     points, triangles = np.asarray(points, np.float64), np.asarray(triangles)[nondegenerate(triangles)]
     if len(triangles) == 0:
         raise SarsplatError("the true surface has no triangle with an area, so no distance exists; check the mesh")
+    middle = triangles.mean(axis=(0, 1))  # large coordinates would leave few digits for the distance
+    scene = fcpw.scene_3D()
+    scene.set_object_count(1)
+    scene.set_object_vertices((triangles - middle).reshape(-1, 3).astype(np.float32), 0)
+    scene.set_object_triangles(np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3), 0)
+    scene.build(fcpw.aggregate_type.bvh_surface_area, True)
     distance = np.empty(len(points))
-    for part, nearest in _Nearest(triangles).to(points):
-        distance[part] = np.linalg.norm(closest_point(triangles[nearest], points[part]) - points[part], axis=1)
+    for first in range(0, len(points), _AT_ONCE):
+        some, found = points[first : first + _AT_ONCE], fcpw.interaction_3D_list()
+        anywhere = np.full(len(some), np.inf, np.float32)
+        scene.find_closest_points((some - middle).astype(np.float32), anywhere, found)
+        nearest = triangles[np.fromiter((one.primitive_index for one in found), np.int64, len(some))]
+        distance[first : first + _AT_ONCE] = np.linalg.norm(closest_point(nearest, some) - some, axis=1)
     return distance
-
-
-class _Nearest:
-    """Which triangle is nearest to a point, in float32: of several whose distances are a rounding apart, any."""
-
-    def __init__(self, triangles: Float[np.ndarray, "t 3 3"]) -> None:
-        import fcpw
-
-        triangles = np.asarray(triangles)  # subclasses, of trimesh, are refused
-        self._middle = triangles.mean(axis=(0, 1))  # large coordinates would leave few digits for the distance
-        self._scene = fcpw.scene_3D()
-        self._scene.set_object_count(1)
-        self._scene.set_object_vertices((triangles - self._middle).reshape(-1, 3).astype(np.float32), 0)
-        self._scene.set_object_triangles(np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3), 0)
-        self._scene.build(fcpw.aggregate_type.bvh_surface_area, True)
-
-    def to(self, points: Float[np.ndarray, "p 3"]) -> Iterator[tuple[slice, Int64[np.ndarray, " some"]]]:
-        """Some of the points at a time, and the numbers of their nearest triangles."""
-        import fcpw
-
-        for first in range(0, len(points), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
-            some, found = (np.asarray(points[part]) - self._middle).astype(np.float32), fcpw.interaction_3D_list()
-            self._scene.find_closest_points(some, np.full(len(some), np.inf, np.float32), found)
-            yield part, np.fromiter((one.primitive_index for one in found), np.int64, len(some))
 
 
 def _harmonic_mean(a: float, b: float) -> float:
