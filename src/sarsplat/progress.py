@@ -98,7 +98,7 @@ class Reporter:
             return
         self._spoken[0], self._ended = now, done >= self._total  # the last line only once
         here = done - self._first  # without which nothing tells how long the others take
-        left = f"  {(now - self._begun) / here * (self._total - done):.0f} s left" if here > 0 else ""
+        left = f"  {(now - self._begun) / here * max(0, self._total - done):.0f} s left" if here > 0 else ""
         print(f"{self._description}: {int(done)}/{self._total}  {status}{left}", flush=True)
 
 

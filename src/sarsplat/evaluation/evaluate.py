@@ -47,9 +47,9 @@ if TYPE_CHECKING:
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000
 
-# About how long these take, in the time of a test view and its scores: the mesh, the visible surface, and distances of
-# points or mesh from one part of the surface. They grow with the surface, as images do.
-_MESH, _SURFACE, _DISTANCES = 40, 80, 30
+# About how long these take, in the time of a test view and its scores: the mesh and the visible surface grow with the
+# scene, as images do; the distances of points or mesh from one part of it do not, and are those beside 128² pixels.
+_MESH, _SURFACE, _DISTANCES, _BESIDE_PIXELS = 40, 80, 30, 128**2
 
 
 @checks_arguments
@@ -158,7 +158,7 @@ def _evaluate(
     by_image: dict[str, dict[str, Any]] = {}
     tests = sum(len(dataset.images(split)) for split in test_sets)
     surfaced = points and dataset.truth_mesh is not None
-    steps = tests + len(masks) + (_MESH + _SURFACE + 4 * _DISTANCES if surfaced else 0)
+    steps = tests + len(masks) + (_MESH + _SURFACE + 4 * _distances(dataset) if surfaced else 0)
     with progress(f"evaluate {run.path or dataset.target}", steps, quiet) as shown:
         for split in test_sets:
             tested = dataset.select(split)
@@ -281,11 +281,16 @@ def _surfaces(
                 measured = UndefinedScore(lacks[kind])
             else:
                 work = f"distances: {kind} from the {part} surface"
-                measured = cloud.scores(*surfaces, _advancing(shown, _DISTANCES, work))
+                measured = cloud.scores(*surfaces, _advancing(shown, _distances(dataset), work))
             scores[kind][part] = compute_all(
                 metrics_of_points(yardstick), dataset, measured, f"{kind}.{part}.", reasons
             )
     return {**scores, "truth": truth}
+
+
+def _distances(dataset: Dataset) -> int:
+    """Steps of the distances from one part of the surface."""
+    return max(1, round(_DISTANCES * _BESIDE_PIXELS / (dataset.grid.rows * dataset.grid.columns)))
 
 
 def _advancing(shown: Reporter, steps: int, work: str) -> Callable[[float], None]:
