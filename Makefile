@@ -1,7 +1,7 @@
 # make demo    the whole workflow once: simulate, reconstruct, evaluate, report
 # make test    the test suite without the slow tests; ROOM=renderer tests one room; make test-all runs everything
 # make check   in under a minute: style, types, imports and the tests of what changed since the last commit
-# make engine  the kernels alone, after a change to their sources: no pip, no network
+# make engine  the kernels alone, after a change to their sources, for this machine's instruction set: no pip, no network
 # make guard   whether the last `make demo` still scores what it did
 # make figures pictures with their tables: buildings, vehicles, splatting against ray casting, reconstructions, a village
 # make bench   speed and memory beside plain PyTorch and beside the arithmetic alone; fills docs/performance.md (3 minutes)
@@ -30,6 +30,8 @@ DEMO_READY := .venv/.demo
 TEST_READY := .venv/.test
 DOCS_READY := .venv/.docs
 ENGINE := src/sarsplat/renderer/_engine.so
+KERNELS := build_engine.py $(wildcard src/sarsplat/renderer/csrc/*)
+ALL_SETS := .venv/.engine
 DEMO := demo
 TARGETS := linux-x86_64 linux-aarch64 macos-arm64 windows-x86_64
 
@@ -148,12 +150,17 @@ clean:
 	rm -rf .venv $(DEMO) figures build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/renderer/_engine.*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-setup: $(DEMO_READY) $(ENGINE)
+setup: $(DEMO_READY) $(ALL_SETS)
 
 engine: $(ENGINE)
 
-$(ENGINE): build_engine.py $(wildcard src/sarsplat/renderer/csrc/*) | $(DEMO_READY)
-	$(call step,engine: the kernels that changed,$(BIN)/python build_engine.py)
+$(ENGINE): $(KERNELS) | $(DEMO_READY)
+	$(call step,engine: the kernels for this machine's instruction set,$(BIN)/python build_engine.py --here)
+
+# What tests, wheels and the demo use.
+$(ALL_SETS): $(KERNELS) | $(DEMO_READY)
+	$(call step,engine: the kernels for every instruction set,$(BIN)/python build_engine.py)
+	@touch $@
 
 # The engine is compiled while pip works.
 $(DEMO_READY): pyproject.toml constraints.txt
@@ -168,9 +175,9 @@ $(DEMO_READY): pyproject.toml constraints.txt
 	  && $(call pip,-r .venv/requirements.txt) \
 	  && wait $$! \
 	  && $(call pip,--no-build-isolation --no-deps -e .))
-	@touch $@
+	@touch $@ $(ALL_SETS)
 
-$(TEST_READY): $(DEMO_READY) $(ENGINE)
+$(TEST_READY): $(DEMO_READY) | $(ALL_SETS)
 	$(call step,set up .venv for the tests (once; a minute),$(call pip,--no-build-isolation -e '.[test]'))
 	@touch $@
 

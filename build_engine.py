@@ -1,11 +1,12 @@
 """Hatchling hook: builds the CPU engine with the `ziglang` wheel, which needs no system compiler and builds for others.
 
 `SARSPLAT_TARGET` names the platform of a wheel, one of `TARGETS`; without it, it is this machine's. Run as a script, it
-builds the engine of this machine into the source tree.
+builds the engine of this machine into the source tree; with `--here`, only for the instruction set that it has.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import platform
 import shutil
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -95,28 +97,41 @@ def engine(name: str) -> Path:
     newest = max(path.stat().st_mtime for path in [*sources, Path(__file__)])
     if not library.exists() or library.stat().st_mtime < newest:
         print(f"sarsplat: compiling the CPU engine for {name} (about a minute the first time)", flush=True)
-        compile_engine(TARGETS[name], library)
+        compile_engine(TARGETS[name], library, range(1, len(TARGETS[name].levels) + 1))
     return library
 
 
-def compile_engine(target: Target, library: Path) -> None:
-    """Compile every instruction set of a target and link one shared library with a plain C ABI."""
+def supported(target: Target) -> int:
+    """The widest instruction set of this machine, counted from one, as the engine that is here says; 0 without one."""
+    try:
+        return ctypes.CDLL(str(RENDERER / target.library)).sg_supported_isa()
+    except (OSError, AttributeError):
+        return 0
+
+
+def compile_engine(target: Target, library: Path, isas: Iterable[int]) -> None:
+    """Compile some of a target's instruction sets and link one shared library with a plain C ABI."""
     compiler = [sys.executable, "-m", "ziglang", "c++", "-target", target.triple, *FLAGS]
     with tempfile.TemporaryDirectory() as folder:
-        jobs = [
-            (name, "engine.cpp", [*flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}"])
-            for name, width, flags in target.levels
-        ]
-        jobs += [(name, f"{name}.cpp", []) for name in ("dispatch", "layout", "parallel")]
+        jobs, sets = [], ""
+        for isa in isas:
+            name, width, flags = target.levels[isa - 1]
+            jobs.append((name, "engine.cpp", [*flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}"]))
+            sets += f"SET({isa}, {name}) "
+        jobs += [("dispatch", "dispatch.cpp", [f"-DSG_SETS={sets}"])]
+        jobs += [(name, f"{name}.cpp", []) for name in ("layout", "parallel")]
 
-        def compile_one(job: tuple[str, str, list[str]]) -> None:
+        def compile_one(job: tuple[str, str, list[str]]) -> subprocess.CompletedProcess[str]:
             name, source, flags = job
-            subprocess.check_call(
-                [*compiler, *flags, "-c", str(RENDERER / "csrc" / source), "-o", f"{folder}/{name}.o"]
-            )
+            command = [*compiler, *flags, "-c", str(RENDERER / "csrc" / source), "-o", f"{folder}/{name}.o"]
+            return subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)
 
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            list(pool.map(compile_one, jobs))
+            done = list(pool.map(compile_one, jobs))
+        for said in dict.fromkeys(one.stderr for one in done):  # once, though it is true of every instruction set
+            sys.stderr.write(said)
+        for one in done:
+            one.check_returncode()
         objects = sorted(str(path) for path in Path(folder).glob("*.o"))
         linked = Path(folder) / target.library
         subprocess.check_call([*compiler, "-shared", "-s", *target.link, *objects, "-o", str(linked)])
@@ -143,7 +158,11 @@ if __name__ == "__main__":
         sys.exit()
     if (this := host()) is None:
         sys.exit(f"there is no CPU engine for {sys.platform} on {platform.machine()}")
+    target = TARGETS[this]
     try:
-        put(engine(this), RENDERER / TARGETS[this].library)
+        if sys.argv[1:] == ["--here"] and (isa := supported(target)):
+            compile_engine(target, RENDERER / target.library, [isa])
+        else:
+            put(engine(this), RENDERER / target.library)
     except subprocess.CalledProcessError:
         sys.exit("sarsplat: the engine was not built; above is what the compiler says")

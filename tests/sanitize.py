@@ -43,7 +43,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         objects = []
         jobs = [(isa, "engine.cpp", [*more, f"-DSG_ISA={isa}", f"-DSG_WIDTH={n}"]) for isa, (n, more) in LEVELS.items()]
-        jobs += [(name, f"{name}.cpp", []) for name in ("dispatch", "layout", "parallel")]
+        sets = "".join(f"SET({i}, {isa}) " for i, isa in enumerate(LEVELS, 1))
+        jobs += [("dispatch", "dispatch.cpp", [f"-DSG_SETS={sets}"])]
+        jobs += [(name, f"{name}.cpp", []) for name in ("layout", "parallel")]
         for name, source, more in jobs:
             print(f"compiling {name} under the sanitizers", flush=True)
             objects.append(f"{folder}/{name}.o")

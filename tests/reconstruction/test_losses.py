@@ -25,8 +25,7 @@ from sarsplat.renderer import cpu
 sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
 from emulated_cuda import Emulator, compile_emulator
 
-BUILT = cpu.INSTRUCTION_SETS[1:]
-AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
+AVAILABLE = cpu.instruction_sets()
 
 
 def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tensor]:

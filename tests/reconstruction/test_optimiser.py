@@ -22,8 +22,7 @@ from sarsplat.renderer import cpu, cuda
 sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
 from emulated_cuda import Emulator, compile_emulator
 
-BUILT = cpu.INSTRUCTION_SETS[1:]
-AVAILABLE = BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]
+AVAILABLE = cpu.instruction_sets()
 # more than one task, a tail in the last vector, one to sixteen columns
 SHAPES = {"means": (6001, 3), "quaternions": (7, 4), "optical_depth": (1,), "scattering": (333, 16)}
 ITERATIONS = 900

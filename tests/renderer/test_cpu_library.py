@@ -10,6 +10,7 @@ from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import cpu, render
+from sarsplat.renderer.structs import AdamStep
 
 GAUSSIANS = Gaussians(
     *(torch.ones(1, k) for k in (3, 4, 3)), optical_depth=torch.ones(1), scattering=Harmonics(torch.ones(1, 1))
@@ -57,3 +58,48 @@ def test_a_library_of_other_sources(reload):
     reload.setitem(cpu._ARGUMENTS, "of_tomorrow", ())
     with pytest.raises(SarsplatError, match=r"no sg_of_tomorrow, which this version .* reinstall with `pip"):
         render(GAUSSIANS, VIEWS, GRID, engine="cpu")
+
+
+class Partial:
+    """The engine as if compiled for some instruction sets, on a processor that supports those up to a number."""
+
+    def __init__(self, supported: int, *compiled: int) -> None:
+        self._engine, self._compiled = cpu.library(), compiled
+        self.sg_supported_isa = lambda: supported
+
+    def sg_isa_name(self, isa: int) -> bytes | None:
+        return b"a name" if isa in self._compiled else None
+
+    def __getattr__(self, name: str):
+        return getattr(self._engine, name)
+
+
+@pytest.mark.parametrize(
+    ("supported", "compiled", "asked", "refused"),
+    [
+        (2, (1, 2, 3), "avx512", "'avx512' is not supported by this processor; use 'auto' or at most 'avx2'"),
+        (2, (2,), "avx512", "'avx512' is not supported by this processor; use 'auto' or at most 'avx2'"),
+        (
+            3,
+            (3,),
+            "avx2",
+            r"not compiled for the instruction set 'avx2'; `python build_engine\.py` compiles it",
+        ),
+        (2, (3,), "auto", "not compiled for this processor; `python"),
+        (2, (3,), "base", "not compiled for the instruction set 'base'; `python"),
+    ],
+)
+def test_an_instruction_set_that_is_not_there(monkeypatch, supported, compiled, asked, refused):
+    partial = Partial(supported, *compiled)
+    monkeypatch.setattr(cpu, "library", lambda: partial)
+    with pytest.raises(SarsplatError, match=refused):
+        render(GAUSSIANS, VIEWS, GRID, engine="cpu", instruction_set=asked)
+    with pytest.raises(SarsplatError, match=refused):
+        cpu.adam(AdamStep(), asked)
+
+
+def test_the_widest_instruction_set_that_is_there_is_used(monkeypatch):
+    for supported, compiled, best in ((3, (1, 2, 3), "avx512"), (3, (1,), "base"), (2, (1, 2, 3), "avx2")):
+        partial = Partial(supported, *compiled)
+        monkeypatch.setattr(cpu, "library", lambda partial=partial: partial)
+        assert cpu.best_instruction_set() == best

@@ -14,8 +14,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE
 from sarsplat.renderer import cpu, render
 
-BUILT = cpu.INSTRUCTION_SETS[1:]
-ENGINES = [("cpu", name) for name in BUILT[: BUILT.index(cpu.best_instruction_set()) + 1]] + [("reference", "auto")]
+ENGINES = [("cpu", name) for name in cpu.instruction_sets()] + [("reference", "auto")]
 TINY, MIN_NORMAL, LARGEST = 1e-45, 1.1754944e-38, 3.4028234e38
 
 

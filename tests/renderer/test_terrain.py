@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from named_scenes import GRID, VIEWS, cloud
+from named_scenes import GRID, MATRIX, VIEWS, cloud
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.renderer import render
+from sarsplat.renderer import lit_terrain, render
 from terrains import hill, slope, terrain
 
 WIDE = ImageGrid(60, 24, (0.3, 0.1), (0.45, 0.16))
@@ -95,6 +95,17 @@ def test_what_terrain_returns_is_what_rays_find():
     flat, bumpy = (bare(one, view, grid).sum() for one in (lower, bump))
     assert bumpy == pytest.approx(flat, rel=1e-4)
     assert np.abs(bare(bump, view, grid) - bare(lower, view, grid)).max() > 1.0
+
+
+def test_weights_that_are_computed_again_are_those_that_would_be_kept(monkeypatch):
+    scene, found = MATRIX["terrain, shifted"](), []
+    for at_a_time in (lit_terrain._AT_A_TIME, 5000):
+        monkeypatch.setattr(lit_terrain, "_AT_A_TIME", at_a_time)
+        leaves = scene.leaves(torch.float64)
+        images = scene.call(render, leaves, engine="reference").images
+        found.append([images.detach(), *torch.autograd.grad(images.square().sum(), list(leaves.values()))])
+    for kept, again in zip(*found, strict=True):
+        assert torch.allclose(kept, again, rtol=1e-12, atol=1e-14)
 
 
 def test_a_hill_hides_what_is_behind_it_and_only_from_there():

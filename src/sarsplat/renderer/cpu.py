@@ -68,6 +68,7 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "lit_terrain": (c_void_p, POINTER(Terrain)),
     "adam": (c_int32, POINTER(AdamStep)),
     "use_torch": (c_void_p,),
+    "supported_isa": (),
 }
 """Argument types of the engine's functions (csrc/dispatch.cpp), by their names without sg_."""
 
@@ -119,15 +120,38 @@ def torch_pool() -> c_void_p | None:
     return ctypes.cast(function, c_void_p)
 
 
+def instruction_sets() -> list[str]:
+    """Those that this processor can run and that were compiled, the widest last."""
+    lib = library()
+    return [INSTRUCTION_SETS[isa] for isa in range(1, lib.sg_supported_isa() + 1) if lib.sg_isa_name(isa)]
+
+
 def best_instruction_set() -> str:
     """The widest instruction set that this processor, and this build, can run."""
-    return library().sg_isa_name(library().sg_best_isa()).decode()
+    return INSTRUCTION_SETS[_isa("auto")]
+
+
+def _isa(instruction_set: str) -> int:
+    """What the engine calls an instruction set; of "auto", the widest there is."""
+    here = instruction_sets()
+    if instruction_set in here or (instruction_set == "auto" and here):
+        return INSTRUCTION_SETS.index(here[-1] if instruction_set == "auto" else instruction_set)
+    supported = INSTRUCTION_SETS[1 : library().sg_supported_isa() + 1]
+    if instruction_set not in ("auto", *supported):
+        raise SarsplatError(
+            f"instruction_set {instruction_set!r} is not supported by this processor; use 'auto' or at most "
+            f"{supported[-1]!r}"
+        )
+    what = "this processor" if instruction_set == "auto" else f"the instruction set {instruction_set!r}"
+    raise SarsplatError(
+        f"the CPU engine was not compiled for {what}; `python build_engine.py` compiles it for every instruction set"
+    )
 
 
 def adam(step: ctypes.Structure, instruction_set: str = "auto") -> None:
     """One step of Adam on every group, and its values back into their bounds."""
     library().sg_set_threads(torch.get_num_threads())
-    library().sg_adam(INSTRUCTION_SETS.index(instruction_set), step)
+    library().sg_adam(_isa(instruction_set), step)
 
 
 def _require_memory(status: int) -> None:
@@ -142,13 +166,8 @@ class Pass:
     _keep = 3  # as many as there are steps
 
     def __init__(self, instruction_set: str = "auto") -> None:
-        self._isa = INSTRUCTION_SETS.index(instruction_set)
+        self._isa = _isa(instruction_set)
         self._library = library()
-        if self._isa > self._library.sg_best_isa():
-            raise SarsplatError(
-                f"instruction_set {instruction_set!r} is not supported by this processor; use 'auto' or at most "
-                f"{best_instruction_set()!r}"
-            )
         idle = self._idle.setdefault(self._isa, [])
         self._handle = idle.pop() if idle else self._library.sg_create(self._isa)
 

@@ -31,7 +31,7 @@ _SHORT = {torch.float32: 0.25, torch.float64: 0.02}
 the response are as good."""
 
 _AT_A_TIME = 1 << 22
-"""Weights of the twin."""
+"""Weights of the twin; if there are more, they are computed again on the way back instead of kept."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,7 @@ def plain_lit_terrain(
     """`lit_terrain` in plain torch, for any device and floating dtype."""
     (rows, columns), (azimuth_std, range_std), images = pixel_axes(grid), stds(grid), []
     parts = transmittance.split([math.prod(patch.traced[1]) for patch in patches])
+    kept = rows.count * sum(patch.cells.low_m.numel() for patch in patches) <= _AT_A_TIME
     for k, (patch, part) in enumerate(zip(patches, parts, strict=True)):
         azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
         low, high = (edge.to(part) for edge in (patch.cells.low_m, patch.cells.high_m))
@@ -115,7 +116,9 @@ def plain_lit_terrain(
         pixels = rows.places(part.device).to(part) - range_shift
         together = max(1, _AT_A_TIME // max(1, rows.count * len(low)))
         ranged = [
-            checkpoint(_ranged, pixels, some, a, b, range_std, use_reentrant=False)
+            _ranged(pixels, some, a, b, range_std)
+            if kept
+            else checkpoint(_ranged, pixels, some, a, b, range_std, use_reentrant=False)
             for some, a, b in zip(*(table.split(together, dim=1) for table in (returned, low, high)), strict=True)
         ]
         across = seen(columns, patch.across, azimuth_std, azimuth_shift, part)

@@ -17,25 +17,51 @@ Index thread, block;
 
 namespace {
 
-constexpr int kWarp = 32, kMaxThreads = 1024, kStack = 128 << 10;
+constexpr int kWarp = 32, kStack = 128 << 10;
 
-enum Waiting { NOT, FOR_WARP, FOR_BLOCK, DONE };
-struct Fiber { jmp_buf at; ucontext_t born; char* stack = nullptr; Waiting waiting = DONE; bool started = false; };
+#if defined(__x86_64__)  // quicker: the compiler's own pair looks after nothing but registers
+typedef void* Place[5];
+#define REMEMBER(place) __builtin_setjmp(place)
+#define GO_TO(place) __builtin_longjmp(place, 1)
+#else
+typedef jmp_buf Place;
+#define REMEMBER(place) _setjmp(place)
+#define GO_TO(place) _longjmp(place, 1)
+#endif
+
+enum Waiting : char { NOT, FOR_WARP, FOR_BLOCK, DONE };
+struct Fiber { Place at; ucontext_t born; char* stack = nullptr; bool started = false; };
 // Two rounds are enough: nobody is more than one collective ahead of the slowest in its group.
-struct Group { int arrived = 0, round = 0; Collective what = BLOCK; uint32_t values[2][kMaxThreads]; };
+struct Group { int arrived = 0, round = 0; Collective what = BLOCK; Met met[2]; };
 
 Fiber fibers[kMaxThreads];
+Waiting waiting[kMaxThreads];
 Group whole, warps[kMaxThreads / kWarp];
-jmp_buf scheduler;
+Place scheduler;
 ucontext_t main_context;
-int current, threads;
+int current, threads, turn;  // whose turn it is, and where that is in the order
+bool running;                // whether it is anyone's
+const int* order;
 const char* fault;
 void (*kernel_body)(void*);
 void** kernel_arguments;
 
-void yield(Waiting waiting) {
-  fibers[current].waiting = waiting;
-  if (!_setjmp(fibers[current].at)) _longjmp(scheduler, 1);
+// It is the turn of the next thread in order that waits for nothing.
+void advance() {
+  running = false;
+  for (int k = 0; k < threads && !running && !fault; k++) {
+    turn = turn + 1 < threads ? turn + 1 : 0;
+    thread.x = current = order[turn];
+    running = waiting[current] == NOT;
+  }
+}
+
+void yield(Waiting why) {
+  waiting[current] = why;
+  if (REMEMBER(fibers[current].at)) return;
+  advance();
+  if (running && fibers[current].started) GO_TO(fibers[current].at);
+  GO_TO(scheduler);
 }
 
 void fiber_main() {
@@ -45,13 +71,11 @@ void fiber_main() {
   }
 }
 
-void resume(int k) {
-  Fiber& fiber = fibers[k];
-  current = k;
-  thread.x = k;
-  fiber.waiting = NOT;
-  if (_setjmp(scheduler)) return;
-  if (fiber.started) _longjmp(fiber.at, 1);
+// Threads hand on to each other, until it is the turn of nobody or of one that has yet to be started.
+void run_current() {
+  if (REMEMBER(scheduler)) return;
+  Fiber& fiber = fibers[current];
+  if (fiber.started) GO_TO(fiber.at);
   fiber.started = true;
   if (!fiber.stack) fiber.stack = (char*)std::malloc(kStack);
   getcontext(&fiber.born);
@@ -62,22 +86,16 @@ void resume(int k) {
   swapcontext(&main_context, &fiber.born);
 }
 
-bool run_block(const int* order) {
+bool run_block() {
   std::memset(__start_shared_memory, 0xff, __stop_shared_memory - __start_shared_memory);
   whole.arrived = 0;
   for (Group& warp : warps) warp.arrived = 0;
-  for (int k = 0; k < threads; k++) fibers[k].waiting = NOT;
-  for (;;) {
-    bool progress = false, finished = true;
-    for (int k = 0; k < threads; k++) {
-      const int t = order[k];
-      if (fibers[t].waiting == NOT) { resume(t); progress = true; }
-      finished = finished && fibers[t].waiting == DONE;
-    }
-    if (fault) return false;
-    if (finished) return true;
-    if (!progress) { fault = "threads wait for others that have left or wait elsewhere"; return false; }
-  }
+  for (int k = 0; k < threads; k++) waiting[k] = NOT;
+  turn = -1;
+  for (advance(); running;) run_current();
+  for (int k = 0; k < threads && !fault; k++)
+    if (waiting[k] != DONE) fault = "threads wait for others that have left or wait elsewhere";
+  return !fault;
 }
 
 // ---- calling a kernel by name with the addresses of its arguments -------------------------------------------------------
@@ -96,41 +114,42 @@ const Named kernels[] = {
 
 }  // namespace
 
-int size(Collective what) { return what == BLOCK ? threads : kWarp; }
-
-const uint32_t* meet(Collective what, uint32_t mine) {
-  Group& group = what == BLOCK ? whole : warps[current / kWarp];
-  if (group.arrived == 0) group.what = what;
+const Met& meet(Collective what, uint32_t mine) {
+  const bool block = what == BLOCK;
+  const int first = block ? 0 : current / kWarp * kWarp, size = block ? threads : kWarp;
+  Group& group = block ? whole : warps[current / kWarp];
+  Met& met = group.met[group.round];
+  if (group.arrived == 0) { group.what = what; met.any = 0; }
   if (group.what != what) fault = "threads of a warp wait in different places";
-  uint32_t* values = group.values[group.round];
-  values[what == BLOCK ? current : current % kWarp] = mine;
-  if (++group.arrived < size(what)) {
-    yield(what == BLOCK ? FOR_BLOCK : FOR_WARP);
-    return values;
+  met.values[current - first] = mine;
+  met.any |= mine;
+  if (++group.arrived < size) {
+    yield(block ? FOR_BLOCK : FOR_WARP);
+    return met;
   }
   group.arrived = 0;
   group.round ^= 1;
-  const int first = what == BLOCK ? 0 : current / kWarp * kWarp;
-  for (int k = first; k < first + size(what); k++) fibers[k].waiting = NOT;
-  return values;
+  std::memset(waiting + first, NOT, size);
+  return met;
 }
 
 }  // namespace emulator
 
-// Null if all went well, or what went wrong. `order`: the numbers of a block's threads in the order they run; blocks run
+// Null if all went well, or what went wrong. `turns`: the numbers of a block's threads in the order they run; blocks run
 // backwards if asked.
 extern "C" __attribute__((visibility("default"))) const char*
-emulate(const char* name, int blocks, int count, const int* order, int backwards, void** arguments) {
+emulate(const char* name, int blocks, int count, const int* turns, int backwards, void** arguments) {
   using namespace emulator;
   for (const Named& kernel : kernels) {
     if (std::strcmp(kernel.name, name)) continue;
     threads = count;
+    order = turns;
     kernel_body = kernel.run;
     kernel_arguments = arguments;
     fault = nullptr;
     for (int b = 0; b < blocks; b++) {
       block.x = backwards ? blocks - 1 - b : b;
-      if (run_block(order)) continue;
+      if (run_block()) continue;
       for (Fiber& fiber : fibers) fiber.started = false;  // they hang somewhere inside
       return fault;
     }

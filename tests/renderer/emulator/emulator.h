@@ -19,9 +19,10 @@ struct Index { unsigned x; };
 extern Index thread, block;
 
 enum Collective { BLOCK, WARP_ANY, WARP_EXCHANGE };
-// Waits for the warp or block; returns every thread's value, by its number there.
-const uint32_t* meet(Collective what, uint32_t mine);
-int size(Collective what);
+constexpr int kMaxThreads = 1024;
+struct Met { uint32_t any, values[kMaxThreads]; };  // the bits that any thread's value has; every thread's, by its number there
+// Waits for the warp or block.
+const Met& meet(Collective what, uint32_t mine);
 
 }  // namespace emulator
 
@@ -31,18 +32,12 @@ int size(Collective what);
 inline float __int_as_float(int x) { return __builtin_bit_cast(float, x); }
 inline unsigned __float_as_uint(float x) { return __builtin_bit_cast(unsigned, x); }
 
-inline int any_of(emulator::Collective what, int mine) {
-  const uint32_t* all = emulator::meet(what, mine != 0);
-  int any = 0;
-  for (int k = 0; k < emulator::size(what); k++) any |= (int)all[k];
-  return any;
-}
 inline void __syncthreads() { emulator::meet(emulator::BLOCK, 0); }
-inline int __syncthreads_or(int mine) { return any_of(emulator::BLOCK, mine); }
-inline int __any_sync(unsigned, int mine) { return any_of(emulator::WARP_ANY, mine); }
+inline int __syncthreads_or(int mine) { return (int)emulator::meet(emulator::BLOCK, mine != 0).any; }
+inline int __any_sync(unsigned, int mine) { return (int)emulator::meet(emulator::WARP_ANY, mine != 0).any; }
 inline float __shfl_xor_sync(unsigned, float mine, int other) {
-  const uint32_t* all = emulator::meet(emulator::WARP_EXCHANGE, __float_as_uint(mine));
-  return __int_as_float((int)all[(threadIdx.x % 32) ^ other]);
+  const emulator::Met& met = emulator::meet(emulator::WARP_EXCHANGE, __float_as_uint(mine));
+  return __int_as_float((int)met.values[(threadIdx.x % 32) ^ other]);
 }
 inline unsigned long long atomicMin(unsigned long long* at, unsigned long long value) {
   const unsigned long long before = *at;

@@ -1,15 +1,24 @@
-// dispatch.cpp: picks the best instruction set the processor *and* the system support, once per context.
+// dispatch.cpp: which instruction sets the processor *and* the system support and which were compiled; calls go to the one that
+// was asked for.
 #include <cstring>
 
 #include "api.h"
 #include "export.h"
 
-extern "C" const sg_engine sg_engine_base;
+// What was compiled with it, as build_engine.py says: SG_SETS is SET(1, base) SET(2, avx2) SET(3, avx512), or some of them.
+#define SET(isa, name) extern "C" const sg_engine sg_engine_##name;
+SG_SETS
+#undef SET
+#define SET(isa, name) case isa: return &sg_engine_##name;
+static const sg_engine* engine(int isa) {  // null where it was not compiled
+  switch (isa) { SG_SETS }
+  return nullptr;
+}
+
 #if defined(__x86_64__)
 #include <cpuid.h>
-extern "C" const sg_engine sg_engine_avx2, sg_engine_avx512;
 
-static int find_best() {  // 1 base, 2 AVX2 + FMA, 3 AVX-512 F/BW/DQ/VL
+static int find_supported() {  // 1 base, 2 AVX2 + FMA, 3 AVX-512 F/BW/DQ/VL
   unsigned a, b, c, d;
   if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & (1u << 27)) || !(c & (1u << 12))) return 1;  // OSXSAVE, FMA
   unsigned low, high;
@@ -19,20 +28,19 @@ static int find_best() {  // 1 base, 2 AVX2 + FMA, 3 AVX-512 F/BW/DQ/VL
   const unsigned wanted = (1u << 16) | (1u << 17) | (1u << 28) | (1u << 30) | (1u << 31);
   return (low & 0xE6) == 0xE6 && (b & wanted) == wanted ? 3 : 2;
 }
-static const sg_engine* engine(int isa) { return isa == 3 ? &sg_engine_avx512 : isa == 2 ? &sg_engine_avx2 : &sg_engine_base; }
 #else
-static int find_best() { return 1; }
-static const sg_engine* engine(int) { return &sg_engine_base; }
+static int find_supported() { return 1; }
 #endif
 
-static const int best = find_best();  // asked once: in a virtual machine cpuid costs tens of microseconds
+static const int supported = find_supported();  // asked once: in a virtual machine cpuid costs tens of microseconds
 
 struct sg_handle { const sg_engine* engine; sg_context* context; };
 
-SG_EXPORT int32_t sg_best_isa() { return best; }
-SG_EXPORT const char* sg_isa_name(int32_t isa) { return engine(isa)->name; }
-SG_EXPORT sg_handle* sg_create(int32_t isa) {  // 0: the best; otherwise at most sg_best_isa()
-  const sg_engine* e = engine(isa ? isa : best);
+// Who asks for one, below, has asked these: it has a name, and is at most what is supported.
+SG_EXPORT int32_t sg_supported_isa() { return supported; }
+SG_EXPORT const char* sg_isa_name(int32_t isa) { return engine(isa) ? engine(isa)->name : nullptr; }
+SG_EXPORT sg_handle* sg_create(int32_t isa) {
+  const sg_engine* e = engine(isa);
   return new sg_handle{e, e->create()};
 }
 SG_EXPORT void sg_destroy(sg_handle* h) {
@@ -57,7 +65,7 @@ SG_EXPORT void sg_normal_lobes(const sg_handle* h, const sg_lobes* l) { h->engin
 SG_EXPORT void sg_normal_lobes_backward(const sg_handle* h, const sg_lobes* l) { h->engine->normal_lobes_backward(l); }
 SG_EXPORT int32_t sg_lit_ground(sg_handle* h, const sg_ground* ground) { return h->engine->lit_ground(h->context, ground); }
 SG_EXPORT int32_t sg_lit_terrain(sg_handle* h, const sg_terrain* terrain) { return h->engine->lit_terrain(h->context, terrain); }
-SG_EXPORT void sg_adam(int32_t isa, const sg_adam_step* step) { engine(isa ? isa : best)->adam(step); }
+SG_EXPORT void sg_adam(int32_t isa, const sg_adam_step* step) { engine(isa)->adam(step); }
 SG_EXPORT int32_t sg_project(sg_handle* h, const sg_problem* p, const sg_projection* out, int64_t* culprit) {
   return h->engine->project(h->context, p, out, culprit);
 }
