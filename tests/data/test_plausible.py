@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from datasets import dataset_of
 from sarsplat.data import Dataset
 from sarsplat.data.plausible import suspicions, suspicious_angles, warn
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.scenes import mstar_views, paper_views
 
@@ -170,18 +170,3 @@ def test_warnings_have_one_category_and_are_not_repeated() -> None:
     assert [str(item.message) for item in caught] == ["odd", "odder"]
     assert {item.category for item in caught} == {SarsplatWarning}
     assert issubclass(SarsplatWarning, UserWarning)
-
-
-@pytest.mark.parametrize(
-    ("train", "images", "told"),
-    [
-        ([], np.zeros((0, 8, 8), np.float32), "a dataset needs images"),
-        (AROUND, np.full((3, 8, 8), np.nan, np.float32), "power must be finite"),
-        (AROUND, np.full((3, 8, 8), np.inf, np.float32), "power must be finite"),
-        (AROUND, np.full((3, 8, 8), -1.0, np.float32), "power must be finite and ≥ 0"),
-        (AROUND, np.ones((3, 8, 9), np.float32), "must be float32"),
-    ],
-)
-def test_what_would_be_meaningless_is_refused(train, images, told: str) -> None:
-    with pytest.raises(SarsplatError, match=told):
-        make(train, images)
