@@ -27,6 +27,7 @@ from sarsplat.data import (
     read_json,
     read_masks,
     read_points_ply,
+    read_tiff,
     write_dataset,
     write_gaussians_ply,
     write_points_ply,
@@ -95,7 +96,7 @@ TABLES: Refusals = [
     (table(b"a,a\n1,2\n"), "the column 'a' twice"),
     (table(b"a,b\n1,2,3\n"), "line 2: there are 3 cells for 2 columns"),
     (table(b"\xff\xfea"), "not a readable CSV"),
-    (table(b"a,b\n" + b"1,2\n" * 100_001), "more than 100000 rows"),
+    (table(b"a\n" + b"1\n" * 100_001), "more than 100000 rows"),
     (table(b"a,b\n" + b"x" * 200_000), "not a readable CSV"),
     (table(b"a,b\n1,2\n", id, "a", "c"), r"is missing the column 'c'; it needs a, c"),
     (table(b"a,b\n1\n", b_of), r"line 2: b is ''; it must be a number"),
@@ -319,6 +320,7 @@ FOLDERS: Refusals = [
     (image(NOISE[0] * np.float32(np.inf)), "finite and ≥ 0"),
     (image(NOISE[0], compression="zlib", description="x" * 200), "compress"),
     (image(SIGNALS[0]), "holds complex64 pixels"),
+    (stored(b"II*\0" + bytes(200), lambda path: read_tiff(path, (6, 5))), "is a TIFF with no image in it"),
 ]
 
 # ---- masks ----

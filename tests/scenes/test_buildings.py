@@ -1,6 +1,7 @@
 """Buildings A, B and C through both forward models, against the closed form: edges, levels, layover."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ CASES = [(n, t, g) for n in sorted(BUILDINGS) for t in (30.0, 45.0, 60.0) for g 
 
 
 def image_of(source, name, grazing, gamma0):
-    factors = {"reflectivity": BUILDINGS[name].reflectivity(gamma0), "ground_gamma0": gamma0.ground}
-    return simulate_images(target_mesh(name), [View(0.0, grazing)], GRID, source=source, law=LAW, **factors)[0]
+    short = replace(BUILDINGS[name], length=10.0)  # and still longer than the image is wide
+    factors = {"reflectivity": short.reflectivity(gamma0), "ground_gamma0": gamma0.ground}
+    return simulate_images(short.mesh(), [View(0.0, grazing)], GRID, source=source, law=LAW, **factors)[0]
 
 
 def check(source, name, grazing, gamma0, *, edges_px, levels):
