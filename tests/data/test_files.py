@@ -107,16 +107,6 @@ def test_os_errors_become_one_sentence_and_keep_the_old_file(tmp_path, monkeypat
     assert names(tmp_path) == ["a"]
 
 
-def test_missing_folder_and_file_in_the_way(tmp_path):
-    with pytest.raises(SarsplatError, match="does not exist"):
-        write_bytes(tmp_path / "no" / "a", b"")
-    (tmp_path / "file").write_text("")
-    with pytest.raises(SarsplatError, match="is a file, not a folder"):
-        write_bytes(tmp_path / "file" / "a", b"")
-    with pytest.raises(SarsplatError, match="is a folder, not a file"):
-        write_bytes(tmp_path, b"")
-
-
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder in which even root can write nothing")
 def test_what_cannot_be_written_is_known_before_the_work(tmp_path):
     refuse_unwritable(tmp_path / "to" / "come")

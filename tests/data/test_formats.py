@@ -7,16 +7,16 @@ import importlib.util
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
 import numpy as np
 import pytest
 
-from datasets import dataset_of
-from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
+from datasets import SIGNALS, tiny_dataset
+from sarsplat.data import read_dataset, write_dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "formats.md").read_text(encoding="utf-8")
@@ -58,13 +58,11 @@ def test_a_folder_of_another_program_is_read(foreign):
 
 
 def test_what_sarsplat_writes_fits_the_schema(tmp_path):
-    grid = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35))
-    views = [(View(10.0 * k, 20.0), "train" if k else "test-17") for k in range(4)]
-    write_dataset(tmp_path / "power", dataset_of(grid, views, np.ones((4, 6, 5), np.float32)))
-    entries = tuple(DatasetEntry(view, split, f"{k}", 1.5 * k) for k, (view, split) in enumerate(views))
-    signal = np.full((4, 6, 5), 1 + 1j, np.complex64)
+    write_dataset(tmp_path / "power", tiny_dataset())
     more = {"looks": 2.0, "clean_tests": True, "target_box_m": ((-1.0, -1, 0), (1.0, 1, 2))}
-    write_dataset(tmp_path / "complex", Dataset.of_complex(grid, entries, signal, **more))
+    made = tiny_dataset(SIGNALS, **more)
+    entries = tuple(replace(entry, azimuth_std_deg=1.5 * k) for k, entry in enumerate(made.entries))
+    write_dataset(tmp_path / "complex", replace(made, entries=entries))
     for folder in ("power", "complex"):
         jsonschema.validate(json.loads((tmp_path / folder / "dataset.json").read_text()), SCHEMA)
 

@@ -15,13 +15,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import sarsplat
 from chip_files import phoenix_bytes
@@ -86,15 +85,10 @@ def test_valid_files_are_read(reader, places):
 
 @pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
 def test_spoilt_files_are_read_or_refused(reader, places):
-    seeds, tally = seeds_of(reader), Tally()
-
-    @settings(derandomize=True, max_examples=15, deadline=None, database=None)
-    @given(st.sampled_from(seeds), st.randoms())
-    def spoilt(data, rng):
-        assert judge(reader, places[reader.name], reader.spoil(data, rng), tally) is None
-
-    spoilt()
-    assert tally.tried >= 15
+    for number in range(15):
+        rng = Random(number)
+        data = reader.spoil(rng.choice(seeds_of(reader)), rng)
+        assert judge(reader, places[reader.name], data, Tally()) is None, number
 
 
 def special(path: Path, kind: str) -> None:
@@ -201,33 +195,10 @@ def test_json(tmp_path, text, words):
     assert read_json(path, Any) == ["😀 😀"]
 
 
-def test_a_wrong_field_before_one_that_is_nested_too_deeply(tmp_path):
-    (tmp_path / "a.json").write_text('{"a": 1, "b": ' + "[" * 100_000)
-    with pytest.raises(SarsplatError, match="expected `str`, got `int`"):
-        read_json(tmp_path / "a.json", dict[str, str])
-
-
 @pytest.fixture
 def dataset(tmp_path):
     prepare_dataset(tmp_path)
     return tmp_path / "set"
-
-
-def change(dataset: Path, old: str, new: str) -> None:
-    text = (dataset / "dataset.json").read_text()
-    assert old in text
-    (dataset / "dataset.json").write_text(text.replace(old, new, 1))
-
-
-def test_two_names_for_one_image(dataset):
-    change(dataset, "images/002.tif", "images/./001.tif")
-    with pytest.raises(SarsplatError, match="same image file"):
-        read_dataset(dataset)
-    change(dataset, "images/./001.tif", "images/002.tif")
-    (dataset / "images/002.tif").unlink()
-    (dataset / "images/002.tif").symlink_to("001.tif")
-    with pytest.raises(SarsplatError, match="same image file"):
-        read_dataset(dataset)
 
 
 def test_folders_whose_names_are_not_text(dataset, tmp_path):
@@ -391,21 +362,3 @@ def test_text_that_is_too_long(tmp_path, name):
 def test_text_that_is_not_utf8(tmp_path):
     (tmp_path / "a.off").write_bytes(b"OFF # \xe9t\xe9\n3 1 0\n0 0 0\n2 0 0\n2 2 0\n3 0 1 2\n")
     assert len(load_mesh(tmp_path / "a.off").faces) == 1
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        ("a.zip", "PK", "supported mesh format"),
-        ("a.stl", "\0" * 80 + "\x07\0\0\0" + "\0" * 100, "declares 7 faces .434 bytes. but has 184 bytes"),
-        ("a.stl", "solid\nendsolid\n" * 2000, "2000 solids"),
-        ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf -3 -2 -1\n", "relative vertex numbers"),
-        ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf 1 2 9\n", "cannot be read"),
-        ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 1e300 0\nf 1 2 3\n", r"1e\+300 m from the origin"),
-        ("a.obj", "v 0 0 0\nv 2 0 0\nv 2 2 0\nf 1 2 three\n", "cannot be read"),
-    ],
-)
-def test_meshes_that_are_refused(tmp_path, name, text, words):
-    (tmp_path / name).write_text(text)
-    with pytest.raises(SarsplatError, match=words):
-        load_mesh(tmp_path / name)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from datasets import dataset_of
 from sarsplat.data import Dataset
 from sarsplat.data.plausible import suspicions, suspicious_angles, warn
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.scenes import mstar_views, paper_views
 
@@ -71,16 +70,13 @@ def test_honest_angles_are_not(name: str) -> None:
     assert suspicious_angles(HONEST[name]) == []
 
 
-@settings(derandomize=True, deadline=None, database=None)
-@given(
-    st.integers(-600, 600),
-    st.integers(1, 400),
-    st.integers(2, 40),
-    st.integers(157, 8842).map(lambda hundredths: hundredths / 100),
-)
-def test_no_raster_of_hundredths_is_suspected(first: int, step: int, count: int, grazing: float) -> None:
-    grid = [View((first + step * k) / 100, max(grazing, 1.58)) for k in range(count)]
-    assert suspicious_angles(grid) == []
+def test_no_raster_of_hundredths_is_suspected() -> None:
+    chance = np.random.default_rng(0)
+    ends = itertools.product((-600, 0, 600), (1, 400), (2, 40), (158, 8842))
+    drawn = zip(*(chance.integers(low, high, 100) for low, high in ((-600, 601), (1, 401), (2, 41), (158, 8843))))
+    for first, step, count, grazing in (*ends, *drawn):
+        grid = [View((first + step * k) / 100, grazing / 100) for k in range(count)]
+        assert suspicious_angles(grid) == [], (first, step, count, grazing)
 
 
 def make(train: list[View], images: np.ndarray | None = None, test: list[View] | None = None, **options) -> Dataset:
@@ -170,18 +166,3 @@ def test_warnings_have_one_category_and_are_not_repeated() -> None:
     assert [str(item.message) for item in caught] == ["odd", "odder"]
     assert {item.category for item in caught} == {SarsplatWarning}
     assert issubclass(SarsplatWarning, UserWarning)
-
-
-@pytest.mark.parametrize(
-    ("train", "images", "told"),
-    [
-        ([], np.zeros((0, 8, 8), np.float32), "a dataset needs images"),
-        (AROUND, np.full((3, 8, 8), np.nan, np.float32), "power must be finite"),
-        (AROUND, np.full((3, 8, 8), np.inf, np.float32), "power must be finite"),
-        (AROUND, np.full((3, 8, 8), -1.0, np.float32), "power must be finite and ≥ 0"),
-        (AROUND, np.ones((3, 8, 9), np.float32), "must be float32"),
-    ],
-)
-def test_what_would_be_meaningless_is_refused(train, images, told: str) -> None:
-    with pytest.raises(SarsplatError, match=told):
-        make(train, images)

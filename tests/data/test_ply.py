@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from sarsplat.data import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
-from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics, NormalLobes
 from sarsplat.gaussians.harmonics import harmonic_basis
 
@@ -129,24 +128,6 @@ def test_foreign_files(tmp_path):
     torch.testing.assert_close(read.scattering.parameters[0], torch.tensor([3.0, 0, -2, 0]))
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("means", float("nan"), "NaN or an infinity in means"),
-        ("scales", 1e-5, "scale of"),
-        ("optical_depth", -1.0, "optical depths from -1"),
-        ("optical_depth", 41.0, "optical depths"),
-        ("quaternions", 0.0, "quaternion of zeros"),
-    ],
-)
-def test_values_out_of_range_are_not_written(tmp_path, name, value, words):
-    gaussians = some()
-    gaussians.tensors()[name][3] = value
-    with pytest.raises(SarsplatError, match=words):
-        write_gaussians_ply(tmp_path / "a.ply", gaussians)
-    assert list(tmp_path.iterdir()) == []
-
-
 def points(path):
     positions = np.random.default_rng(0).normal(size=(9, 3)).astype(np.float32)
     write_points_ply(path, positions, power=np.arange(9), support=np.linspace(0, 1, 9))
@@ -168,76 +149,3 @@ def test_a_million_points_are_read_at_once(tmp_path):
     begun = time.process_time()
     assert read_points_ply(tmp_path / "p.ply")[0].shape == (1_000_000, 3)
     assert time.process_time() - begun < 1
-
-
-@pytest.mark.parametrize("far", [3e38, -1.1e9])
-def test_points_beyond_all_measure_are_refused(tmp_path, far):
-    write_points_ply(tmp_path / "p.ply", np.array([[0, 0, 0], [0, far, 0]]))
-    with pytest.raises(SarsplatError, match=r"p\.ply holds a point .* m from the origin"):
-        read_points_ply(tmp_path / "p.ply")
-
-
-def test_wrong_points_are_not_written(tmp_path):
-    good = np.zeros((4, 3))
-    for array, columns, words in [
-        (good[:, :2], {}, r"shape \(4, 2\); it must be \(P, 3\)"),
-        (good, {"a": np.zeros(3)}, r"column 'a' has shape \(3,\)"),
-        (good, {"x": np.zeros(4)}, "column 'x'"),
-        (good * np.nan, {}, "contains NaN"),
-    ]:
-        with pytest.raises(SarsplatError, match=words):
-            write_points_ply(tmp_path / "p.ply", array, **columns)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (b"vertex 9", b"vertex 8", "is too long"),
-        (b"vertex 9", b"vertex 999999999999", "is truncated"),
-        (b"vertex 9", b"vertex -9", "'element vertex -9' in its PLY header, which is garbled"),
-        (b"ply\n", b"PLY\n", "not a PLY file"),
-        (b"end_header", b"end_headed", "not a PLY file"),
-        (b"binary_little_endian", b"ascii", "only 'format binary_little_endian 1.0' is read"),
-        (b"float power", b"list uchar int power", "it is a mesh"),
-        (b"float x", b"float q", "is missing the vertex property 'x'"),
-        (b"float y", b"float x", "two vertex properties with the same name"),
-        (b"element vertex", b"element corner", "not one of vertices"),
-    ],
-)
-def test_damaged_headers(tmp_path, old, new, words):
-    path = tmp_path / "p.ply"
-    points(path)
-    data = path.read_bytes()
-    assert data.count(old) == 1
-    path.write_bytes(data.replace(old, new))
-    with pytest.raises(SarsplatError, match=words):
-        read_points_ply(path)
-
-
-def test_points_are_no_gaussians_and_versions_are_checked(tmp_path):
-    path = tmp_path / "p.ply"
-    points(path)
-    with pytest.raises(SarsplatError, match="is missing the vertex property 'rot_0'"):
-        read_gaussians_ply(path)
-    with pytest.raises(SarsplatError, match="does not exist"):
-        read_gaussians_ply(tmp_path / "none.ply")
-    write_gaussians_ply(path, some())
-    data = path.read_bytes()
-    for old, new, words in [
-        (b"gaussians 2", b"gaussians 3", "'sarsplat gaussians 3'"),
-        (b"scattering {", b"scattered {", "one scattering law"),
-        (
-            b"harmonics",
-            b"harmonica",
-            "scattering law 'harmonica' is unknown; choose one of harmonics, normal-lobes",
-        ),
-        (b'"p_min": 0.05', b'"p_min": 1e99e', "not valid JSON"),
-        (b'"p_min": 0.05', b'"p_min": 1e+999', r"the header of .*p\.ply: .*number out of range"),
-        (b'"p_min": 0.05', b'"p_min": -0.5', "p_min -0.5 must be finite"),
-        (b'"p_min": 0.05', b'"p_min": "x"', "has an invalid scattering law"),
-        (b'"p_min": 0.05', b'"gloss": 0.5', "has an invalid scattering law .*gloss"),
-    ]:
-        path.write_bytes(data.replace(old, new))
-        with pytest.raises(SarsplatError, match=words):
-            read_gaussians_ply(path)

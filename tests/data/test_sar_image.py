@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from matplotlib.figure import Figure
 
 from sarsplat.data import SarImage
 from sarsplat.data.picture import _draw
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 
 GRID = ImageGrid(2, 3, (0.3, 0.3), (0.3, 0.3))
@@ -50,25 +48,6 @@ def test_a_picture_has_metres_and_decibels(tmp_path: Path) -> None:
     assert bar.get_ylim() == pytest.approx((-20.0, 20.0))
 
 
-def test_black_images_and_wrong_names(tmp_path: Path) -> None:
-    image = SarImage(np.zeros((2, 3)), VIEW, GRID)
-    image.save(str(tmp_path / "black.png"))
-    with pytest.raises(SarsplatError, match=r"does not end in \.png"):
-        image.save(tmp_path / "image.tif")
-    with pytest.raises(SarsplatError, match=r"dynamic range of 0\.0 dB"):
-        image.save(tmp_path / "a.png", dynamic_range_db=0.0)
-
-
-@pytest.mark.parametrize(
-    ("power", "told"),
-    [
-        ([[1.0, 1, 1], [1, 1, 1]], "the image is of type list; give power as an array"),
-        (np.ones((2, 3), complex), "the image is of type complex128; give power as .*SarImage.of_complex"),
-        (np.ones((3, 2)), r"shape \(3, 2\) but its grid has \(2, 3\)"),
-        (np.array([[1, 1, 1], [1, -1, 1.0]]), r"holds -1 at \(1, 1\)"),
-        (np.array([[1, 1, 1], [1, 1, np.nan]]), "holds nan at \\(1, 2\\)"),
-    ],
-)
-def test_what_is_no_power_is_refused(power: Any, told: str) -> None:
-    with pytest.raises(SarsplatError, match=told):
-        SarImage(power, VIEW, GRID)
+def test_black_images_are_pictures(tmp_path: Path) -> None:
+    SarImage(np.zeros((2, 3)), VIEW, GRID).save(str(tmp_path / "black.png"))
+    assert (tmp_path / "black.png").stat().st_size > 1000

@@ -10,7 +10,7 @@ from sarsplat.evaluation.alignment import Alignment, align
 trimesh = pytest.importorskip("trimesh")
 
 
-def surface(seed: int, count: int = 2000) -> np.ndarray:
+def surface(seed: int, count: int = 600) -> np.ndarray:
     """Samples of a stepped block without symmetry."""
     parts = [trimesh.creation.box(bounds=[[-1.2, -1.4, 0], [1.2, 1.4, 0.5]])]
     parts += [trimesh.creation.box(bounds=[[-1.0, 0.1, 0.5], [0.3, 1.2, 1.5]])]

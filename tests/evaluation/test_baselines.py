@@ -83,11 +83,14 @@ def test_scores_of_a_dataset_do_not_depend_on_its_calibration():
 
 
 @pytest.mark.skipif(not MSTAR.is_dir(), reason=f"the measured chips are not in {MSTAR}")
+@pytest.mark.filterwarnings("ignore:.*has no label for")
 def test_known_baselines_of_the_measured_t72(tmp_path):
     # protocol M, K = 36, 17°: the nearest chip scores .573 nats and .841,
     # registered .533 and .852, the rotated average .527, .505 and .862
     pytest.importorskip("PIL")
-    dataset = import_mstar(MSTAR, tmp_path / "t72", labels=MSTAR / "labels.csv", target_class="T72", train_views=36)
+    lines = (MSTAR / "labels.csv").read_text().splitlines()
+    (tmp_path / "labels.csv").write_text("\n".join(line for line in lines if line == lines[0] or ",17," in line))
+    dataset = import_mstar(MSTAR, tmp_path / "t72", labels=tmp_path / "labels.csv", target_class="T72", train_views=36)
     train, truth = dataset.images("train"), dataset.images("test-17")
     train_views, views = (dataset.select(name).views for name in ("train", "test-17"))
     nearest = nearest_chip(train, train_views, views)

@@ -319,7 +319,7 @@ def test_a_given_mesh_takes_the_place_of_the_datasets(make, tmp_path):
 
 
 def test_points_are_aligned_if_asked(make):
-    points = trimesh.sample.sample_surface(CUBE, 3000, seed=0)[0]  # of all sides; no view sees the bottom
+    points = trimesh.sample.sample_surface(CUBE, 1000, seed=0)[0]  # of all sides; no view sees the bottom
     run = FakeRun(make(), points=points[points[:, 2] > 0.01] + np.array([0.3, -0.2, 0.1]))
     plain, aligned = evaluate_run(run), evaluate_run(run, alignment="rigid")
     assert "shift_m" not in plain["truth"]

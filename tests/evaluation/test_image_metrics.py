@@ -2,7 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import pearsonr
 
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
@@ -94,7 +93,7 @@ def test_correlation_filters_the_full_chip_then_crops():
             [np.log(image[r - 1 : r + 2, c - 1 : c + 2].mean()) for r in range(24, 36) for c in range(24, 36)]
             for image in (a, b)
         ]
-        expected.append(pearsonr(*means).statistic)
+        expected.append(np.corrcoef(means)[0, 1])
     assert log_correlation(truth, rendered, 24) == pytest.approx(np.mean(expected), abs=1e-12)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Iterator
-from functools import partial
+from functools import cache, partial
 
 import pytest
 
@@ -15,6 +16,17 @@ def small_previews() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check_sheet, "check_sheet", partial(check_sheet.check_sheet, most=1))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def schemas_are_read_once() -> Iterator[None]:
+    """Sarkit reads the types of a version of SICD from JSON anew for each file."""
+    with pytest.MonkeyPatch.context() as patch:
+        if importlib.util.find_spec("sarkit"):
+            xml = importlib.import_module("sarkit.sicd._xml")
+            patch.setattr(xml.XsdHelper, "get_transcoder", cache(xml.XsdHelper.get_transcoder))
+            patch.setattr(xml, "XsdHelper", cache(xml.XsdHelper))
         yield
 
 

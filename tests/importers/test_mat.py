@@ -94,7 +94,7 @@ DAMAGED = {
     "garbled": (mat(element(15, b"not zlib")), "a compressed element that cannot be read"),
     "nothing compressed": (mat(packed(b"")), "a compressed element with nothing in it"),
     "less than stated": (mat(packed(matrix()[:-9])), "a compressed element of 55 bytes where 64 are stated"),
-    "a bomb": (mat(packed(matrix((1, 2**26), bytes(2**26)))), "expands to more than 16 times its size"),
+    "a bomb": (mat(packed(matrix((1, 2**25), bytes(2**25)), 1)), "expands to more than 16 times its size"),
 }  # fmt: skip
 
 

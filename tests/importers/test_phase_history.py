@@ -203,6 +203,7 @@ def test_bad_options(tmp_path, name, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["a.mat"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command(files, tmp_path, capsys):
     words = [*map(str, files), "--out", str(tmp_path / "out"), "--size", "4m", "--aperture", "4", "--around", "1,0"]
     assert main(["import", "phase-history", *words]) == 0

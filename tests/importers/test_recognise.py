@@ -15,6 +15,8 @@ from sarsplat.cli import main
 from sarsplat.cli.importers import recognised
 from sarsplat.errors import SarsplatError
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 POWER = np.random.default_rng(0).gamma(1.0, size=(4, 12, 10)).astype(np.float32) + 0.1
 
 

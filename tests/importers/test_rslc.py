@@ -134,6 +134,7 @@ def test_other_files_are_refused(tmp_path, data):
         import_rslc(tmp_path / "a.h5", tmp_path / "out", size_m=60.0)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command(tmp_path, capsys):
     path, out = write_rslc(tmp_path / "quad.h5", QUAD), tmp_path / "out"
     assert main(["info", str(path)]) == 0

@@ -68,6 +68,7 @@ def test_what_headers_lack(folder, tmp_path):
     assert made.grid.response == GAUSSIAN
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command(folder, tmp_path, capsys):
     words = ["import", "sample", str(folder), "--class", "t72", "--out", str(tmp_path / "out")]
     assert main(words) == 0

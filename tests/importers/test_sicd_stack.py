@@ -127,6 +127,7 @@ def test_what_is_refused(tmp_path):
     assert len(imported(tmp_path, files, stack=False)) == 3
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command(tmp_path, capsys):
     files = passes(tmp_path, Track(), SMALL)
     words = ["import", "sicd", *map(str, files), "--size", "32m", "--out", str(tmp_path / "set"), "--stack"]

@@ -1,11 +1,11 @@
 """Buildings A, B and C through both forward models, against the closed form: edges, levels, layover."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.scenes import BUILDINGS, Gamma0, ScatteringLaw, building_profile, target_mesh
 from sarsplat.scenes.simulate import simulate_images
@@ -20,8 +20,9 @@ CASES = [(n, t, g) for n in sorted(BUILDINGS) for t in (30.0, 45.0, 60.0) for g 
 
 
 def image_of(source, name, grazing, gamma0):
-    factors = {"reflectivity": BUILDINGS[name].reflectivity(gamma0), "ground_gamma0": gamma0.ground}
-    return simulate_images(target_mesh(name), [View(0.0, grazing)], GRID, source=source, law=LAW, **factors)[0]
+    short = replace(BUILDINGS[name], length=10.0)  # and still longer than the image is wide
+    factors = {"reflectivity": short.reflectivity(gamma0), "ground_gamma0": gamma0.ground}
+    return simulate_images(short.mesh(), [View(0.0, grazing)], GRID, source=source, law=LAW, **factors)[0]
 
 
 def check(source, name, grazing, gamma0, *, edges_px, levels):
@@ -93,17 +94,3 @@ def test_the_near_wall_faces_azimuth_0_with_its_foot_at_the_origin():
     outward = mesh.triangles_center - [-2.0, 0.0, 5.0]
     assert ((outward * mesh.face_normals).sum(axis=1) > 0).all()
     np.testing.assert_array_equal(mesh.face_normals[:, 2] > 0.5, BUILDINGS["building-a"].reflectivity(UNEQUAL) == 0.3)
-
-
-# ---- bad input -------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("reflectivity", "message"),
-    [
-        (np.ones(9), r"shape \(9,\).*10 faces"),
-        (np.full(10, -1.0), "outside 0 to"),
-        (np.full(10, np.nan), "outside 0 to"),
-    ],
-)
-def test_reflectivity_has_to_fit_the_faces(reflectivity, message):
-    with pytest.raises(SarsplatError, match=message):
-        simulate_images(target_mesh("building-a"), [View(0, 45)], GRID, reflectivity=reflectivity)

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.geometry.responses import TAYLOR, Sampled
 from sarsplat.scenes import ScatteringLaw, paper_grid, raycast, simulate_raycast, target_mesh
@@ -150,29 +149,6 @@ def test_large_scenes_are_cut_to_the_swath_and_batched():
 def test_target_beside_the_image_leaves_it_empty():
     image = simulate_raycast(box((-1, 1), (99, 101), (0, 1)), View(0, 45), GRID, CONSTANT)
     assert (image.shape, image.dtype, image.max()) == ((64, 64), np.float32, 0)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"ray_spacing": 0.0}, "ray_spacing 0.0 must be positive"),
-        ({"ray_spacing": math.nan}, "ray_spacing nan must be positive"),
-        ({"ray_offset": (math.nan, 0.0)}, r"ray_offset \(nan, 0.0\) must be two finite numbers"),
-        ({"oversample": 0}, "oversample 0 must be a whole number"),
-        ({"oversample": 2.5}, "oversample is 2.5; give a whole number"),
-        ({"oversample": 1}, "too fine for image nodes"),
-        ({"ground_gamma0": -10.0}, "ground_gamma0 -10.0 must be finite and at least 0"),
-    ],
-)
-def test_impossible_settings_are_refused(settings, message):
-    with pytest.raises(SarsplatError, match=message):
-        simulate_raycast(box((-1, 1), (-1, 1), (0, 1)), View(0, 45), GRID, CONSTANT, **settings)
-
-
-def test_a_mesh_with_a_vertex_that_is_not_finite_is_refused():
-    broken = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, math.nan, 0]], [[0, 1, 2]], process=False)
-    with pytest.raises(SarsplatError, match="has a vertex that is not finite"):
-        simulate_raycast(broken, View(0, 45), GRID, CONSTANT)
 
 
 # ---- rays as sparse as flat surfaces allow ---------------------------------------------------------------------------

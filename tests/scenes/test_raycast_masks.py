@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, View, radar_frame
 from sarsplat.scenes.raycast_masks import raycast_mask, raycast_masks
 
@@ -102,8 +101,3 @@ def test_nothing_below_the_ground_is_seen():
     np.testing.assert_array_equal(masks, [raycast_mask(box(), view, GRIDS[0]) for view in views])
     assert counts == [1, 2]
     assert not raycast_mask(box(LOW - (0, 0, 5), HIGH - (0, 0, 5)), View(25, 30), GRIDS[0]).any()
-
-
-def test_a_mesh_without_faces_is_refused():
-    with pytest.raises(SarsplatError, match="0 faces"):
-        raycast_mask(trimesh.Trimesh(), View(0, 30), GRIDS[0])

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.geometry import View
 from sarsplat.scenes import ScatteringLaw, law_scattering, simulate_raycast, surface_gaussians, target_mesh
@@ -66,12 +65,3 @@ def test_scattering_follows_the_law_in_every_view():
     normals = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, -1, 0]], dtype=float)
     expected = 0.1 + 0.9 * np.array([[0.25, 0.25, 0.75, 0.0], [0.75, 0.75, 0.0, 0.25]])
     np.testing.assert_allclose(law_scattering(normals, views, ScatteringLaw(0.1, 0.9)), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("extents", "size", "message"),
-    [((1, 1, 1), 0, "size 0"), (None, 0.1, "cannot be covered"), ((7000, 3600, 2000), 0.1, "if it is in millimetres")],
-)
-def test_impossible_requests_are_refused(extents, size, message):
-    with pytest.raises(SarsplatError, match=message):
-        surface_gaussians(trimesh.creation.box(extents) if extents else trimesh.Trimesh(), size)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from sarsplat.errors import SarsplatError
 from sarsplat.scenes import VEHICLES, target_mesh
 
 pytest.importorskip("trimesh")
@@ -83,11 +82,6 @@ def axles(bodies, height, radius, side):
 )
 def test_wheels_have_the_gaps_of_the_original(bodies, name, height, radius, gaps, side):
     assert np.diff(axles(bodies[name], height, radius, side)) == pytest.approx(gaps, abs=0.01)
-
-
-def test_unknown_name_lists_the_known_ones():
-    with pytest.raises(SarsplatError, match=r"'t73'.*t72, btr70, 2s1, kraz, slicy, building-a, building-b, building-c"):
-        target_mesh("t73")
 
 
 # ---- SLICY -----------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float64, Int64
 from msgspec import Meta
-from scipy.stats import gamma
+from scipy.special import gammaincinv
 from torch import Tensor
 
 from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
@@ -114,7 +114,7 @@ class Dsr(Baseline):
         if scene.ground:
             self.log_ground = torch.nn.Parameter(torch.tensor(math.log(_START_GROUND)))
             self.log_floor = torch.nn.Parameter(torch.tensor(math.log(_START_FLOOR)))
-        self._median = 1.0 if scene.looks is None else float(gamma.median(scene.looks)) / scene.looks
+        self._median = 1.0 if scene.looks is None else float(gammaincinv(scene.looks, 0.5)) / scene.looks
         softness_m = math.sqrt(config.sigma) * _HALF_FIELD * self._longest_m
         self.renderer = MeshRenderer(scene.grid, softness_m, config.gamma * _DEPTH_RANGE * self._longest_m)
 

@@ -81,6 +81,8 @@ def read_tiff(path: Path, shape: tuple[int, ...], pixel: DTypeLike = np.float32)
             image = tiff.asarray(key=slice(None)).reshape(shape) if fits else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(f"{path} is not a readable TIFF ({shown(str(error))}); create the dataset again") from error
+    if not layouts:
+        raise SarsplatError(f"{path} is a TIFF with no image in it; create the dataset again")
     if image is None:
         raise SarsplatError(
             f"{path} holds {layouts[0][1]} pixels of shape {shown(layouts[0][0])}, compression "

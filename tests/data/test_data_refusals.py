@@ -1,0 +1,513 @@
+"""What is refused of data, each in one sentence, writing nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors.torch
+import tifffile
+import torch
+from PIL import Image
+
+from datasets import NOISE, SIGNALS, TINY, VIEWS, small_dataset, small_mask, tiny_dataset
+from refusals import Do, Refusals, check_refused, stored
+from sarsplat import Terrain, read_terrain
+from sarsplat.data import (
+    Dataset,
+    SarImage,
+    load_checkpoint,
+    read_dataset,
+    read_gaussians_ply,
+    read_json,
+    read_masks,
+    read_points_ply,
+    read_tiff,
+    write_dataset,
+    write_gaussians_ply,
+    write_points_ply,
+)
+from sarsplat.data.csv_table import CsvTable, read_table, relative_path
+from sarsplat.data.files import write_bytes
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.geometry import ImageGrid, View
+from terrains import hill, write_geotiff
+
+# ---- files, checkpoints, tables ----
+
+
+def touched(name: str, do: Do) -> Do:
+    """With an empty file of that name."""
+    return lambda at: (at / name).touch() or do(at)
+
+
+FILES: Refusals = [
+    (lambda at: write_bytes(at / "no" / "a", b""), "does not exist"),
+    (touched("file", lambda at: write_bytes(at / "file" / "a", b"")), "is a file, not a folder"),
+    (lambda at: write_bytes(at, b""), "is a folder, not a file"),
+    (
+        stored(b'{"a": 1, "b": ' + b"[" * 100_000, lambda path: read_json(path, dict[str, str])),
+        "expected `str`, got `int`",
+    ),
+]
+
+
+def checkpoint(**described: str) -> bytes:
+    return safetensors.torch.save({"x": torch.ones(100)}, {"schema": "sarsplat-checkpoint", **described})
+
+
+GOOD = checkpoint(version="1", state="{}")
+CHECKPOINTS: Refusals = [
+    (lambda at: load_checkpoint(at / "none"), "does not exist"),
+    (load_checkpoint, "folder"),
+    *(
+        (stored(bad, load_checkpoint), "damaged checkpoint")
+        for bad in (b"", b"x", GOOD[:6], GOOD[:100], GOOD[:-1], GOOD + b"x", b"\xff" * 8 + GOOD[8:], GOOD[8:])
+    ),
+    (stored(safetensors.torch.save({"x": torch.ones(1)}), load_checkpoint), "not a run's checkpoint"),
+    *(
+        (stored(checkpoint(**described), load_checkpoint), words)
+        for described, words in (
+            ({"version": "9"}, "version '9'"),
+            ({"version": "1"}, "not valid JSON"),
+            ({"version": "1", "state": "[1]"}, "expected `object`, got `array`"),
+            ({"version": "1", "state": '{"a":' * 100_000}, "nested too deeply"),
+        )
+    ),
+]
+
+
+def table(data: bytes, ask: Callable[[CsvTable], object] = id, *needed: str) -> Do:
+    return stored(data, lambda path: ask(read_table(path, "the table", needed)))
+
+
+def b_of(table: CsvTable) -> float:
+    return table.number(table.rows[0], "b")
+
+
+TABLES: Refusals = [
+    (table(b""), "has no rows"),
+    (table(b"a,b\n"), "has no rows"),
+    (table(b"a,a\n1,2\n"), "the column 'a' twice"),
+    (table(b"a,b\n1,2,3\n"), "line 2: there are 3 cells for 2 columns"),
+    (table(b"\xff\xfea"), "not a readable CSV"),
+    (table(b"a\n" + b"1\n" * 100_001), "more than 100000 rows"),
+    (table(b"a,b\n" + b"x" * 200_000), "not a readable CSV"),
+    (table(b"a,b\n1,2\n", id, "a", "c"), r"is missing the column 'c'; it needs a, c"),
+    (table(b"a,b\n1\n", b_of), r"line 2: b is ''; it must be a number"),
+    (table(b'a,b\n1,"0,5"\n', b_of), r"line 2: b is '0,5'; write it with a point, or put semicolons between"),
+    *(
+        (
+            table(f"file\n{path}\n".encode(), lambda made: relative_path(made.path, made.rows[0], "file", of="images")),
+            r"line 2: .* points outside the folder of images",
+        )
+        for path in ("../a.png", "b/../../a.png", "/etc/passwd", "a\0.png", "..\\a.png")
+    ),
+]
+
+# ---- images and datasets in memory ----
+
+VIEW, GRID = View(0, 30), ImageGrid(2, 3, (0.3, 0.3), (0.3, 0.3))
+POWERS: Refusals = [
+    (lambda _: SarImage([[1.0, 1, 1], [1, 1, 1]], VIEW, GRID), "the image is of type list; give power as an array"),
+    (
+        lambda _: SarImage(np.ones((2, 3), complex), VIEW, GRID),
+        "the image is of type complex128; give power as .*SarImage.of_complex",
+    ),
+    (lambda _: SarImage(np.ones((3, 2)), VIEW, GRID), r"shape \(3, 2\) but its grid has \(2, 3\)"),
+    (lambda _: SarImage(np.array([[1, 1, 1], [1, -1, 1.0]]), VIEW, GRID), r"holds -1 at \(1, 1\)"),
+    (lambda _: SarImage(np.array([[1, 1, 1], [1, 1, np.nan]]), VIEW, GRID), r"holds nan at \(1, 2\)"),
+    (lambda at: SarImage(np.ones((2, 3)), VIEW, GRID).save(at / "out.tif"), r"does not end in \.png"),
+    (
+        lambda at: SarImage(np.ones((2, 3)), VIEW, GRID).save(at / "out.png", dynamic_range_db=0.0),
+        r"dynamic range of 0\.0 dB",
+    ),
+]
+
+PHASES = tiny_dataset(SIGNALS)
+_FIRST, _OTHER = (SarImage(NOISE[0], VIEW, grid) for grid in (TINY, replace(TINY, center_m=(0, 0))))
+SETS: Refusals = [
+    (lambda _: replace(PHASES, power=2 * PHASES.power), "not the squared magnitude of its signal"),
+    (lambda _: SarImage(PHASES.power[0], VIEW, TINY, SIGNALS[1]), "not the squared magnitude of its signal"),
+    (
+        lambda _: SarImage.of_complex(np.ones((6, 5)), VIEW, TINY),
+        "of type float64; give an array of complex amplitudes",
+    ),
+    (lambda _: SarImage.of_complex(np.full((6, 5), 1e30 + 0j), VIEW, TINY), r"holds inf at \(0, 0\)"),
+    (lambda _: SarImage.of_complex(np.full((6, 5), np.nan + 0j), VIEW, TINY), r"holds nan at \(0, 0\)"),
+    (lambda _: Dataset.from_images([PHASES[0], PHASES[1], _FIRST]), "2 of 3 images have their phase"),
+    (lambda _: Dataset.of_complex(TINY, (), np.empty((0, 6, 5), np.complex64)), "a dataset needs images"),
+    (lambda _: tiny_dataset(NOISE[:0], views=[]), "a dataset needs images"),
+    *((lambda _, bad=bad: tiny_dataset(NOISE * np.float32(bad)), "power must be finite") for bad in (np.nan, np.inf)),
+    (lambda _: tiny_dataset(NOISE[..., :4]), "must be float32"),
+    (lambda _: Dataset.from_images([_FIRST, _OTHER]), r"image 1 is on .* but the first image is on"),
+    (lambda _: Dataset.from_images([], test=[_FIRST]), "no training images"),
+    (
+        lambda _: Dataset.from_images([_FIRST] * 4, azimuth_std_deg=[1, 2]),
+        "azimuth_std_deg holds 2 numbers for 4 images",
+    ),
+    *(
+        (
+            lambda _, wrong=wrong: Dataset.from_images([_FIRST] * 4, azimuth_std_deg=[wrong] * 4),
+            "is not a number between 0 and 10",
+        )
+        for wrong in (-1, 11, float("nan"))
+    ),
+    *((lambda _, ask=ask: ask(tiny_dataset(), "test-15"), "no set 'test-15'; it has train, test-17, test")
+      for ask in (Dataset.images, Dataset.select)),
+    (lambda _: tiny_dataset(terrain=hill()), "terrain is the ground that images show, but ground is False"),
+]  # fmt: skip
+
+# ---- datasets on the disk ----
+
+
+def write(images: Any = NOISE, *, masks: np.ndarray | None = None, made: Any = tiny_dataset, **changes: Any) -> Do:
+    return lambda at: write_dataset(at / "out", made(images, **changes), masks=masks)
+
+
+WRITTEN: Refusals = [
+    (write(NOISE[:3]), "of shape"),
+    (write(NOISE.astype(np.float64)), "float64"),
+    (write(np.where(NOISE[2, 3, 4] == NOISE, np.nan, NOISE)), r"image '002' holds nan at \(3, 4\)"),
+    (write(-NOISE), "finite and ≥ 0"),
+    (write(views=[(view, "test") for view, _ in VIEWS]), "nothing to train on"),
+    (write(views=[(view, "validation") for view, _ in VIEWS]), "'validation'"),
+    (write(source={"x": float("nan")}), "JSON"),
+    (write(source=["x"]), "source"),
+    (write(source={"x": object()}), "JSON"),
+    (write(calibration="dreamt"), "'dreamt'"),
+    (write(looks=0), "looks 0 must be a positive number"),
+    (write(looks="one"), "looks"),
+    (write(clean_tests=True), "looks is None"),
+    (write(score_margin=3), "score_margin 3 does not suit images of 6 × 5 pixels"),
+    (write(score_margin=-1), "score_margin -1"),
+    (write(target_box_m=((0, 0, 0), (1, 1, 0))), "target_box_m"),
+    (write(target_box_m=((0, 0), (1, 1))), "target_box_m"),
+    (write(masks=np.zeros((2, 6, 5), np.uint8)), r"uint8 of shape \(2, 6, 5\); .* must be uint8 \(4, 6, 5\)"),
+    (write(masks=np.zeros((4, 6, 5))), "the masks are float64"),
+    (write(masks=np.full((4, 6, 5), 3, np.uint8)), "a mask holds the number 3"),
+]
+
+
+def altered(change: Callable[[Path], object], **fields: Any) -> Do:
+    """To read a dataset after a change to its folder."""
+
+    def do(at: Path) -> object:
+        change(write_dataset(at / "set", tiny_dataset(**fields)).path)
+        return read_dataset(at / "set")
+
+    return do
+
+
+def header(place: str, value: object) -> Do:
+    """With another value at that place, or none if it is KeyError."""
+    *parents, last = [int(key) if key.isdigit() else key for key in place.split(".")]
+
+    def change(folder: Path) -> None:
+        inner = whole = json.loads((folder / "dataset.json").read_text())
+        for key in parents:
+            inner = inner[key]
+        inner[last] = value
+        if value is KeyError:
+            del inner[last]
+        (folder / "dataset.json").write_text(json.dumps(whole))
+
+    return altered(change)
+
+
+HEADERS: Refusals = [
+    (header("schema", "other"), "its schema is 'other', not 'sarsplat-dataset'"),
+    (
+        header("schema_version", 1),
+        "its schema_version is 1 but this program reads 2; simulate or import it again",
+    ),
+    (header("quantity", "sigma0"), "quantity is 'sigma0'"),
+    (header("unit", "decibels"), "unit"),
+    (header("pixels", "complex"), "holds float32 pixels"),
+    (header("calibration", None), "calibration"),
+    (header("looks", -1.0), "looks -1.0"),
+    (header("looks", True), "looks is True"),
+    (header("ground", 1), "ground is 1: expected `bool`"),
+    (header("score_margin", 1.5), "score_margin is 1.5"),
+    (header("target_box_m", [[0, 0, 0]]), "target_box_m"),
+    (header("protocol", 3), "protocol is 3"),
+    (header("domain", "rendered"), "unknown field `domain`"),
+    (header("grid", []), r"grid is \[\]: expected `object`"),
+    (header("grid.rows", 6.0), "grid.rows is 6.0: expected `int`, got `float`"),
+    (header("grid.rows", True), "grid.rows"),
+    (header("grid.rows", -1), "empty"),
+    (header("grid.rows", 7), "shape|too few"),
+    (header("grid.rows", 10**9), "too large"),
+    (header("grid.rows", 5), "shape"),
+    (header("grid.spacing_m", [0.1]), "grid.spacing_m is .* length 2"),
+    (header("grid.spacing_m", [0.1, 0]), "positive"),
+    (header("grid.center_m", [0, 10**400]), r"grid.center_m\[1\] is 1000.*: number out of range"),
+    (header("grid.resolution_m", KeyError), "grid: object missing required field `resolution_m`"),
+    (
+        header("grid.response", {"kind": "taylor", "level_db": "loud", "sidelobes": 5}),
+        r"dataset\.json: a Taylor response of level_db 'loud'",
+    ),
+    (header("grid.tilt", 1), "grid: object contains unknown field `tilt`"),
+    (header("grid.\x1b[2J", 1), "unknown field `.\\[2J`"),
+    (header("source", "somewhere"), "source is 'somewhere'"),
+    (header("truth_mesh", 3), "truth_mesh"),
+    (header("truth_mesh", "../x.ply"), "is not inside"),
+    (header("truth_mesh", "none.ply"), r"is missing its mesh 'none\.ply'"),
+    (header("truth_mesh", "x" * 300), r"cannot read .*name is too long"),
+    (header("views", {}), "views: expected `array`"),
+    (header("views", []), "a dataset needs images"),
+    (header("views.0", 7), r"views\[0\] is 7: expected `object`"),
+    (header("views.1.grazing_deg", 90), r"views\[1\]: grazing angle 90"),
+    (header("views.1.azimuth_deg", "north"), r"views\[1\].azimuth_deg is 'north': expected `float`, got `str`"),
+    (header("views.1.name", None), "name"),
+    (
+        header("views.1.azimuth_std_deg", -1),
+        "azimuth_std_deg -1.0 of the image '001' is not a number between 0 and 10",
+    ),
+    (header("views.1.azimuth_std_deg", "1"), r"views\[1\].azimuth_std_deg is '1'"),
+    (header("views.1.split", "TEST"), "split"),
+    *(
+        (header("views.1.file", file), "is not inside")
+        for file in ("../images/001.tif", "/etc/passwd", "images/a\0b.tif", "", "images/\x1b[2J.tif")
+    ),
+    (header("views.1.file", "images/000.tif"), "same image"),
+    (header("views.1.file", "images/./000.tif"), "same image file"),
+    (header("views.1.file", "images/none.tif"), "does not exist"),
+    (header("views.1.file", "images"), "is a folder"),
+]
+
+
+def image(pixels: np.ndarray, **options: Any) -> Do:
+    """Another first image."""
+    return altered(lambda folder: tifffile.imwrite(folder / "images" / "000.tif", pixels, **options))
+
+
+def linked(folder: Path, target: str) -> None:
+    """A link in place of the first image, which is then beside the folder."""
+    (folder / "images" / "000.tif").rename(folder.parent / "elsewhere.tif")
+    (folder / "images" / "000.tif").symlink_to(target)
+
+
+def read_beside(*names: str) -> Do:
+    """What is beside `images` in a folder with files of these names."""
+
+    def do(at: Path) -> object:
+        (at / "set").mkdir()
+        for name in names:
+            (at / "set" / name).touch()
+        return read_dataset(at / "set")
+
+    return do
+
+
+FOLDERS: Refusals = [
+    (lambda at: read_dataset(at / "nowhere"), "does not exist; make one with `sarsplat simulate`"),
+    (read_beside(), "is empty"),
+    (read_beside("001.tif"), r"not a dataset, .* no dataset\.json; `sarsplat info .*` says"),
+    (read_beside("metrics.jsonl"), "looks like a run"),
+    (stored(b"{}", read_dataset, "dataset.json"), "give the folder"),
+    (altered(lambda folder: linked(folder, "../../elsewhere.tif")), "is not inside"),
+    (altered(lambda folder: linked(folder, "001.tif")), "same image file"),
+    (altered(lambda folder: (folder / "terrain.tif").unlink(), ground=True, terrain=hill()), r"terrain\.tif"),
+    (image(NOISE[0].astype(np.float64)), "float64"),
+    (image(NOISE[0].T), "shape"),
+    (image(-NOISE[0]), "finite and ≥ 0"),
+    (image(NOISE[0] * np.float32(np.inf)), "finite and ≥ 0"),
+    (image(NOISE[0], compression="zlib", description="x" * 200), "compress"),
+    (image(SIGNALS[0]), "holds complex64 pixels"),
+    (stored(b"II*\0" + bytes(200), lambda path: read_tiff(path, (6, 5))), "is a TIFF with no image in it"),
+]
+
+# ---- masks ----
+
+
+def masks(pixels: np.ndarray | bytes, name: str = "001.png", dataset: Dataset | None = None, *sets: str) -> Do:
+    """One mask in a folder."""
+
+    def do(at: Path) -> object:
+        if isinstance(pixels, bytes):
+            (at / name).write_bytes(pixels)
+        else:
+            Image.fromarray(pixels).save(at / name)
+        return read_masks(at, dataset or small_dataset(), sets or None)
+
+    return do
+
+
+def named(*names: str, **fields: Any) -> Dataset:
+    made = small_dataset(**fields)
+    entries = zip(made.entries, names, strict=True)
+    return replace(made, entries=tuple(replace(entry, name=name) for entry, name in entries))
+
+
+CHANCE = np.random.default_rng(0).integers(0, 3, (16, 12), np.uint8)
+MASKS: Refusals = [
+    (masks(np.zeros((16, 13), np.uint8)), "16 × 13 pixels"),
+    (masks(np.full((16, 12), 127, np.uint8)), "holds the number 127"),
+    (masks(np.zeros((16, 12, 3), np.uint8)), "mode RGB"),
+    (masks(b"no picture"), "is not a PNG"),
+    (masks(b""), "is not a PNG"),
+    (lambda at: Image.fromarray(CHANCE).save(at / "x.png") or masks((at / "x.png").read_bytes()[:60])(at), "damaged"),
+    (
+        masks(np.zeros((14, 40), np.uint8), "b.png", named("a", "b", "c", source={"kind": "mstar"})),
+        "14 × 40 pixels, its image 16 × 12",
+    ),
+    *(
+        (
+            masks(np.zeros((20, 16), np.uint8), "b.png", named("a", "b", "c", source=source)),
+            "give masks of the images' size",
+        )
+        for source in ({"kind": "mstar", "mirrored": mirrored} for mirrored in (False, True))
+    ),
+    (masks(small_mask(), "elsewhere.png"), r"has no mask of any test image .*002\.png"),
+    (masks(small_mask(), "b.png", named("a", "b.1", "b.2")), r"'b\.1' and 'b\.2' would share the mask 'b\.png'"),
+    *(
+        (masks(small_mask(), "a.png", named(*(f"{out}{k}.jpeg" for k in range(3)))), "no mask can be named after")
+        for out in ("/etc/", "../")
+    ),
+    (masks(small_mask(), "001.png", None, "test-15"), "has no set 'test-15'; it has train, test"),
+    *(
+        (lambda at, made=made: write_dataset(at / "out", made, masks=np.zeros((3, 16, 12), np.uint8)), words)
+        for made, words in (
+            (named("T72/a.jpeg", "b", "c"), "'T72/a.png' has a folder in it"),
+            (small_dataset(source={"kind": "mstar"}), "these are measured chips"),
+        )
+    ),
+]
+
+# ---- terrain ----
+
+HEIGHTS = np.arange(12.0).reshape(3, 4)
+DEGREES = (1, 1, 0, 1, 1024, 0, 1, 2)
+FEET = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9002)
+TURNED = (34264, "d", 16, (2.0, 1, 0, 7, 1, -3, 0, 9, 0, 0, 0, 0, 0, 0, 0, 1), True)
+
+
+def heights(values: np.ndarray = HEIGHTS, cut: int | None = None, **options: Any) -> Do:
+    def do(at: Path) -> Terrain:
+        path = write_geotiff(at / "bad.tif", values, **options)
+        path.write_bytes(path.read_bytes()[:cut])
+        return read_terrain(path)
+
+    return do
+
+
+TERRAIN: Refusals = [
+    (heights(keys=DEGREES), "is in degrees of latitude and longitude; bring it into metres"),
+    (heights(keys=FEET), "has lengths in another unit than metres .EPSG 9002.; convert it"),
+    (heights(scale=None), "does not say how far its pixels are apart; write it as a GeoTIFF in metres"),
+    (heights(scale=(0.0, 1.0, 0.0)), "pitch_m is .0.0, 1.0.; give two positive"),
+    (heights(HEIGHTS[:1]), "has 1 × 4 heights; give at least 2 × 2"),
+    (heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)), "has 1 height of 12 that is not known; fill them in"),
+    (heights(extra=[(42113, "s", 0, "3", True)]), "has 1 height of 12 that is not known"),
+    (heights(np.zeros((4, 5, 3), np.uint8), photometric="rgb"), "has 3 bands; give one of heights"),
+    (heights(scale=None, extra=[TURNED]), "is turned against its system's axes; straighten it"),
+    (heights(cut=-40), "bad.tif"),
+    (stored(b"heights", read_terrain), "is not a readable TIFF"),
+]
+
+# ---- PLY ----
+
+SCENE = Gaussians(
+    torch.randn(7, 3, generator=torch.Generator().manual_seed(0)),
+    torch.ones(7, 4),
+    torch.full((7, 3), 0.1),
+    torch.ones(7),
+    Harmonics(torch.ones(7, 4), 0.05),
+)
+
+
+def points(places: np.ndarray, **columns: np.ndarray) -> Do:
+    return lambda at: write_points_ply(at / "out.ply", places, **columns)
+
+
+def points_with(old: bytes, new: bytes) -> Do:
+    """Points that are read with other words in their header."""
+
+    def do(at: Path) -> object:
+        write_points_ply(at / "p.ply", np.ones((9, 3)), power=np.arange(9))
+        return read_points_ply(replaced(at / "p.ply", old, new))
+
+    return do
+
+
+def gaussians_with(old: bytes, new: bytes) -> Do:
+    return lambda at: write_gaussians_ply(at / "p.ply", SCENE) or read_gaussians_ply(replaced(at / "p.ply", old, new))
+
+
+def replaced(path: Path, old: bytes, new: bytes) -> Path:
+    data = path.read_bytes()
+    assert data.count(old) == 1
+    path.write_bytes(data.replace(old, new))
+    return path
+
+
+def gaussians(name: str, value: float) -> Do:
+    """Gaussians that are written with another value in the fourth of them."""
+    tensor = SCENE.tensors()[name].clone()
+    tensor[3] = value
+    return lambda at: write_gaussians_ply(at / "out.ply", SCENE.with_tensors(**{name: tensor}))
+
+
+def far(distance_m: float) -> Do:
+    def do(at: Path) -> object:
+        write_points_ply(at / "p.ply", np.array([[0, 0, 0], [0, distance_m, 0]]))
+        return read_points_ply(at / "p.ply")
+
+    return do
+
+
+def points_as_gaussians(at: Path) -> Gaussians:
+    write_points_ply(at / "p.ply", np.ones((9, 3)))
+    return read_gaussians_ply(at / "p.ply")
+
+
+P_MIN = b'"p_min": 0.05'
+PLY: Refusals = [
+    (gaussians("means", float("nan")), "NaN or an infinity in means"),
+    (gaussians("scales", 1e-5), "scale of"),
+    (gaussians("optical_depth", -1.0), "optical depths from -1"),
+    (gaussians("optical_depth", 41.0), "optical depths"),
+    (gaussians("quaternions", 0.0), "quaternion of zeros"),
+    (points(np.zeros((4, 2))), r"shape \(4, 2\); it must be \(P, 3\)"),
+    (points(np.zeros((4, 3)), a=np.zeros(3)), r"column 'a' has shape \(3,\)"),
+    (points(np.zeros((4, 3)), x=np.zeros(4)), "column 'x'"),
+    (points(np.full((4, 3), np.nan)), "contains NaN"),
+    *((far(distance_m), r"p\.ply holds a point .* m from the origin") for distance_m in (3e38, -1.1e9)),
+    (points_with(b"vertex 9", b"vertex 8"), "is too long"),
+    (points_with(b"vertex 9", b"vertex 999999999999"), "is truncated"),
+    (points_with(b"vertex 9", b"vertex -9"), "'element vertex -9' in its PLY header, which is garbled"),
+    (points_with(b"ply\n", b"PLY\n"), "not a PLY file"),
+    (points_with(b"end_header", b"end_headed"), "not a PLY file"),
+    (points_with(b"binary_little_endian", b"ascii"), "only 'format binary_little_endian 1.0' is read"),
+    (points_with(b"float power", b"list uchar int power"), "it is a mesh"),
+    (points_with(b"float x", b"float q"), "is missing the vertex property 'x'"),
+    (points_with(b"float y", b"float x"), "two vertex properties with the same name"),
+    (points_with(b"element vertex", b"element corner"), "not one of vertices"),
+    (points_as_gaussians, "is missing the vertex property 'rot_0'"),
+    (lambda at: read_gaussians_ply(at / "none.ply"), "does not exist"),
+    (gaussians_with(b"gaussians 2", b"gaussians 3"), "'sarsplat gaussians 3'"),
+    (gaussians_with(b"scattering {", b"scattered {"), "one scattering law"),
+    (
+        gaussians_with(b"harmonics", b"harmonica"),
+        "scattering law 'harmonica' is unknown; choose one of harmonics, normal-lobes",
+    ),
+    (gaussians_with(P_MIN, b'"p_min": 1e99e'), "not valid JSON"),
+    (gaussians_with(P_MIN, b'"p_min": 1e+999'), r"the header of .*p\.ply: .*number out of range"),
+    (gaussians_with(P_MIN, b'"p_min": -0.5'), "p_min -0.5 must be finite"),
+    (gaussians_with(P_MIN, b'"p_min": "x"'), "has an invalid scattering law"),
+    (gaussians_with(P_MIN, b'"gloss": 0.5'), "has an invalid scattering law .*gloss"),
+]
+
+
+@pytest.mark.parametrize(
+    ("do", "words"),
+    [*FILES, *CHECKPOINTS, *TABLES, *POWERS, *SETS, *WRITTEN, *HEADERS, *FOLDERS, *MASKS, *TERRAIN, *PLY],
+)
+def test_what_is_refused_in_a_sentence(tmp_path: Path, do: Do, words: str) -> None:
+    check_refused(tmp_path, do, words)
