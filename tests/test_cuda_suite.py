@@ -52,8 +52,10 @@ def emulator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
-def gpu(suite: ModuleType, emulator: Emulator, tmp_path: Path) -> Any:
+def gpu(suite: ModuleType, emulator: Emulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """What the sections measure: it has no clock, no memory and no queue of its own."""
+    # nothing is profiled, for which torch.profiler would load the compiler first, for a second
+    monkeypatch.setattr("gpu.profile", torch.autograd.profiler.profile)
 
     class Emulated(suite.Gpu):
         device, launcher = "cpu", emulator
