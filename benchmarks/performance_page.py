@@ -13,7 +13,6 @@ from typing import Any
 
 from clock import TURN
 from cuda_suite import SECTIONS
-from draw_growth import draw
 from recipes import COUNT
 from results import REPOSITORY, RESULTS
 
@@ -335,6 +334,8 @@ def main() -> None:
     devices = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(RESULTS.glob("cuda-*.json"))]
     devices = [device for device in devices if not device["quick"]]
     fill_block(PAGE, "performance", section(results, devices))
+    from draw_growth import draw  # matplotlib
+
     draw(results["parts"]["growth"], PICTURE)
 
 

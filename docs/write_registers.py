@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from fill_block import fill_block
 
+from sarsplat.renderer import nvrtc
 from sarsplat.renderer.nvrtc import Nvrtc, sources
 
 PAGE = Path(__file__).with_name("engine.md")
 ARCHITECTURES = ("sm_75", "sm_80", "sm_90", "sm_120")
 
 _KERNEL = re.compile(r"properties for (\w+)\s.*?(\d+) bytes spill stores.*?Used (\d+) registers", re.DOTALL)
+
+
+def digest() -> str:
+    """Of everything that the table depends on."""
+    programs = [Path(path).read_text(encoding="utf-8") for path in (__file__, nvrtc.__file__)]
+    return hashlib.sha256(repr((Nvrtc().version, sources(), programs)).encode()).hexdigest()[:16]
 
 
 def registers(architecture: str) -> dict[str, str]:
@@ -31,7 +39,7 @@ def table() -> str:
     rows = [("kernel", *ARCHITECTURES), ("---",) * (1 + len(ARCHITECTURES))]
     rows += [(f"`{name}`", *(column[name] for column in columns)) for name in sorted(columns[0])]
     lines = "".join(f"| {' | '.join(row)} |\n" for row in rows)
-    return f"\nCompiled by NVRTC {Nvrtc().version}:\n\n{lines}\n"
+    return f"\nCompiled by NVRTC {Nvrtc().version}:\n\n{lines}\n<!-- of the sources {digest()} -->\n\n"
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import sys
@@ -27,6 +28,11 @@ def pytest_collection() -> None:
     # `make sanitize` runs the renderer's tests on an engine of its own making
     if (engine := os.environ.get("SARSPLAT_TEST_ENGINE")) is not None:
         cpu.LIBRARY = Path(engine)
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays; the garbage collector need not look through it again and again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -10,7 +10,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -22,6 +22,7 @@ from programs import ROOT
 from sarsplat.reconstruction import adam, losses
 from sarsplat.reconstruction.presets import PRESETS
 from sarsplat.renderer import cuda, engines
+from sarsplat.scenes.targets import TARGETS
 
 sys.path.insert(0, str(ROOT / "tests" / "renderer"))
 from emulated_cuda import Emulator, compile_emulator
@@ -52,8 +53,11 @@ def emulator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
-def gpu(suite: ModuleType, emulator: Emulator, tmp_path: Path) -> Any:
+def gpu(suite: ModuleType, emulator: Emulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """What the sections measure: it has no clock, no memory and no queue of its own."""
+    # nothing is profiled, for which torch.profiler would load the compiler first, for a second
+    monkeypatch.setattr("gpu.profile", torch.autograd.profiler.profile)
+    monkeypatch.setitem(TARGETS, "t72", cache(TARGETS["t72"]))
 
     class Emulated(suite.Gpu):
         device, launcher = "cpu", emulator

@@ -54,17 +54,32 @@ def compile_emulator(folder: Path, sources: Path = nvrtc.SOURCES, flags: tuple[s
     return library
 
 
-def mutated(kept: Path, folder: Path, before: str, after: str, which: int = 0) -> Path:
+def mutated(kept: Path, folder: Path, before: str, after: str) -> Path:
     """The emulator with one place of `cuda_rays.cuh` changed, in `kept` like the other; `folder` is for its sources."""
     folder.mkdir()
     for path in nvrtc.SOURCES.iterdir():
         if path.suffix in (".cu", ".cuh", ".h"):
             (folder / path.name).write_text(path.read_text())
     rays = folder / "cuda_rays.cuh"
-    parts = rays.read_text().split(before)
-    assert len(parts) > which + 1
-    rays.write_text(before.join(parts[: which + 1]) + after + before.join(parts[which + 1 :]))
+    text = rays.read_text()
+    assert before in text
+    rays.write_text(text.replace(before, after, 1))
     return compile_emulator(kept, folder, flags=())
+
+
+class _LeftOut(ctypes.Structure):
+    _fields_ = [("file", ctypes.c_char_p), ("line", ctypes.c_int)]
+
+
+@contextmanager
+def without_barrier(library: Path, file: str, which: int) -> Iterator[None]:
+    """Meanwhile threads do not wait for each other at that barrier of a source file."""
+    lines = (nvrtc.SOURCES / file).read_text().splitlines()
+    line = [number for number, text in enumerate(lines, 1) if "__syncthreads();" in text][which]
+    left_out = _LeftOut.in_dll(ctypes.CDLL(str(library)), "left_out")
+    left_out.file, left_out.line = file.encode(), line
+    yield
+    left_out.line = 0
 
 
 class Emulator:

@@ -11,6 +11,8 @@
 
 extern "C" char __start_shared_memory[], __stop_shared_memory[];
 
+extern "C" __attribute__((visibility("default"))) struct { const char* file; int line; } left_out = {"", 0};
+
 namespace emulator {
 
 Index thread, block;
@@ -131,6 +133,10 @@ const Met& meet(Collective what, uint32_t mine) {
   group.round ^= 1;
   std::memset(waiting + first, NOT, size);
   return met;
+}
+
+void barrier(const char* file, int line) {
+  if (line != left_out.line || !std::strstr(file, left_out.file)) meet(BLOCK, 0);
 }
 
 }  // namespace emulator

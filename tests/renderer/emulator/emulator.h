@@ -23,6 +23,8 @@ constexpr int kMaxThreads = 1024;
 struct Met { uint32_t any, values[kMaxThreads]; };  // the bits that any thread's value has; every thread's, by its number there
 // Waits for the warp or block.
 const Met& meet(Collective what, uint32_t mine);
+// Waits for the block, but not where Python has it left out.
+void barrier(const char* file, int line);
 
 }  // namespace emulator
 
@@ -32,7 +34,7 @@ const Met& meet(Collective what, uint32_t mine);
 inline float __int_as_float(int x) { return __builtin_bit_cast(float, x); }
 inline unsigned __float_as_uint(float x) { return __builtin_bit_cast(unsigned, x); }
 
-inline void __syncthreads() { emulator::meet(emulator::BLOCK, 0); }
+#define __syncthreads() emulator::barrier(__FILE__, __LINE__)
 inline int __syncthreads_or(int mine) { return (int)emulator::meet(emulator::BLOCK, mine != 0).any; }
 inline int __any_sync(unsigned, int mine) { return (int)emulator::meet(emulator::WARP_ANY, mine != 0).any; }
 inline float __shfl_xor_sync(unsigned, float mine, int other) {
