@@ -60,6 +60,16 @@ def nothing_is_synced() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def small_box(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A dataset that nobody may change: a box on the ground in 28 × 24 pixels from twelve sides, with masks."""
+    from datasets import box_dataset
+    from sarsplat.geometry import ImageGrid
+
+    grid = ImageGrid(28, 24, (0.3, 0.35), (0.3, 0.35))
+    return box_dataset(tmp_path_factory.mktemp("small-box"), grid, masks=True)
+
+
 @pytest.fixture
 def threads() -> Iterator[Callable[[int], None]]:
     """Sets torch's thread count; the old one comes back."""

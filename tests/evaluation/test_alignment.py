@@ -33,6 +33,7 @@ def test_it_goes_no_farther_than_it_may() -> None:
     motion = align(surface(0) + np.array([2.0, 0, 0]), surface(1), 0.3)
     assert motion.shift_m[0] == pytest.approx(-0.9, abs=0.02)
     assert motion.at_limit
+    assert [Alignment((0, 0, 0), turn, 0.9).at_limit for turn in (-5.0, 4.0)] == [True, False]
 
 
 def test_it_grows_with_the_cell() -> None:

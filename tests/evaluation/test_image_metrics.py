@@ -39,8 +39,6 @@ def test_target_psnr_counts_only_pixels_above_minus_30_db_of_the_set():
 def test_target_psnr_ignores_images_without_a_target():
     truth = stack(1.0, 0.0)
     assert psnr_target_db(truth, stack(0.81, 1.0), 1.0) == pytest.approx(20.0, abs=1e-3)
-    with pytest.raises(UndefinedScore, match="true images are black everywhere"):
-        psnr_target_db(stack(0.0), stack(1.0), 1.0)
 
 
 def test_ssim_matches_a_direct_gaussian_window():
@@ -59,11 +57,6 @@ def test_ssim_matches_a_direct_gaussian_window():
     score = (2 * mean(a) * mean(b) + 1e-4) * (2 * covariance + 9e-4)
     score /= (mean(a) ** 2 + mean(b) ** 2 + 1e-4) * (va + vb + 9e-4)
     assert ssim(truth, rendered, 1.0) == pytest.approx(score.mean(), abs=1e-6)
-
-
-def test_ssim_needs_room_for_its_window():
-    with pytest.raises(UndefinedScore, match="11×11"):
-        ssim(stack(1.0, size=10), stack(1.0, size=10), 1.0)
 
 
 def test_nats_are_log_s_plus_ratio_inside_the_margin_only():
@@ -103,19 +96,24 @@ def test_correlation_ignores_scale_and_constant_predictions_score_nothing():
     assert log_correlation(chips, np.ones_like(chips)) == 0.0
 
 
-def test_zero_power_has_no_likelihood():
-    chips = np.random.default_rng(4).exponential(size=(1, 64, 64))
-    holed = chips.copy()
-    holed[0, 30:34, 30:34] = 0
-    with pytest.raises(UndefinedScore, match=r"zero at 16 of 256 .* noise floor"):
-        nats_per_pixel(chips, holed, 24)
-    with pytest.raises(UndefinedScore, match=r"true power is zero at 4 of 256 .* raise zeros"):
-        log_correlation(holed, chips, 24)
+CHIPS = np.random.default_rng(4).exponential(size=(1, 64, 64))
+HOLED = CHIPS.copy()
+HOLED[0, 30:34, 30:34] = 0
 
 
-def test_small_chips_have_no_inside():
-    with pytest.raises(UndefinedScore, match="48 × 48"):
-        nats_per_pixel(stack(1.0, size=48), stack(1.0, size=48), 24)
+@pytest.mark.parametrize(
+    ("score", "words"),
+    [
+        (lambda: psnr_target_db(stack(0.0), stack(1.0), 1.0), "true images are black everywhere"),
+        (lambda: ssim(stack(1.0, size=10), stack(1.0, size=10), 1.0), "11×11"),
+        (lambda: nats_per_pixel(stack(1.0, size=48), stack(1.0, size=48), 24), "48 × 48"),
+        (lambda: nats_per_pixel(CHIPS, HOLED, 24), r"zero at 16 of 256 .* noise floor"),
+        (lambda: log_correlation(HOLED, CHIPS, 24), r"true power is zero at 4 of 256 .* raise zeros"),
+    ],
+)
+def test_what_has_no_score(score, words):
+    with pytest.raises(UndefinedScore, match=words):
+        score()
 
 
 @pytest.mark.parametrize("score", [lambda t, r: psnr_db(t, r, 1.0), nats_per_pixel, log_correlation])

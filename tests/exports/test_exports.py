@@ -12,8 +12,8 @@ import pytest
 import torch
 import trimesh
 
-from datasets import FEW_POINTS, box_dataset
-from sarsplat import Dataset, ImageGrid
+from datasets import FEW_POINTS
+from sarsplat import Dataset
 from sarsplat.data import read_gaussians_ply
 from sarsplat.errors import SarsplatError
 from sarsplat.exports import FORMATS, export, format_of
@@ -22,14 +22,9 @@ from sarsplat.scenes import load_mesh
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return box_dataset(tmp_path_factory.mktemp("box"), ImageGrid(28, 24, (0.3, 0.35), (0.3, 0.35)))
-
-
-@pytest.fixture(scope="module")
-def run(dataset: Dataset) -> Run:
+def run(small_box: Dataset) -> Run:
     few = replace(preset("quick"), iterations=25, gaussians=600, points=FEW_POINTS)
-    return reconstruct(dataset, few, quiet=True)
+    return reconstruct(small_box, few, quiet=True)
 
 
 def without_points(run: Run) -> Run:
@@ -187,10 +182,10 @@ def test_colours_apply_only_to_gaussians(run: Run, tmp_path: Path) -> None:
         export(run, tmp_path / "a.xyz", colour="height")
 
 
-def test_other_methods_have_points_but_no_gaussians(dataset: Dataset, tmp_path: Path) -> None:
+def test_other_methods_have_points_but_no_gaussians(small_box: Dataset, tmp_path: Path) -> None:
     method = "sar-nerf-grid"
-    settings = replace(METHODS[method].preset("auto", dataset), iterations=2)
-    other = reconstruct(dataset, settings, method=method, device="cpu", quiet=True)
+    settings = replace(METHODS[method].preset("auto", small_box), iterations=2)
+    other = reconstruct(small_box, settings, method=method, device="cpu", quiet=True)
     other.__dict__.update(points=np.eye(3, dtype=np.float32), normals=np.eye(3, dtype=np.float32))
     for name in ("a.ply", "a.splat"):
         with pytest.raises(SarsplatError, match=r"was made by sar-nerf-grid, which learns no Gaussians; export its"):

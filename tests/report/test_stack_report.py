@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from datasets import dataset_of
 from sarsplat import ImageGrid, ScatteringLaw, Stack, View, preset, reconstruct, simulate_stack, write_report
-from sarsplat.data import Dataset, DatasetEntry, write_dataset
+from sarsplat.data import Dataset, write_dataset
 from sarsplat.geometry import radar_frame
 from sarsplat.report.interferogram import Interferogram, Pair, averaged
 from sarsplat.report.layover import Slice, brightest_layover
@@ -27,8 +28,8 @@ def dataset(views: tuple[View, ...] = (VIEW,)) -> Dataset:
     block.apply_translation((0.0, 0.0, 2.5))
     law = ScatteringLaw(floor=1.0, lobe=0.0, exponent=1.0)
     signals = [simulate_stack(block, view, GRID, STACK, law, ground_gamma0=0.5, noise=0.05) for view in views]
-    entries = tuple(DatasetEntry(view, "train", f"{k}", stack=STACK) for k, view in enumerate(views))
-    return Dataset.of_complex(GRID, entries, np.stack(signals), looks=1.0, ground=True, target="block")
+    seen = [(view, "train") for view in views]
+    return dataset_of(GRID, seen, np.stack(signals), stack=STACK, looks=1.0, ground=True, target="block")
 
 
 @pytest.mark.parametrize("height_m", [3.0, 8.0, 20.0, 1000.0])
@@ -73,8 +74,7 @@ def test_the_slice_is_where_layover_is_bright() -> None:
     """Not where power is brightest: there, all points of a pixel have one height."""
     signals = np.ones((2, 5, 24, 20), np.complex64)
     signals[..., 3], signals[1, ..., 14] = 10.0, 3.0
-    entries = [DatasetEntry(view, "train", f"{view.azimuth_deg}", stack=STACK) for view in (View(90.0, 45.0), VIEW)]
-    images = Dataset.of_complex(GRID, tuple(entries), signals, looks=1.0)
+    images = dataset_of(GRID, [(View(90.0, 45.0), "train"), (VIEW, "train")], signals, stack=STACK, looks=1.0)
     wall = [(GRID.azimuth_m[c], e, 0.0) for c in (7, 14) for e in (0.0, 1.1 * STACK.resolution_m)]
     ground = [(azimuth, 0.0, 1.0) for azimuth in GRID.azimuth_m]
     index, cut = brightest_layover(images, np.array(wall + ground) @ radar_frame(VIEW), 3)

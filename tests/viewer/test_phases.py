@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from datasets import dataset_of
 from sarsplat import ImageGrid, Run, ScatteringLaw, Stack, View, preset, reconstruct, simulate_stack
 from sarsplat.colours import DARK
-from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.viewer.run_subject import subject_of_run
 
 pytest.importorskip("viser")
@@ -29,8 +29,7 @@ def run() -> Run:
     speck = trimesh.creation.box((0.01, 0.01, 0.01))
     law = ScatteringLaw(1.0, 0.0, 1.0)
     signals = simulate_stack(speck, VIEW, GRID, stack, law, ground_gamma0=1.0, noise=0.02)
-    entries = (DatasetEntry(VIEW, "train", "0", stack=stack),)
-    dataset = Dataset.of_complex(GRID, entries, signals[None], looks=1.0, ground=True)
+    dataset = dataset_of(GRID, [(VIEW, "train")], signals[None], stack=stack, looks=1.0, ground=True)
     return reconstruct(dataset, replace(preset("stack"), iterations=60), quiet=True)
 
 
