@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import importlib
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -94,6 +95,35 @@ def module(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], ModuleTy
     yield load
     for name in set(sys.modules) - before:
         if Path(getattr(sys.modules[name], "__file__", None) or "/").parent.parent == ROOT:
+            del sys.modules[name]
+
+
+@pytest.fixture
+def beside(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Callable[..., list[tuple[int, str, str]]]]:
+    """Runs commands beside a folder of packages as if those were installed: exit codes, and what is said of what."""
+    from sarsplat import cli
+    from sarsplat.cli.importers import IMPORTERS
+    from sarsplat.exports import FORMATS
+    from sarsplat.names import SCATTERINGS
+
+    before = set(sys.modules)
+
+    def done(site: Path, *commands: str) -> list[tuple[int, str, str]]:
+        monkeypatch.chdir(site.parent)
+        monkeypatch.syspath_prepend(site)
+        for plugins in (FORMATS, IMPORTERS, SCATTERINGS):
+            monkeypatch.setattr(plugins, "_entries", plugins._search())
+            monkeypatch.setattr(plugins, "_loaded", {})
+        # its options name the laws that there were when it was imported
+        monkeypatch.setattr(cli, "reconstruct", importlib.import_module("sarsplat.cli.reconstruct"))
+        monkeypatch.delitem(sys.modules, "sarsplat.cli.reconstruct")
+        return [(cli.main(shlex.split(words)), *capsys.readouterr()) for words in commands]
+
+    yield done
+    for name in set(sys.modules) - before:
+        if Path(getattr(sys.modules[name], "__file__", None) or "/").parent.name == "site":
             del sys.modules[name]
 
 

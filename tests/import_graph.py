@@ -51,10 +51,12 @@ def _imports(path: Path, for_types: bool = True) -> tuple[tuple[str, str], ...]:
 
 
 def _statements(node: ast.AST, for_types: bool) -> Iterator[ast.AST]:
-    for child in ast.iter_child_nodes(node):
-        if for_types or not (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)):
-            yield child
-            yield from _statements(child, for_types)
+    """Every statement in it; there are none inside expressions, which are most of the nodes."""
+    for field in ("body", "orelse", "handlers", "finalbody", "cases"):
+        for child in getattr(node, field, ()):
+            if for_types or not (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)):
+                yield child
+                yield from _statements(child, for_types)
 
 
 def circle(edges: dict[str, set[str]]) -> list[str]:

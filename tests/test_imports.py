@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import ast
 import importlib
+import json
 import pydoc
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import sarsplat
-from import_graph import PACKAGE, circle, graph, imported
+from import_graph import PACKAGE, circle, graph, imported, modules
 from programs import python
 from sarsplat.cli.extras import EXTRAS
 
@@ -92,19 +94,34 @@ def test_the_renderer_imports_torch_and_numpy_only():
             assert third_party(path) <= {"torch", "numpy", "jaxtyping"} | more, path
 
 
-@pytest.mark.parametrize(("folder", "more"), [("renderer", set()), ("scenes", {"scipy"})])
-def test_importing_the_renderer_or_scenes_loads_little_more(folder, more):
-    """And scenes, which are truth, never the renderer."""
-    loaded = python("-c", f"from sarsplat.{folder} import *; import sys; print(*sorted(sys.modules))").stdout.split()
-    heavy = {"scipy", "safetensors", "tifffile", "rich", "tyro", "trimesh", "embreex", "matplotlib", "PIL", "sklearn"}
-    assert not {module.split(".")[0] for module in loaded} & heavy - more
-    assert {rooms(module) for module in loaded} & set(RANK) == {"geometry", "gaussians", folder}
+FRESH = """
+import importlib, json, os, pkgutil, signal, sys
 
+def answer(question, found):
+    print(json.dumps([question, found]), flush=True)
 
-WITHOUT_EXTRAS = """
-import importlib, pkgutil, sys
+def forget():
+    for name in [name for name in sys.modules if name.partition(".")[0] == "sarsplat"]:
+        del sys.modules[name]
 
-extras = set(sys.argv[1].split(","))
+def import_all():
+    for info in pkgutil.walk_packages(importlib.import_module("sarsplat").__path__, "sarsplat."):
+        if not info.name.endswith("._engine"):
+            importlib.import_module(info.name)
+
+out, *lists = sys.argv[1:]
+rooms, extras, names = (words.split(",") for words in lists)
+
+for folder in ("renderer", "scenes"):
+    forget()
+    exec(f"from sarsplat.{folder} import *", {})
+    answer(folder, sorted(sys.modules))
+
+forget()
+for folder in rooms:
+    importlib.import_module(f"sarsplat.{folder}")
+import sarsplat
+answer("folders first", callable(sarsplat.render) and callable(sarsplat.reconstruct))
 
 class Missing:
     def find_spec(self, name, path=None, target=None):
@@ -112,46 +129,28 @@ class Missing:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Missing())
+for name in [name for name in sys.modules if name.partition(".")[0] in extras]:
+    del sys.modules[name]
+forget()
 import sarsplat
-for info in pkgutil.walk_packages(sarsplat.__path__, "sarsplat."):
-    if not info.name.endswith("._engine"):
-        importlib.import_module(info.name)
+import_all()
 for name in sarsplat.__all__:
     getattr(sarsplat, name)
-assert not extras & {name.partition(".")[0] for name in sys.modules}
+answer("extras", sorted({*extras} & {name.partition(".")[0] for name in sys.modules}))
 import torch
 from sarsplat import Gaussians, Harmonics, ImageGrid, View, render
 one = Gaussians(*(torch.ones(1, k) for k in (3, 4, 3)), torch.ones(1), Harmonics(torch.ones(1, 1)))
-assert render(one, [View(30.0, 40.0)], ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))).images.sum() > 0
+answer("sum", float(render(one, [View(30.0, 40.0)], ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))).images.sum()))
 from sarsplat.cli import main
-sys.exit(main(["simulate", "--target", "t72", "--out", sys.argv[2]]))
-"""
+answer("simulate", main(["simulate", "--target", "t72", "--out", out]))
 
-
-def test_everything_imports_and_renders_with_the_core_dependencies_alone(tmp_path):
-    extras = {module for modules in EXTRAS.values() for module in modules}
-    done = python("-W", "error", "-c", WITHOUT_EXTRAS, ",".join(sorted(extras)), tmp_path / "out")
-    assert done.returncode == 2, done.stderr
-    assert "which is not installed; install it with: pip install 'sarsplat[simulate]'" in " ".join(done.stderr.split())
-    assert not list(tmp_path.iterdir())
-
-
-AS_ON_WINDOWS = """
-import importlib, os, pkgutil, signal, sys
-
-def import_all():
-    for info in pkgutil.walk_packages(importlib.import_module("sarsplat").__path__, "sarsplat."):
-        if not info.name.endswith("._engine"):
-            importlib.import_module(info.name)
-
-import_all()  # other packages know their platform and are in memory from here on
-for name in [name for name in sys.modules if name.partition(".")[0] == "sarsplat"]:
-    del sys.modules[name]
+forget()  # other packages know their platform and are in memory from here on
 for name in ("fcntl", "grp", "posix", "pty", "pwd", "resource", "termios", "tty"):
     sys.modules[name] = None
-for name in sys.argv[1].split(","):
+for name in names if sys.platform == "linux" else []:
     delattr(signal if name.startswith("SIG") else os, name)
 import_all()
+answer("as on Windows", sorted({name for name in sys.modules if name.startswith("sarsplat.")}))
 """
 UNIX_NAMES = (
     *("O_CLOEXEC", "O_DIRECTORY", "O_NOFOLLOW", "O_NONBLOCK", "O_SYNC", "chown", "fdatasync", "fork", "getloadavg"),
@@ -161,10 +160,47 @@ UNIX_NAMES = (
 """Of `os` and `signal`: what Windows lacks."""
 
 
+class Fresh:
+    """What a fresh interpreter finds out, by question; one is asked everything, for each takes seconds to begin."""
+
+    def __init__(self, out: Path) -> None:
+        extras = {module for modules in EXTRAS.values() for module in modules}
+        lists = (",".join(words) for words in (RANK, sorted(extras), UNIX_NAMES))
+        done = python("-W", "error", "-c", FRESH, out, *lists)
+        self.answers = dict(json.loads(line) for line in done.stdout.splitlines())
+        self.code, self.stderr, self.written = done.returncode, done.stderr, out.exists()
+
+    def __getitem__(self, question: str) -> Any:
+        assert question in self.answers, self.stderr
+        return self.answers[question]
+
+
+@pytest.fixture(scope="module")
+def fresh(tmp_path_factory: pytest.TempPathFactory) -> Fresh:
+    return Fresh(tmp_path_factory.mktemp("fresh") / "out")
+
+
+@pytest.mark.parametrize(("folder", "more"), [("renderer", set()), ("scenes", {"scipy"})])
+def test_importing_the_renderer_or_scenes_loads_little_more(folder, more, fresh):
+    """And scenes, which are truth, never the renderer."""
+    loaded = fresh[folder]
+    heavy = {"scipy", "safetensors", "tifffile", "rich", "tyro", "trimesh", "embreex", "matplotlib", "PIL", "sklearn"}
+    assert not {module.split(".")[0] for module in loaded} & heavy - more
+    assert {rooms(module) for module in loaded} & set(RANK) == {"geometry", "gaussians", folder}
+
+
+def test_everything_imports_and_renders_with_the_core_dependencies_alone(fresh):
+    assert fresh["extras"] == []
+    assert fresh["sum"] > 0
+    assert fresh["simulate"] == 2
+    assert "which is not installed; install it with: pip install 'sarsplat[simulate]'" in " ".join(fresh.stderr.split())
+    assert not fresh.written
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="takes from Linux what Windows lacks")
-def test_everything_imports_without_what_windows_lacks():
-    done = python("-W", "error", "-c", AS_ON_WINDOWS, ",".join(UNIX_NAMES))
-    assert done.returncode == 0, done.stderr
+def test_everything_imports_without_what_windows_lacks(fresh):
+    assert {f"sarsplat.{name}" for name in modules()} - {"sarsplat."} <= {*fresh["as on Windows"]}
+    assert fresh.code == 0
 
 
 # ---- public names ----------------------------------------------------------------------------------------------------
@@ -183,12 +219,8 @@ def test_no_folder_of_modules_has_the_name_of_something_public():
     assert not RANK.keys() & set(sarsplat.__all__)
 
 
-def test_importing_a_folder_first_changes_no_public_name():
-    code = (
-        "import sys, importlib; [importlib.import_module(f'sarsplat.{name}') for name in sys.argv[1].split(',')]; "
-        "import sarsplat; print(callable(sarsplat.render) and callable(sarsplat.reconstruct))"
-    )
-    assert python("-c", code, ",".join(RANK)).stdout.strip() == "True"
+def test_importing_a_folder_first_changes_no_public_name(fresh):
+    assert fresh["folders first"] is True
 
 
 @pytest.mark.parametrize("package", ["sarsplat.gaussians", "sarsplat.renderer", "sarsplat.geometry", "sarsplat.radar"])

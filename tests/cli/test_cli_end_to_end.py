@@ -184,6 +184,19 @@ def test_ctrl_c_says_how_to_continue(tmp_path: Path, monkeypatch, capsys, said) 
     assert "3 of 9" in said(f"info {tmp_path}/run")
 
 
+def test_a_run_that_goes_on_is_told_as_it_is(tmp_path: Path, monkeypatch, said) -> None:
+    from sarsplat.reconstruction import Trainer
+
+    def interrupted(_: Trainer) -> None:
+        raise KeyboardInterrupt
+
+    shutil.copytree("run", tmp_path / "run")
+    assert "4 of 4" in said(f"info {tmp_path}/run")
+    monkeypatch.setattr(Trainer, "step", interrupted)
+    assert main(f"reconstruct dataset --out {tmp_path}/run --resume --iterations 9".split()) == 130
+    assert "4 of 9" in said(f"info {tmp_path}/run")
+
+
 @pytest.mark.parametrize("command", ["evaluate dataset", "report dataset", "export dataset a.ply"])
 def test_a_dataset_in_place_of_a_run_is_to_be_reconstructed(command: str, refused) -> None:
     assert "dataset is a dataset, not a run; give a run of it, which `sarsplat reconstruct dataset" in refused(command)
@@ -343,9 +356,9 @@ def test_info_on_a_run_whose_dataset_has_moved(tmp_path: Path, said) -> None:
     after = said(f"info {run}")
     assert "(no longer there)" in after
     assert after.split()[-20:] == before[-20:]  # iterations, Gaussians, points: as with the dataset
-    for results in ("gaussians.ply", "points.ply"):
+    for results in ("points.ply", "about.json"):
         (run / results).unlink()
-    assert said(f"info {run}").split()[-20:] == before[-20:]  # made anew
+        assert said(f"info {run}").split()[-20:] == before[-20:]  # made anew
 
 
 @pytest.mark.parametrize("part", ["run/config.json", "run/report", "run/report/index.html", "dataset/dataset.json"])

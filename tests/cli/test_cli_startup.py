@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+import torch
 
-from datasets import small_dataset
+from datasets import SMALL, small_dataset
 from programs import python
+from sarsplat import Gaussians, Harmonics, Run, View
 from sarsplat.data import write_dataset
 
 COMMAND = """
@@ -43,9 +45,11 @@ def numpy_s() -> float:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a dataset, an image, and a file of no known kind."""
+    """A folder with a dataset, a finished run, an image, and a file of no known kind."""
     folder = tmp_path_factory.mktemp("places")
     write_dataset(folder / "dataset", small_dataset())
+    one = Gaussians(*(torch.ones(1, k) for k in (3, 4, 3)), torch.ones(1), Harmonics(torch.ones(1, 1)))
+    Run.from_gaussians(one, SMALL, [View(0, 30)]).save(folder / "run")
     (folder / "image.tif").write_bytes((folder / "dataset" / "images" / "000.tif").read_bytes())
     (folder / "file.unknown").write_text("?")
     return folder
@@ -81,7 +85,13 @@ def test_help_is_fast_and_imports_nothing_heavy(
 
 @pytest.mark.parametrize(
     ("path", "code", "told"),
-    [("dataset", "0", "a dataset of 3 images"), ("image.tif", "0", "a power image"), ("file.unknown", "2", "")],
+    [
+        ("dataset", "0", "a dataset of 3 images"),
+        ("run", "0", "learned     1 Gaussian"),
+        ("run/points.ply", "0", "other columns  nx, ny, nz"),
+        ("image.tif", "0", "a power image"),
+        ("file.unknown", "2", ""),
+    ],
 )
 def test_info_is_fast_and_imports_nothing_heavy(path: str, code: str, told: str, numpy_s: float, places: Path) -> None:
     took_s, ended, shown = begun(["info", path], places, 10 * numpy_s)

@@ -227,6 +227,7 @@ def test_overwrite_spares_the_work_place_and_folders_of_others(tmp_path, monkeyp
     [
         (DATASET, ["truth.ply", "images/000.tif"], "run/config.json"),
         (DATASET, ["images/.000.tif.tmp"], "images/deeper/000.tif"),
+        (RUN, ["about.json", "metrics.jsonl", "gaussians.ply", "mesh.ply"], "other.ply"),
         (RUN, ["metrics.jsonl", "checkpoints/00000500.safetensors", "report/views.png"], "notes.txt"),
         (
             RUN,

@@ -47,7 +47,7 @@ def test_a_run_reads_back_as_it_was(finished: Run) -> None:
     assert again.config == finished.config
     assert same_results(again, finished)
     assert sorted(p.name for p in finished.path.iterdir()) == [
-        *("checkpoints", "config.json", "gaussians.ply", "metrics.jsonl", "points.ply")
+        *("about.json", "checkpoints", "config.json", "gaussians.ply", "metrics.jsonl", "points.ply")
     ]
 
 

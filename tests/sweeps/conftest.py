@@ -1,4 +1,4 @@
-"""A plan whose runs take a second: images without a surface, few Gaussians, no reports."""
+"""A plan whose runs take a moment: images without a surface, few Gaussians, no reports."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def place(_made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def plan() -> dict[str, Any]:
     """Two runs."""
-    settings = {"iterations": 20, "gaussians": 100, "checkpoint_every": 10, "points.voxel": 0.5}
+    settings = {"iterations": 4, "gaussians": 100, "checkpoint_every": 2, "points.voxel": 0.5}
     return {
         "datasets": ["data/*"],
         "preset": "quick",

@@ -66,12 +66,12 @@ def test_runs_are_runs_and_done_once(finished, plan):
     before = runs(finished)
     rows = table(finished)
     assert [(row["dataset"], row["preset"], row["iterations"], row["seed"], row["state"]) for row in rows] == [
-        ("box", "quick", "20", seed, "finished") for seed in ("0", "1")
+        ("box", "quick", "4", seed, "finished") for seed in ("0", "1")
     ]
     for row in rows:
-        assert row["iterations_done"] == "20"
+        assert row["iterations_done"] == "4"
         run = Run.load(finished / row["run"])
-        assert (run.iteration, run.seed) == (20, int(row["seed"]))
+        assert (run.iteration, run.seed) == (4, int(row["seed"]))
         assert run.metrics["images"]["test"]["psnr_db"] == float(row["images.test.psnr_db"])
     results = done(plan, finished)
     assert runs(finished) == before
@@ -91,7 +91,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bits(finished, plan):
     address = json.loads(next((finished / "rows").iterdir()).read_text())["address"]
     run = finished / "runs" / address
     whole = {name: (run / name).read_bytes() for name in ("gaussians.ply", "points.ply")}
-    for stale in ("rows/" + address + ".json", f"runs/{address}/checkpoints/00000020.safetensors"):
+    for stale in ("rows/" + address + ".json", f"runs/{address}/checkpoints/00000004.safetensors"):
         (finished / stale).unlink()
     (run / "points.ply").unlink()
     done(plan, finished)
@@ -191,7 +191,7 @@ def test_the_table_has_means_and_spreads(finished, plan):
 
 
 def test_the_page_has_a_figure_for_every_swept_setting_and_links_to_reports(out, plan):
-    plan |= {"seeds": [0], "reports": True, "settings": {**plan["settings"], "iterations": [10, 20]}}
+    plan |= {"seeds": [0], "reports": True, "settings": {**plan["settings"], "iterations": [2, 4]}}
     done(plan, out)
     page = (out / "index.html").read_text()
     assert "PSNR, whole image, dB against iterations" in page
@@ -231,7 +231,7 @@ def test_a_foreign_folder_is_left_alone(place, out, plan):
 
 def test_the_command_shows_the_table(finished, capsys):
     (finished.parent / "plan.toml").write_text(
-        'datasets = ["data/*"]\npreset = "quick"\nseeds = [0, 1]\nreports = false\n[settings]\niterations = 20\n'
+        'datasets = ["data/*"]\npreset = "quick"\nseeds = [0, 1]\nreports = false\n[settings]\niterations = 4\n'
         'gaussians = 100\ncheckpoint_every = 3\n"points.voxel" = 0.5\npoints.rays_per_pixel = 2\n'
     )
     assert main(["sweep", "plan.toml", "--out", "out", "--show"]) == 0
@@ -271,7 +271,7 @@ def test_progress_names_the_runs_and_how_far_they_are(place, out, plan, monkeypa
             time.sleep(0.01)
         live.ended(one)
     assert "box, seed 0" in said
-    assert one.words(one.labels).startswith("box, sar-gs, quick, iterations 20")
+    assert one.words(one.labels).startswith("box, sar-gs, quick, iterations 4")
 
 
 def test_a_figure_of_an_unfinished_sweep_compares_the_same_datasets():

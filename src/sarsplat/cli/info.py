@@ -103,30 +103,33 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.reconstruction import Run
+    from sarsplat.reconstruction.run_folder import read_header, read_metrics
 
-    run = Run.load(path)
-    where = run.dataset_path
-    dataset = "images in memory" if where is None else str(where) if where.exists() else f"{where} (no longer there)"
+    header = read_header(path)
+    where = None if header.dataset is None else Path(header.dataset)
+    about, points = _learned(path)
     rows = {
-        "dataset": dataset,
-        "method": run.method,
-        "learned": run.learned,
-        **run.facts,
-        "seed": str(run.seed),
-        "time": f"{run.time_s:.1f} s",
-        **_corrections(run.azimuth_offset_deg),
-        "points": _extent(run.points),
-        "scores": "metrics.json" if run.metrics else "none yet; run sarsplat evaluate",
+        "dataset": "images in memory" if where is None else f"{where}{'' if where.exists() else ' (no longer there)'}",
+        "method": header.method,
+        **about,
+        "points": _extent(points),
+        "scores": "metrics.json" if read_metrics(path) else "none yet; run sarsplat evaluate",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
     return "a run", rows
 
 
-def _corrections(offset_deg: np.ndarray) -> dict[str, str]:
-    if not offset_deg.any():
-        return {}
-    return {"azimuth corrections": f"rms {(offset_deg**2).mean() ** 0.5:.2f}°, largest {abs(offset_deg).max():.2f}°"}
+def _learned(path: Path) -> tuple[dict[str, str], np.ndarray]:
+    """`Run.about` and `Run.points`: as a finished run has them in files, which takes no torch."""
+    from sarsplat.data import read_json, read_points_ply
+    from sarsplat.reconstruction.run_folder import ABOUT, POINTS
+
+    if (path / ABOUT).is_file() and (path / POINTS).is_file():
+        return read_json(path / ABOUT, dict[str, str]), read_points_ply(path / POINTS)[0]
+    from sarsplat.reconstruction import Run
+
+    run = Run.load(path)
+    return run.about, run.points
 
 
 def _renderings(path: Path) -> tuple[str, dict[str, str]]:
@@ -172,7 +175,6 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _ply(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.data import read_gaussians_ply, read_points_ply
     from sarsplat.data.files import open_file
 
     with open_file(path) as file:
@@ -180,6 +182,8 @@ def _ply(path: Path) -> tuple[str, dict[str, str]]:
     if b"property list" in header:
         return _mesh(path)
     if b" f_dc_0" in header:
+        from sarsplat.data import read_gaussians_ply
+
         gaussians = read_gaussians_ply(path)
         rows = {
             "centres": _extent(gaussians.means.numpy()),
@@ -191,6 +195,8 @@ def _ply(path: Path) -> tuple[str, dict[str, str]]:
             f"p_min {gaussians.scattering.p_min:g} (γ⁰)",
         }
         return f"{len(gaussians)} Gaussians", rows
+    from sarsplat.data import read_points_ply
+
     points, columns = read_points_ply(path)
     return "points", {"points": _extent(points), "other columns": ", ".join(columns) or "none"}
 

@@ -7,7 +7,8 @@ from .geotiff import read_terrain, write_terrain
 from .image import SarImage
 from .masks import Mask, Masks, read_masks
 from .mesh import write_mesh
-from .ply import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
+from .ply import read_gaussians_ply, write_gaussians_ply
+from .ply_points import read_points_ply, write_points_ply
 from .tiff import read_tiff, write_tiff
 
 __all__ = [

@@ -22,7 +22,7 @@ from sarsplat.errors import SarsplatError
 _LAYOUTS = {
     "dataset.json": r"dataset\.json|truth\.ply|preview\.png|images/[^/]+\.tif|masks/[^/]+\.png",
     "config.json": (
-        r"config\.json|metrics\.jsonl?|gaussians\.ply|points\.ply|checkpoints/\d+\.safetensors|"
+        r"config\.json|metrics\.jsonl?|about\.json|(gaussians|points|mesh)\.ply|checkpoints/\d+\.safetensors|"
         r"report/(index\.html|[^/]+\.png)|tensorboard/events\.out\.tfevents\.[^/]+"
     ),
     "comparison.html": r"comparison\.html",

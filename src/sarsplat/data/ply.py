@@ -1,4 +1,4 @@
-"""Gaussians and points as PLY: in the layout of 3D Gaussian splatting, so that other programs open them.
+"""Gaussians as PLY, in the layout of 3D Gaussian splatting, so that other programs open them.
 
 A Gaussian's vertex holds, as float32,
 
@@ -14,18 +14,18 @@ The header's comments carry the version, as JSON which law of scattering it is, 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Real
+from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json
-from sarsplat.data.ply_table import read_ply, write_ply
+from sarsplat.data.ply_table import named, read_ply, stacked, write_ply
 from sarsplat.data.viewer_colours import ODD, viewer_colours
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import (
@@ -42,7 +42,6 @@ from sarsplat.names import Colour
 _VERSION = "sarsplat gaussians 2"
 _LAW = "scattering "
 _FOR_VIEWERS = ("n", "f_", "opacity", "scale_0", "scale_1", "scale_2")  # of our own files; we read none of these
-_FARTHEST = 1e9  # m from the origin, of points: squares of it stay finite
 _MIN_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 
 
@@ -78,16 +77,16 @@ def write_gaussians_ply(
     shown_as = viewer_colours(gaussians, colour)
     rest = shown_as.harmonics[:, :, 1:].reshape(len(gaussians), 45)
     columns = {
-        **_columns(("x", "y", "z"), values["means"]),
-        **_columns(("nx", "ny", "nz"), np.zeros_like(values["means"])),
-        **_columns((f"f_dc_{c}" for c in range(3)), shown_as.harmonics[:, :, 0]),
-        **_columns((f"f_rest_{k}" for k in range(rest.shape[1])), rest),
+        **named(("x", "y", "z"), values["means"]),
+        **named(("nx", "ny", "nz"), np.zeros_like(values["means"])),
+        **named((f"f_dc_{c}" for c in range(3)), shown_as.harmonics[:, :, 0]),
+        **named((f"f_rest_{k}" for k in range(rest.shape[1])), rest),
         "opacity": opacity,
-        **_columns((f"scale_{k}" for k in range(3)), np.log(values["scales"])),
-        **_columns((f"rot_{k}" for k in range(4)), values["quaternions"]),
+        **named((f"scale_{k}" for k in range(3)), np.log(values["scales"])),
+        **named((f"rot_{k}" for k in range(4)), values["quaternions"]),
         "optical_depth": values["optical_depth"],
-        **_columns((f"scale_m_{k}" for k in range(3)), values["scales"]),
-        **_columns((f"scattering_{k}" for k in range(values["scattering"].shape[1])), values["scattering"]),
+        **named((f"scale_m_{k}" for k in range(3)), values["scales"]),
+        **named((f"scattering_{k}" for k in range(values["scattering"].shape[1])), values["scattering"]),
     }
     write_ply(Path(path), columns, [_VERSION, _LAW + law, shown_as.legend, *comments])
 
@@ -115,8 +114,8 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
     if foreign is not None:
         raise SarsplatError(f"{path} has the format {shown(foreign)} but this program reads {_VERSION!r}; update it")
     values = {
-        "means": _stack(path, columns, ["x", "y", "z"]),
-        "quaternions": _stack(path, columns, [f"rot_{k}" for k in range(4)]),
+        "means": stacked(path, columns, ["x", "y", "z"]),
+        "quaternions": stacked(path, columns, [f"rot_{k}" for k in range(4)]),
         **(_our_own(path, columns) if ours else _of_3dgs(path, columns)),
     }
     del columns
@@ -129,9 +128,9 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
 def _our_own(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     count = sum(name.startswith("scattering_") for name in columns)
     return {
-        "scales": _stack(path, columns, [f"scale_m_{k}" for k in range(3)]),
-        "optical_depth": _stack(path, columns, ["optical_depth"])[:, 0],
-        "scattering": _stack(path, columns, [f"scattering_{k}" for k in range(count)]),
+        "scales": stacked(path, columns, [f"scale_m_{k}" for k in range(3)]),
+        "optical_depth": stacked(path, columns, ["optical_depth"])[:, 0],
+        "scattering": stacked(path, columns, [f"scattering_{k}" for k in range(count)]),
     }
 
 
@@ -139,105 +138,15 @@ def _of_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray
     rest = sum(name.startswith("f_rest_") for name in columns)
     if rest not in (0, 9, 24, 45):
         raise SarsplatError(f"{path} has {rest} properties f_rest_*; degrees 0 to 3 have 0, 9, 24 or 45")
-    constant = _stack(path, columns, [f"f_dc_{c}" for c in range(3)])
+    constant = stacked(path, columns, [f"f_dc_{c}" for c in range(3)])
     harmonics = np.empty((len(constant), 1 + rest // 3), np.float32)
-    colours = _stack(path, columns, [f"f_rest_{k}" for k in range(rest)]).reshape(len(constant), 3, rest // 3)
+    colours = stacked(path, columns, [f"f_rest_{k}" for k in range(rest)]).reshape(len(constant), 3, rest // 3)
     harmonics[:, 0], harmonics[:, 1:] = constant.mean(1), colours.mean(1)
-    logit = _stack(path, columns, ["opacity"])[:, 0].astype(np.float64)
+    logit = stacked(path, columns, ["opacity"])[:, 0].astype(np.float64)
     depth = np.minimum(np.logaddexp(0, logit), MAX_OPTICAL_DEPTH)  # −ln(1 − sigmoid(x)) = ln(1 + eˣ)
     with np.errstate(over="ignore"):
-        scales = np.maximum(np.exp(_stack(path, columns, [f"scale_{k}" for k in range(3)])), np.float32(MIN_SCALE))
+        scales = np.maximum(np.exp(stacked(path, columns, [f"scale_{k}" for k in range(3)])), np.float32(MIN_SCALE))
     return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": _flip_odd(harmonics)}
-
-
-@checks_arguments
-def write_points_ply(
-    path: str | Path,
-    points: Real[np.ndarray, "p 3"] | Sequence[Sequence[float]],
-    /,
-    normals: Real[np.ndarray, "p 3"] | Sequence[Sequence[float]] | None = None,
-    **columns: np.ndarray | Sequence[float],
-) -> None:
-    """Write points with any number of named scalars each, whole or not at all.
-
-    Parameters
-    ----------
-    path : str or Path
-        File to write; an existing one is replaced.
-    points : numpy.ndarray [P, 3], or a list
-        Positions, m; stored as float32.
-    normals : numpy.ndarray [P, 3], or a list, optional
-        Unit normals, stored as nx, ny, nz.
-    **columns : numpy.ndarray [P], or a list
-        One scalar per point under that name; stored as float32.
-
-    Raises
-    ------
-    SarsplatError
-        If shapes do not fit, a value is not finite, or the file cannot be written.
-    """
-    places = _triples("points", points)
-    if normals is not None:
-        columns = {**_columns(("nx", "ny", "nz"), _triples("normals", normals)), **columns}
-    for name, column in columns.items():
-        if np.shape(column) != (len(places),) or name in ("x", "y", "z"):
-            raise SarsplatError(
-                f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(places)},)"
-            )
-    table = {**_columns(("x", "y", "z"), places), **{name: np.asarray(column) for name, column in columns.items()}}
-    for name, column in table.items():
-        if not np.isfinite(column).all():
-            raise SarsplatError(f"the column {name!r} of the points contains NaN or an infinity; remove those points")
-    write_ply(Path(path), table, ["sarsplat points 1"])
-
-
-def _triples(name: str, values: Any) -> Real[np.ndarray, "p 3"]:
-    try:
-        table = np.asarray(values)
-    except ValueError as error:  # rows of different lengths
-        raise SarsplatError(f"the {name} are rows of different lengths; give each three numbers") from error
-    if table.ndim != 2 or table.shape[1] != 3:
-        raise SarsplatError(f"the {name} have shape {table.shape}; it must be (P, 3)")
-    return table
-
-
-@checks_arguments
-def read_points_ply(path: str | Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
-    """Read points.
-
-    Returns
-    -------
-    points : numpy.ndarray, float32 [P, 3]
-        Positions, m.
-    columns : dict of str to numpy.ndarray, float32 [P]
-        Every other scalar of the file.
-
-    Raises
-    ------
-    SarsplatError
-        If the file is missing, damaged or truncated, has no x, y, z, or a point is farther than 10⁹ m from the origin.
-    """
-    path = Path(path)
-    columns, _ = read_ply(path)
-    points = _stack(path, columns, ["x", "y", "z"])
-    if (farthest := np.abs(points).max(initial=0)) > _FARTHEST:
-        raise SarsplatError(f"{path} holds a point {farthest:.3g} m from the origin; create it again, in metres")
-    return points, {name: column for name, column in columns.items() if name not in ("x", "y", "z")}
-
-
-def _columns(names: Iterable[str], values: Real[np.ndarray, "n k"]) -> dict[str, Real[np.ndarray, " n"]]:
-    return dict(zip(names, values.T, strict=True))
-
-
-def _stack(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Float32[np.ndarray, "n {len(names)}"]:
-    """The named columns side by side, float32 [P, len(names)]."""
-    for name in names:
-        if name not in columns:
-            raise SarsplatError(f"{path} is missing the vertex property {name!r}; give a PLY file of the right kind")
-        if not np.isfinite(columns[name]).all():
-            raise SarsplatError(f"{path} holds NaN or an infinity in {name!r}; create it again")
-    rows = len(next(iter(columns.values()), ()))
-    return np.stack([columns[name] for name in names], axis=1) if names else np.empty((rows, 0), np.float32)
 
 
 def _flip_odd(harmonics: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:

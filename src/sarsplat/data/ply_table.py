@@ -6,7 +6,7 @@ The files come from strangers: the counts in a header are trusted only if the fi
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +74,22 @@ def read_ply(
                 for name, column in columns.items():
                     column[first : first + some] = rows[name]
     return columns, comments
+
+
+def named(names: Iterable[str], values: Real[np.ndarray, "n k"]) -> dict[str, Real[np.ndarray, " n"]]:
+    """A table's columns by name."""
+    return dict(zip(names, values.T, strict=True))
+
+
+def stacked(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Float32[np.ndarray, "n {len(names)}"]:
+    """Columns that were read, side by side, float32 [N, len(names)]; refused if one is missing or not finite."""
+    for name in names:
+        if name not in columns:
+            raise SarsplatError(f"{path} is missing the vertex property {name!r}; give a PLY file of the right kind")
+        if not np.isfinite(columns[name]).all():
+            raise SarsplatError(f"{path} holds NaN or an infinity in {name!r}; create it again")
+    rows = len(next(iter(columns.values()), ()))
+    return np.stack([columns[name] for name in names], axis=1) if names else np.empty((rows, 0), np.float32)
 
 
 def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[int, int, np.dtype]:

@@ -22,7 +22,7 @@ from sarsplat.reconstruction.config import AnyConfig, refuse_other_settings
 from sarsplat.reconstruction.log import LogLine, log_text
 from sarsplat.reconstruction.method import Trainable
 from sarsplat.reconstruction.run import InMemory, Run, write_header
-from sarsplat.reconstruction.run_folder import HEADER, MESH, require_replaceable
+from sarsplat.reconstruction.run_folder import ABOUT, HEADER, MESH, POINTS, require_replaceable
 
 _LINES_PER_RUN = 200
 """About how many lines `metrics.jsonl` gets."""
@@ -32,7 +32,7 @@ _SECONDS_UNSEEN = 5.0
 
 _CHECKPOINTS_KEPT = 2
 
-_RESULTS = ("gaussians.ply", MESH, "points.ply", "metrics.json", "report/index.html")
+_RESULTS = ("gaussians.ply", MESH, ABOUT, POINTS, "metrics.json", "report/index.html")
 """What is made from the newest checkpoint."""
 
 T = TypeVar("T", bound=Trainable)

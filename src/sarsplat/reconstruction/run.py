@@ -37,12 +37,15 @@ from sarsplat.reconstruction.methods import METHODS, method_named
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.own_gaussians import own_scene
 from sarsplat.reconstruction.run_folder import (
+    ABOUT,
     HEADER,
+    POINTS,
     SCHEMA,
     SCHEMA_VERSION,
     Header,
     Metrics,
     read_header,
+    read_metrics,
     require_replaceable,
 )
 from sarsplat.reconstruction.snapshot import Snapshot
@@ -305,7 +308,7 @@ class Run:
     @cached_property
     def _stored(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:
         """The content of `points.ply`, if there is one: positions, and other columns."""
-        path = None if self.path is None else self.path / "points.ply"
+        path = None if self.path is None else self.path / POINTS
         return read_points_ply(path) if path is not None and path.is_file() else None
 
     @cached_property
@@ -371,6 +374,15 @@ class Run:
             return self.reconstruction.facts
         steps, each = self.config.iterations, counted(self.config.views_per_step, "view")
         return {**self.reconstruction.facts, "iterations": f"{self.iteration:,} of {steps:,}, {each} each"}
+
+    @property
+    def about(self) -> dict[str, str]:
+        """What it has learned and how it was made, for readers: names and values."""
+        rows = {"learned": self.learned, **self.facts, "seed": str(self.seed), "time": f"{self.time_s:.1f} s"}
+        if (offset_deg := self.azimuth_offset_deg).any():
+            rms, largest = (offset_deg**2).mean() ** 0.5, abs(offset_deg).max()
+            rows["azimuth corrections"] = f"rms {rms:.2f}°, largest {largest:.2f}°"
+        return rows
 
     @property
     def loss_title(self) -> tuple[str, str]:
@@ -581,15 +593,15 @@ class Run:
         """The scores of the last evaluation; None before."""
         if self.memory is not None:
             return self.memory.metrics
-        path = None if self.path is None else self.path / "metrics.json"
-        return None if path is None or not path.is_file() else read_json(path, Metrics)
+        return None if self.path is None else read_metrics(self.path)
 
     def write_results(self) -> None:
-        """Write what other programs read: `points.ply`, and what else its method has."""
+        """Write what other programs read: `points.ply`, `about.json`, and what else its method has."""
         learned = self.reconstruction
         learned.write(self.folder)
+        write_json(self.folder / ABOUT, self.about)
         points = learned.points()
-        write_points_ply(self.folder / "points.ply", points, normals=learned.normals_at(points))
+        write_points_ply(self.folder / POINTS, points, normals=learned.normals_at(points))
 
 
 def write_header(run: Run) -> None:

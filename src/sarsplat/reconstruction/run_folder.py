@@ -14,6 +14,10 @@ SCHEMA = "sarsplat-run"
 SCHEMA_VERSION = 4
 HEADER = "config.json"
 
+POINTS = "points.ply"
+ABOUT = "about.json"
+"""What `Run.about` says of a finished run, for those who will not wait for torch."""
+
 MESH = "mesh.ply"
 """The surface, of methods that learn one as such."""
 
@@ -90,6 +94,11 @@ def read_header(path: Path) -> Header:
     return read_versioned_json(
         header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
     )
+
+
+def read_metrics(path: Path) -> Metrics | None:
+    """The scores in a run's folder, if it was evaluated."""
+    return read_json(path / "metrics.json", Metrics) if (path / "metrics.json").is_file() else None
 
 
 def require_replaceable(out: Path) -> None:

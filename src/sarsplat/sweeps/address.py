@@ -88,7 +88,12 @@ def _tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def _imports(name: str, path: Path) -> Iterator[str]:
+@cache
+def _imports(name: str, path: Path) -> tuple[str, ...]:
+    return tuple(_imported(name, path))
+
+
+def _imported(name: str, path: Path) -> Iterator[str]:
     for node in ast.walk(_tree(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -138,7 +143,7 @@ def _modules(package: str) -> Iterator[str]:
 @cache
 def _statements(path: Path) -> str:
     """What a file does, without its words."""
-    return ast.unparse(_without_words(ast.parse(path.read_text(encoding="utf-8"))))
+    return ast.unparse(_without_words(_tree(path)))  # which leaves imports as they are
 
 
 def _without_words(tree: ast.Module) -> ast.Module:
@@ -165,5 +170,5 @@ def _is_text(node: ast.AST) -> bool:
 
 def forget() -> None:
     """Read everything again from now on."""
-    for cached in (code, _file, _tree, _statements, _lazy):
+    for cached in (code, _file, _tree, _imports, _statements, _lazy):
         cached.cache_clear()
