@@ -125,7 +125,7 @@ def stands_out_db(
 
 
 def _levels(
-    power: Float[np.ndarray, "v rows columns"], views: Sequence[View], grid: ImageGrid
+    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> tuple[Float64[np.ndarray, "v rows columns"], ImageGrid, Float64[np.ndarray, " side"]]:
     """Decibels above the ground, of fewer pixels if there are many; their grid; places on the ground along x and y."""
     half = seen_by_all(views, grid)
