@@ -31,7 +31,7 @@ def test_screens_are_found():
     constants = np.array([0.0, 0.9, -0.7, 0.5, -0.9, 0.3])
     slopes = np.array([0.0, 0.3, -0.4, 0.4, 0.0, -0.3])
     data = screened(constants, slopes)
-    config = replace(preset("stack"), iterations=120)
+    config = replace(preset("stack"), iterations=120, gaussians=1500)
     learned = reconstruct(data, replace(config, passes=replace(config.passes, screen_std=0.7)), quiet=True)
     found = learned.snapshot.tensors["model/phase_screen"].numpy().reshape(6, 3)
     assert np.abs(without_heights(found[:, 0]) - without_heights(constants)).max() < 0.2

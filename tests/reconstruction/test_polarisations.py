@@ -63,7 +63,7 @@ def polarimetric(tmp_path_factory) -> Dataset:
 @pytest.fixture(scope="module")
 def run(polarimetric, tmp_path_factory) -> Run:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PRESETS, "polarimetric", replace(preset("polarimetric"), iterations=200))
+        patch.setitem(PRESETS, "polarimetric", replace(preset("polarimetric"), iterations=240, gaussians=2500))
         return reconstruct(polarimetric, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
 
 
@@ -117,7 +117,7 @@ def test_it_is_scored_shown_and_kept(run):
 
 
 def test_a_resumed_run_is_the_same_for_any_number_of_threads(polarimetric, tmp_path, threads):
-    config = replace(preset("polarimetric"), iterations=9, checkpoint_every=3)
+    config = replace(preset("polarimetric"), iterations=9, gaussians=400, checkpoint_every=3)
     threads(1)
     whole = reconstruct(polarimetric, config, quiet=True)
     threads(3)
@@ -133,7 +133,7 @@ def test_passes_and_polarisations_together():
     nats: list[float] = []
     run = reconstruct(
         both,
-        replace(preset("polarimetric"), iterations=20),
+        replace(preset("polarimetric"), iterations=20, gaussians=1500),
         quiet=True,
         on_step=lambda step: nats.append(float(step.loss)),
     )

@@ -66,13 +66,8 @@ def stacks(tmp_path_factory) -> Dataset:
 @pytest.fixture(scope="module")
 def run(stacks, tmp_path_factory) -> Run:
     with pytest.MonkeyPatch.context() as patch:
-        shorten(patch)
+        patch.setitem(PRESETS, "stack", replace(preset("stack"), iterations=180))
         return reconstruct(stacks, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
-
-
-def shorten(patch: pytest.MonkeyPatch) -> None:
-    """Trainings of the preset for stacks."""
-    patch.setitem(PRESETS, "stack", replace(preset("stack"), iterations=180))
 
 
 def test_a_dataset_of_stacks_is_read_as_written(stacks):
@@ -133,7 +128,7 @@ def test_centres_move_in_elevation_alone(run, stacks):
 
 
 def test_a_resumed_run_is_the_same(stacks, tmp_path):
-    config = replace(preset("stack"), iterations=12, checkpoint_every=4)
+    config = replace(preset("stack"), iterations=12, gaussians=400, checkpoint_every=4)
     whole = reconstruct(stacks, config, quiet=True)
     reconstruct(stacks, config, tmp_path / "run", quiet=True, on_step=lambda step: step.iteration == 8)
     resumed = reconstruct(stacks, config, tmp_path / "run", quiet=True, resume=True)
@@ -142,10 +137,9 @@ def test_a_resumed_run_is_the_same(stacks, tmp_path):
     np.testing.assert_array_equal(loaded.render([VIEW]), resumed.render([VIEW]))
 
 
-def test_heights_are_found_without_known_noise(monkeypatch):
+def test_heights_are_found_without_known_noise():
     """It is learned with them: low, for single looks can be explained by Gaussians as well."""
-    shorten(monkeypatch)
-    learned = reconstruct(dataset(noise=False), quiet=True)
+    learned = reconstruct(dataset(noise=False), replace(preset("stack"), iterations=120, gaussians=1500), quiet=True)
     noise = learned.snapshot.tensors["model/pass_noise"].exp() * learned.snapshot.unit
     assert noise.shape == (1, 6)
     assert bool((noise < NOISE).all())
@@ -160,7 +154,7 @@ def test_two_headings_share_a_scene():
         warnings.simplefilter("error")
         both = reconstruct(
             dataset(views=(VIEW, View(180.0, 45.0))),
-            replace(preset("stack"), iterations=40),
+            replace(preset("stack"), iterations=40, gaussians=1500),
             quiet=True,
             on_step=lambda step: nats.append(float(step.loss)),
         )

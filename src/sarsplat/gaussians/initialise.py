@@ -89,14 +89,16 @@ def bounded_region(
         ]
     a, b = np.array(normals), np.array(offsets)
     reach = float(np.hypot(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0]))
-    corners = [linprog(sign * axis, a, b, bounds=[(-reach, reach)] * 3) for axis in np.eye(3) for sign in (1, -1)]
-    if not all(corner.success for corner in corners):
+    # both extremes along each axis as one program: for few planes linprog's own checks take longer than the solver
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    extremes = linprog(axes.ravel(), np.kron(np.eye(6), a), np.tile(b, 6), bounds=(-reach, reach))
+    if not extremes.success:
         raise SarsplatError(
             "no region of space could explain the bright pixels of all views; check the sense of the azimuths and the "
             "image orientation (row 0 = near range)"
         )
-    extremes = np.array([corner.fun for corner in corners]).reshape(3, 2)
-    return Region(a, b, extremes[:, 0], -extremes[:, 1])
+    low, high = extremes.x.reshape(2, 3, 3).diagonal(axis1=1, axis2=2).copy()
+    return Region(a, b, low, high)
 
 
 def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> Float64[np.ndarray, "{count} 3"]:

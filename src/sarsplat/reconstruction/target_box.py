@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Float64
-from scipy.ndimage import gaussian_filter, label, map_coordinates
+from scipy.ndimage import affine_transform, gaussian_filter, label
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
@@ -125,7 +125,7 @@ def stands_out_db(
 
 
 def _levels(
-    power: Float[np.ndarray, "v rows columns"], views: Sequence[View], grid: ImageGrid
+    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> tuple[Float64[np.ndarray, "v rows columns"], ImageGrid, Float64[np.ndarray, " side"]]:
     """Decibels above the ground, of fewer pixels if there are many; their grid; places on the ground along x and y."""
     half = seen_by_all(views, grid)
@@ -181,7 +181,7 @@ def _height(
     x, y = (np.arange(a, b + step, step) for a, b in zip(low, high, strict=True))
     top = darkest = 0.0
     for z in np.arange(0.0, 2 * axis[-1], step):  # no higher than the scene is wide
-        mean, seen = _mean(clipped_db, views, grid, _places(x, y, z), weights)
+        mean, seen = _mean(clipped_db, views, grid, x, y, float(z), weights)
         known = seen >= _KNOWN
         if not known.any():
             if top > z - 1.5 * step:  # as high as shadows lie within the images, and who knows how much higher
@@ -226,7 +226,7 @@ def _on_the_ground(
     weights: Float64[np.ndarray, " v"],
 ) -> Float64[np.ndarray, "side side"]:
     """Weighted mean over the images at each place on the ground, NaN where not all show it."""
-    mean, seen = _mean(level_db, views, grid, _places(axis, axis, 0.0), weights)
+    mean, seen = _mean(level_db, views, grid, axis, axis, 0.0, weights)
     return np.where(seen < 1 - 1e-9, np.nan, mean)
 
 
@@ -237,30 +237,30 @@ def _weights_across(views: Sequence[View], i: int) -> Float64[np.ndarray, " v"]:
     return 1 / (1 + (_UPRIGHT * leans) ** 2)
 
 
-def _places(x: Float64[np.ndarray, " nx"], y: Float64[np.ndarray, " ny"], z: float) -> Float64[np.ndarray, "ny nx 3"]:
-    """A raster of places at one height."""
-    columns, rows = np.meshgrid(x, y)
-    return np.stack([columns, rows, np.full_like(columns, z)], axis=-1)
-
-
 def _mean(
     level_db: Float64[np.ndarray, "v rows columns"],
     views: Sequence[View],
     grid: ImageGrid,
-    places: Float64[np.ndarray, "ny nx 3"],
+    x: Float64[np.ndarray, " nx"],
+    y: Float64[np.ndarray, " ny"],
+    z: float,
     weights: Float64[np.ndarray, " v"],
 ) -> tuple[Float64[np.ndarray, "ny nx"], Float64[np.ndarray, "ny nx"]]:
     """Weighted mean over the images that show where on the ground places cast their shadow, and the share of these.
 
-    The ground itself casts its shadow to where it is. Where no image shows it, the mean is 0.
+    Places are those of an even raster at one height. The ground itself casts its shadow to where it is. Where no image
+    shows it, the mean is 0.
     """
-    total, weight_seen, seen = np.zeros((3, *places.shape[:2]))
+    pixel_m, first_m = np.array(grid.spacing_m[::-1]), np.array([grid.range_m[0], grid.azimuth_m[0]])
+    total, weight_seen, seen = np.zeros((3, len(y), len(x)))
     for image, view, weight in zip(level_db, views, weights, strict=True):
-        across, _, along = np.moveaxis(places @ radar_frame(view).T, -1, 0)
-        along += places[..., 2] / math.sin(math.radians(view.grazing_deg))  # on through the place, down to the ground
-        row = (along - grid.range_m[0]) / grid.spacing_m[1]
-        column = (across - grid.azimuth_m[0]) / grid.spacing_m[0]
-        level = map_coordinates(image, [row, column], order=1, mode="constant", cval=np.nan)
+        frame = radar_frame(view)[[2, 0]]  # away and across, as rows and columns are
+        # on through the first place, down to the ground
+        first = frame @ (x[0], y[0], z) + (z / math.sin(math.radians(view.grazing_deg)), 0.0)
+        step = frame[:, [1, 0]] * (y[1] - y[0], x[1] - x[0]) / pixel_m[:, None]
+        level = affine_transform(
+            image, step, (first - first_m) / pixel_m, total.shape, order=1, mode="constant", cval=np.nan
+        )
         shown = np.isfinite(level)
         total += weight * np.where(shown, level, 0.0)
         weight_seen += weight * shown
