@@ -97,7 +97,7 @@ def bounded_region(
             "no region of space could explain the bright pixels of all views; check the sense of the azimuths and the "
             "image orientation (row 0 = near range)"
         )
-    low, high = extremes.x.reshape(2, 3, 3).diagonal(axis1=1, axis2=2).copy()
+    low, high = extremes.x.reshape(2, 3, 3).diagonal(axis1=1, axis2=2) + 0.0  # where it is −0, 0
     return Region(a, b, low, high)
 
 
