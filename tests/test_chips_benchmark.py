@@ -73,11 +73,22 @@ def program(module, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.filterwarnings("ignore::sarsplat.SarsplatWarning")
-def test_networks_are_trained_once_and_written_as_they_finish(program, chips: Path, tmp_path: Path) -> None:
+def test_networks_are_trained_once_and_written_as_they_finish(
+    program, chips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     where = (chips, chips / "labels.csv", tmp_path / "work")
     arms = [name for name in program.ARMS if not name.startswith("sar-nerf")]
     wanted = [(program.EVENLY, arm, 0, 2) for arm in arms] + [(program.EVENLY, "ours-turned", 0, 1)]
+    write_page, asked = program.write_page, []
+
+    def whole(out: Path, titles: dict[str, str]) -> None:
+        asked.append(len(program.read_lines(out)))
+        if asked[-1] == len(wanted):  # a page takes a tenth of a second
+            write_page(out, titles)
+
+    monkeypatch.setattr(program, "write_page", whole)
     program.train(wanted, where, tmp_path, Here())
+    assert asked == [*range(1, 1 + len(wanted))]
     lines = program.read_lines(tmp_path)
     assert [(line.arm, line.steps) for line in lines] == [(arm, steps) for _, arm, _, steps in wanted]
     for line in lines:

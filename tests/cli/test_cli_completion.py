@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from programs import ROOT
 from sarsplat.cli import main
 from sarsplat.cli.commands import COMMANDS
 from sarsplat.cli.importers import IMPORTERS
@@ -16,11 +17,16 @@ from sarsplat.reconstruction.presets import PRESETS
 from sarsplat.scenes import TARGETS
 
 ASK = """
-source {script}
-COMP_WORDS=(sarsplat "$@")
-COMP_CWORD=$#
-_tyro_sarsplat
-for offer in "${{COMPREPLY[@]}}"; do echo "$offer"; done
+source "$1"
+shift
+for line in "$@"; do
+    IFS=' ' read -ra COMP_WORDS <<< "sarsplat $line"
+    [[ $line == *" " || -z $line ]] && COMP_WORDS+=("")
+    COMP_CWORD=$((${#COMP_WORDS[@]} - 1))
+    COMPREPLY=()
+    _tyro_sarsplat
+    echo "${COMPREPLY[@]}"
+done
 """
 
 
@@ -32,29 +38,29 @@ def completion(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("words", "offered"),
-    [
-        ("", set(COMMANDS)),
-        ("rec", {"reconstruct"}),
-        ("import ", set(IMPORTERS)),
-        ("import mstar chips --tr", {"--train-views", "--train-depression"}),
-        ("reconstruct ds --preset ", {"auto", *PRESETS}),
-        ("reconstruct ds --preset pa", {"paper"}),
-        ("reconstruct ds --points.v", {"--points.voxel"}),
-        ("reconstruct ds --seed 3 --densification ", {"on", "off"}),
-        ("simulate --target ", set(TARGETS)),
-        ("simulate --out ds --protocol ms", {"mstar"}),
-        ("reconstruct ds --out pyproj", {"pyproject.toml"}),
-        ("evaluate run", set()),  # nothing: paths
-    ],
-)
+OFFERED = {
+    "": set(COMMANDS),
+    "rec": {"reconstruct"},
+    "import ": set(IMPORTERS),
+    "import mstar chips --tr": {"--train-views", "--train-depression"},
+    "reconstruct ds --preset ": {"auto", *PRESETS},
+    "reconstruct ds --preset pa": {"paper"},
+    "reconstruct ds --points.v": {"--points.voxel"},
+    "reconstruct ds --seed 3 --densification ": {"on", "off"},
+    "simulate --target ": set(TARGETS),
+    "simulate --out ds --protocol ms": {"mstar"},
+    "reconstruct ds --out pyproj": {"pyproject.toml"},
+    "evaluate run": set(),  # nothing: paths
+}
+
+
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
-def test_what_bash_offers(completion: Path, words: str, offered: set[str]) -> None:
-    ask = ["bash", "--norc", "-c", ASK.format(script=completion), "bash", *words.split(" ")]
-    done = subprocess.run(ask, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2])
+def test_what_bash_offers(completion: Path) -> None:
+    ask = ["bash", "--norc", "-c", ASK, "bash", str(completion), *OFFERED]
+    done = subprocess.run(ask, capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stderr == ""
-    assert set(done.stdout.split()) - {"-h", "--help", "None"} == offered
+    offers = [set(line.split()) - {"-h", "--help", "None"} for line in done.stdout.split("\n")[:-1]]
+    assert dict(zip(OFFERED, offers, strict=True)) == OFFERED
 
 
 def test_paths_where_nothing_is_offered(completion: Path) -> None:

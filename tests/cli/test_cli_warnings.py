@@ -72,6 +72,7 @@ def test_an_uncertain_shape_is_called_so_before_and_after(
     assert main([*simulate, "--pixels", "16", "--out", str(tmp_path / "ring")]) == 0
     capsys.readouterr()
     train = ["reconstruct", str(tmp_path / "ring"), "--iterations", "20", "--gaussians", "200"]
+    train += ["--points.voxel", "0.3", "--points.rays-per-pixel", "2"]
     assert main([*train, "--out", str(tmp_path / "run")]) == 0
     told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
     assert len(told) == (2 if uncertain else 0)

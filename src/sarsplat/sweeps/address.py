@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -84,8 +84,9 @@ def _file(name: str) -> Path | None:
 
 
 @cache
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+def _nodes(path: Path) -> Sequence[ast.AST]:
+    """Of a file's tree, its root first."""
+    return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
 
 
 @cache
@@ -94,7 +95,7 @@ def _imports(name: str, path: Path) -> tuple[str, ...]:
 
 
 def _imported(name: str, path: Path) -> Iterator[str]:
-    for node in ast.walk(_tree(path)):
+    for node in _nodes(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -120,7 +121,7 @@ def _lazy(package: str) -> Mapping[str, str]:
     file = _file(package) if package.partition(".")[0] == "sarsplat" else None
     if file is None or not (stub := file.with_suffix(".pyi")).is_file():
         return {}
-    found = (node for node in ast.walk(_tree(stub)) if isinstance(node, ast.ImportFrom))
+    found = (node for node in _nodes(stub) if isinstance(node, ast.ImportFrom))
     return {alias.name: _absolute(node, package, stub) for node in found for alias in node.names}
 
 
@@ -143,19 +144,19 @@ def _modules(package: str) -> Iterator[str]:
 @cache
 def _statements(path: Path) -> str:
     """What a file does, without its words."""
-    return ast.unparse(_without_words(_tree(path)))  # which leaves imports as they are
+    _drop_words(_nodes(path))
+    return ast.unparse(_nodes(path)[0])
 
 
-def _without_words(tree: ast.Module) -> ast.Module:
-    """The tree without docstrings and without what errors and warnings say."""
-    for node in ast.walk(tree):
+def _drop_words(nodes: Sequence[ast.AST]) -> None:
+    """Leave out docstrings and what errors and warnings say; imports stay as they are."""
+    for node in nodes:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             node.body = [one for one in node.body if not _is_text(one)] or [ast.Pass()]
         elif isinstance(node, ast.Raise) or (isinstance(node, ast.Call) and _called(node) in _SAYING):
             for said in ast.walk(node):
                 if isinstance(said, ast.Constant) and isinstance(said.value, str):
                     said.value = ""
-    return tree
 
 
 def _called(call: ast.Call) -> str:
@@ -170,5 +171,5 @@ def _is_text(node: ast.AST) -> bool:
 
 def forget() -> None:
     """Read everything again from now on."""
-    for cached in (code, _file, _tree, _imports, _statements, _lazy):
+    for cached in (code, _file, _nodes, _imports, _statements, _lazy):
         cached.cache_clear()
