@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
@@ -50,15 +50,12 @@ def test_a_polite_kill_of_all_is_left_to_the_first_process(threads: int) -> None
     assert list(made_each(work, range(300))) == list(range(300))
 
 
-LONG_RESULTS = """
-import os, time, torch
-from sarsplat.samples.made_each import made_each
-torch.set_num_threads(2)
-for number, (process, _) in enumerate(made_each(lambda index: (os.getpid(), bytes(100_000)), range(1000))):
-    print(process, flush=True)
-    if number == 100:
-        time.sleep(60)
-"""
+def long_results(tell: Connection) -> None:
+    torch.set_num_threads(2)
+    for number, (process, _) in enumerate(made_each(lambda _: (os.getpid(), bytes(100_000)), range(1000))):
+        tell.send(process)
+        if number == 100:
+            time.sleep(60)
 
 
 def lives(process: int) -> bool:
@@ -69,10 +66,15 @@ def lives(process: int) -> bool:
 
 
 def test_processes_end_with_the_first_one_however_that_ends() -> None:
-    with subprocess.Popen([sys.executable, "-c", LONG_RESULTS], stdout=subprocess.PIPE, text=True) as first:
-        assert first.stdout is not None
-        workers = {int(first.stdout.readline()) for _ in range(101)}
+    processes = get_context("fork")
+    told, tell = processes.Pipe(duplex=False)
+    first = processes.Process(target=long_results, args=(tell,))
+    first.start()
+    try:
+        workers = {told.recv() for _ in range(101)}
+    finally:
         first.kill()
+        first.join()
     assert len(workers) == 2
     until = time.monotonic() + 10
     while any(map(lives, workers)):
