@@ -80,10 +80,6 @@ def test_gaussians_in_a_file_are_shown(tmp_path, said, monkeypatch):
     assert "open http://127.0.0.1:" in said(f"view {tmp_path}/g.ply --port 0")
 
 
-def test_what_is_neither_run_nor_dataset_is_one_sentence(tmp_path, refused):
-    assert "is neither a run nor a dataset" in refused(f"view {tmp_path}")
-
-
 def test_the_extra_is_named_if_it_is_missing(folder, refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     told = "error: this needs viser, which is not installed; install it with: pip install 'sarsplat[view]'\n"

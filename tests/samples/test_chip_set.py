@@ -6,7 +6,6 @@ import json
 import pickle
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -65,33 +64,7 @@ def test_a_run_keeps_its_chips_when_others_join(run: Run, folders: list[Path]) -
         assert torch.equal(alone[number][0], joined[3 * number][0])
 
 
-WRONG: list[tuple[dict[str, Any], str]] = [
-    ({"count": 0}, "count is 0; give at least one"),
-    ({"count": 10**20}, "count is 100000000000000000000; give at most 100000000, for numbers have eight digits"),
-    ({"azimuths_deg": [float("inf")]}, "azimuth inf is not a number of degrees"),
-    ({"seed": -1}, "seed -1 must be at least 0"),
-    ({"grazing_deg": (20.0, 10.0)}, "grazing 20:10 goes down; give the lower"),
-    ({"grazing_deg": (0.0, 10.0)}, "grazing angle 0.0° is outside"),
-    ({"crop": 33}, "crop is 33, but the runs' images have 32 × 36 pixels; give at most 32"),
-    ({"crop": 0}, "crop is 0; give at least one"),
-    ({"quantity": "phase"}, "quantity is 'phase'; give one of magnitude, power, complex"),
-    ({"quantity": "complex"}, "quantity is 'complex', which the 8 bits of jpeg cannot hold; choose npy"),
-    ({"scale": "calibrated", "format": "png"}, "scale is 'calibrated', which the 8 bits of png cannot hold"),
-    ({"jpeg_quality": 101}, "jpeg_quality is 101; give 1 to 100"),
-    ({"ground": "Uniform"}, "ground is 'Uniform'; give learned, uniform or the file of a picture"),
-    ({"ground": "nowhere.png"}, "cannot read nowhere.png: it does not exist"),
-]
-
-
-@pytest.mark.parametrize(("options", "words"), WRONG)
-def test_what_is_refused(run: Run, options: dict[str, Any], words: str) -> None:
-    with pytest.raises(SarsplatError, match=words):
-        chips([run], **options)
-
-
 def test_runs_that_do_not_go_together(run: Run, folders: list[Path]) -> None:
-    with pytest.raises(SarsplatError, match="there are no runs"):
-        chips([])
     other = made_up("other", grid=replace(GRID, columns=32))
     with pytest.raises(SarsplatError, match=r"of 32 × 32 pixels, but .* of 32 × 36; cut all to one size"):
         chips([folders[0], other])

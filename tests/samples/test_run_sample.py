@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 from scipy.special import digamma
 
-from sarsplat import Gaussians, Harmonics, Run, SarsplatError, View
+from sarsplat import Run, SarsplatError, View
 from sarsplat.names import Speckle
 from sarsplat.reconstruction.model import SceneModel
 from sarsplat.reconstruction.parts.part import Shot, drawn_like
@@ -187,29 +187,3 @@ def test_ground_as_a_picture_shows_it(run: Run, tmp_path: Path) -> None:
     for name, words in (("small", "has 20 × 36 pixels, fewer"), ("black", "is black"), ("none", "does not exist")):
         with pytest.raises(SarsplatError, match=words):
             run.sample(VIEW, ground=backdrop_of(tmp_path / f"{name}.png", run.grid))
-    for number in (math.nan, math.inf, -1.0):
-        with pytest.raises(SarsplatError, match=rf"is \[64, 36\] numbers from {number:g} to .*; give power"):
-            run.sample(VIEW, ground=np.full((64, 36), number, np.float32))
-    with pytest.raises(SarsplatError, match="ground is 'lerned'; give learned, uniform, or its power"):
-        run.sample(VIEW, ground="lerned")
-
-
-def test_what_is_refused(run: Run) -> None:
-    with pytest.raises(SarsplatError, match="seed -1 must be at least 0"):
-        run.sample(VIEW, -1)
-    with pytest.raises(SarsplatError, match="speckle is 'grey'; give one of response, white, none"):
-        run.sample(VIEW, speckle="grey")
-    for few in (0.0, -1.0, float("nan")):
-        with pytest.raises(SarsplatError, match=r"scatterers is .*; give a number above 0, or inf"):
-            run.sample(VIEW, scatterers=few)
-    parts = (torch.ones(1, columns) for columns in (3, 4, 3))
-    own = Run.from_gaussians(Gaussians(*parts, optical_depth=torch.ones(1), scattering=Harmonics(torch.ones(1, 1))))
-    with pytest.raises(SarsplatError, match="was learned without speckle"):
-        own.sample(VIEW)
-
-
-def test_methods_that_know_only_what_is_expected_are_refused() -> None:
-    from sarsplat.reconstruction.method import Reconstruction
-
-    with pytest.raises(SarsplatError, match="not how single ones differ"):
-        Reconstruction.sampler(None, "learned", "response", 1.0)
