@@ -26,7 +26,7 @@ def test_the_time_left_is_told_once_something_is_done_here(
 def test_short_parts_of_long_work_are_not_silent_together(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    now = iter(range(0, 100, 4))  # the work and its parts look at the clock when they begin, and at every step
+    now = iter(range(0, 100, 3))  # the work and its parts look at the clock when they begin, and at every step
     monkeypatch.setattr(progress.time, "monotonic", lambda: float(next(now)))
     with progress.progress("report", 2) as reporter:
         reporter.advance(0, "points")
