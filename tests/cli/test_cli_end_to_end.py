@@ -356,7 +356,7 @@ def test_info_on_a_run_whose_dataset_has_moved(tmp_path: Path, said) -> None:
     after = said(f"info {run}")
     assert "(no longer there)" in after
     assert after.split()[-20:] == before[-20:]  # iterations, Gaussians, points: as with the dataset
-    for results in ("points.ply", "about.json"):
+    for results in ("about.json", "points.ply"):
         (run / results).unlink()
         assert said(f"info {run}").split()[-20:] == before[-20:]  # made anew
 

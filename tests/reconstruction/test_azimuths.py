@@ -72,6 +72,7 @@ def test_wrong_azimuths_are_put_right(wrong: tuple[Dataset, np.ndarray], refined
     assert rms((error + offset)[uncertain]) < 0.5 * STD_DEG
     seen = [view.azimuth_deg for view in refined.snapshot.views]
     assert np.allclose((seen - AROUND + 180) % 360 - 180, error + offset)
+    assert refined.about["azimuth corrections"] == f"rms {rms(offset):.2f}°, largest {abs(offset).max():.2f}°"
 
 
 def test_a_resumed_training_is_the_same(wrong: tuple[Dataset, np.ndarray], refined: Run, tmp_path: Path) -> None:
@@ -92,6 +93,7 @@ def test_azimuths_known_exactly_are_left_alone(images: np.ndarray) -> None:
     never = replace(short, surroundings=Surroundings(azimuth_rounds=0))
     run, other = (reconstruct(known, config, quiet=True) for config in (short, never))
     assert not run.azimuth_offset_deg.any()
+    assert "azimuth corrections" not in run.about
     assert run.snapshot.views == known.views
     assert run.snapshot.tensors.keys() == other.snapshot.tensors.keys()
     assert all(torch.equal(tensor, other.snapshot.tensors[name]) for name, tensor in run.snapshot.tensors.items())
