@@ -15,9 +15,10 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.geometry.shown import ground_radius_m
-from sarsplat.renderer import render
+from sarsplat.renderer import cpu, render
 from sarsplat.renderer.ground import free_plane
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground
+from terrains import slope
 
 WIDE = ImageGrid(48, 40, (0.3, 0.25), (0.45, 0.4))
 
@@ -222,3 +223,11 @@ def test_the_ground_reaches_past_the_farthest_corner_of_the_images():
 def test_errors(make, message):
     with pytest.raises(SarsplatError, match=message):
         make()
+
+
+@pytest.mark.parametrize("height_m", [0.0, slope(5.0)], ids=["level", "slope"])
+def test_the_reference_is_judge_of_the_engines_and_calls_none(height_m, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cpu, "Pass", None)
+    ground = Ground(torch.tensor(0.1), height_m=height_m)
+    images = render(cloud(20, 0).to(torch.float32), VIEWS, GRID, ground=ground, engine="reference").images
+    assert images.dtype == torch.float32 and images.min() > 0

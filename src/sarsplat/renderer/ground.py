@@ -86,12 +86,17 @@ def lit(
     grid: ImageGrid,
     rays: RayGrid,
     shift: Float[Tensor, "v 2"] | None,
+    *,
+    plain: bool = False,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """What rays make of the ground: of a plane, the share of it that a pixel sees; of terrain, γ⁰ and area as well."""
+    """What rays make of the ground: of a plane, the share of it that a pixel sees; of terrain, γ⁰ and area as well.
+
+    `plain` is for the reference, which calls no engine.
+    """
     if isinstance(ground.height_m, Terrain):
         assert gamma0 is not None  # `gamma0_by_view`
-        return lit_terrain(ends, views, grid, rays, ground.height_m, gamma0, ground.pitch_m, shift)
-    return lit_ground(ends, views, grid, rays, ground.height_m, shift)
+        return lit_terrain(ends, views, grid, rays, ground.height_m, gamma0, ground.pitch_m, shift, plain=plain)
+    return lit_ground(ends, views, grid, rays, ground.height_m, shift, plain=plain)
 
 
 def returned(

@@ -70,6 +70,8 @@ def lit_ground(
     rays: RayGrid,
     height_m: float,
     shift: Float[Tensor, "v 2"] | None,
+    *,
+    plain: bool = False,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """Share of each pixel's ground that the radar sees, through the response; differentiable by T_end and shift."""
     (dx, dy), patches = rays.spacing_m, []
@@ -78,7 +80,7 @@ def lit_ground(
         near = ((y - dy / 2) * math.cos(theta) - height_m) / math.sin(theta)  # on the plane r = (y cos θ − z) / sin θ
         patches.append((Axis(near, dy / math.tan(theta), rows), Axis(x - dx / 2, dx, columns)))
     left = ends.transmittance
-    if left.dtype == torch.float32 and left.device.type == "cpu":
+    if not plain and left.dtype == torch.float32 and left.device.type == "cpu":
         return _Engine.apply(left, shift, patches, grid)  # type: ignore[no-any-return]
     return plain_lit_ground(left, shift, patches, grid)
 

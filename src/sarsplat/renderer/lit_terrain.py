@@ -81,6 +81,8 @@ def lit_terrain(
     gamma0: Float[Tensor, "v ny nx"],
     pitch_m: float,
     shift: Float[Tensor, "v 2"] | None,
+    *,
+    plain: bool = False,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """β⁰ of terrain with these γ⁰, which each view may have of its own; differentiable by T_end, γ⁰ and shift."""
     patches = [
@@ -91,7 +93,7 @@ def lit_terrain(
     ]
     left = ends.transmittance
     arguments = left, gamma0, shift, patches, pitch_m, grid, rays.spacing_m[1]
-    if left.dtype == torch.float32 and left.device.type == "cpu":
+    if not plain and left.dtype == torch.float32 and left.device.type == "cpu":
         return _Engine.apply(*arguments)  # type: ignore[no-any-return]
     return plain_lit_terrain(*arguments)
 
