@@ -23,7 +23,7 @@
 PYTHON ?= $(shell for p in python3.11 python3; do "$$p" -c "" 2>/dev/null && { echo "$$p"; break; }; done)
 
 SHELL := bash
-# What is imported is compiled once, where the environment does not say otherwise: three seconds of every command.
+# Python keeps what it compiles, whatever the environment says: otherwise every command would take three seconds more.
 unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 DEMO_READY := .venv/.demo
