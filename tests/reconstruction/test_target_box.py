@@ -108,6 +108,14 @@ def test_a_tower_is_not_cut_off() -> None:
     assert 4.5 <= high[2] < 6
 
 
+@pytest.mark.parametrize("at", [(3.0, -4.0), (-4.0, 3.0)])
+def test_a_tower_far_from_the_middle_is_as_high(at: tuple[float, float]) -> None:
+    x, y = at
+    low, high = target_box(images([((x - 1, x + 1, y - 1, y + 1), 4.5)], TWENTY, CHIP), TWENTY, CHIP)
+    assert (low[:2] <= np.array(at) - 1).all() and (high[:2] >= np.array(at) + 1).all()
+    assert 4.5 <= high[2] < 6
+
+
 HOUSES: list[Solid] = [((-9, -2, 1, 8), 4.0), ((1, 9, -9, -1), 6.0), ((2, 8, 2, 9), 3.0), ((-8, -3, -8, -2), 5.0)]
 
 
