@@ -224,6 +224,12 @@ def test_the_mesh_is_scored_as_points_spread_over_it(make):
     assert mesh["cd_m"] == pytest.approx((mesh["accuracy_m"] + mesh["completeness_m"]) / 2)
 
 
+def test_what_no_view_sees_belongs_to_the_whole_surface_alone(make) -> None:
+    points = evaluate_run(FakeRun(make(), points=ON_THE_TOP * (0.5, 0.5, 0.0)))["points"]  # below the cube
+    assert points["whole"]["accuracy_m"] == pytest.approx(0, abs=1e-6)
+    assert points["visible"]["accuracy_m"] > 0.4
+
+
 class Strays(FakeRun):
     def mesh(self):
         raise SarsplatError("too many voxels")
