@@ -60,7 +60,7 @@ class Processes:
         return held[0]
 
     def said(self, flag: bool) -> bool:
-        """What the first process says."""
+        """The flag of the first process, broadcast to all."""
         told = torch.tensor([flag], dtype=torch.uint8, device="cpu")
         return bool(self.gathered(told, [1] + [0] * (self.count - 1))[0])
 

@@ -117,8 +117,8 @@ def test_its_points_are_extracted_anew(finished: Run, dataset: Dataset, config: 
         ({"tiles": 0}, "tiles.* 1"),
         ({"tiles": 3}, "tiles is 3, but .* blocks of 2 × 2 pixels, by the scene's size.* give tiles from 1 to 2"),
         ({"tiles": 9, "coarsest": 2}, "by the setting coarsest"),
-        ({"surroundings": Surroundings()}, "tiles is 2, and tiles know no surroundings; omit them"),
-        ({"densification": Densification()}, "tiles know no densification"),
+        ({"surroundings": Surroundings()}, "tiles is 2, and tiles cannot be combined with surroundings; omit them"),
+        ({"densification": Densification()}, "tiles cannot be combined with densification"),
     ],
 )
 def test_what_tiles_cannot_do_is_refused(

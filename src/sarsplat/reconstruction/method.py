@@ -77,7 +77,7 @@ class Trainable(Protocol):
         """Everything the next step depends on, after so many seconds of training."""
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Undo `snapshot`."""
+        """Go back to the state of a snapshot."""
 
 
 class Method(ABC):
@@ -179,7 +179,7 @@ class Reconstruction(ABC):
         )
 
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> DrawsSamples:
-        """What draws single images (see `Run.sample`); refused by methods that know only what is expected of them."""
+        """A sampler of single speckled images (see `Run.sample`); refused by methods that know only their mean."""
         raise SarsplatError(
             "this run knows what is expected of images, but not how single ones differ (gain, shift, noise, speckle); "
             "give one that sar-gs has learned from speckled images"

@@ -147,7 +147,7 @@ class SceneModel:
         return scattering_named(self.config.scattering).power_channel
 
     def look_at(self, cell_m: float) -> None:
-        """Be learned from images with such resolution cells, m: `learned` follows."""
+        """Set the resolution cell of the images that are fitted from now on, m: `learned` follows."""
         for part in self.parts:
             part.look_at(cell_m)
         self.learned = self._learned()

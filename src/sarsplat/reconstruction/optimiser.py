@@ -99,7 +99,7 @@ class Optimiser:
         self._source, self._adam = inherited, None
 
     def take_moves(self) -> Int64[Tensor, " n"] | None:
-        """Which Gaussian of the last time each row still is, −1 for a new one; None if no rows have moved since."""
+        """Index of each row when this was last called, −1 for a new one; None if no rows have moved since."""
         source, self._source = self._source, None
         return source
 

@@ -97,7 +97,7 @@ class _Nats(torch.autograd.Function):
 
 
 def refuse_failed(count: int) -> None:
-    """Refuse covariances that are none, if there are any."""
+    """Require that all covariances were positive definite: `count` were not."""
     if count:
         raise SarsplatError(
             f"{count} covariances with their noise are not positive definite; raise the noise, or use float64"

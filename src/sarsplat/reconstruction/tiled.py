@@ -163,4 +163,6 @@ def refuse_with_tiles(config: Config, inputs: Inputs) -> None:
     }
     for what, wanted in unknown.items():
         if wanted:
-            raise SarsplatError(f"tiles is {config.tiles}, and tiles know no {what}; omit them, or give 1 for no tiles")
+            raise SarsplatError(
+                f"tiles is {config.tiles}, and tiles cannot be combined with {what}; omit them, or give 1 for no tiles"
+            )

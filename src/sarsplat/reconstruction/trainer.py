@@ -246,9 +246,9 @@ class Trainer:
 
     @checks_arguments
     def restore(self, snapshot: Snapshot) -> None:
-        """Undo `snapshot`.
+        """Go back to the state of a snapshot.
 
-        Raises a SarsplatError if it is of a training with other strategies, KeyError or ValueError if of no such one.
+        Raises a SarsplatError if it is of a training with other strategies, KeyError or ValueError if of no training.
         """
         if not snapshot.part("optimiser"):
             raise SarsplatError("it holds Gaussians that were not trained here, which cannot be resumed")

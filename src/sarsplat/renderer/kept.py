@@ -1,4 +1,4 @@
-"""What takes long to make again, kept in the user's cache folder: $XDG_CACHE_HOME/sarsplat, or ~/.cache/sarsplat."""
+"""Disk cache of what takes long to compile or to check: in $XDG_CACHE_HOME/sarsplat, or ~/.cache/sarsplat."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gradients that have no gradients of their own."""
+"""Reject double backward: gradients of gradients are not implemented by the engines."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ class Part(ABC):
         return {}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """How unlikely its parameters were before the images were seen: terms, nats."""
+        """Negative logarithms of the priors of its parameters: terms, nats."""
         return iter(())
 
     def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
@@ -119,7 +119,7 @@ class Part(ABC):
         return iter(())
 
     def look_at(self, cell_m: float) -> None:
-        """Be learned from images with such resolution cells, m; at first, and until called, those of the dataset."""
+        """Set the resolution cell of the images that are fitted from now on, m; until then it is the dataset's."""
         return
 
     # ---- what it does -----------------------------------------------------------------------------------------------
