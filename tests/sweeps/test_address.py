@@ -68,6 +68,8 @@ def test_code_is_what_it_does_and_not_its_words(code):
     assert code("method", "def f(x):\n    warn(f'{x} is odd')\n    raise KeyError('no ' + x)\n") != said
     code("method", "from foreign import used\n")
     assert code("used", "x = 2\n") != used
+    other = code("method", "from foreign import unused\n")
+    assert code("unused", "y = 2\n") != other
 
 
 def test_data_and_device_are_part_of_the_address(place):
