@@ -134,7 +134,7 @@ def of_the_demo(gpu: Gpu) -> Found:
 
 def of_waits(gpu: Gpu) -> Found:
     """How often, and in which line, a step of every preset makes Python wait for the GPU."""
-    from sarsplat.reconstruction.presets import PRESETS
+    from sarsplat.settings.presets import PRESETS
 
     kinds = {"measured": "ground", "stack": "stack", "polarimetric": "polarimetric"}
     steps = {f"default with {kind}": ("default", kind) for kind in ("ground", "terrain")}

@@ -185,8 +185,8 @@ class Gpu:
 
     def trainer(self, preset: str, kind: str = "demo", **changes: Any) -> Any:
         """A training before its first step, with all degrees of harmonics in use, as for most of a training."""
-        from sarsplat.reconstruction.method import Inputs
-        from sarsplat.reconstruction.method_sar_gs import METHOD
+        from sarsplat.learning.method import Inputs
+        from sarsplat.learning.method_sar_gs import METHOD
 
         dataset = self.dataset(kind)
         if self.quick:
@@ -197,7 +197,7 @@ class Gpu:
     def trained(self, dataset: Any, preset: str, where: str) -> tuple[Any, dict[str, Any]]:
         """A run with its points and normals, computed there, and the seconds of these."""
         from sarsplat import reconstruct
-        from sarsplat.reconstruction.method_sar_gs import METHOD
+        from sarsplat.learning.method_sar_gs import METHOD
 
         config, clock = METHOD.preset(preset, dataset), Clock()
         if self.quick:

@@ -14,11 +14,11 @@ import torch
 from clock import TURN, Clock, ratio, spread
 from recipes import COUNT, halfway
 
-from sarsplat.reconstruction.losses import amplitude_loss
-from sarsplat.reconstruction.optimiser import Optimiser
-from sarsplat.reconstruction.presets import preset
+from sarsplat.learning.losses import amplitude_loss
+from sarsplat.learning.optimiser import Optimiser
 from sarsplat.renderer import channel_of, cpu
 from sarsplat.scenes import paper_grid, paper_views
+from sarsplat.settings.presets import preset
 
 COUNTS, VIEWS = (COUNT, 4 * COUNT), (1, 8)
 PARTS = ("engine forward", "engine backward", "loss", "optimiser", "rest", "total")

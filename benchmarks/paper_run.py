@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sarsplat.evaluation import paper_scores
-from sarsplat.reconstruction.presets import preset
+from sarsplat.settings.presets import preset
 
 CODE = "import sys, sarsplat.cli; sys.exit(sarsplat.cli.main())"
 

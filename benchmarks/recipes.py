@@ -9,10 +9,10 @@ import torch
 from scene import Scene
 
 from sarsplat.gaussians.initialise import Region, random_quaternions
-from sarsplat.reconstruction.model import SceneModel
-from sarsplat.reconstruction.presets import preset
-from sarsplat.reconstruction.setting import Setting
+from sarsplat.learning.model import SceneModel
+from sarsplat.learning.scene_frame import Setting
 from sarsplat.scenes import paper_grid, paper_views
+from sarsplat.settings.presets import preset
 
 COUNT = 15_000
 

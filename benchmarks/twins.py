@@ -9,9 +9,9 @@ from clock import in_turn, ratio, spread
 from recipes import COUNT, halfway
 from torch import Tensor
 
-from sarsplat.reconstruction.losses import amplitude_loss, plain_amplitude_loss
-from sarsplat.reconstruction.optimiser import Optimiser
-from sarsplat.reconstruction.presets import preset
+from sarsplat.learning.losses import amplitude_loss, plain_amplitude_loss
+from sarsplat.learning.optimiser import Optimiser
+from sarsplat.settings.presets import preset
 
 SSIM_WEIGHT = preset("paper").ssim_weight
 

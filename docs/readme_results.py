@@ -19,7 +19,7 @@ from sarsplat import Run, View
 from sarsplat.colours import HEIGHT, POWER, colormap
 from sarsplat.evaluation import Yardstick, comparison, metrics_of_points, paper_scores, summary_metrics, visible_surface
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, to_db
-from sarsplat.reconstruction.run_folder import Metrics
+from sarsplat.runs.run_folder import Metrics
 
 HERE = Path(__file__).parent
 README, PICTURE = HERE.parent / "README.md", HERE / "images" / "demo.png"

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from sarsplat import reconstruct
-from sarsplat.reconstruction.optimiser import Optimiser
-from sarsplat.reconstruction.strategies import Info, State, Strategy, ops
+from sarsplat.learning.optimiser import Optimiser
+from sarsplat.learning.strategies import Info, State, Strategy, ops
 
 
 class KeepBrightest(Strategy):

@@ -14,7 +14,7 @@ from sarsplat import (
     simulate_images,
     target_mesh,
 )
-from sarsplat.reconstruction import Step
+from sarsplat.runs import Step
 
 grid = ImageGrid(rows=64, columns=64, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 views = [View(azimuth, 45.0) for azimuth in range(0, 360, 45)]

@@ -11,7 +11,7 @@ from measured import MEASURED
 
 from baselines import BASELINES, BASELINES_ON_CHIPS
 from sarsplat.evaluation.paper import PAPER_DENSIFICATION, PAPER_DENSITY, paper_scores
-from sarsplat.reconstruction.presets import PRESETS
+from sarsplat.settings.presets import PRESETS
 
 VEHICLES = ("t72", "btr70", "2s1", "kraz")
 PUBLISHED = ("t72", "btr70", "kraz")

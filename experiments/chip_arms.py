@@ -14,9 +14,9 @@ from scipy.ndimage import map_coordinates
 
 from sarsplat import Dataset, Run, View, chips
 from sarsplat.evaluation.baselines import rotated_average
-from sarsplat.reconstruction.config import DEFAULT_METHOD
 from sarsplat.samples import Encoding
 from sarsplat.scenes.speckle import ResponseSpeckle
+from sarsplat.settings.config import DEFAULT_METHOD
 
 EACH = 720
 """Generated chips of a class."""

@@ -14,7 +14,7 @@ from sarsplat import Dataset, Run, import_mstar, read_dataset, reconstruct
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.reconstruction.config import DEFAULT_METHOD
+from sarsplat.settings.config import DEFAULT_METHOD
 
 TRAINING, TEST = 17, 15
 """Depressions, degrees: nothing of the second is looked at before a network is trained."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from sarsplat.reconstruction.config import DEFAULT_METHOD
+from sarsplat.settings.config import DEFAULT_METHOD
 
 Options = Mapping[str, Any]
 

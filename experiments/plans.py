@@ -19,10 +19,10 @@ from sarsplat.baselines import BaselineMethod
 from sarsplat.baselines.baseline import BaselineConfig
 from sarsplat.data import read_masks
 from sarsplat.data.mesh import write_mesh
-from sarsplat.reconstruction import METHODS
-from sarsplat.reconstruction.config import DEFAULT_METHOD
-from sarsplat.reconstruction.presets import PRESETS
+from sarsplat.runs import METHODS
 from sarsplat.scenes import TARGETS
+from sarsplat.settings.config import DEFAULT_METHOD
+from sarsplat.settings.presets import PRESETS
 from sarsplat.sweeps.address import code
 
 _QUICK_ITERATIONS, _FEW_ITERATIONS, _FEW_VOXELS = 60, 3, 24

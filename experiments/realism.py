@@ -23,9 +23,9 @@ from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.baselines import rotated_average
 from sarsplat.importers.mstar_chips import Chip, read_chips
-from sarsplat.reconstruction.config import SCATTERERS
 from sarsplat.samples import Encoding
 from sarsplat.scenes.speckle import ResponseSpeckle
+from sarsplat.settings.config import SCATTERERS
 
 ROOT = Path(__file__).resolve().parent.parent
 TRAINING, LEFT_OUT = "measured, trained on", "measured, left out"

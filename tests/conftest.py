@@ -8,6 +8,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -69,6 +70,33 @@ def small_box(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
     grid = ImageGrid(28, 24, (0.3, 0.35), (0.3, 0.35))
     return box_dataset(tmp_path_factory.mktemp("small-box"), grid, masks=True)
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A dataset that nobody may change: a box in 32 × 32 pixels from twelve sides, to learn from."""
+    from datasets import box_dataset
+    from sarsplat.geometry import ImageGrid
+
+    return box_dataset(tmp_path_factory.mktemp("box"), ImageGrid(32, 32, (0.3, 0.3), (0.45, 0.45)))
+
+
+@pytest.fixture(scope="session")
+def config() -> Any:
+    """Settings of a short training on it."""
+    from datasets import FEW_POINTS
+    from sarsplat import preset
+
+    short = {"iterations": 60, "gaussians": 600, "harmonics_every": 20, "checkpoint_every": 20}
+    return replace(preset("default"), **short, points=FEW_POINTS)
+
+
+@pytest.fixture(scope="session")
+def finished(dataset: Any, config: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The run of that training, which nobody may change."""
+    from sarsplat import reconstruct
+
+    return reconstruct(dataset, config, tmp_path_factory.mktemp("run") / "run")
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ _FREE_BYTES = 64 << 20
 _INSTRUMENTED = [
     "sarsplat.data",
     "sarsplat.importers",
-    "sarsplat.reconstruction.run",
+    "sarsplat.runs.run",
     "sarsplat.scenes",
     "tifffile",
     "trimesh",

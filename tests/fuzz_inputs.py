@@ -51,10 +51,10 @@ from sarsplat.importers.gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.mstar_chips import read_chips
 from sarsplat.importers.phase_history import flights
-from sarsplat.reconstruction.presets import PRESETS
-from sarsplat.reconstruction.run import Run
-from sarsplat.reconstruction.run_folder import SCHEMA_VERSION
+from sarsplat.runs.run import Run
+from sarsplat.runs.run_folder import SCHEMA_VERSION
 from sarsplat.scenes import load_mesh
+from sarsplat.settings.presets import PRESETS
 
 GRID = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35))
 IMAGE = np.random.default_rng(1).gamma(1.0, size=(6, 5)).astype(np.float32)

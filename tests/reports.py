@@ -11,8 +11,9 @@ from datasets import dataset_of
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.evaluation import IMAGE_METRICS, Yardstick, all_metrics, metrics_of_points
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction import Run, preset
-from sarsplat.reconstruction.log import LogLine
+from sarsplat.runs import Run
+from sarsplat.runs.log import LogLine
+from sarsplat.settings import preset
 
 GRID = ImageGrid(32, 32, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 METRICS = all_metrics(Yardstick(0.3))

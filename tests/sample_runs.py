@@ -10,7 +10,7 @@ import numpy as np
 from datasets import FEW_POINTS, dataset_of
 from sarsplat import ImageGrid, Run, View, preset, reconstruct, write_dataset
 from sarsplat.geometry.responses import TAYLOR
-from sarsplat.reconstruction import Config
+from sarsplat.settings import Config
 
 GRID = ImageGrid(32, 36, (0.2, 0.2), (0.32, 0.3), response=TAYLOR)
 

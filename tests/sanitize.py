@@ -26,8 +26,8 @@ LEVELS = {"base": (4, []), "avx2": (8, ["-march=x86-64-v3"]), "avx512": (16, ["-
 # descriptor 2 and ends the process, so pytest must not capture that.
 TESTS = [
     "tests/renderer",
-    "tests/reconstruction/test_losses.py",
-    "tests/reconstruction/test_optimiser.py",
+    "tests/learning/test_losses.py",
+    "tests/learning/test_optimiser.py",
     "-k",
     "not memory_does_not_grow",
     "--capture=sys",

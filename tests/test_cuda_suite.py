@@ -19,10 +19,10 @@ import pytest
 import torch
 
 from programs import ROOT
-from sarsplat.reconstruction import adam, losses
-from sarsplat.reconstruction.presets import PRESETS
+from sarsplat.learning import adam, losses
 from sarsplat.renderer import cuda, engines
 from sarsplat.scenes.targets import TARGETS
+from sarsplat.settings.presets import PRESETS
 
 sys.path.insert(0, str(ROOT / "tests" / "renderer"))
 from emulated_cuda import Emulator, compile_emulator

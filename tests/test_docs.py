@@ -23,8 +23,8 @@ from sarsplat.cli.commands import COMMANDS
 from sarsplat.cli.parser import parse
 from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Yardstick, metrics_of_points
 from sarsplat.gaussians import SCATTERINGS
-from sarsplat.reconstruction import PRESETS
 from sarsplat.scenes import target_mesh
+from sarsplat.settings import PRESETS
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 CHEAP = ("completion", "doctor", "export", "info", "render", "report")

@@ -18,6 +18,7 @@ from .data import (
 )
 from .errors import SarsplatError as SarsplatError, SarsplatWarning as SarsplatWarning
 from .evaluation import evaluate_run as evaluate_run, point_metrics as point_metrics, visible_surface as visible_surface
+from .examination import examine as examine
 from .exports import export as export
 from .gaussians import (
     MAX_OPTICAL_DEPTH as MAX_OPTICAL_DEPTH,
@@ -47,17 +48,7 @@ from .importers import (
     import_sicd as import_sicd,
     read_phoenix as read_phoenix,
 )
-from .reconstruction import (
-    LOSSES as LOSSES,
-    PRESETS as PRESETS,
-    Config as Config,
-    Run as Run,
-    Trainer as Trainer,
-    extract_points as extract_points,
-    preset as preset,
-    reconstruct as reconstruct,
-    stack_nats as stack_nats,
-)
+from .learning import LOSSES as LOSSES, Trainer as Trainer, stack_nats as stack_nats
 from .renderer import (
     Attenuation as Attenuation,
     Footprints as Footprints,
@@ -72,6 +63,7 @@ from .renderer import (
     splat as splat,
 )
 from .report import write_report as write_report
+from .runs import Run as Run, reconstruct as reconstruct
 from .samples import chips as chips
 from .scenes import (
     Mechanisms as Mechanisms,
@@ -87,6 +79,8 @@ from .scenes import (
     target_mesh as target_mesh,
 )
 from .scenes.simulate import simulate_images as simulate_images
+from .settings import PRESETS as PRESETS, Config as Config, preset as preset
+from .surface import extract_points as extract_points
 from .sweeps import sweep as sweep
 from .viewer import Viewer as Viewer
 

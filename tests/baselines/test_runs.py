@@ -20,7 +20,7 @@ from sarsplat.baselines import BaselineMethod
 from sarsplat.cli.app import run as command
 from sarsplat.data import read_points_ply, write_points_ply
 from sarsplat.evaluation.points import surface_distance
-from sarsplat.reconstruction import METHODS
+from sarsplat.runs import METHODS
 
 BASELINES = cast("Mapping[str, BaselineMethod]", METHODS)
 SHORT = {"sar-nerf": 2, "sar-nerf-grid": 12, "dsr": 6}

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 from sarsplat.cli import main
-from sarsplat.reconstruction import PRESETS
+from sarsplat.settings import PRESETS
 
 EVENTS = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate", "shutil.rmtree", "ctypes.dlsym")
 

@@ -13,8 +13,8 @@ from programs import ROOT
 from sarsplat.cli import main
 from sarsplat.cli.commands import COMMANDS
 from sarsplat.cli.importers import IMPORTERS
-from sarsplat.reconstruction.presets import PRESETS
 from sarsplat.scenes import TARGETS
+from sarsplat.settings.presets import PRESETS
 
 ASK = """
 source "$1"

@@ -24,7 +24,8 @@ from sarsplat.cli import main
 from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply
 from sarsplat.data.folders import only_writer
 from sarsplat.exports import FORMATS
-from sarsplat.reconstruction import Config, Run, own_gaussians
+from sarsplat.runs import Run, own_gaussians
+from sarsplat.settings import Config
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +166,7 @@ def test_mesh_and_masks_in_one_command(tmp_path: Path, said) -> None:
 
 
 def test_ctrl_c_says_how_to_continue(tmp_path: Path, monkeypatch, capsys, said) -> None:
-    from sarsplat.reconstruction import Trainer
+    from sarsplat.learning import Trainer
 
     step, calls = Trainer.step, []
 
@@ -185,7 +186,7 @@ def test_ctrl_c_says_how_to_continue(tmp_path: Path, monkeypatch, capsys, said) 
 
 
 def test_a_run_that_goes_on_is_told_as_it_is(tmp_path: Path, monkeypatch, said) -> None:
-    from sarsplat.reconstruction import Trainer
+    from sarsplat.learning import Trainer
 
     def interrupted(_: Trainer) -> None:
         raise KeyboardInterrupt

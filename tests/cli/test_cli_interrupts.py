@@ -15,7 +15,7 @@ from datasets import dataset_of
 from sarsplat import ImageGrid, Run, View
 from sarsplat.cli import main
 from sarsplat.data import write_dataset
-from sarsplat.reconstruction import normals, points, seen
+from sarsplat.surface import normals, points, visibility
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def dataset(tmp_path: Path) -> Path:
     [
         ((points, "render", 3), signal.SIGINT),
         ((points, "render", 3), signal.SIGTERM),
-        ((seen, "render", 2), signal.SIGINT),
+        ((visibility, "render", 2), signal.SIGINT),
         ((normals, "csr_array", 1), signal.SIGINT),
     ],
 )

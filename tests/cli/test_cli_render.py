@@ -13,7 +13,7 @@ from PIL import Image
 from sarsplat.cli import main
 from sarsplat.errors import SarsplatWarning
 from sarsplat.geometry import View
-from sarsplat.reconstruction import Run
+from sarsplat.runs import Run
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ import pytest
 
 from sarsplat import Config, Run
 from sarsplat.cli import main
-from sarsplat.reconstruction.config import Densification, FlatGround, Surroundings
-from sarsplat.reconstruction.presets import PRESETS
+from sarsplat.settings.config import Densification, FlatGround, Surroundings
+from sarsplat.settings.presets import PRESETS
 
 FEW = "--points.voxel 0.3 --points.rays-per-pixel 2"
 

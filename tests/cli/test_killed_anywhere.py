@@ -18,7 +18,7 @@ import trimesh
 from PIL import Image
 
 from sarsplat.cli import main
-from sarsplat.reconstruction import PRESETS
+from sarsplat.settings import PRESETS
 
 sys.path.insert(0, str(Path(__file__).parent))
 from killable import use_small_presets

@@ -25,7 +25,7 @@ from sarsplat.evaluation import (
 )
 from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction import Run
+from sarsplat.runs import Run
 
 trimesh = pytest.importorskip("trimesh")
 

@@ -17,8 +17,9 @@ from sarsplat import Dataset
 from sarsplat.data import read_gaussians_ply
 from sarsplat.errors import SarsplatError
 from sarsplat.exports import FORMATS, export, format_of
-from sarsplat.reconstruction import METHODS, Run, preset, reconstruct
+from sarsplat.runs import METHODS, Run, reconstruct
 from sarsplat.scenes import load_mesh
+from sarsplat.settings import preset
 
 
 @pytest.fixture(scope="module")

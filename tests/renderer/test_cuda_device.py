@@ -20,7 +20,7 @@ from test_cpu_engine import judged
 from test_cuda_emulated import everything, same_bits
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.reconstruction import device as training_device
+from sarsplat.learning import device as training_device
 from sarsplat.renderer import cuda, cuda_device, engines, kept, nvrtc, structs, trial
 
 CPU = torch.device("cpu")

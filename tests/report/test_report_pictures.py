@@ -11,7 +11,6 @@ from PIL import Image
 from datasets import dataset_of
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction.log import LogLine
 from sarsplat.report import Look, contact_sheet, decibel_png, sheet
 from sarsplat.report.boards import point_boards
 from sarsplat.report.check_sheet import check_sheet
@@ -21,6 +20,7 @@ from sarsplat.report.residual import Difference, Window
 from sarsplat.report.sides import SIDES, Raster
 from sarsplat.report.views import evenly
 from sarsplat.report.window import target_window
+from sarsplat.runs.log import LogLine
 
 
 def test_grey_levels_of_the_png() -> None:

@@ -14,10 +14,10 @@ from PIL import Image
 from scipy.special import digamma
 
 from sarsplat import Run, SarsplatError, View
+from sarsplat.learning.model import SceneModel
+from sarsplat.learning.parts.part import Shot, drawn_like
+from sarsplat.learning.sampler import Sampler
 from sarsplat.names import Speckle
-from sarsplat.reconstruction.model import SceneModel
-from sarsplat.reconstruction.parts.part import Shot, drawn_like
-from sarsplat.reconstruction.sampler import Sampler
 from sarsplat.samples.backdrop import backdrop_of
 
 VIEW = View(40.0, 17.0)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from sarsplat import Gaussians, Harmonics, Run, SarsplatError, View, chips
-from sarsplat.reconstruction.method import Reconstruction
+from sarsplat.learning.method import Reconstruction
 from sarsplat.samples import write_chips
 
 SETS: list[tuple[dict[str, Any], str]] = [

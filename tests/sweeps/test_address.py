@@ -14,7 +14,7 @@ from sarsplat import read_dataset, write_dataset
 from sarsplat.sweeps import Plan, address
 from sarsplat.sweeps.cell import cells_of
 
-GS, DSR = ((address.TRAINING, f"sarsplat.{name}") for name in ("reconstruction.method_sar_gs", "baselines.method_dsr"))
+GS, DSR = ((address.TRAINING, f"sarsplat.{name}") for name in ("learning.method_sar_gs", "baselines.method_dsr"))
 
 
 def rooms(modules: dict[str, Path]) -> set[str]:
@@ -24,16 +24,16 @@ def rooms(modules: dict[str, Path]) -> set[str]:
 def test_training_depends_on_what_it_imports_and_on_nothing_else():
     ours, theirs = address.imported_by(GS), address.imported_by(DSR)
     assert not rooms(ours) & {"cli", "report", "viewer", "evaluation", "exports", "sweeps", "radar", "importers"}
-    assert {"renderer", "geometry", "gaussians", "data", "reconstruction"} <= rooms(ours)
+    assert {"renderer", "geometry", "gaussians", "data", "learning", "runs", "surface"} <= rooms(ours)
     assert "baselines" not in rooms(ours)
-    assert not {"sarsplat.baselines.method_sar_nerf", "sarsplat.reconstruction.method_sar_gs"} & theirs.keys()
+    assert not {"sarsplat.baselines.method_sar_nerf", "sarsplat.learning.method_sar_gs"} & theirs.keys()
     assert "sarsplat.baselines.method_dsr" in theirs
-    assert {"evaluation", "reconstruction"} <= rooms(address.imported_by([address.SCORING]))
+    assert {"evaluation", "runs"} <= rooms(address.imported_by([address.SCORING]))
 
 
 def test_modules_that_are_found_by_their_place_are_seen():
     found = address.imported_by(GS)
-    for folder in ("reconstruction/parts", "reconstruction/strategies", "geometry/responses"):
+    for folder in ("learning/parts", "learning/strategies", "geometry/responses"):
         files = {path for path in found.values() if path.parent.match(folder)}
         assert files == {*next(iter(files)).parent.glob("*.py")}, folder
 

@@ -17,7 +17,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.reconstruction import model
+from sarsplat.learning import model
 from sarsplat.renderer import render
 from sarsplat.tiles import at_once, render_tiled, tiles_kept_in
 from sarsplat.tiles import render as module

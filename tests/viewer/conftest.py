@@ -9,7 +9,7 @@ import pytest
 
 from datasets import FEW_POINTS, box_dataset
 from sarsplat import Dataset, ImageGrid, Run, preset, reconstruct
-from sarsplat.reconstruction import Config
+from sarsplat.settings import Config
 
 GRID = ImageGrid(40, 32, (0.3, 0.24), (0.45, 0.4))
 

@@ -10,7 +10,7 @@ import torch
 
 from sarsplat import View
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction import reconstruct
+from sarsplat.runs import reconstruct
 
 pytest.importorskip("viser")
 
@@ -35,7 +35,7 @@ def test_a_watched_training_learns_the_same_bits(dataset, config, finished, monk
 
 
 def test_the_page_shows_the_newest_state(dataset, config):
-    from sarsplat.reconstruction import Trainer
+    from sarsplat.learning import Trainer
     from sarsplat.viewer import Viewer
     from sarsplat.viewer.subject import dataset_subject
 

@@ -10,7 +10,8 @@ from datasets import FEW_POINTS
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.radar import Pixel
-from sarsplat.reconstruction import preset, reconstruct
+from sarsplat.runs import reconstruct
+from sarsplat.settings import preset
 from sarsplat.viewer import subject_at
 from sarsplat.viewer.subject import TRUTH, dataset_subject
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.reconstruction.config import AnyConfig, Count, Seed
+from sarsplat.settings.config import AnyConfig, Count, Seed
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from sarsplat.baselines.trainer import BaselineTrainer, saved_scene, scene_of
 from sarsplat.data import Dataset, read_masks, write_mesh
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View, radar_frame
-from sarsplat.reconstruction.method import Inputs, Method, Reconstruction
-from sarsplat.reconstruction.run_folder import MESH
-from sarsplat.reconstruction.snapshot import Snapshot
+from sarsplat.learning.method import Inputs, Method, Reconstruction
+from sarsplat.learning.snapshot import Snapshot
+from sarsplat.runs.run_folder import MESH
 from sarsplat.scenes import load_mesh
 from sarsplat.scenes._rays import Facets, first_hits
 

@@ -13,9 +13,9 @@ from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
-from sarsplat.reconstruction.snapshot import Snapshot
-from sarsplat.reconstruction.target_region import target_region
-from sarsplat.reconstruction.training_images import ViewQueue
+from sarsplat.learning.snapshot import Snapshot
+from sarsplat.learning.training_images import ViewQueue
+from sarsplat.regions.target_region import target_region
 
 
 class BaselineTrainer:

@@ -16,7 +16,7 @@ from sarsplat.errors import SarsplatError
 if TYPE_CHECKING:
     from sarsplat.data.header import Box
     from sarsplat.geometry import Terrain, View
-    from sarsplat.reconstruction import Run
+    from sarsplat.runs import Run
 
 MARKERS = (tyro.conf.FlagCreatePairsOff,)
 """How tyro makes options of parameters everywhere."""
@@ -175,7 +175,7 @@ def is_ply(path: Path) -> bool:
 def run_at(path: Path) -> Run:
     """The run in a folder, or a run in memory of the Gaussians in a PLY file."""
     from sarsplat.data import read_gaussians_ply
-    from sarsplat.reconstruction import Run
+    from sarsplat.runs import Run
 
     if not is_ply(path):
         return Run.load(path)

@@ -44,7 +44,7 @@ def check(
     """
     from sarsplat.data import read_dataset, write_bytes
     from sarsplat.data.plausible import left_open, suspicious_angles
-    from sarsplat.reconstruction.contradictions import examine
+    from sarsplat.examination.contradictions import examine
 
     if out is not None:
         if out.suffix.lower() != ".png":
@@ -79,7 +79,7 @@ def _show(orientations: list[tuple[str, ...]]) -> None:
     """The table of the eight, and how to read it."""
     from rich.table import Table
 
-    from sarsplat.reconstruction.contradictions import TWINS
+    from sarsplat.examination.contradictions import TWINS
 
     head, *rows = orientations
     table = Table(*head, box=None, pad_edge=False, padding=(0, 2, 0, 2), header_style="bold")

@@ -14,7 +14,7 @@ from sarsplat.cli.arguments import Angles, Folder, OptionalCount, angles, refuse
 from sarsplat.cli.stopped import Stopped
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
-from sarsplat.reconstruction.config import SCATTERERS
+from sarsplat.settings.config import SCATTERERS
 
 if TYPE_CHECKING:
     from sarsplat.samples import Chips

@@ -35,8 +35,8 @@ def compare(
         Replace an existing comparison.
     """
     from sarsplat import report
-    from sarsplat.reconstruction import Run
     from sarsplat.report.compare import PAGE
+    from sarsplat.runs import Run
 
     if out is not None:
         refuse_existing(out, overwrite, marker=PAGE)

@@ -12,7 +12,7 @@ from sarsplat.cli.arguments import OptionalFile, OptionalFolder, RunOrFile, is_p
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
-    from sarsplat.reconstruction import Run
+    from sarsplat.runs import Run
 
 
 def evaluate(
@@ -61,9 +61,9 @@ def evaluate(
         paper_beside,
     )
     from sarsplat.progress import tally
-    from sarsplat.reconstruction import Run
     from sarsplat.report import write_report
     from sarsplat.report.write import refuse_linked_report
+    from sarsplat.runs import Run
 
     if is_ply(run):
         done = _of_gaussians(run, dataset, mesh)
@@ -106,7 +106,7 @@ def _beside(own: dict[str, float | None], capon: dict[str, float | None]) -> str
 def _of_gaussians(file: Path, dataset: Path | None, mesh: Path | None) -> Run:
     """The Gaussians of a file as a run of the dataset, or else of their own images from all sides."""
     from sarsplat.data import Dataset, SarImage, read_dataset, read_gaussians_ply
-    from sarsplat.reconstruction import Run
+    from sarsplat.runs import Run
 
     gaussians = read_gaussians_ply(file)
     if dataset is not None:

@@ -17,7 +17,7 @@ from sarsplat.errors import counted
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
-    from sarsplat.reconstruction.examination import Examination
+    from sarsplat.examination.outcome import Examination
 
 CONTRADICTED = 1
 """Exit code of commands whose images contradict what is said of them."""
@@ -29,7 +29,7 @@ def carry_out(
     """Call an importer, unless the output is in the way, and finish; `doing` is what is said meanwhile."""
     from sarsplat.data import write_json
     from sarsplat.data.dataset_folder import HEADER
-    from sarsplat.reconstruction.contradictions import examine
+    from sarsplat.examination.contradictions import examine
 
     refuse_existing(out, overwrite, marker=HEADER)
     contradictions: list[str] = []
@@ -63,7 +63,7 @@ def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
     """
     from sarsplat.data.plausible import warn
     from sarsplat.importers import summary
-    from sarsplat.reconstruction.target_region import box_misses
+    from sarsplat.regions.target_region import box_misses
 
     for assumption in dataset.source.get("assumptions", ()):
         console.say(f"assumed: {assumption}")

@@ -103,7 +103,7 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _run(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.reconstruction.run_folder import read_header, read_metrics
+    from sarsplat.runs.run_folder import read_header, read_metrics
 
     header = read_header(path)
     where = None if header.dataset is None else Path(header.dataset)
@@ -122,11 +122,11 @@ def _run(path: Path) -> tuple[str, dict[str, str]]:
 def _learned(path: Path) -> tuple[dict[str, str], np.ndarray]:
     """`Run.about` and `Run.points`: as a finished run has them in files, which takes no torch."""
     from sarsplat.data import read_json, read_points_ply
-    from sarsplat.reconstruction.run_folder import ABOUT, POINTS
+    from sarsplat.runs.run_folder import ABOUT, POINTS
 
     if (path / ABOUT).is_file() and (path / POINTS).is_file():
         return read_json(path / ABOUT, dict[str, str]), read_points_ply(path / POINTS)[0]
-    from sarsplat.reconstruction import Run
+    from sarsplat.runs import Run
 
     run = Run.load(path)
     return run.about, run.points

@@ -69,7 +69,7 @@ def _dataset(folder: Path) -> tuple[str, str, str]:
 
 
 def _run(folder: Path) -> tuple[str, str, str]:
-    from sarsplat.reconstruction import Run
+    from sarsplat.runs import Run
 
     run = Run.load(folder)
     learned_from = "images in memory" if run.dataset_path is None else run.dataset_path.name

@@ -27,14 +27,14 @@ from sarsplat.cli.arguments import (
 from sarsplat.cli.watch import following, watched
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.names import SCATTERINGS
-from sarsplat.reconstruction.config import DEFAULT_METHOD, AnyConfig, Config
-from sarsplat.reconstruction.methods import METHODS, method_named
-from sarsplat.reconstruction.presets import PRESETS
-from sarsplat.reconstruction.record import Record, record_in
+from sarsplat.runs.methods import METHODS, method_named
+from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
+from sarsplat.settings.presets import PRESETS
+from sarsplat.settings.record import Record, record_in
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
-    from sarsplat.reconstruction.method import Method
+    from sarsplat.learning.method import Method
 
     MethodName = str
     PresetName = str
@@ -151,8 +151,8 @@ def reconstruct(
     from sarsplat.data import read_dataset
     from sarsplat.data.determined import weakest_direction
     from sarsplat.processes import Processes
-    from sarsplat.reconstruction import reconstruct as train
-    from sarsplat.reconstruction.run_folder import HEADER, read_header
+    from sarsplat.runs import reconstruct as train
+    from sarsplat.runs.run_folder import HEADER, read_header
 
     begun = read_header(out).method if options.resume and options.method is None else DEFAULT_METHOD
     method = method_named(options.method or begun)
@@ -233,7 +233,7 @@ def _warn_of_contradictions(dataset: Path, images: Dataset) -> None:
 def _base(method: Method, options: Options, images: Dataset) -> Any:
     """What the flags of settings override: a file's, the run's or the preset's."""
     from sarsplat.data import read_json
-    from sarsplat.reconstruction import Run
+    from sarsplat.runs import Run
 
     file, out = options.config, options.out
     if file is not None:

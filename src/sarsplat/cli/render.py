@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sarsplat.geometry import ImageGrid, View
-    from sarsplat.reconstruction import Run
+    from sarsplat.runs import Run
 
 
 _AT_A_TIME = 4  # views, between two steps of the progress

@@ -16,8 +16,8 @@ def report(run: RunFolder) -> None:
     run
         Folder written by `sarsplat reconstruct`.
     """
-    from sarsplat.reconstruction import Run
     from sarsplat.report import write_report
+    from sarsplat.runs import Run
 
     done = Run.load(run)
     page = write_report(done)

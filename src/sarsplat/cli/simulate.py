@@ -301,7 +301,7 @@ def _finish(out: Path, dataset: Dataset, surface: trimesh.Trimesh, masks: np.nda
     """Write it, and say what is odd about it, what it is and what is next."""
     from sarsplat.data import write_dataset
     from sarsplat.data.plausible import suspicions, warn
-    from sarsplat.reconstruction.target_region import box_misses
+    from sarsplat.regions.target_region import box_misses
 
     dataset, grid = write_dataset(out, dataset, truth_mesh=surface, masks=masks, overwrite=overwrite), dataset.grid
     warn([*suspicions(dataset), *box_misses(dataset)])

@@ -19,7 +19,7 @@ from sarsplat.errors import SarsplatWarning
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
-    from sarsplat.reconstruction import Step
+    from sarsplat.runs import Step
 
 _LOG_FOLDER = "tensorboard"  # in the run's folder
 
@@ -38,7 +38,7 @@ def watched(
         hold_back = stack.enter_context(_interrupts())
         watchers: list[Callable[[Step[Any]], object]] = []
         if tensorboard:
-            from sarsplat.reconstruction.tensorboard import TensorBoard
+            from sarsplat.runs.tensorboard import TensorBoard
 
             board = TensorBoard(out / _LOG_FOLDER, images)
             stack.callback(board.close)

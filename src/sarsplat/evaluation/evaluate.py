@@ -38,11 +38,11 @@ from sarsplat.evaluation.points import Cloud, PointMetrics, Yardstick, side_by_s
 from sarsplat.evaluation.surface import imaged_alone, of_stacks, read_truth_mesh, visible_surface
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
-from sarsplat.reconstruction import Run
+from sarsplat.runs import Run
 from sarsplat.scenes.surface_samples import surface_samples
 
 if TYPE_CHECKING:
-    from sarsplat.reconstruction.run_folder import Metrics
+    from sarsplat.runs.run_folder import Metrics
 
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000

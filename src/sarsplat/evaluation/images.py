@@ -16,8 +16,8 @@ from jaxtyping import Float, Float64, Real
 from scipy.ndimage import correlate
 
 from sarsplat.errors import SarsplatError
+from sarsplat.learning.losses import SSIM_WINDOW, structural_similarity
 from sarsplat.radiometry import brighter, to_db
-from sarsplat.reconstruction.losses import SSIM_WINDOW, structural_similarity
 
 Stack = Real[np.ndarray, "v rows columns"]
 """Images of V views; equal sizes within one call."""

@@ -11,7 +11,7 @@ from scipy.ndimage import shift
 from sarsplat.data import Dataset, Masks
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.registered import register
-from sarsplat.reconstruction import Run
+from sarsplat.runs import Run
 
 
 @dataclass(frozen=True)

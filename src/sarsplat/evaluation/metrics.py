@@ -20,7 +20,7 @@ from sarsplat.evaluation.metric import Metric, Requirement
 from sarsplat.evaluation.points import PointMetrics, Yardstick
 from sarsplat.evaluation.registered import REACH, register, registered_log_correlation
 from sarsplat.geometry import SHADOW, TARGET
-from sarsplat.reconstruction import Run
+from sarsplat.runs import Run
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import order_in_space
 from sarsplat.geometry import View, radar_frame
 from sarsplat.geometry.shown import ground_radius_m
-from sarsplat.reconstruction.points import imaged
 from sarsplat.scenes.mesh_files import read_mesh
 from sarsplat.scenes.surface_samples import surface_samples
+from sarsplat.surface.points import imaged
 
 if TYPE_CHECKING:
     import trimesh

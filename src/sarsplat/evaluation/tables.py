@@ -12,7 +12,7 @@ from rich.table import Table
 from sarsplat.evaluation.metric import Metric
 from sarsplat.evaluation.metrics import all_metrics
 from sarsplat.evaluation.points import Yardstick
-from sarsplat.reconstruction.config import DEFAULT_METHOD
+from sarsplat.settings.config import DEFAULT_METHOD
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from sarsplat.exports.contents import Points, content_of
 from sarsplat.exports.format import Content, Format
 from sarsplat.names import Colour
 from sarsplat.plugins import discover
-from sarsplat.reconstruction import Run
+from sarsplat.runs import Run
 
 __all__ = ["FORMATS", "Content", "Format", "Points", "Written", "export", "format_of"]
 

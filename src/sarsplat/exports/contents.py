@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.format import Content
-from sarsplat.reconstruction import Run
+from sarsplat.runs import Run
 
 
 @dataclass(frozen=True)

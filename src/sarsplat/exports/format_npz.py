@@ -12,7 +12,7 @@ import numpy as np
 from sarsplat.data import write_bytes
 from sarsplat.exports.format import Format
 from sarsplat.names import Colour
-from sarsplat.reconstruction import Run
+from sarsplat.runs import Run
 
 _DESCRIPTION = "description"
 _MEANING = {

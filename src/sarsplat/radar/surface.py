@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.reconstruction import Run
-from sarsplat.reconstruction.masks import without_imitated_ground
+from sarsplat.runs import Run
 from sarsplat.scenes.splat_truth import surface_gaussians
+from sarsplat.surface.masks import without_imitated_ground
 
 if TYPE_CHECKING:
     import trimesh

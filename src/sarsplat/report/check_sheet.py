@@ -14,7 +14,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radiometry import bright_level
-from sarsplat.reconstruction.outlines import levels_db, outline
+from sarsplat.regions.outlines import levels_db, outline
 from sarsplat.report.canvas import decibel_bar, draw_image, new_sheet, to_png
 from sarsplat.report.look import Look
 from sarsplat.report.marks import arrow

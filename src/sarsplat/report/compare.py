@@ -12,13 +12,13 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder, write_bytes
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Yardstick
-from sarsplat.reconstruction import Run
 from sarsplat.report.boards import point_boards
 from sarsplat.report.figure import Block, ColourBar, Figure
 from sarsplat.report.page import in_words, rendered
 from sarsplat.report.scores import ScoreTable, compared_tables
 from sarsplat.report.views import Chosen, ranked_images, views_figure, with_others
 from sarsplat.report.write import sampled, scores_expected
+from sarsplat.runs import Run
 
 PAGE = "comparison.html"
 

@@ -10,10 +10,10 @@ from jaxtyping import UInt8
 
 from sarsplat.data import read_masks
 from sarsplat.evaluation import UndefinedScore, predicted_masks
-from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Block, Figure, polyline
 from sarsplat.report.images import Part, power_bar, view_name
 from sarsplat.report.views import evenly
+from sarsplat.runs import Run
 
 _VIEWS = 8
 _LARGEST = 256

@@ -13,10 +13,10 @@ from sarsplat.data import Dataset
 from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
 from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
-from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Figure
 from sarsplat.report.scores import Row, ScoreTable, score_tables
 from sarsplat.report.widget import Widget
+from sarsplat.runs import Run
 from sarsplat.version import program_version
 
 if TYPE_CHECKING:

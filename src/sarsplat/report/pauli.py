@@ -6,13 +6,13 @@ import numpy as np
 from jaxtyping import Complex, Float64
 
 from sarsplat.data.evenly import evenly_chosen
-from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Block, Figure
 from sarsplat.report.images import Part, view_name
 from sarsplat.report.interferogram import averaged
 from sarsplat.report.phases import window_of
 from sarsplat.report.raster import data_uri, indexed, png
 from sarsplat.report.window import target_window
+from sarsplat.runs import Run
 
 PAULI = frozenset(("HH", "VV"))
 """Polarisations without which there is no such picture."""

@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from sarsplat.colours import COHERENCE, PHASE, gradient, ramp
-from sarsplat.reconstruction import Run
-from sarsplat.reconstruction.config import Passes
 from sarsplat.report.figure import Block, ColourBar, Figure, Panel, colour_bar
 from sarsplat.report.images import Part, power_bar, view_name
 from sarsplat.report.interferogram import Interferogram, Pair, averaged, spread_m
 from sarsplat.report.layover import Slice
 from sarsplat.report.raster import data_uri, indexed, png
 from sarsplat.report.window import target_window
+from sarsplat.runs import Run
+from sarsplat.settings.config import Passes
 
 _LARGEST = 256
 _TURNS = ((0.0, "−π"), (0.25, "−π/2"), (0.5, "0"), (0.75, "π/2"), (1.0, "π"))

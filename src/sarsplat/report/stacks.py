@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Figure
 from sarsplat.report.layover import brightest_layover
 from sarsplat.report.pauli import PAULI, pauli_figure
 from sarsplat.report.phases import phases_figure, window_of
 from sarsplat.report.tomography import slice_figure
+from sarsplat.runs import Run
 
 
 def stack_figures(run: Run, truth: Path | None) -> list[Figure]:

@@ -13,10 +13,10 @@ from sarsplat.errors import counted
 from sarsplat.evaluation import read_truth_mesh
 from sarsplat.evaluation.capon import capon_points
 from sarsplat.evaluation.surface import of_stacks
-from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Block, Figure, Panel, axis, chart, polyline, written
 from sarsplat.report.images import view_name
 from sarsplat.report.layover import Points, Slice
+from sarsplat.runs import Run
 
 Lines = Float[np.ndarray, "lines 2 3"]
 Frame = tuple[tuple[float, float], tuple[float, float]]

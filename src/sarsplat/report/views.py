@@ -12,11 +12,11 @@ from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.evaluation import IMAGE_METRICS, Metric
 from sarsplat.evaluation.metrics import ImagePair
-from sarsplat.reconstruction import Run
 from sarsplat.report.figure import Block, Figure, Panel
 from sarsplat.report.images import Part, difference_bar, power_bar, view_name
 from sarsplat.report.residual import Difference, Stack, fitted
 from sarsplat.report.window import target_window
+from sarsplat.runs import Run
 
 _VIEWS = 8
 _LARGEST = 256

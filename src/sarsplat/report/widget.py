@@ -21,13 +21,13 @@ from sarsplat.data.coverage import largest_gap
 from sarsplat.geometry import View
 from sarsplat.progress import stage
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
-from sarsplat.reconstruction import Run
 from sarsplat.report.figure import ColourBar, Panel, colour_bar
 from sarsplat.report.images import Part, difference_bar, power_bar
 from sarsplat.report.raster import data_uri, indexed, png
 from sarsplat.report.residual import Difference, fitted
 from sarsplat.report.views import evenly
 from sarsplat.report.window import target_window
+from sarsplat.runs import Run
 
 _BYTES = 900_000
 """Of the PNGs of the raster, and again of those of the true images with their errors."""

@@ -16,7 +16,6 @@ from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Yardstick, read_truth_mesh
 from sarsplat.progress import progress
-from sarsplat.reconstruction import Run
 from sarsplat.report.boards import mesh_boards, point_boards
 from sarsplat.report.curves import azimuths_figure, curves_figure
 from sarsplat.report.figure import Figure
@@ -25,6 +24,7 @@ from sarsplat.report.page import page
 from sarsplat.report.stacks import stack_figures, which_points
 from sarsplat.report.views import chosen_views, unseen_figure
 from sarsplat.report.widget import Widget, widget
+from sarsplat.runs import Run
 from sarsplat.scenes.surface_samples import surface_samples
 
 _FOLDER = "report"

@@ -12,7 +12,7 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.importers.quantity import likely_quantity, power_or_signal
-from sarsplat.reconstruction.sampler import LEARNED, UNIFORM
+from sarsplat.learning.sampler import LEARNED, UNIFORM
 
 _GROUND_CELLS = 3.0
 """Standard deviation of the window through which a picture of ground is seen, resolution cells: without its speckle."""

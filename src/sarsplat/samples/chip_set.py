@@ -19,13 +19,13 @@ from torch import Tensor
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.learning.method import DrawsSamples
+from sarsplat.learning.sampler import seed_of
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
-from sarsplat.reconstruction import Run
-from sarsplat.reconstruction.config import SCATTERERS
-from sarsplat.reconstruction.method import DrawsSamples
-from sarsplat.reconstruction.sampler import seed_of
+from sarsplat.runs import Run
 from sarsplat.samples.backdrop import backdrop_of
 from sarsplat.samples.encoding import Encoding
+from sarsplat.settings.config import SCATTERERS
 
 _AROUND = 360
 """Chips of a run unless a number is given."""

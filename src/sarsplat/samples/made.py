@@ -11,8 +11,8 @@ import msgspec
 
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.learning.sampler import LEARNED, UNIFORM
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
-from sarsplat.reconstruction.sampler import LEARNED, UNIFORM
 from sarsplat.samples.chip_set import Chips
 from sarsplat.version import program_version
 

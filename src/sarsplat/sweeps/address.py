@@ -11,13 +11,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sarsplat.reconstruction.methods import module_of
 from sarsplat.renderer.cpu import LIBRARY
+from sarsplat.runs.methods import module_of
 
-TRAINING, SCORING = "sarsplat.reconstruction.training", "sarsplat.evaluation.evaluate"
+TRAINING, SCORING = "sarsplat.runs.reconstruction", "sarsplat.evaluation.evaluate"
 """Modules that training and scoring begin with; what a method adds is in its own module."""
 
-_SETTLED = "sarsplat.reconstruction.presets"
+_SETTLED = "sarsplat.settings.presets"
 """Not a part of what a training runs: what it says is in the settings."""
 
 _SAYING = ("warn", "note", "stage", "progress")

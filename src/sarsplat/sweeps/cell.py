@@ -12,7 +12,7 @@ import numpy as np
 
 from sarsplat.data import Dataset, read_dataset, read_masks
 from sarsplat.errors import SarsplatError
-from sarsplat.reconstruction.methods import method_named
+from sarsplat.runs.methods import method_named
 from sarsplat.sweeps.address import code_of, digest, scoring_code
 from sarsplat.sweeps.plan import Plan
 

@@ -11,8 +11,8 @@ from typing import Any, Literal, Self
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.reconstruction.config import DEFAULT_METHOD, Seed
-from sarsplat.reconstruction.record import Record
+from sarsplat.settings.config import DEFAULT_METHOD, Seed
+from sarsplat.settings.record import Record
 
 _MARK = "dataset.json"
 _OWN = {"seed": "seeds", "preset": "preset"}

@@ -12,7 +12,7 @@ from types import TracebackType
 from sarsplat.data.folders import temporary_folder
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter
-from sarsplat.reconstruction.log import LogLine, read_log
+from sarsplat.runs.log import LogLine, read_log
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.work import RUNS
 

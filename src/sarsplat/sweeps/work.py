@@ -17,9 +17,9 @@ from sarsplat.data import read_dataset, read_json, write_json
 from sarsplat.data.files import locked
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation import evaluate_run
-from sarsplat.reconstruction import Run, reconstruct
-from sarsplat.reconstruction.methods import method_named
-from sarsplat.reconstruction.run_folder import HEADER
+from sarsplat.runs import Run, reconstruct
+from sarsplat.runs.methods import method_named
+from sarsplat.runs.run_folder import HEADER
 from sarsplat.sweeps.cell import Cell
 
 ROWS, RUNS = "rows", "runs"

@@ -8,7 +8,8 @@ from functools import cached_property
 from typing import Any
 
 from sarsplat.data import Dataset
-from sarsplat.reconstruction import Step, Trainer
+from sarsplat.learning import Trainer
+from sarsplat.runs import Step
 from sarsplat.viewer.scene import OfScene
 from sarsplat.viewer.subject import Cloud, dataset_subject
 from sarsplat.viewer.viewer import Viewer

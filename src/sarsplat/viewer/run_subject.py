@@ -14,10 +14,10 @@ from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import surface_distance
 from sarsplat.geometry import View
+from sarsplat.learning.model import SceneModel
 from sarsplat.radar import Surface, surface_of_run
-from sarsplat.reconstruction import Run
-from sarsplat.reconstruction.model import SceneModel
 from sarsplat.report.interferogram import Interferogram, Pair, spread_m
+from sarsplat.runs import Run
 from sarsplat.viewer.scene import OfScene
 from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most, dataset_subject
 

@@ -12,9 +12,9 @@ from scipy.spatial import cKDTree
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.learning.model import SceneModel
 from sarsplat.radar import Pixel
-from sarsplat.reconstruction.model import SceneModel
-from sarsplat.reconstruction.own_gaussians import own_scene
+from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.viewer.subject import Cloud, Contributors, Subject
 
 _FAINT = 0.05

@@ -15,7 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mesh
 from sarsplat.radar.iso_range import contributions
-from sarsplat.reconstruction.target_region import target_region
+from sarsplat.regions.target_region import target_region
 from sarsplat.report.interferogram import Interferogram, Pair
 from sarsplat.scenes.mesh_files import read_mesh
 

@@ -1,0 +1,2 @@
+# ruff: isort: skip_file
+from .contradictions import examine as examine

@@ -1,0 +1,236 @@
+"""Whether the images of a dataset contradict what it says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data import Dataset
+from sarsplat.data.image import power_of
+from sarsplat.data.orientation import SIDES, Layout, oriented
+from sarsplat.data.plausible import suspicious_angles, suspicious_images
+from sarsplat.errors import counted
+from sarsplat.examination.orientation import Orientation, orientation, turned_grid
+from sarsplat.examination.outcome import Examination
+from sarsplat.examination.running_numbers import Counting, counting
+from sarsplat.examination.units import examine_units
+from sarsplat.geometry import View
+from sarsplat.names import Side
+from sarsplat.radiometry import bright_level
+
+_MOST_IMAGES = 120
+"""Evenly chosen of more: they say the same."""
+
+_EMPTY = 1e-6
+"""Power at the edges of images that show nothing there, relative to the bright ones: far below any ground."""
+
+_FALL: dict[Side, str] = {"top": "downwards", "right": "to the left", "bottom": "upwards", "left": "to the right"}
+"""Side that is near → where shadows fall."""
+
+TWINS = (
+    "Images with --mirrored and azimuths in the other sense would match as well, as those of a mirrored target: "
+    "which way the table counts azimuths decides."
+)
+"""What the table of orientations does not show."""
+
+_TABLE = ("import with", "shadow beyond", "bright edge", "layover", "neighbours match", "")
+
+
+@checks_arguments
+def examine(dataset: Dataset) -> Examination:
+    """Hold the images of a dataset against what it says of them.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        At most 120 images, evenly chosen, are looked at, of stacks their first channel; for images that are the same
+        or constant, all.
+
+    Returns
+    -------
+    Examination
+        Contradictions: angles that look like radians; images that are constant or the same; near range that is not row
+        0; azimuths that only count the images; azimuths in the opposite sense, or mirrored images; grazing angles that
+        are incidence angles; ground in images that are said to show none; values that are not power; speckle of another
+        number of looks; a resolution that the images do not have. The zero of the azimuth cannot be determined from
+        images.
+    """
+    examined = Examination()
+    angles = suspicious_angles(dataset.select("train").views)
+    wrong = suspicious_images(dataset)
+    examined.contradictions.extend([*angles, *wrong])
+    examined.checks["images"] = "see below" if wrong else _all_differ(len(dataset))
+    count = min(len(dataset), _MOST_IMAGES)
+    places = [k * len(dataset) // count for k in range(count)]
+    chosen = _of_one_channel(dataset.take(places))
+    if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
+        counts = counting(dataset.views)
+        spread = None if counts is None else [counts.spread[k] for k in places]
+        examine_units(_upright(chosen, examined, counts, spread), examined)
+    return examined
+
+
+def _of_one_channel(dataset: Dataset) -> Dataset:
+    """Of stacks the first channel alone, since the mean over channels has more looks; others as they are."""
+    if dataset.signal is None or not dataset.passes:
+        return dataset
+    entries = tuple(replace(entry, stack=None) for entry in dataset.entries)
+    return replace(dataset, entries=entries, power=power_of(dataset.signal[:, 0]), signal=None)
+
+
+def _all_differ(images: int) -> str:
+    return "the only one is not constant" if images == 1 else f"all {images} differ, none is constant"
+
+
+def _upright(
+    dataset: Dataset, examined: Examination, counts: Counting | None, spread: Sequence[View] | None
+) -> Dataset:
+    """The images with near range on top, and with ground if they show it; what contradicts that is noted."""
+    ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
+    centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
+    look = partial(orientation, dataset.power, dataset.views, dataset.grid, centred=centred, spread=spread)
+    seen = look(ground=ground)
+    if ground and not dataset.ground:
+        if seen.by_shadow:
+            examined.contradictions.append(
+                f"the images are said to show no ground, but there is shadow on it, {seen.shadow.lead:.1f} dB darker "
+                "than on the other sides of the target; import them without --no-ground (ground=True)"
+            )
+        else:  # a floor of noise, for all that is seen
+            ground = False
+            seen = look(ground=False)
+    layout = Layout.of(dataset.source)
+    if counts is not None and (seen.counted or (layout and counts.from_one and seen.opposite is not False)):
+        examined.contradictions.append(_counts(counts, seen))
+        examined.checks["azimuths"] = "see below"
+        return dataset  # of wrong azimuths nothing else follows
+    near = seen.near or "top"
+    examined.checks["near range"] = _near_range(seen)
+    examined.checks["azimuths"] = _azimuths(seen)
+    examined.checks["grazing angles"] = _grazing(seen)
+    if near != "top" or seen.opposite:
+        examined.contradictions.append(_orientation(seen, near, layout))
+    if seen.incidence:
+        examined.contradictions.append(_incidence(dataset, seen))
+    examined.orientations.extend(_table(seen, layout or Layout()))
+    return replace(
+        dataset,
+        power=oriented(dataset.power, near),
+        signal=None,
+        grid=turned_grid(dataset.grid, near),
+        ground=ground,
+    )
+
+
+def _counts(counts: Counting, seen: Orientation) -> str:
+    neither = "images of neighbouring azimuths match no better as given than in the other sense"
+    spread = f"images match better if these are spread all round (correlation higher by {seen.spread.mean:.2f})"
+    return (
+        f"the azimuths seem to be numbers of images, for they count from {counts.first_deg:g} to {counts.last_deg:g}, "
+        f"and {spread if seen.counted else neither}; give the angles, by the table's column of them "
+        "(--columns azimuth=NAME)"
+    )
+
+
+def _edges(power: np.ndarray) -> np.ndarray:
+    """The outermost pixels of all images."""
+    return np.concatenate([power[:, [0, -1]].ravel(), power[:, :, [0, -1]].ravel()])
+
+
+def _orientation(seen: Orientation, near: Side, layout: Layout | None) -> str:
+    """What is wrong, and how it is mended: a half turn rather than a mirror."""
+    opposite = seen.opposite is True
+    wrong = []
+    if near != "top" and seen.by_shadow:
+        darker = f"{seen.shadow.lead:.1f} dB darker there than on the other sides of the target"
+        wrong.append(f"shadows fall {_FALL[near]} ({darker}), so near range is at the {near} of the dataset's images")
+    elif near != "top":
+        wrong.append(f"what is high leans to the {near} of the dataset's images, so near range is there")
+    if opposite:
+        higher = f"correlation higher by {-seen.sense.mean:.2f}"
+        wrong.append(f"images of neighbouring azimuths match better if azimuths run the other way ({higher})")
+    unsure = "" if seen.near else " (which side is near cannot be determined)"
+    return f"{', and '.join(wrong)}; {_mend(near, opposite, layout)}{unsure}"
+
+
+def _mend(near: Side, opposite: bool, layout: Layout | None) -> str:
+    if layout is None:
+        remedies = [f"turn the images (np.rot90(power, {SIDES.index(near)}, axes=(1, 2)))"] * (near != "top")
+        if opposite:
+            remedies.append("negate the azimuths, or flip the columns (power[:, :, ::-1]) if azimuths do run clockwise")
+        return ", and ".join(remedies)
+    mended = layout.corrected(near, opposite)
+    if not opposite and not layout.mirrored:
+        return f"import with {mended}"
+    sense = "counter-clockwise" if mended.twin.counter_clockwise else "clockwise"
+    twin = f"{mended.twin} if the table's azimuths do run {sense}"
+    return f"import with {mended}, or with {twin}: images do not tell which"
+
+
+def _incidence(dataset: Dataset, seen: Orientation) -> str:
+    grazings = [entry.view.grazing_deg for entry in dataset.entries]
+    columns = dataset.source.get("columns")
+    remedy = "give 90° less them"
+    if isinstance(columns, dict) and columns.keys() & {"grazing", "incidence"}:
+        wrong, right = ("grazing", "incidence") if "grazing" in columns else ("incidence", "grazing")
+        remedy = f"import with --columns {right}={columns[wrong]}"
+    elif np.ptp(grazings) == 0:
+        remedy += f" (--grazing {90 - grazings[0]:g})"
+    return (
+        f"images match better if grazing angles ({min(grazings):.4g}° to {max(grazings):.4g}°) are incidence angles "
+        f"(correlation higher by {-seen.grazing.mean:.2f}); {remedy}"
+    )
+
+
+def _near_range(seen: Orientation) -> str:
+    if seen.near is None:
+        return "cannot be determined: neither shadows nor layover and bright edges tell, or there are too few images"
+    if seen.by_shadow:
+        images = counted(seen.shadow.count, "image")
+        darker = f"{seen.shadow.lead:.1f} dB darker beyond the target than on its other sides"
+        return f"at the {seen.near}: {darker}, in {images}"
+    return f"at the {seen.near}, to which what is high leans"
+
+
+def _azimuths(seen: Orientation) -> str:
+    if seen.opposite is None:
+        return "cannot be determined: images 2° to 60° apart match as well in both senses, or are too few"
+    sense = "in the opposite sense" if seen.opposite else "as given"
+    return (
+        f"{counted(seen.sense.count, 'pair')} of neighbouring views match better with azimuths {sense} (correlation "
+        f"{abs(seen.sense.mean):.2f} higher), which mirrored images with the other sense would, too"
+    )
+
+
+def _grazing(seen: Orientation) -> str:
+    if seen.near is None or (not seen.grazing.supports(0.0) and not seen.incidence):
+        return "cannot be determined: as grazing and as incidence angles they explain the images as well"
+    better = "if they are incidence angles" if seen.incidence else "as given than if they were incidence angles"
+    return (
+        f"{counted(seen.grazing.count, 'pair')} of neighbouring views match better {better} (correlation "
+        f"{abs(seen.grazing.mean):.2f} higher)"
+    )
+
+
+def _table(seen: Orientation, layout: Layout) -> list[tuple[str, ...]]:
+    """The eight orientations, with what speaks for each."""
+    rows: list[tuple[str, ...]] = [_TABLE]
+    for k, side in enumerate(SIDES):
+        for opposite in (False, True):
+            notes = ["as it is"] * (side == "top" and not opposite)
+            notes += ["best"] * (side == seen.near and opposite == seen.opposite)
+            rows.append(
+                (
+                    str(layout.corrected(side, opposite)),
+                    f"{seen.shadow.mean[k]:.2f} dB" if seen.shadow.count else "–",
+                    f"{seen.edge.mean[k]:+.2f}" if seen.edge.count else "–",
+                    f"{seen.layover.mean[k]:.3f}" if seen.layover.count else "–",
+                    f"{seen.correlation[side][opposite]:.3f}" if seen.correlation else "–",
+                    ", ".join(notes),
+                )
+            )
+    return rows

@@ -1,0 +1,187 @@
+"""Whether images are the way up that their metadata say: which side is near, and which way azimuths run.
+
+Eight orientations are told apart: each of the four sides may be near, and the images mirrored or not. Mirrored images
+with azimuths in the opposite sense are those of a mirrored target, and no image shows a target to be mirrored: so a
+wrong sense of the azimuths and a mirror are one finding.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Real
+
+from sarsplat.data.orientation import SIDES, oriented
+from sarsplat.examination.near_side import edge_sides, shadow_sides
+from sarsplat.examination.neighbouring_views import (
+    as_grazing_and_incidence,
+    match,
+    neighbours,
+    reach,
+    steeper_neighbours,
+)
+from sarsplat.examination.significance import CHANCE, Evidence, SideEvidence
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.names import Side
+from sarsplat.regions.outlines import levels_db, outline
+
+_LEAST_SHADOW_DB = 0.2
+_LEAST_EDGE = 0.05
+_LEAST_LAYOVER = 0.005
+_LEAST_SENSE = 0.01
+_LEAST_GRAZING = 0.01
+"""Differences of decibels, skewness and correlation below these are no evidence, however many images show them."""
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """What images say of their orientation.
+
+    Attributes
+    ----------
+    near : {"top", "right", "bottom", "left"} or None
+        The side that is near the radar; None if they do not tell.
+    shadow : SideEvidence
+        Decibels by which it is darker than the ground beyond what is bright; of no images if they show no ground.
+    edge : SideEvidence
+        Skewness of the target's amplitude away from each side.
+    layover : SideEvidence
+        Correlation of neighbouring images if what is bright is displaced to that side.
+    correlation : dict of str to (float, float)
+        Side that is near → mean correlation of neighbouring images, with azimuths as given and in the opposite sense.
+        Empty if there are no such images.
+    sense : Evidence
+        By how much that is higher with azimuths as given.
+    grazing : Evidence
+        By how much it is higher with grazing angles as given than with 90° less them.
+    spread : Evidence
+        By how much it is higher, in either sense, if azimuths that only count images are spread all round; of no
+        images if they do not.
+    """
+
+    near: Side | None
+    shadow: SideEvidence
+    edge: SideEvidence
+    layover: SideEvidence
+    correlation: dict[Side, tuple[float, float]]
+    sense: Evidence
+    grazing: Evidence
+    spread: Evidence
+
+    @property
+    def by_shadow(self) -> bool:
+        """Whether shadow alone tells which side is near."""
+        return self.shadow.side(_LEAST_SHADOW_DB) is not None
+
+    @property
+    def opposite(self) -> bool | None:
+        """Whether azimuths run the other way, or the images are mirrored; None if they do not tell."""
+        if self.sense.supports(_LEAST_SENSE):
+            return False
+        return True if self.sense.against(_LEAST_SENSE) else None
+
+    @property
+    def incidence(self) -> bool:
+        """Whether grazing angles seem to be incidence angles."""
+        return self.near is not None and self.grazing.against(_LEAST_GRAZING)
+
+    @property
+    def counted(self) -> bool:
+        """Whether azimuths only count images that were taken all round."""
+        return self.spread.supports(_LEAST_SENSE)
+
+
+def orientation(
+    power: Real[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    ground: bool,
+    centred: bool = False,
+    spread: Sequence[View] | None = None,
+) -> Orientation:
+    """What images say of their orientation.
+
+    Parameters
+    ----------
+    power : numpy.ndarray [V, rows, columns]
+        β⁰, linear power.
+    views, grid
+        Where they are said to be taken from, and where their pixels lie.
+    ground : bool
+        Whether they show ground around the target.
+    centred : bool
+        Whether the world's origin surely lies where the grid says, so that layover alone tells which side is near.
+    spread : sequence of View, optional
+        Where they may be taken from instead, if their azimuths only count them.
+    """
+    levels = levels_db(power, grid, ground)
+    shadow = shadow_sides(levels if ground else levels[:0])
+    edge = edge_sides(levels, [outline(level) for level in levels])
+    sideways = turned_grid(grid, "right")
+    frames = [(levels, grid), (levels_db(oriented(power, "right"), sideways, ground), sideways)]
+    bright = [np.maximum(shown, 0.0) for shown, _ in frames]
+    pairs = neighbours(views) if reach(grid) > 0 else []
+    senses = [[match(bright[k], views, frames[k][1], pairs, sense=sense) for sense in (1, -1)] for k in (0, 1)]
+    best = [[matches.best() for matches in both] for both in senses]  # by axis of range and sense
+    better = [int(np.argmax([values.sum() for values in both])) for both in best]
+    displaced = [senses[k][better[k]].displaced(away) for away in (-1, 1) for k in (0, 1)]  # in the order of SIDES
+    layover = SideEvidence(np.stack(displaced, axis=1))
+    near = _near(shadow, edge, layover, centred)
+    axis = SIDES.index(near) % 2 if near else int(best[1][better[1]].sum() > best[0][better[0]].sum())
+    more = [*pairs, *(steeper_neighbours(views) if pairs else [])]
+    given, swapped = as_grazing_and_incidence(bright[axis], views, frames[axis][1], more, (1, -1)[better[axis]])
+    return Orientation(
+        near,
+        shadow,
+        edge,
+        layover,
+        {side: (float(best[k % 2][0].mean()), float(best[k % 2][1].mean())) for k, side in enumerate(SIDES) if pairs},
+        Evidence(best[axis][0] - best[axis][1]),
+        Evidence(given - swapped),
+        Evidence(_by_spread(frames, bright, pairs, best, spread) if spread and pairs else np.empty(0)),
+    )
+
+
+def _by_spread(
+    frames: Sequence[tuple[np.ndarray, ImageGrid]],
+    bright: Sequence[np.ndarray],
+    pairs: Sequence[tuple[int, int]],
+    best: Sequence[Sequence[np.ndarray]],
+    spread: Sequence[View],
+) -> Float64[np.ndarray, " n"]:
+    """By how much more each image correlates with its neighbour among the spread views than with that as given.
+
+    Of each, the axis of range and the sense in which all images together match best.
+    """
+    theirs = neighbours(spread)
+    matched = [match(bright[k], spread, frames[k][1], theirs, sense=sense).best() for k in (0, 1) for sense in (1, -1)]
+    given = dict(zip((k for k, _ in pairs), _highest([*best[0], *best[1]]), strict=True))
+    other = dict(zip((k for k, _ in theirs), _highest(matched), strict=True))
+    return np.array([other[k] - given[k] for k in given.keys() & other.keys()])
+
+
+def _highest(correlations: Sequence[Float64[np.ndarray, " n"]]) -> Float64[np.ndarray, " n"]:
+    return correlations[int(np.argmax([values.sum() for values in correlations]))]
+
+
+def turned_grid(grid: ImageGrid, near: Side) -> ImageGrid:
+    """The grid of images whose side `near` is brought to the top; spacings stay those of azimuth and range."""
+    return grid if SIDES.index(near) % 2 == 0 else replace(grid, rows=grid.columns, columns=grid.rows)
+
+
+def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centred: bool) -> Side | None:
+    """Shadow decides; where it does not, layover and the bright edge together.
+
+    Layover alone might be targets that do not lie in the middle of their images.
+    """
+    certain = shadow.side(_LEAST_SHADOW_DB) or (layover.side(_LEAST_LAYOVER) if centred else None)
+    if certain is not None:
+        return certain
+    chance = math.sqrt(CHANCE)  # of each of the two
+    by_layover = layover.side(_LEAST_LAYOVER, chance)
+    agree = by_layover == edge.side(_LEAST_EDGE, chance) and (not shadow.count or shadow.strongest == by_layover)
+    return by_layover if agree else None

@@ -1,0 +1,48 @@
+"""Dropout: which Gaussians a step leaves out, the same on every device and computed there."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+from jaxtyping import Bool, Int64
+from torch import Tensor
+
+from sarsplat.settings.config import Config
+
+_STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03
+"""Odd numbers whose multiples have bits of all kinds."""
+
+_MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+"""Steele, Lea & Flood, Fast splittable pseudorandom number generators, 2014, as improved by Stafford (variant 13)."""
+
+_BITS = 24
+
+_MOST = 0.4
+"""Share that few views ask for at most."""
+
+
+def share_dropped(config: Config, views: int) -> float:
+    """Share of the Gaussians that a step leaves out where there are so many training views."""
+    return max(config.dropout, min(_MOST, (config.few_views / views) ** 2))
+
+
+def dropped(count: int, share: float, seed: int, step: int, device: torch.device) -> Bool[Tensor, " {count}"]:
+    """Which of `count` Gaussians are dropped, a share (0 to 1) of them at random; made on the device.
+
+    A hash of seed, step and row decides, not a generator's state, which would have to be copied to the device.
+    """
+    mixed = _rows(count, device) + _signed(seed * _SEED + step * _STEP)
+    for factor, shift in zip(_MIX, (30, 27), strict=True):
+        mixed.bitwise_xor_(mixed >> shift).mul_(_signed(factor))
+    return (mixed >> 32).bitwise_and_(2**_BITS - 1) < share * 2**_BITS
+
+
+@lru_cache(maxsize=4)
+def _rows(count: int, device: torch.device) -> Int64[Tensor, " {count}"]:
+    return torch.arange(count, device=device) * _signed(_STEP * _STEP)
+
+
+def _signed(number: int) -> int:
+    """The last 64 bits, as torch has them."""
+    return (number + 2**63) % 2**64 - 2**63

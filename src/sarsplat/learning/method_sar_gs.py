@@ -1,0 +1,271 @@
+"""Our own method, `sar-gs`: a target of Gaussians, and what is made of them."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
+
+from sarsplat.data import Dataset, write_gaussians_ply
+from sarsplat.data.header import Box
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.law_polarimetric import Polarimetric
+from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
+from sarsplat.learning.losses import LOSSES
+from sarsplat.learning.method import Inputs, Method, Reconstruction
+from sarsplat.learning.model import SceneModel
+from sarsplat.learning.parts.target import scales_m
+from sarsplat.learning.polarimetry import covariance_within
+from sarsplat.learning.sampler import Sampler
+from sarsplat.learning.snapshot import Snapshot
+from sarsplat.learning.stack_trainer import StackTrainer, refuse_with_passes
+from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS
+from sarsplat.learning.trainer import Trainer
+from sarsplat.names import Speckle
+from sarsplat.renderer import channel_of
+from sarsplat.renderer.covariances import stacks_of
+from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, Config, FlatGround
+from sarsplat.settings.presets import preset
+from sarsplat.surface.masks import scene_masks, without_imitated_ground
+from sarsplat.surface.mesh import surface_mesh
+from sarsplat.surface.normals import surface_normals
+from sarsplat.surface.points import extract_points
+from sarsplat.surface.visibility import Seen
+
+if TYPE_CHECKING:
+    import trimesh
+
+_NORMAL_RADIUS = 1.0  # of the neighbours from which a point's normal is computed, resolution cells
+_EVALUATION_RAYS_PER_PIXEL = 4.0
+
+
+class SarGs(Method):
+    """3D Gaussians with optical depth and scattering, learned through the differentiable renderer."""
+
+    name = DEFAULT_METHOD
+    title = "sarsplat"
+    settings = Config
+    takes = frozenset({"loss", "strategies", "processes"})
+    watchable = True
+
+    def preset(self, name: str, dataset: Dataset) -> Config:
+        """A preset; "auto" is for what the images show: speckle must be modelled, and ground wherever there is any."""
+        if name == "auto":
+            name = "default" if dataset.looks is None else "measured" if dataset.ground else "speckled"
+            name = "polarimetric" if dataset.polarimetric else "stack" if dataset.interferometric else name
+        config = preset(name)
+        if dataset.ground and config.passes is None and config.ground is None and name != "paper":  # which has none
+            return replace(config, ground=FlatGround())
+        return config
+
+    def trainer(
+        self,
+        dataset: Dataset,
+        config: Config,
+        inputs: Inputs,
+        device: torch.device,
+        begun: Callable[[], Reconstruction] | None,
+    ) -> Trainer:
+        """A training at its beginning; the settings get the name of a loss of one's own."""
+        if inputs.loss is not None:
+            name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
+            config = replace(config, loss=f"own {name}" if name in LOSSES else name)
+        if config.passes is not None:
+            refuse_with_passes(config, dataset, inputs.processes)
+        if config.scattering == Polarimetric.kind and not (config.passes and dataset.polarimetric):
+            raise SarsplatError(
+                f"scattering is {config.scattering}, which is learned from stacks of several polarisations with passes "
+                f"on, and {dataset} is learned from without them; choose harmonics"
+            )
+        trainer = Trainer if config.passes is None else StackTrainer
+        return trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
+
+    def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
+        return GaussianReconstruction(snapshot, config, device)
+
+    def loss_title(self, config: Config) -> tuple[str, str]:
+        loss = LOSSES.get(config.loss)
+        return (loss.title, loss.unit) if loss else (f"function {config.loss}", "loss")
+
+    def about(self, config: Config, grid: ImageGrid) -> tuple[str, str]:
+        """The preset, and lengths in metres."""
+        return config.preset, lengths(config, grid)
+
+
+METHOD = SarGs()
+
+
+class GaussianReconstruction(Reconstruction):
+    """A scene of Gaussians; its folder also gets `gaussians.ply`. Errors as in `Method.open`."""
+
+    model: SceneModel
+
+    def __init__(self, snapshot: Snapshot, config: Config, device: str) -> None:
+        self.snapshot, self.config, self.grid = snapshot, config, snapshot.grid
+        self.model = SceneModel.saved(snapshot, config, device)
+
+    @property
+    def gaussians(self) -> Gaussians:  # type: ignore[override]
+        return self.model.target(self._degree).detach()
+
+    @property
+    def _degree(self) -> int:
+        return self.model.degree(self.snapshot.iteration)
+
+    def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> trimesh.Trimesh:
+        """The surface through the points, with γ⁰ of its vertices (`surface_mesh`); open where no view looked."""
+        return surface_mesh(points, normals, self._seen, self.grid.cell_m)
+
+    def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views, linear power."""
+        grid = grid or self.grid
+        rays = self._rays(grid)
+        images, done = np.empty((len(views), grid.rows, grid.columns), np.float32), 0
+        for some in self.model.unseen(views, grid, self._degree, rays):
+            images[done : done + len(some)] = channel_of(some, self.model.power_channel).cpu().numpy()
+            done += len(some)
+        return images
+
+    def covariances(
+        self, views: Sequence[View], stack: Stack | Sequence[Stack], grid: ImageGrid | None = None
+    ) -> Complex64[np.ndarray, "v p p rows columns"]:
+        """With what was learned of noise; refused where ground or the like was learned, which only power shows."""
+        if self.config.passes is None and self.config.preset != OWN_LOOP:
+            return super().covariances(views, stack, grid)
+        grid, stacks = grid or self.grid, stacks_of(self.gaussians.scattering, views, stack)
+        rays = self._rays(grid)
+        with torch.no_grad():
+            found = [  # one at a time: those of many passes are large
+                self.model.covariances([view], [one], grid, self._degree, rays=rays)[0].whole().cpu().numpy()
+                for view, one in zip(views, stacks, strict=True)
+            ]
+        return self.snapshot.unit * np.concatenate(found)
+
+    def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
+        """Seen from the training views."""
+        grid = self.grid
+        return self.snapshot.unit * covariance_within(self.gaussians, self.snapshot.views, grid, self._rays(grid), box)
+
+    def _rays(self, grid: ImageGrid) -> RayGrid:
+        """At a quarter of its own pixel spacing on every grid; warns of grids that are finer than its own.
+
+        Rays measure how much each Gaussian is lit, which has nothing to do with the pixels. Gaussians that no training
+        of ours has made may be finer than the pixels that were chosen for them.
+        """
+        own = self.grid
+        if self.config.preset == OWN_LOOP:
+            own = min(own, grid, key=lambda each: min(each.spacing_m))
+        elif any(asked < 0.999 * had for asked, had in zip(grid.resolution_m, own.resolution_m, strict=True)):
+            warnings.warn(_finer(grid, own), SarsplatWarning, stacklevel=3)
+        return RayGrid.for_image(own, _EVALUATION_RAYS_PER_PIXEL)
+
+    def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> Sampler:
+        """Refused if it has learned nothing of speckle."""
+        if self.config.surroundings is None and self.config.loss != "speckle":
+            if self.config.passes is not None:
+                raise SarsplatError(
+                    f"this run was learned from covariances of stacks (preset {self.config.preset}), so it does not "
+                    "know how single images differ; reconstruct their power with --preset measured or speckled"
+                )
+            raise SarsplatError(
+                f"this run was learned without speckle (preset {self.config.preset}, loss {self.config.loss}), so it "
+                "does not know how single images differ; reconstruct speckled images with --preset measured or speckled"
+            )
+        return Sampler(self.model, self._degree, self.grid, ground, speckle, scatterers)
+
+    def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
+        """What the pixels of any views show, by what target and ground would return, each alone (`scene_masks`).
+
+        The target are the Gaussians near the points and, if ground was learned, at least one resolution cell above it
+        (`without_imitated_ground`). Without learned ground there is no shadow.
+        """
+        ground = self.model.ground()
+        target = without_imitated_ground(self.gaussians, points, self.grid.cell_m, ground)
+        rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
+        return scene_masks(target, ground, views, self.model.as_displaced(self.grid), rays)
+
+    @property
+    def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:
+        offsets = self.snapshot.tensors.get(AZIMUTH_OFFSETS)
+        return None if offsets is None else offsets.double().numpy()
+
+    def points(self) -> Float32[np.ndarray, "p 3"]:
+        """First returns of rays, or centres, as configured."""
+        points = extract_points(
+            self.gaussians, self.snapshot.views, self.grid, self.config.points, self.model.setting.terrain
+        )
+        return points.astype(np.float32)  # as the file has them
+
+    def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
+        """Normals of the planes through their neighbours."""
+        towards = self._seen.around(points)[1]
+        return surface_normals(points, towards, _NORMAL_RADIUS * self.grid.cell_m).astype(np.float32)
+
+    def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
+        """Mean γ⁰ over the views that see the Gaussians there, weighted by how much they see."""
+        return self._seen.around(points)[0].astype(np.float32)
+
+    @cached_property
+    def _seen(self) -> Seen:
+        return Seen.of(self.gaussians, self.snapshot.views, self.grid)
+
+    def write(self, folder: Path) -> None:
+        """Write `gaussians.ply`."""
+        write_gaussians_ply(folder / "gaussians.ply", self.gaussians)
+
+    @property
+    def learned(self) -> str:
+        return counted(len(self.gaussians), "Gaussian")
+
+    @property
+    def facts(self) -> dict[str, str]:
+        own = self.config.preset == OWN_LOOP
+        made = {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
+        return made | {"scattering": self.gaussians.scattering.in_words} | self._ground
+
+    @property
+    def _ground(self) -> dict[str, str]:
+        """γ⁰ of the learned ground, at the mean of its places and, in logarithms, of the training's grazing angles."""
+        ground = self.model.ground()
+        if ground is None:
+            return {}
+        gamma0 = float(ground.gamma0.detach().log().mean())
+        if ground.exponent is not None:
+            sines = np.sin(np.radians([view.grazing_deg for view in self.snapshot.views]))
+            gamma0 += float(ground.exponent.detach()) * float(np.log(sines).mean())
+        return {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
+
+
+def lengths(config: Config, grid: ImageGrid) -> str:
+    """One line: the lengths, in metres, that a reconstruction of images on this grid works with."""
+    cell_m = grid.cell_m
+    scales, rates = scales_m(config, cell_m), config.rates
+    wider = ", wider in large scenes" if config.coarsest > 1 else ""
+    rays = [
+        RayGrid.for_image(grid, count).spacing_m[0] for count in (config.rays_per_pixel, config.fine_rays_per_pixel)
+    ]
+    ray = f"{rays[0]:.2g} m" if config.fine_from == 1 else f"{rays[0]:.2g}, then {rays[1]:.2g} m"
+    return (
+        f"lengths from {cell_m:.3g} m resolution cells: start {scales[1]:.2g} m, sizes {scales[0]:.2g} … "
+        f"{scales[2]:.2g} m{wider}, steps {rates.means * cell_m:.2g} → {rates.means_end * cell_m:.2g} m, rays {ray}, "
+        f"voxels {config.points.voxel * cell_m:.2g} m"
+    )
+
+
+def _finer(asked: ImageGrid, own: ImageGrid) -> str:
+    def metres(pair: tuple[float, float]) -> str:
+        return " × ".join(f"{width:.3g}" for width in dict.fromkeys(pair)) + " m"
+
+    return (
+        f"a resolution of {metres(asked.resolution_m)} is finer than the {metres(own.resolution_m)} of the training "
+        "images, so the images show single Gaussians rather than the target; ask for no finer one"
+    )

@@ -1,0 +1,326 @@
+"""What is learned: a list of parts, and the tensors by which they make a scene and its images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.data.plausible import warn
+from sarsplat.gaussians import Gaussians, scattering_named
+from sarsplat.gaussians.ground import Ground
+from sarsplat.gaussians.initialise import Region
+from sarsplat.geometry import ImageGrid, RayGrid, Stack, Terrain, View
+from sarsplat.learning.image_windows import Windows
+from sarsplat.learning.levels import Levels
+from sarsplat.learning.parts import parts_of
+from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot
+from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.snapshot import Snapshot
+from sarsplat.learning.windowed_likelihood import ExpectedStacks
+from sarsplat.processes import Processes
+from sarsplat.regions.flattened import levelled
+from sarsplat.regions.target_region import cut_off
+from sarsplat.renderer import Bounds, Rendering, render
+from sarsplat.renderer.planes import lit_planes
+from sarsplat.settings.config import Config
+from sarsplat.tiles import at_once, render_tiled
+
+_AT_A_TIME = 8  # views, though more fit into memory
+_REGION = ("normals", "offsets", "low", "high")
+
+
+class SceneModel:
+    """Learned tensors and how they make a scene.
+
+    Parameters
+    ----------
+    config : Config
+        The reconstruction's configuration, which says what parts there are.
+    setting : Setting
+        What the dataset fixes.
+    parameters : dict of str to Tensor
+        Those that the parts declare; copied to leaves, some of which row operations replace.
+    device : torch.device or str
+        Where the parameters are copied to, and rendered.
+
+    Raises
+    ------
+    ValueError, KeyError
+        If the parameters are not those, or not finite.
+    """
+
+    def __init__(
+        self, config: Config, setting: Setting, parameters: Parameters, device: torch.device | str = "cpu"
+    ) -> None:
+        self.config = config
+        self.setting = setting
+        self.unit = setting.unit
+        self.device = torch.device(device)
+        self.parts = parts_of(config, setting, self.device)
+        self.levels = Levels.of(config, setting)
+        self.windows: Windows | None = None
+        self.learned = self._learned()
+        self.parameters: Parameters = {}
+        count = len(next(parameters[name] for name, learned in self.learned.items() if learned.per_gaussian))
+        for name, learned in self.learned.items():
+            tensor, shape = parameters[name].detach(), tuple(count if size is None else size for size in learned.shape)
+            if tensor.dtype != torch.float32 or tensor.shape != shape:
+                raise ValueError(f"{name} is {tensor.dtype} {list(tensor.shape)}, not float32 {list(shape)}")
+            own = tensor.to(device, copy=True, memory_format=torch.contiguous_format)
+            self.parameters[name] = own.requires_grad_()
+
+    @classmethod
+    def initial(
+        cls, config: Config, dataset: Dataset, generator: torch.Generator, device: torch.device | str = "cpu"
+    ) -> SceneModel:
+        """The state training starts from; warns if a part of the target lies outside of where it is looked for.
+
+        `generator` is one of the CPU: a seed starts the same on every device.
+        """
+        setting, train = Setting.of(config, dataset), levelled(dataset.select("train"))
+        parameters: Parameters = {}
+        if config.ground or config.surroundings or config.target_box or dataset.target_box_m:
+            warn(cut_off(setting.region, config.margin * setting.cell_m, dataset))
+        for part in parts_of(config, setting, torch.device("cpu")):
+            parameters |= part.initial(train, generator)
+        return cls(config, setting, parameters, device)
+
+    @classmethod
+    def saved(cls, snapshot: Snapshot, config: Config, device: torch.device | str = "cpu") -> SceneModel:
+        """The model that a snapshot holds (`tensors`).
+
+        Raises
+        ------
+        ValueError, KeyError, TypeError, IndexError, RuntimeError, SarsplatError
+            If the tensors are not those of a model with this configuration.
+        """
+        arrays = [snapshot.tensors[f"region/{name}"].numpy() for name in _REGION]
+        if arrays[0].shape != (len(arrays[1]), 3) or arrays[2].shape != (3,) or arrays[3].shape != (3,):
+            raise ValueError(f"a region of {[array.shape for array in arrays]}")
+        kept = snapshot.part("terrain")
+        terrain = Terrain(kept["heights_m"].numpy(), tuple(kept["pitch_m"].tolist())) if kept else None
+        setting = Setting(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid, terrain, snapshot.stacks)
+        learned, state = snapshot.part("model"), snapshot.part("part")
+        model = cls(config, setting, learned, device)
+        others = [learned[name] for name, how in model.learned.items() if not how.per_gaussian]
+        if not all(tensor.isfinite().all() for tensor in (*others, *state.values())):
+            raise ValueError("numbers that are not finite")
+        for part in model.parts:
+            prefix = f"{part.name}/"
+            part.load(
+                {name.removeprefix(prefix): t.to(model.device) for name, t in state.items() if name.startswith(prefix)}
+            )
+        model.scene(config.harmonics_degree)  # the Gaussians' values are checked where they are used
+        return model
+
+    def tensors(self) -> dict[str, Tensor]:
+        """The model as a snapshot keeps it."""
+        region = {f"region/{name}": torch.from_numpy(getattr(self.setting.region, name)) for name in _REGION}
+        learned = {f"model/{name}": tensor.detach() for name, tensor in self.parameters.items()}
+        state = {f"part/{part.name}/{name}": tensor for part in self.parts for name, tensor in part.state().items()}
+        terrain = self.setting.terrain
+        heights = (
+            {}
+            if terrain is None
+            else {
+                "terrain/heights_m": torch.from_numpy(terrain.heights_m),
+                "terrain/pitch_m": torch.tensor(terrain.pitch_m, dtype=torch.float64),
+            }
+        )
+        return learned | state | region | heights
+
+    def __len__(self) -> int:
+        """Number of the target's Gaussians."""
+        return next(len(self.parameters[name]) for name, learned in self.learned.items() if learned.per_gaussian)
+
+    @property
+    def power_channel(self) -> int:
+        """The channel of the images that is shown, scored and trained on."""
+        return scattering_named(self.config.scattering).power_channel
+
+    def look_at(self, cell_m: float) -> None:
+        """Set the resolution cell of the images that are fitted from now on, m: `learned` follows."""
+        for part in self.parts:
+            part.look_at(cell_m)
+        self.learned = self._learned()
+
+    def look_through(self, windows: Windows) -> None:
+        """Be learned from parts of the images, which say nothing new of what all images share: `learned` follows."""
+        self.windows, self.learned = windows, self._learned()
+
+    def _learned(self) -> dict[str, Learned]:
+        """How each parameter is learned, by name."""
+        learned = {name: how for part in self.parts for name, how in part.learned.items()}
+        if self.windows is None:
+            return learned
+        return {name: how if how.per_gaussian else replace(how, rates=(0.0,)) for name, how in learned.items()}
+
+    def copy(self, *, ground: bool = True) -> SceneModel:
+        """The same scene in tensors of its own, with or without what surrounds the target."""
+        copied = SceneModel(self.config, self.setting, self.parameters, self.device)
+        copied.parts = [copy(part) for part in self.parts if ground or not part.surrounds]
+        return copied
+
+    def degree(self, iteration: int) -> int:
+        """Degree of the harmonics in use at an iteration."""
+        config = self.config
+        degree = min(config.harmonics_degree, iteration // config.harmonics_every)
+        while degree and config.views_per_coefficient * (degree + 1) ** 2 >= len(self.setting.views):
+            degree -= 1
+        return degree
+
+    def target(self, degree: int) -> Gaussians:
+        """The target's Gaussians, differentiable with respect to the parameters."""
+        return self._made_by([part for part in self.parts if not part.surrounds], degree)
+
+    def scene(self, degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:
+        """The target and what surrounds it; without the target's Gaussians that are `dropped`."""
+        return self._made_by(self.parts, degree, dropped)
+
+    def ground(self) -> Ground | None:
+        """The plane or the terrain on which rays end, in the model's unit; None if there is none."""
+        return next((ground for part in self.parts if (ground := part.ground(self.parameters)) is not None), None)
+
+    def _made_by(self, parts: Sequence[Part], degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:
+        scene = None
+        for part in parts:
+            scene = part.scene(scene, self.parameters, degree, dropped)
+        assert scene is not None  # the target is in every model
+        return scene
+
+    def render(
+        self,
+        views: Sequence[View],
+        grid: ImageGrid,
+        degree: int,
+        *,
+        rays: RayGrid | None = None,
+        numbers: Int64[Tensor, " v"] | None = None,
+        plane_gradients: bool = False,
+        bounds: Bounds | None = None,
+        amplitudes: Float[Tensor, "v n c"] | None = None,
+        dropped: Bool[Tensor, " n"] | None = None,
+        estimated: bool = True,
+        processes: Processes | None = None,
+    ) -> tuple[Float[Tensor, "v c {grid.rows} {grid.columns}"], Rendering]:
+        """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
+
+        `numbers` are those of training images, whose own window, shift and gain then apply; without them, images are as
+        expected of unseen views (`Shot`). `bounds` and `amplitudes` are those of `render`; Gaussians that are
+        `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture;
+        `processes` share the views.
+        """
+        shot = self.shot(views, grid, numbers)
+        how: dict[str, Any] = {
+            "rays": rays,
+            "shift": shot.shift,
+            "ground": self.ground(),
+            "plane_gradients": plane_gradients,
+            "bounds": bounds,
+            "amplitudes": amplitudes,
+            "processes": processes,
+        }
+        scene = self.scene(degree, dropped)
+        if self.windows is None or numbers is None:
+            rendering = render(scene, views, shot.grid, **how)
+        else:
+            rendering = self.windows.render(scene, views, shot.grid, numbers.tolist(), **how)
+        return self.developed(rendering.images, shot, estimated), rendering
+
+    def covariances(
+        self,
+        views: Sequence[View],
+        stacks: Sequence[Stack],
+        grid: ImageGrid,
+        degree: int,
+        *,
+        rays: RayGrid | None = None,
+        numbers: Int64[Tensor, " v"] | None = None,
+        dropped: Bool[Tensor, " n"] | None = None,
+    ) -> tuple[ExpectedStacks, Rendering]:
+        """Covariances between channels, with noise, and the rendering of power behind them; otherwise as `render`.
+
+        They are in the model's unit.
+        """
+        shot = self.shot(views, grid, numbers)
+        scene = self.scene(degree, dropped)
+        planes, sections, lit = lit_planes(scene, views, shot.grid, stacks, rays=rays, shift=shot.shift)
+        power = planes.powers.detach()[:, list(planes.of_channels)].mean(1, keepdim=True)
+        rendering = Rendering(power, sections[..., None], lit)
+        noise = [noise for part in self.parts if (noise := part.noise(shot, self.parameters)) is not None]
+        phases = [phases for part in self.parts if (phases := part.phases(shot, self.parameters)) is not None]
+        return ExpectedStacks(planes, noise[0] if noise else None, phases[0] if phases else None), rendering
+
+    def unseen(
+        self, views: Sequence[View], grid: ImageGrid, degree: int, rays: RayGrid
+    ) -> Iterator[Float[Tensor, "k c {grid.rows} {grid.columns}"]]:
+        """Images of unseen views, some at a time and without gradients: one, by tiles, where they are too large."""
+        with torch.no_grad():
+            scene, ground = self.scene(degree), self.ground()
+            together = min(at_once(scene, views, grid, rays), _AT_A_TIME)
+            for first in range(0, len(views), max(together, 1)):
+                some = views[first : first + max(together, 1)]
+                if together:
+                    yield self.render(some, grid, degree, rays=rays)[0]
+                    continue
+                shot = self.shot(some, grid)
+                shift = None if shot.shift is None else shot.shift[0]
+                yield self.developed(
+                    render_tiled(scene, some[0], shot.grid, rays=rays, shift=shift, ground=ground)[None], shot
+                )
+
+    def developed(
+        self, images: Float[Tensor, "v c h w"], shot: Shot, estimated: bool = True
+    ) -> Float[Tensor, "v c h w"]:
+        """What was rendered, with what the parts do to images, and its unit."""
+        for part in self.parts:
+            if estimated or not part.estimated:
+                images = part.images(images, shot, self.parameters)
+        return images if self.unit == 1 else images * self.unit
+
+    def shot(
+        self,
+        views: Sequence[View],
+        grid: ImageGrid,
+        numbers: Int64[Tensor, " v"] | None = None,
+        chance: np.random.Generator | None = None,
+    ) -> Shot:
+        """How images are taken: see `render` and `Shot`."""
+        shot = Shot(views, grid, self.power_channel, numbers, chance)
+        for part in self.parts:
+            shot = part.shot(shot, self.parameters)
+        return shot
+
+    def as_displaced(self, grid: ImageGrid) -> ImageGrid:
+        """The grid on which a scene that is not displaced lies as unseen images on `grid` show it: as the mean one."""
+        for part in self.parts:
+            grid = part.displaced(grid, self.parameters)
+        return grid
+
+    def penalty(self) -> Float[Tensor, ""] | None:
+        """How unlikely the parameters were before the images were seen, nats per independent sample of those."""
+        terms = [term for part in self.parts for term in part.nats(self.parameters)]
+        return torch.stack(terms).sum() / self.setting.samples if terms else None
+
+    def penalties(self) -> dict[str, Float[Tensor, ""]]:
+        """What else is minimised, by name, in units of the loss of black images, or in nats per pixel."""
+        return dict(term for part in self.parts for term in part.penalties(self.parameters))
+
+    def scene_bounds(self) -> Bounds:
+        """What the Gaussians keep as long as parameters are brought into their ranges, and when training begins."""
+        reaches = [reach for part in self.parts if (reach := part.reach()) is not None]
+        low, high = (
+            (pick(x), pick(y), pick(z))
+            for pick, corners in ((min, [r.low_m for r in reaches]), (max, [r.high_m for r in reaches]))
+            for x, y, z in [zip(*corners, strict=True)]
+        )
+        scale_m, depth = max(r.scale_m for r in reaches), max(r.optical_depth for r in reaches)
+        return Bounds(low, high, scale_m, depth, self.device)

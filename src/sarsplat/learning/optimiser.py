@@ -1,0 +1,126 @@
+"""Adam over named parameters, with rates that decay, ranges, and rows that come and go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from sarsplat.learning import adam
+from sarsplat.learning.parts.part import Learned
+
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
+class Optimiser:
+    """Adam for all parameters of a training; its moments are saved, restored and re-indexed with them.
+
+    A step is one call of the device's engine, or plain torch where there is none.
+
+    Parameters
+    ----------
+    parameters : dict of str to Tensor
+        Leaves, float32, contiguous and on one device; stepped in place. After `follow` it must hold the new ones.
+    learned : mapping of str to Learned
+        How each is learned.
+    iterations : int
+        Length of the training, by which rates decay.
+    """
+
+    def __init__(self, parameters: dict[str, Tensor], learned: Mapping[str, Learned], iterations: int) -> None:
+        self._parameters, self._learned, self._iterations = parameters, learned, iterations
+        self.state = {  # moments of each parameter, shaped like it
+            name: {moment: torch.zeros_like(tensor, requires_grad=False) for moment in _MOMENTS}
+            for name, tensor in parameters.items()
+        }
+        self._steps = 0
+        self._adam: Callable[..., None] | None = None
+        self._source: Int64[Tensor, " n"] | None = None
+
+    @property
+    def rows(self) -> list[str]:
+        """Names of the parameters with a row for each Gaussian."""
+        return [name for name in self._parameters if self._learned[name].per_gaussian]
+
+    def _columns(self, name: str, numbers: tuple[float, ...] | Tensor | float) -> Float[Tensor, " k"]:
+        """Numbers that hold for a parameter, one for each of its columns."""
+        tensor = self._parameters[name]
+        columns = torch.as_tensor(numbers, dtype=tensor.dtype, device="cpu").to(tensor.device)
+        return columns.expand(tensor[0].numel())
+
+    def _stepped(self, name: str, tensor: Tensor) -> adam.Stepped:
+        learned = self._learned[name]
+        mean, square = self.state[name].values()
+        rates, low, high = (self._columns(name, numbers) for numbers in (learned.rates, learned.low, learned.high))
+        return adam.Stepped(tensor, mean, square, rates, low, high, learned.logarithmic)
+
+    def relearn(self, learned: Mapping[str, Learned]) -> None:
+        """Go on with other rates and ranges."""
+        self._learned, self._adam = learned, None
+
+    def rates(self, iteration: int) -> dict[str, float]:
+        """Rates of this iteration by parameter, each of its first column; of means and shifts in m."""
+        return {name: self._learned[name].rates[0] * self._decay(name, iteration) for name in self._parameters}
+
+    def _decay(self, name: str, iteration: int) -> float:
+        return self._learned[name].decay(iteration / self._iterations)
+
+    def step(self, iteration: int) -> None:
+        """One update, with the rates of this iteration; gradients are cleared."""
+        if self._adam is None:
+            tensors = [self._stepped(name, tensor) for name, tensor in self._parameters.items()]
+            engine = adam.engine_for(list(self._parameters.values()))
+            self._adam = partial(adam.step, tensors) if engine is None else adam.EngineAdam(engine, tensors).step
+        self._steps += 1
+        gradients = []
+        for name, tensor in self._parameters.items():
+            if tensor.grad is None:
+                raise ValueError(f"{name} has no gradient")
+            gradients.append(tensor.grad)
+            tensor.grad = None
+        self._adam(gradients, [self._decay(name, iteration) for name in self._parameters], self._steps)
+
+    @torch.no_grad()
+    def constrain(self) -> None:
+        """Bring every parameter into its range."""
+        for name, tensor in self._parameters.items():
+            tensor.clamp_(self._columns(name, self._learned[name].low), self._columns(name, self._learned[name].high))
+
+    def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
+        """Take over from row `source`[k] what belongs to the new row k if that is still the same Gaussian: `kept`."""
+        for name in self.rows:
+            self.state[name] = {moment: followed(value, source, kept) for moment, value in self.state[name].items()}
+        inherited = torch.where(kept, source, -1)
+        if self._source is not None:
+            inherited = torch.where(kept, self._source[source], -1)
+        self._source, self._adam = inherited, None
+
+    def take_moves(self) -> Int64[Tensor, " n"] | None:
+        """Index of each row when this was last called, −1 for a new one; None if no rows have moved since."""
+        source, self._source = self._source, None
+        return source
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Moments by `parameter/moment`, and how many steps they are of."""
+        moments = {f"{name}/{moment}": value for name, of in self.state.items() for moment, value in of.items()}
+        return moments | {"step": torch.tensor(float(self._steps), device="cpu")}
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Undo `tensors`."""
+        self._steps = int(tensors["step"])
+        if self._steps < 0:
+            raise ValueError(f"the optimiser made {self._steps} steps")
+        for name, of in self.state.items():
+            for moment, value in of.items():
+                saved = tensors[f"{name}/{moment}"]
+                if saved.shape != value.shape or saved.dtype != torch.float32:
+                    raise ValueError(f"{name}/{moment} is {saved.dtype} {list(saved.shape)}")
+                value.copy_(saved)
+
+
+def followed(rows: Tensor, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> Tensor:
+    """Rows of what belongs to Gaussians, in a new order; 0 for those that are not `kept`."""
+    return torch.where(kept.view(-1, *[1] * (rows.ndim - 1)), rows[source], 0.0)

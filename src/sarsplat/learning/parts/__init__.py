@@ -1,0 +1,16 @@
+"""What a model is made of: each part is one file of this folder, and `parts_of` finds it there."""
+
+from __future__ import annotations
+
+import torch
+
+from sarsplat.learning.parts.part import Part
+from sarsplat.learning.scene_frame import Setting
+from sarsplat.plugins import classes_in
+from sarsplat.settings.config import Config
+
+
+def parts_of(config: Config, setting: Setting, device: torch.device) -> list[Part]:
+    """The parts of a configuration's model, in the order in which they make a scene and its images."""
+    kinds = classes_in(__name__, Part)  # type: ignore[type-abstract]
+    return [kind(config, setting, device) for kind in kinds if kind.wanted(config)]

@@ -1,0 +1,103 @@
+"""The ground: the plane at z = 0, or the dataset's terrain, whose γ⁰ is learned."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.gaussians.ground import Ground
+from sarsplat.geometry import Terrain
+from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.learning.parts.part import Learned, Parameters, Part, normal_nats
+from sarsplat.radiometry import beta0_of_gamma0
+from sarsplat.settings.config import Config, FlatGround
+
+_FAINTEST = 0.01
+"""Its level at the start at least, of the images' mean: where most of an image is black, a logarithm could not rise."""
+
+_MOST = 512
+"""Places along a side."""
+
+_ALIKE = 0.05
+"""Spread of the logarithm of sin θ, 1° at 17°, below which images say nothing of how γ⁰ goes on at other angles."""
+
+
+class FlatGroundPart(Part):
+    """Logarithms of its γ⁰, of all of it and of single places in units of that, and its law of the grazing angle."""
+
+    order = 20
+    surrounds = True
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        return config.ground is not None
+
+    @property
+    def learned(self) -> dict[str, Learned]:
+        rates = self.config.rates
+        own = {
+            "ground": Learned((1,), (rates.nuisance,)),
+            "ground_exponent": Learned((1,), (rates.nuisance if self._sines.std() > _ALIKE else 0.0,)),
+        }
+        places = {"ground_texture": Learned((self._side**2, 1), (rates.ground,))} if self._side else {}
+        return own | places
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        mean_tangent = float(np.mean([beta0_of_gamma0(1.0, view.grazing_deg) for view in train.views]))
+        level, brightness = float(np.median(train.power)), float(train.power.mean(dtype=np.float64))
+        if train.looks is not None:
+            level /= (1 - 1 / (9 * train.looks)) ** 3  # the median of gamma-distributed power, in means
+        level = max(level, _FAINTEST * brightness) / self.setting.unit / mean_tangent
+        places = {"ground_texture": torch.zeros(self._side**2, 1, device="cpu")} if self._side else {}
+        return {
+            "ground": torch.full((1,), math.log(level), device="cpu"),
+            "ground_exponent": torch.zeros(1, device="cpu"),
+        } | places
+
+    def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
+        """Its places are similar."""
+        if self._side:
+            yield normal_nats(p["ground_texture"], self._settings.std)
+
+    def ground(self, p: Parameters) -> Ground:
+        exponent = p["ground_exponent"][0]
+        level = p["ground"][0] - exponent * float(self._sines.mean())  # that at the mean angle
+        if not self._side:
+            return Ground(level.exp(), height_m=self._height_m, exponent=exponent)
+        places = (level + p["ground_texture"].view(self._side, self._side)).exp()
+        return Ground(places, self._pitch_m, self._height_m, exponent)
+
+    @property
+    def _height_m(self) -> float | Terrain:
+        return 0.0 if self.setting.terrain is None else self.setting.terrain
+
+    @property
+    def _settings(self) -> FlatGround:
+        assert self.config.ground is not None  # `wanted`
+        return self.config.ground
+
+    @cached_property
+    def _sines(self) -> np.ndarray:
+        """Logarithms of sin θ of the training views."""
+        return np.log(np.sin(np.radians([view.grazing_deg for view in self.setting.views])))
+
+    @cached_property
+    def _pitch_m(self) -> float:
+        """Distance of the places; of large scenes more than set, so that there are not too many."""
+        return max(self._settings.pitch * self.setting.cell_m, 2 * self._radius_m / _MOST)
+
+    @cached_property
+    def _side(self) -> int:
+        """Places along a side; 0: one γ⁰ for all."""
+        return 2 * math.ceil(self._radius_m / self._pitch_m) + 1 if self._settings.pitch else 0
+
+    @property
+    def _radius_m(self) -> float:
+        return ground_radius_m(self.setting.views, self.setting.grid)

@@ -1,0 +1,65 @@
+"""Side lobes of the response: what a bright scatterer leaves along its row and its column."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.geometry import ImageGrid
+from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, Response
+from sarsplat.learning.parts.part import Learned, Nuisance, Parameters, Shot
+from sarsplat.settings.config import Config
+
+
+class SideLobes(Nuisance):
+    """The logarithm of their power in azimuth and in range, relative to those of a usual window."""
+
+    order = 40
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        return config.surroundings is not None and config.surroundings.side_lobes > 0
+
+    @property
+    def learned(self) -> dict[str, Learned]:
+        return {"log_side_lobes": Learned((2,), (self.config.rates.nuisance,))}
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        return {"log_side_lobes": torch.full((2,), math.log(self.settings.side_lobes), device="cpu")}
+
+    def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
+        return with_side_lobes(images.flatten(0, 1), p["log_side_lobes"].exp(), shot.grid).view_as(images)
+
+
+def with_side_lobes(
+    images: Float[Tensor, "v rows columns"], level: Float[Tensor, " 2"], grid: ImageGrid
+) -> Float[Tensor, "v rows columns"]:
+    """Power images, seen through a Gaussian response, with the side lobes of all that is in them.
+
+    `level` is the power of the side lobes in azimuth and in range, relative to those of the grid's response, or if that
+    has none, of a −35 dB Taylor window; differentiable.
+    """
+    along_azimuth, along_range = _matrices(grid, images.dtype, images.device)
+    azimuth, slant_range = level[:, None].expand(2, grid.columns)  # so that gradients are summed column by column
+    return images + azimuth * (images @ along_azimuth) + slant_range * (along_range @ images)
+
+
+@lru_cache(maxsize=16)
+def _matrices(grid: ImageGrid, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """What a pixel gives to the others of its row, and of its column; symmetric. Copied to a device only once."""
+    response = grid.response if math.isfinite(grid.response.main_lobe) else TAYLOR
+    sizes = zip((grid.columns, grid.rows), grid.spacing_m, grid.resolution_m, strict=True)
+    return tuple(_matrix(response, *size).to(device, dtype) for size in sizes)  # type: ignore[return-value]
+
+
+def _matrix(response: Response, count: int, spacing_m: float, width_m: float) -> Float[Tensor, "{count} {count}"]:
+    distance = np.arange(count) * spacing_m / width_m
+    peak = GAUSSIAN.density(np.zeros(1)) * spacing_m / width_m  # of what the renderer sees through
+    row = peak * response.side_lobes(distance)
+    return torch.from_numpy(row[np.abs(np.subtract.outer(np.arange(count), np.arange(count)))]).float()

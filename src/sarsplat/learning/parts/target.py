@@ -1,0 +1,305 @@
+"""The target: Gaussians that move, turn, grow and scatter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sarsplat.arguments import described
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_named
+from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
+from sarsplat.geometry import Stack
+from sarsplat.learning.dropout import share_dropped
+from sarsplat.learning.levels import Levels
+from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, in_rows, late, normal_nats
+from sarsplat.learning.scene_frame import Setting
+from sarsplat.radiometry import brighter
+from sarsplat.regions.outlines import levels_db, outline
+from sarsplat.regions.stack_region import enough_gaussians, imaged_sample
+from sarsplat.renderer import Bounds
+from sarsplat.renderer.checks import MAX_SCALE
+from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.places import at_places
+from sarsplat.settings.config import Config
+
+_MIN_OPTICAL_DEPTH = 1e-3
+
+_FAINT = 0.05
+"""Optical depth that is hardly noticed."""
+
+_START = (1.0, 1.0, 0.9)
+"""Widths of an oriented Gaussian at the start, relative: which axis is the shortest must not depend on rounding."""
+
+_SIMILAR = 0.6
+"""Parameters of the scattering that differ by less are similar; how much more others differ hardly matters."""
+
+
+class Target(Part):
+    """Gaussians in the space that the images bound."""
+
+    order = 10
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        """Always."""
+        return True
+
+    def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
+        super().__init__(config, setting, device)
+        self._cell_m = setting.cell_m
+        self._levels = Levels.of(config, setting)
+
+    def look_at(self, cell_m: float) -> None:
+        self._cell_m = cell_m
+
+    @property
+    def learned(self) -> dict[str, Learned]:
+        config, rates = self.config, self.config.rates
+        lowest, highest = self._box
+        smallest, _, largest = scales_m(config, self._cell_m, self._levels.coarsest)
+        columns, ranges = self._own, self._common
+
+        def falling(done: float) -> float:
+            return (rates.means_end / rates.means) ** done
+
+        def later(done: float) -> float:
+            return late(done) if done >= config.law_from else 0.0
+
+        learned = {
+            "means": Learned((None, 3), (rates.means * self._cell_m,), falling, lowest, highest),
+            "quaternions": Learned((None, 4), (rates.quaternions,)),
+            "scales": Learned((None, 3), (rates.log_scales,), low=smallest, high=largest, logarithmic=True),
+            "optical_depth": Learned(
+                (None,),
+                (rates.log_optical_depth,),
+                low=_MIN_OPTICAL_DEPTH,
+                high=config.max_optical_depth,
+                logarithmic=True,
+            ),
+            "scattering": Learned((None, columns), (rates.scattering, *[rates.directional_scattering] * (columns - 1))),
+        }
+        if ranges:
+            low, high = torch.tensor(ranges, device="cpu").T
+            learned["law"] = Learned((1, len(ranges)), (rates.law,), later, low, high)
+        return learned
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        config = self.config
+        sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
+        region, views, grid = self.setting.region, train.views, train.grid
+        if self.setting.stacks:
+            needed = enough_gaussians(region, views, grid, self.setting.stacks)
+            n = config.gaussians or max(config.fewest_gaussians, needed)
+            means = torch.from_numpy(imaged_sample(region, views, grid, n, generator)).float()
+        else:
+            n = config.gaussians or max(
+                config.fewest_gaussians, round(config.gaussians_per_cell * _cells(train) / self._levels.coarsest**1.5)
+            )
+            means = torch.from_numpy(sample(region, n, generator)).float()
+        scattering = law(config, n, config.initial_scattering, self.setting.stacks).parameters
+        return {
+            "means": means,
+            "quaternions": random_quaternions(n, generator),
+            "scales": means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1),
+            "optical_depth": means.new_full((n,), config.initial_optical_depth),
+            "scattering": scattering[:, : self._own].contiguous(),
+        } | ({"law": self._law.parameters[:, self._own :].clone()} if self._common else {})
+
+    def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
+        """Gaussians are empty rather than not, and scatter in all directions rather than in some."""
+        config, scattering = self.config, p["scattering"]
+        if config.sparsity:
+            filled = torch.log1p(p["optical_depth"] / _FAINT)
+            yield config.sparsity * len(filled) * column_means(filled[:, None]).sum()
+        if config.directional_std is not None and scattering.shape[1] > 1:
+            uniform = self._scattering(p, 0)
+            upwards = p["means"].new_tensor([[0.0, 0.0, 1.0]])
+            level = uniform.amplitudes(upwards, p["quaternions"], p["scales"])[0, :, uniform.power_channel]
+            yield normal_nats(scattering[:, 1:] / (config.directional_std * level[:, None].detach()), 1.0)
+
+    def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
+        """How much the Gaussians' scattering differs, and how far from the usual one the law is that they share.
+
+        Of small differences the variance counts, of large ones little more: the negative logarithm of Student's
+        t-distribution, up to factors. Most Gaussians scatter the same.
+        """
+        if self.config.scattering_penalty:
+            yield "scattering penalty", self.config.scattering_penalty * _Spread.apply(p["scattering"])
+        if self.config.law_penalty and "law" in p:
+            yield "law penalty", self.config.law_penalty * ((p["law"] - self._usual) ** 2).sum(1).sum(0)
+
+    def scene(
+        self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
+    ) -> Gaussians:
+        """The Gaussians that are left compensate for the optical depth of those `dropped`."""
+        depth = p["optical_depth"]
+        if dropped is not None:
+            left = 1 - share_dropped(self.config, len(self.setting.views))
+            more = (depth / left).clamp(max=self.config.max_optical_depth)
+            depth = torch.where(dropped, 0.0, more)
+        target = Gaussians(self._lifted(p["means"]), p["quaternions"], p["scales"], depth, self._scattering(p, degree))
+        return target if scene is None else Gaussians.cat([scene, target])
+
+    def reach(self) -> Bounds:
+        """Bounds of every scene, the first included."""
+        config, (low, high) = self.config, self._box
+        depth = max(config.max_optical_depth, config.initial_optical_depth)
+        if self.setting.terrain is not None:
+            below, above = self.setting.terrain.span_m
+            low, high = low + low.new_tensor([0, 0, below]), high + high.new_tensor([0, 0, above])
+        largest = max(scales_m(config, self._coarsest_m, self._levels.coarsest))
+        return Bounds((*low.tolist(),), (*high.tolist(),), largest, depth, "cpu")
+
+    def _scattering(self, p: Parameters, degree: int) -> Scattering:
+        rows = p["scattering"]
+        if "law" in p:
+            rows = torch.cat([rows, in_rows(p["law"], len(rows))], dim=1)
+        return replace(self._law, parameters=rows).detailed(degree)
+
+    def _lifted(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Centres in the world: the parameter's z is above the terrain, if there is any."""
+        if self._heights is None:
+            return means
+        heights, (dx, dy) = self._heights
+        x, y, z = means.unbind(1)
+        return torch.stack([x, y, z + at_places(heights, x / dx, y / dy, 1.0)], dim=1)
+
+    @cached_property
+    def _heights(self) -> tuple[Float[Tensor, "ny nx"], tuple[float, float]] | None:
+        """Of the terrain, and how far apart they are, m."""
+        terrain = self.setting.terrain
+        if terrain is None:
+            return None
+        return torch.from_numpy(terrain.heights_m).float().to(self.device), terrain.pitch_m
+
+    @property
+    def _coarsest_m(self) -> float:
+        """Resolution cell of the coarsest images looked at, m."""
+        return self._levels.grid_at(self._levels.coarsest).cell_m
+
+    @cached_property
+    def _law(self) -> Scattering:
+        return law(self.config, 1, 0.0, self.setting.stacks)
+
+    @property
+    def _common(self) -> tuple[tuple[float, float], ...]:
+        """Ranges of the columns that all Gaussians have in common."""
+        return self._law.common if self.config.common_law else ()
+
+    @cached_property
+    def _usual(self) -> Float[Tensor, "1 k"]:
+        """What all Gaussians have in common at the start."""
+        return self._law.parameters[:, self._own :].to(self.device)
+
+    @property
+    def _own(self) -> int:
+        """Columns of the scattering in which Gaussians differ: all but the last ones, which they have in common."""
+        return self._law.parameters.shape[1] - len(self._common)
+
+    @cached_property
+    def _box(self) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
+        """Corners of where the target's centres may be, m, on the CPU."""
+        region = self.setting.region
+        low, high = (torch.from_numpy(corner).float() for corner in (region.low, region.high))
+        if self.config.initialisation == "hemisphere":  # the shell reaches beyond the region
+            half = (high - low).norm() / 2
+            centre = (low + high) / 2
+            low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
+        margin = self.config.margin * self.setting.cell_m
+        low, high = low - margin, high + margin
+        if self.config.ground is not None:
+            low[2] = low[2].clamp(min=0.0)  # what is below is not seen
+        return low, high
+
+
+class _Spread(torch.autograd.Function):
+    """How much the rows of a table differ from their mean, which is held constant, with few operations."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor) -> Tensor:
+        difference = (rows - column_means(rows)).div_(_SIMILAR)
+        squared = difference**2
+        ctx.save_for_backward(difference, squared)
+        return _SIMILAR**2 * column_means(squared.log1p()).sum()
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, slope: Tensor) -> Tensor:
+        difference, squared = ctx.saved_tensors
+        each = slope * _SIMILAR**2 / max(len(difference), 1)
+        return (each / (squared + 1)).mul_(2 * difference).div_(_SIMILAR)
+
+
+def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ()) -> Scattering:
+    """The configuration's law of scattering, as a training starts with it; in the polarisations of stacks, if any.
+
+    Raises
+    ------
+    SarsplatError
+        If a law of one's own starts with something else.
+    """
+    kind = scattering_named(config.scattering)
+    made = kind.initial(count, gamma0, config.p_min)
+    if type(made) is not kind or made.parameters.shape[0] != count or made.parameters.dtype != torch.float32:
+        what = f"{made.parameters.dtype} {list(made.parameters.shape)}" if type(made) is kind else described(made)
+        raise SarsplatError(
+            f"{kind.__name__}.initial({count}, …) returned {what}; it must return a {kind.__name__} whose parameters "
+            f"are torch.float32 [{count}, K]"
+        )
+    if len(kind.common) >= made.parameters.shape[1]:
+        raise SarsplatError(
+            f"{kind.__name__}.common has {len(kind.common)} ranges for {made.parameters.shape[1]} columns of "
+            "parameters; leave each Gaussian at least one of its own"
+        )
+    polarisations = tuple(dict.fromkeys(stacks[0].of_channels)) if stacks else ()
+    return (made.for_polarisations(polarisations) if len(polarisations) > 1 else made).detailed(config.harmonics_degree)
+
+
+def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, float, float]:
+    """Smallest, first and largest standard deviation of a Gaussian, m; the smallest at least `MIN_SCALE`.
+
+    The largest grows with the scene, whose flat surfaces are larger too: where the training begins with blocks of
+    `coarsest` × `coarsest` pixels, by that number's sixth root.
+
+    Raises
+    ------
+    SarsplatError
+        If the first or the largest cannot be rendered.
+    """
+    smallest, first, largest = (
+        cells * cell_m
+        for cells in (config.scale_bounds[0], config.initial_scale, config.scale_bounds[1] * coarsest ** (1 / 6))
+    )
+    for name, scale in (("initial_scale", first), ("scale_bounds", largest)):
+        if not MIN_SCALE <= scale <= MAX_SCALE:
+            raise SarsplatError(
+                f"{name} makes Gaussians of {scale:.3g} m from resolution cells of {cell_m:.3g} m, and only "
+                f"{MIN_SCALE:g} m to {MAX_SCALE:g} m can be rendered; choose another, or check the grid's metres"
+            )
+    return max(smallest, MIN_SCALE), first, largest
+
+
+def _cells(train: Dataset) -> float:
+    """How many resolution cells the target covers in an image."""
+    if train.ground:
+        shown = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
+    else:
+        shown = brighter(train.power, BRIGHT_DB).sum()
+    return float(shown / len(train) * math.prod(train.grid.spacing_m) / train.grid.cell_m**2)
+
+
+def _start_scales_m(config: Config, cell_m: float) -> list[float]:
+    """Standard deviations of a Gaussian at the start, m."""
+    smallest, first, _ = scales_m(config, cell_m)
+    if not scattering_named(config.scattering).oriented:
+        return [first] * 3
+    return [max(share * first, min(smallest, first)) for share in _START]

@@ -1,0 +1,187 @@
+"""Texture: what the training images show beyond the learned scene, and share with their neighbours."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64
+from scipy.ndimage import gaussian_filter
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from sarsplat.errors import counted
+from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.learning.parts.part import Nuisance, Parameters, Shot
+from sarsplat.settings.config import Config, Surroundings
+
+_NEGLIGIBLE = 0.02
+"""Weight below which an image is dropped: most are far away."""
+
+_PITCH = 0.6
+"""Of the maps on the ground, resolution cells."""
+
+_TRUNCATED = 4.0
+"""Where the window ends, standard deviations; no farther than the image is wide."""
+
+_LARGEST = 2**27
+"""Numbers in all maps together; with more of them they are coarser."""
+
+
+class Texture(Nuisance):
+    """The factor that `Maps` are, once it has been estimated: not learned by steps, but saved."""
+
+    order = 70
+    name = "texture"
+    estimated = True
+    maps: Maps | None = None
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        return config.surroundings is not None and config.surroundings.texture_looks > 0
+
+    def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
+        if self.maps is None:
+            return images
+        if shot.numbers is not None:
+            factor = self.maps.among_images[shot.numbers]
+        else:
+            factor = self.maps.factor(shot.views, shot.grid, None if shot.chance is None else shot.shift)
+        return images * factor[:, None]
+
+    def state(self) -> Parameters:
+        return {} if self.maps is None else self.maps.tensors
+
+    def load(self, state: Parameters) -> None:
+        self.maps = Maps(state, self.setting.grid, self.settings) if state else None
+        if self.maps is not None and len(state["ratio"]) != len(self.setting.views):
+            raise ValueError(
+                f"a texture of {len(state['ratio'])} images for {counted(len(self.setting.views), 'view')}"
+            )
+
+
+class Maps:
+    """A factor on the power of rendered images: what images show more or less than the scene, as a map on the ground.
+
+    No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
+    ground from one image to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
+    that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is
+    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the difference in azimuth. Images of
+    all grazing angles count the same: bumps, and corners between walls and ground, are seen under each.
+
+    Parameters
+    ----------
+    tensors : dict of str to Tensor
+        Of the K training images `ratio`, float32 [K, rows, columns]: measured over rendered power, smoothed; `shift_m`,
+        float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth and grazing.
+        KeyError or ValueError if they are not.
+    grid : ImageGrid
+        Of all images.
+    settings : Surroundings
+        n and the reach.
+    """
+
+    def __init__(self, tensors: dict[str, Tensor], grid: ImageGrid, settings: Surroundings) -> None:
+        _check(tensors, grid)
+        self.tensors, ratio = tensors, tensors["ratio"]
+        self._shifts_m = tensors["shift_m"].cpu().double().numpy()
+        self._views = tuple(View(*angles) for angles in tensors["view_deg"].tolist())
+        self._grid, self._settings = grid, settings
+        radius_m = ground_radius_m(self._views, grid)
+        self._pitch_m = max(_PITCH * grid.cell_m, 2 * radius_m * math.sqrt(2 * len(ratio) / _LARGEST))
+        self._half = math.ceil(radius_m / self._pitch_m)
+        axis = np.arange(-self._half, self._half + 1) * self._pitch_m
+        ground = np.stack(np.meshgrid(axis, axis), axis=-1)
+        self._latest: tuple[tuple[tuple[View, ...], ImageGrid, bytes], Tensor] | None = None
+        shown = torch.ones_like(ratio)
+        self._maps = torch.stack(  # [K, 2, y, x]: the ratio, and whether the image shows the place
+            [self._image_at(torch.stack([ratio[k], shown[k]]), k, ground) for k in range(len(ratio))]
+        )
+
+    @classmethod
+    def estimated(
+        cls,
+        ratio: Float32[Tensor, "k rows columns"],
+        shift_m: Float32[Tensor, "k 2"],
+        views: Sequence[View],
+        grid: ImageGrid,
+        settings: Surroundings,
+    ) -> Maps:
+        """From ratios that are not smoothed yet."""
+        sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
+        radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
+        smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
+        view_deg = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views]).double()
+        return cls(
+            {"ratio": torch.from_numpy(smooth).to(ratio), "shift_m": shift_m.clone(), "view_deg": view_deg},
+            grid,
+            settings,
+        )
+
+    def factor(
+        self, views: Sequence[View], grid: ImageGrid, shift_m: Float32[Tensor, "v 2"] | None = None
+    ) -> Float32[Tensor, "v {grid.rows} {grid.columns}"]:
+        """For images from any views, on any grid, displaced as the mean one unless said; 1 where no image reaches."""
+        mean = self._shifts_m.mean(axis=0)
+        shifts = [mean] * len(views) if shift_m is None else shift_m.cpu().double().numpy()
+        asked = (tuple(views), grid, np.asarray(shifts).tobytes())
+        if self._latest is None or self._latest[0] != asked:  # samples ask twice: with the target and without it
+            factors = [self._factor(view, shift, None, grid) for view, shift in zip(views, shifts, strict=True)]
+            self._latest = (asked, torch.stack(factors))
+        return self._latest[1]
+
+    @cached_property
+    def among_images(self) -> Float32[Tensor, "k rows columns"]:
+        """For each training image, from all others: it must not explain its own speckle."""
+        return torch.stack([self._factor(view, self._shifts_m[k], k, self._grid) for k, view in enumerate(self._views)])
+
+    def _image_at(
+        self, layers: Float32[Tensor, "2 rows columns"], k: int, ground_m: Float64[np.ndarray, "y x 2"]
+    ) -> Float32[Tensor, "2 y x"]:
+        """What image k shows at places on the ground."""
+        grid = self._grid
+        place = ground_m @ _onto_image(self._views[k]).T + self._shifts_m[k] - grid.center_m
+        size = np.array([grid.columns, grid.rows])
+        return _sampled(layers, place / (np.array(grid.spacing_m) * size / 2))
+
+    def _factor(
+        self, view: View, shift_m: Float64[np.ndarray, " 2"], dropped: int | None, grid: ImageGrid
+    ) -> Float32[Tensor, "{grid.rows} {grid.columns}"]:
+        total = torch.zeros_like(self._maps[0])
+        for k, source in enumerate(self._views):
+            turn_deg = (source.azimuth_deg - view.azimuth_deg + 180) % 360 - 180
+            weight = math.exp(-abs(turn_deg) / self._settings.texture_reach_deg)
+            if k != dropped and weight > _NEGLIGIBLE:
+                total += weight * self._maps[k]
+        pixels = np.stack(np.meshgrid(grid.azimuth_m, grid.range_m), axis=-1)
+        ground_m = (pixels - shift_m) @ np.linalg.inv(_onto_image(view)).T
+        ratios, weights = _sampled(total, ground_m / (self._pitch_m * (self._half + 0.5)))
+        return (self._settings.texture_looks + ratios) / (self._settings.texture_looks + weights)
+
+
+def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
+    count = len(tensors["view_deg"])
+    expected = {
+        "ratio": (torch.float32, (count, grid.rows, grid.columns)),
+        "shift_m": (torch.float32, (count, 2)),
+        "view_deg": (torch.float64, (count, 2)),
+    }
+    for name, (dtype, shape) in expected.items():
+        tensor = tensors[name]
+        if tensor.dtype != dtype or tensor.shape != shape or not tensor.isfinite().all():
+            raise ValueError(f"the texture's {name} is {tensor.dtype} {list(tensor.shape)}, or not finite")
+
+
+def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:
+    """From x, y on the ground to azimuth, slant range."""
+    return radar_frame(view)[[0, 2], :2]
+
+
+def _sampled(layers: Float32[Tensor, "2 h w"], where: Float64[np.ndarray, "rows columns 2"]) -> Tensor:
+    """Layers at places in halves of their width and height from the middle; 0 outside."""
+    places = torch.from_numpy(where).to(layers)
+    return grid_sample(layers[None], places[None], mode="bilinear", padding_mode="zeros", align_corners=False)[0]

@@ -1,0 +1,55 @@
+"""What the training images fix about a learned scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sarsplat.data import Dataset
+from sarsplat.gaussians.initialise import Region
+from sarsplat.geometry import ImageGrid, Stack, Terrain, View
+from sarsplat.regions.stack_region import stack_region
+from sarsplat.regions.target_region import target_region
+from sarsplat.settings.config import Config
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the training images fix about the learned scene."""
+
+    region: Region
+    """The space the target may occupy."""
+    unit: float
+    """Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit. β⁰ itself, or with surroundings,
+    calibrated or not, the training set's mean."""
+    views: tuple[View, ...]
+    grid: ImageGrid
+    """Lengths in configurations are multiples of its resolution cell."""
+    terrain: Terrain | None = None
+    """The ground, above which z of the region is; None: z = 0."""
+    stacks: tuple[Stack, ...] = ()
+    """Of each view, if the images are stacks and learned from as such."""
+
+    @classmethod
+    def of(cls, config: Config, dataset: Dataset) -> Setting:
+        """The setting of a configuration on a dataset."""
+        train = dataset.select("train")
+        terrain = dataset.terrain if config.ground else None
+        stacks = train.stacks if config.passes else ()
+        if stacks:
+            region = stack_region(train, config.box_m)
+        else:
+            region = target_region(dataset, ground=bool(config.ground or config.surroundings), box=config.box_m)
+        unit = float(train.power.mean(dtype=np.float64)) if config.surroundings or stacks else 1.0
+        return cls(region, unit, train.views, train.grid, terrain, stacks)
+
+    @property
+    def cell_m(self) -> float:
+        """Resolution cell of the images, m."""
+        return self.grid.cell_m
+
+    @property
+    def samples(self) -> float:
+        """Independent samples of speckle in all training images."""
+        return len(self.views) * self.grid.independent_samples

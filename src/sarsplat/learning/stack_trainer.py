@@ -1,0 +1,143 @@
+"""Training from stacks: what is compared are covariances between passes, or polarisations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float32
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.gaussians import Polarimetric
+from sarsplat.learning.losses import Loss
+from sarsplat.learning.trainer import Trainer
+from sarsplat.learning.training_images import TrainingImages
+from sarsplat.learning.windowed_likelihood import packed, windowed, windowed_nats
+from sarsplat.memory import required
+from sarsplat.processes import Processes
+from sarsplat.renderer import Rendering
+from sarsplat.settings.config import Config
+
+_OF_ONE, _OF_EACH = 11, 4
+"""Numbers of a pixel for each pair of channels: of one stack while it is averaged, as measured, and of each that a step
+looks at."""
+
+_LEAST_NOISE = 1e-6
+"""Of the mean power: with less, covariances of smooth scenes cannot be inverted in float32."""
+
+
+class StackImages(TrainingImages):
+    """The training stacks of a dataset.
+
+    Attributes
+    ----------
+    stacks : tuple of Stack
+        Of each image.
+    plane_phases : K tensors [P, rows, columns]
+        Phases of level ground, rad, by which stacks are deramped.
+    measured : K tensors [P², rows, columns]
+        y_i y_j* of each pixel, deramped and averaged around it, `packed`, linear power.
+    """
+
+    def __init__(self, dataset: Dataset, window: int, together: int, device: torch.device) -> None:
+        super().__init__(dataset, device)
+        train = dataset.select("train")
+        assert train.signal is not None  # of stacks
+        self.stacks = train.stacks
+        pairs, channels = train.passes**2, train.passes
+        numbers = len(train) * (pairs + channels) + (_OF_ONE + _OF_EACH * min(together, len(train))) * pairs
+        needed = 4.0 * numbers * self.grid.rows * self.grid.columns
+        required("learning from these stacks", needed, "give smaller images, fewer of them or fewer passes")
+        self.plane_phases, self.measured = list[Tensor](), list[Tensor]()
+        for signal, stack, view in zip(train.signal, self.stacks, self.views, strict=True):  # one needs much memory
+            level, y = (torch.from_numpy(one).to(device) for one in (stack.plane_phases(view, self.grid), signal))
+            self.plane_phases.append(level.float())
+            self.measured.append(packed(windowed((y[:, None] * y.conj())[None], level.float()[None], window))[0])
+
+
+def refuse_with_passes(config: Config, dataset: Dataset, processes: Processes | None = None) -> None:
+    """Refuse what is not known of covariances: it would be left out in silence.
+
+    Raises
+    ------
+    SarsplatError
+        If the configuration asks for it, the dataset has no covariances to learn from, or several processes are to
+        share the work.
+    """
+    if processes is not None:
+        raise SarsplatError(f"{processes} cannot share learning from stacks; start one process, without torchrun")
+    if not (dataset.interferometric or dataset.polarimetric):
+        has = "stacks of one offset and one polarisation" if dataset.passes else "single images"
+        raise SarsplatError(
+            f"the settings (preset {config.preset}) learn from stacks, and {dataset} has {has}; choose another preset, "
+            "or auto, which learns from the power"
+        )
+    if dataset.polarimetric and config.scattering != Polarimetric.kind:
+        raise SarsplatError(
+            f"scattering is {config.scattering}, which is the same in all polarisations, and {dataset} has "
+            f"{', '.join(dict.fromkeys(dataset.stacks[0].of_channels))}; choose {Polarimetric.kind}"
+        )
+    _refuse_stacks(config, dataset.select("train"), dataset)
+    known = {"loss": "passes", "coarsest": 1, "tiles": 1, "ground": None, "surroundings": None, "densification": None}
+    for name, value in known.items():
+        if (asked := getattr(config, name)) != value:
+            asked, remedy = ("on", "off") if value is None else (shown(asked), shown(value))
+            raise SarsplatError(
+                f"{name} is {asked}, which learning from passes knows nothing of; give {remedy}, or passes off"
+            )
+
+
+def _refuse_stacks(config: Config, train: Dataset, dataset: Dataset) -> None:
+    """Refuse training stacks that cannot be learned from together, or not with these settings."""
+    grid, first = train.grid, train.entries[0]
+    assert config.passes is not None and first.stack is not None  # or nothing is learned from stacks
+    for entry in train.entries:
+        if entry.stack is not None and entry.stack.of_channels != first.stack.of_channels:
+            of = (", ".join(one.of_channels) for one in (first.stack, entry.stack))
+            raise SarsplatError(
+                f"{first.name} has the polarisations {next(of)} and {entry.name} has {next(of)}; give all views of "
+                f"{dataset} the same, in the same order"
+            )
+    if config.passes.window > max(grid.rows, grid.columns):
+        raise SarsplatError(
+            f"passes.window is {config.passes.window}, more than the {grid.rows} × {grid.columns} pixels of the "
+            "images; give a smaller one, such as 3"
+        )
+    mean = float(train.power.mean(dtype="float64"))
+    for entry in train.entries:
+        if entry.stack is not None and entry.stack.noise and (least := min(entry.stack.noise)) < _LEAST_NOISE * mean:
+            raise SarsplatError(
+                f"{entry.name} states noise of {least:.3g} where the mean power is {mean:.3g}, too little for 32-bit "
+                f"numbers; state at least {_LEAST_NOISE * mean:.2g}, or none, so that it is learned"
+            )
+
+
+class StackTrainer(Trainer):
+    """A `Trainer` that learns from the phases between passes as well; the loss is their likelihood."""
+
+    images: StackImages
+
+    def _images_of(self, dataset: Dataset) -> StackImages:
+        assert self.config.passes is not None  # or there would be a `Trainer`
+        return StackImages(dataset, self.config.passes.window, self.config.views_per_step, self.device)
+
+    def _minimise(self, loss: Loss | None) -> Tensor:
+        return self.images.truth.new_tensor(float(len(self.images.stacks[0])))
+
+    def _compared(self, chosen: Sequence[int], left_out: Bool[Tensor, " n"] | None) -> tuple[Tensor, Rendering]:
+        of, unit = self.images, self.model.unit
+        expected, rendering = self.model.covariances(
+            [self.views[i] for i in chosen],
+            [of.stacks[i] for i in chosen],
+            of.grid,
+            self.model.degree(self.iteration),
+            rays=self._rays,
+            numbers=torch.stack([of.numbers[i] for i in chosen]),
+            dropped=left_out,
+        )
+        level, measured = (torch.stack([whole[i] for i in chosen]) for whole in (of.plane_phases, of.measured))
+        assert self.config.passes is not None  # as above
+        loss: Float32[Tensor, ""] = windowed_nats(expected, level, measured / unit, self.config.passes.window)
+        return loss, rendering

@@ -1,0 +1,16 @@
+"""What changes a model otherwise than by steps of Adam: each strategy is one file of this folder, found there."""
+
+from __future__ import annotations
+
+from sarsplat.data import Dataset
+from sarsplat.learning.strategies.strategy import Configured, Info, State, Strategy
+from sarsplat.plugins import classes_in
+from sarsplat.settings.config import Config
+
+__all__ = ["Info", "State", "Strategy", "strategies_of"]
+
+
+def strategies_of(config: Config, train: Dataset) -> list[Strategy]:
+    """The strategies of a configuration on training images, in the order in which they act."""
+    kinds = classes_in(__name__, Configured)  # type: ignore[type-abstract]
+    return [strategy for kind in kinds if (strategy := kind.of(config, train)) is not None]

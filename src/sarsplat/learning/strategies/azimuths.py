@@ -1,0 +1,113 @@
+"""Azimuths of training images that are known only to within some degrees: refined while the scene is learned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Self
+
+import numpy as np
+import torch
+from jaxtyping import Float64, Int64
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.geometry import View
+from sarsplat.learning.losses import speckle_nats
+from sarsplat.learning.optimiser import Optimiser
+from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
+from sarsplat.settings.config import Config, Surroundings
+
+_REACH = 2.5
+"""How far from its label an azimuth is looked for, standard deviations."""
+
+_EACH_WAY = 5
+"""Offsets tried on each side of the label."""
+
+NegativeLogLikelihood = Callable[[Sequence[View], Int64[np.ndarray, " n"]], Float64[np.ndarray, " n"]]
+"""From views and the numbers of training images to the images' negative log-likelihood as seen from there, nats."""
+
+AZIMUTH_OFFSETS = "strategy/azimuths/offset_deg"
+"""In a snapshot: float64 [K], what is added to the azimuths of the training views, degrees; if any is uncertain."""
+
+
+class AzimuthRefinement(Configured):
+    """Estimates the azimuths of training images, given their labels and how well each is known."""
+
+    order = 30
+    name = "azimuths"
+
+    def __init__(self, train: Dataset, settings: Surroundings, iterations: int) -> None:
+        self._labelled, self._settings, self._iterations = train.views, settings, iterations
+        self._std_deg = np.array([entry.azimuth_std_deg for entry in train.entries])
+
+    @classmethod
+    def of(cls, config: Config, train: Dataset) -> Self | None:
+        uncertain = any(entry.azimuth_std_deg for entry in train.entries)
+        return cls(train, config.surroundings, config.iterations) if config.surroundings and uncertain else None
+
+    def initial_state(self, params: dict[str, Tensor]) -> State:
+        """What is added to the labels, degrees."""
+        return State(whole={"offset_deg": torch.zeros(len(self._labelled), dtype=torch.float64, device="cpu")})
+
+    def due(self, step: int) -> bool:
+        """Whether a round follows this step."""
+        s = self._settings
+        first, last = s.azimuth_from * self._iterations, s.azimuth_until * self._iterations
+        return s.azimuth_rounds > 0 and at_round(step, first, last, s.azimuth_rounds - 1)
+
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        if not self.due(step):
+            return
+        info.check()
+
+        def nats(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+            each = [speckle_nats(rendered, measured) for measured, rendered in info.compared(views, numbers)]
+            return torch.cat(each).double().cpu().numpy() * info.images.samples
+
+        offset_deg = self.most_likely(nats)
+        state.whole["offset_deg"] = torch.from_numpy(offset_deg)
+        info.images.views = self.views(offset_deg)
+
+    def views(self, offset_deg: Float64[np.ndarray, " k"]) -> tuple[View, ...]:
+        """The views with this added to their labels, degrees; one that is known exactly is the dataset's own."""
+        each = zip(self._labelled, offset_deg.tolist(), self._std_deg.tolist(), strict=True)
+        return tuple(_turned(view, offset) if std else view for view, offset, std in each)
+
+    def most_likely(self, nats: NegativeLogLikelihood) -> Float64[np.ndarray, " k"]:
+        """How far each azimuth is from its label where it is most likely, given that and its image, degrees.
+
+        The weighted mean of all offsets is 0: turning all images the same way would turn the target, away from the test
+        views. The better an azimuth is known, the more it counts; one that is known exactly fixes the target's heading.
+        """
+        uncertain = np.flatnonzero(self._std_deg)
+        std = self._std_deg[uncertain]
+        tried = std[:, None] * np.linspace(-_REACH, _REACH, 2 * _EACH_WAY + 1)
+        views = [
+            _turned(self._labelled[k], offset)
+            for k, row in zip(uncertain, tried.tolist(), strict=True)
+            for offset in row
+        ]
+        misfit = nats(views, np.repeat(uncertain, tried.shape[1])).reshape(tried.shape)
+        offset = np.zeros(len(self._std_deg))
+        offset[uncertain] = lowest(tried, misfit + (tried / std[:, None]) ** 2 / 2)
+        if len(uncertain) == len(offset):
+            offset -= np.average(offset, weights=std**-2.0)
+        return offset
+
+
+def lowest(places: Float64[np.ndarray, "k n"], values: Float64[np.ndarray, "k n"]) -> Float64[np.ndarray, " k"]:
+    """Where each row of values at evenly spaced places is least: of the parabola through the lowest 3, or at an end."""
+    rows = np.arange(len(places))
+    best = values.argmin(axis=1)
+    middle = best.clip(1, places.shape[1] - 2)
+    before, at, after = (values[rows, middle + k] for k in (-1, 0, 1))
+    curvature = before - 2 * at + after
+    slope = (before - after) / 2
+    steps = np.divide(slope, curvature, out=(best - middle).astype(float), where=curvature > 0).clip(-1, 1)
+    return places[rows, middle] + steps * (places[:, 1] - places[:, 0])
+
+
+def _turned(view: View, offset_deg: float) -> View:
+    return View((view.azimuth_deg + offset_deg) % 360, view.grazing_deg)

@@ -1,0 +1,100 @@
+"""Density control as in 3D Gaussian splatting, with the paper's thresholds: clone, split, prune."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid
+from sarsplat.learning.optimiser import Optimiser
+from sarsplat.learning.strategies import ops
+from sarsplat.learning.strategies.strategy import Configured, Info, State
+from sarsplat.renderer import Rendering
+from sarsplat.settings.config import Config, Densification
+
+
+class DensityControl(Configured):
+    """Sums gradients on the planes and, at intervals, decides which Gaussians come and go."""
+
+    order = 10
+    name = "density"
+
+    def __init__(self, config: Densification) -> None:
+        self._config = config
+
+    @classmethod
+    def of(cls, config: Config, train: Dataset) -> Self | None:
+        return cls(config.densification) if config.densification else None
+
+    def initial_state(self, params: dict[str, Tensor]) -> State:
+        """Sums over the views that lit a Gaussian, and how many did."""
+        count, device = len(params["means"]), params["means"].device
+        return State(rows={name: torch.zeros(count, device=device) for name in ("gradient", "seen")})
+
+    def wants_plane_gradients(self, step: int) -> bool:
+        return step <= self._config.stop
+
+    def due(self, step: int) -> bool:
+        """Whether to act after this step."""
+        c = self._config
+        return c.start <= step < c.stop and step % c.every == 0
+
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        if self.wants_plane_gradients(step):
+            gather(state, info.rendering, info.images.grid)
+        if self.due(step):
+            info.check()
+            pruned, cloned, divided = self.decide(info.model.target(0).detach(), info.images.grid, state)
+            source = ops.duplicate(params, optimizers, state, cloned)
+            pruned, divided = pruned[source], divided[source]
+            source = ops.split(params, optimizers, state, divided, info.generator)
+            ops.remove(params, optimizers, state, pruned[source])
+            state.rows = {name: torch.zeros_like(rows) for name, rows in state.rows.items()}
+
+    def decide(self, gaussians: Gaussians, grid: ImageGrid, state: State) -> tuple[Tensor, Tensor, Tensor]:
+        """Which of the present Gaussians are pruned, cloned and split, each bool [N]; refused if none would be left.
+
+        Their sizes are compared with the grid's resolution cell and its extent in range.
+        """
+        c = self._config
+        size = gaussians.scales.max(dim=1).values
+        # the part that is the same in all directions: what a law without its details says in any of them
+        plain = replace(gaussians, scattering=gaussians.scattering.detailed(0))
+        scattering = plain.gamma0(gaussians.means.new_tensor([[0.0, 0.0, 1.0]]))[0]
+        pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.min_scattering) | (
+            size > c.max_extent * grid.rows * grid.spacing_m[1]
+        )
+        if bool(pruned.all()):
+            raise SarsplatError(
+                f"density control would remove all Gaussians: none scatters at least {c.min_scattering:g} "
+                f"(densification.min_scattering) and is smaller than {c.max_extent:g} of the range "
+                "(densification.max_extent); lower the first or raise the second"
+            )
+        slope = state.rows["gradient"] / state.rows["seen"].clamp(min=1)
+        grows = (slope > c.gradient) & ~pruned
+        room = max(0, c.max_gaussians - len(gaussians))
+        if int(grows.sum()) > room:  # the strongest first
+            strongest = torch.where(grows, slope, 0.0).argsort(descending=True, stable=True)
+            grows = torch.zeros_like(grows).index_fill(0, strongest[:room], True)
+        large = size > c.split_above * grid.cell_m
+        return pruned, grows & ~large, grows & large
+
+
+def gather(state: State, rendering: Rendering, grid: ImageGrid) -> None:
+    """Add one step's gradients."""
+    assert rendering.plane_gradients is not None
+    gradient, seen = state.rows["gradient"], state.rows["seen"]
+    half = 0.5 * grid.columns * grid.spacing_m[0]  # per half image width: the unit of 3DGS's threshold
+    slopes = rendering.plane_gradients
+    total = torch.stack([slopes[..., 0] + slopes[..., 2], slopes[..., 1], slopes[..., 3]], dim=-1)
+    lit = (rendering.lit_area > 0).float()
+    gradient += (total.norm(dim=-1) * half * lit).sum(0)
+    seen += lit.sum(0)

@@ -1,0 +1,48 @@
+"""Elevation alone: seen from one direction, it is what the phases tell; the rest, images show at once."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.geometry import radar_frame
+from sarsplat.learning.optimiser import Optimiser
+from sarsplat.learning.strategies.strategy import Configured, Info, State
+from sarsplat.regions.stack_region import of_one_direction
+from sarsplat.settings.config import Config
+
+
+class ElevationOnly(Configured):
+    """Centres move along one axis, up to a step."""
+
+    order = 5
+    name = "elevation"
+
+    def __init__(self, axis: np.ndarray, until: int) -> None:
+        self._axis, self._until = torch.from_numpy(axis).float(), until
+
+    @classmethod
+    def of(cls, config: Config, train: Dataset) -> Self | None:
+        if config.passes is None or not of_one_direction(train.views):
+            return None
+        return cls(radar_frame(train.views[0])[1], round(config.passes.elevation_only * config.iterations))
+
+    def step_pre_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        if step <= self._until:
+            self._before = params["means"].detach().clone()
+
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        if step > self._until:
+            return
+        with torch.no_grad():
+            means, axis = params["means"], self._axis.to(self._before.device)
+            means.copy_(self._before + ((means - self._before) @ axis)[:, None] * axis)
+        optimizers.constrain()

@@ -1,0 +1,104 @@
+"""Row operations: Gaussians come and go in every parameter, with the optimiser's state and a strategy's.
+
+They work on any dictionary of parameters; the optimiser says which of them have a row for each Gaussian. New Gaussians
+start from rest. Each function returns the row that each row was made from, so that what is kept elsewhere can follow.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from sarsplat.gaussians.covariance import rotated
+from sarsplat.learning.optimiser import Optimiser
+from sarsplat.learning.strategies.strategy import State
+
+Params = dict[str, Tensor]
+
+_SPLIT_SHRINK = 1.6
+"""A split Gaussian's two parts are this much smaller."""
+
+_OWN_PART = 0.6
+"""Of the optical depth, for each of the two: with 0.5 and 0.7 reconstructions were worse (docs/reconstruction.md)."""
+
+
+def rearrange(
+    params: Params, optimizers: Optimiser, state: State, source: Int64[Tensor, " m"], kept: Bool[Tensor, " m"]
+) -> None:
+    """Make row k of every per-Gaussian tensor from row `source`[k]; `kept` are those that are still the same Gaussian.
+
+    The leaves are replaced in `params`; moments and state of the others become 0.
+    """
+    for name in optimizers.rows:
+        params[name] = params[name].detach()[source].requires_grad_()
+    optimizers.follow(source, kept)
+    state.follow(source, kept)
+
+
+def remove(params: Params, optimizers: Optimiser, state: State, gone: Bool[Tensor, " n"]) -> Int64[Tensor, " m"]:
+    """Without these Gaussians."""
+    source = (~gone).nonzero()[:, 0]
+    rearrange(params, optimizers, state, source, torch.ones_like(source, dtype=torch.bool))
+    return source
+
+
+def duplicate(params: Params, optimizers: Optimiser, state: State, which: Bool[Tensor, " n"]) -> Int64[Tensor, " m"]:
+    """With a copy of these Gaussians after all others."""
+    return _append(params, optimizers, state, torch.ones_like(which).nonzero()[:, 0], which.nonzero()[:, 0])
+
+
+def split(
+    params: Params, optimizers: Optimiser, state: State, which: Bool[Tensor, " n"], generator: torch.Generator
+) -> Int64[Tensor, " m"]:
+    """With two smaller Gaussians for each of these, at random places inside it, after all others.
+
+    The parameters must have `means`, `quaternions` and `scales`.
+    """
+    parts = which.nonzero()[:, 0].repeat(2)
+    offset = _inside(params, parts, generator)
+    source = _append(params, optimizers, state, (~which).nonzero()[:, 0], parts)
+    with torch.no_grad():
+        params["means"][len(source) - len(parts) :] += offset
+        params["scales"][len(source) - len(parts) :] *= 1 / _SPLIT_SHRINK
+    return source
+
+
+def relocate(
+    params: Params,
+    optimizers: Optimiser,
+    state: State,
+    idle: Int64[Tensor, " m"],
+    strong: Int64[Tensor, " m"],
+    generator: torch.Generator,
+) -> Int64[Tensor, " n"]:
+    """Make two of each strong Gaussian: it moves one way, and an idle one takes its place the other way.
+
+    The parameters must have `means`, `quaternions`, `scales` and `optical_depth`, which they share.
+    """
+    offset = _inside(params, strong, generator)
+    everyone = torch.arange(len(params["means"]), device=offset.device)
+    source = everyone.index_copy(0, idle, strong)
+    changed = torch.cat([idle, strong])
+    rearrange(
+        params, optimizers, state, source, torch.ones_like(source, dtype=torch.bool).index_fill(0, changed, False)
+    )
+    with torch.no_grad():
+        params["means"][changed] += torch.cat([offset, -offset])
+        params["optical_depth"][changed] *= _OWN_PART
+    return source
+
+
+def _append(
+    params: Params, optimizers: Optimiser, state: State, stay: Int64[Tensor, " k"], more: Int64[Tensor, " m"]
+) -> Int64[Tensor, " n"]:
+    source = torch.cat([stay, more])
+    rearrange(params, optimizers, state, source, torch.arange(len(source), device=source.device) < len(stay))
+    return source
+
+
+def _inside(params: Params, rows: Int64[Tensor, " m"], generator: torch.Generator) -> Float[Tensor, "m 3"]:
+    """From the centres of Gaussians to random places in them, m."""
+    scales, quaternions = params["scales"].detach()[rows], params["quaternions"].detach()[rows]
+    along = torch.randn(len(rows), 3, generator=generator, device="cpu").to(scales) * scales
+    return rotated(quaternions, along)

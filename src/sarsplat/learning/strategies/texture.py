@@ -1,0 +1,49 @@
+"""Texture estimation: now and then, what images show beyond the learned scene becomes a map."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.learning.optimiser import Optimiser
+from sarsplat.learning.parts.texture import Maps, Texture
+from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
+from sarsplat.settings.config import Config, Surroundings
+
+
+class TextureEstimation(Configured):
+    """Estimates the model's `Texture` from some time on, evenly, and at the end."""
+
+    order = 40
+    name = "texture"
+
+    def __init__(self, settings: Surroundings, iterations: int) -> None:
+        self._settings, self._iterations = settings, iterations
+
+    @classmethod
+    def of(cls, config: Config, train: Dataset) -> Self | None:
+        return cls(config.surroundings, config.iterations) if config.surroundings and Texture.wanted(config) else None
+
+    def due(self, step: int) -> bool:
+        """Whether it is estimated after this step."""
+        first = self._settings.texture_from * self._iterations
+        return at_round(step, first, self._iterations, self._settings.texture_rounds)
+
+    @torch.no_grad()
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        if not self.due(step):
+            return
+        info.check()
+        images = info.images
+        compared = info.compared(images.views, np.arange(len(images.views)))
+        ratio = torch.cat([measured / rendered for measured, rendered in compared])
+        shift = info.model.shot(images.views, images.grid, images.numbers).shift
+        for part in info.model.parts:
+            if isinstance(part, Texture) and shift is not None:
+                part.maps = Maps.estimated(ratio, shift, images.views, images.grid, self._settings)

@@ -1,0 +1,288 @@
+"""Training: how a scene advances by one step, and its whole state, exact to the bit."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32
+from torch import Tensor
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.learning.device import usable_device
+from sarsplat.learning.dropout import dropped, share_dropped
+from sarsplat.learning.losses import LOSSES, ImageScale, Loss, named_loss
+from sarsplat.learning.model import SceneModel
+from sarsplat.learning.optimiser import Optimiser, followed
+from sarsplat.learning.snapshot import Snapshot
+from sarsplat.learning.strategies import Info, Strategy, strategies_of
+from sarsplat.learning.strategies.strategy import of_rows
+from sarsplat.learning.training_images import TrainingImages, ViewQueue
+from sarsplat.processes import Processes
+from sarsplat.renderer import Rendering, channel_of
+from sarsplat.settings.config import Config
+
+
+class Trainer:
+    """The state of a training and how it advances by one step.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Its training images are learned from.
+    config : Config
+        How.
+    loss : callable, optional
+        Instead of the configuration's: of rendered and true images, β⁰ in linear power, one number.
+    device : torch.device or str
+        Where everything is computed and stays; a seed starts the same on every device.
+    strategies : sequence of Strategy
+        What else changes the model, after the configuration's own; each of another name.
+    processes : Processes, optional
+        Who shares the views: all have the same trainer, and make the same steps.
+
+    Raises
+    ------
+    SarsplatError
+        If the training images are black, a strategy cannot do with the parameters, or the device cannot be used.
+    """
+
+    @checks_arguments
+    def __init__(
+        self,
+        dataset: Dataset,
+        config: Config,
+        loss: Loss | None = None,
+        device: torch.device | str = "cpu",
+        strategies: Sequence[Strategy] = (),
+        processes: Processes | None = None,
+    ) -> None:
+        self.config, self._processes = config, processes
+        self.device = usable_device(device)
+        self._finest = self._images_of(dataset)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self._queue = ViewQueue(len(self._finest.views), config.views_per_step, self._generator)
+        self.strategies = [*strategies_of(config, dataset.select("train")), *strategies]
+        self._learn(self._first_model(dataset))
+        self._penalty_unit = self._minimise(loss)
+        self.iteration = 0
+        self.terms: dict[str, Tensor] = {}
+
+    def _minimise(self, loss: Loss | None) -> Tensor:
+        """Minimise this loss, or the configuration's; returns the unit of what else is minimised."""
+        self._loss = loss or named_loss(self.config, ImageScale(self.images.brightest, self.model.unit))
+        if loss is None and LOSSES[self.config.loss].in_nats:  # so are penalties, then
+            return torch.ones((), device=self.device)
+        return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
+
+    def _images_of(self, dataset: Dataset) -> TrainingImages:
+        """What is learned from, at the finest level."""
+        return TrainingImages(dataset, self.device)
+
+    def _first_model(self, dataset: Dataset) -> SceneModel:
+        """What is learned, as it is before the first step."""
+        return SceneModel.initial(self.config, dataset, self._generator, self.device)
+
+    def _learn(self, model: SceneModel) -> None:
+        """Begin with this model."""
+        self.model, self._bounds, self.images, self._factor = model, model.scene_bounds(), self._finest, 1
+        self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)
+        for name, count in Counter(strategy.name for strategy in self.strategies).items():
+            if count > 1:
+                raise SarsplatError(f"{count} strategies are called {shown(name)}; give each a `name` of its own")
+        for strategy in self.strategies:
+            strategy.check(model.parameters)
+        self._states = [strategy.initial_state(model.parameters) for strategy in self.strategies]
+
+    def _look(self) -> None:
+        """Look at the images of the level that the next step is on."""
+        factor = self.model.levels.factor(self.iteration)
+        if factor != self._factor:
+            self.images, self._factor = self._finest.multilooked(factor, self.views), factor
+            self.model.look_at(self.images.grid.cell_m)
+            self.optimiser.relearn(self.model.learned)
+
+    def step(self) -> Float32[Tensor, ""]:
+        """One step of Adam on a few views; returns the loss, still on the device: nothing waits for a GPU.
+
+        `check` reports what was out of range on a GPU.
+        """
+        self._look()
+        chosen, step, share = self._queue.next(), self.iteration + 1, share_dropped(self.config, len(self.views))
+        left_out = dropped(len(self.model), share, self.config.seed, step, self.device) if share else None
+        loss, rendering = self._compared(chosen, left_out)
+        if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad or loss.is_complex():
+            what = f"{tuple(loss.shape)} of {loss.dtype}" if isinstance(loss, Tensor) else type(loss).__name__
+            raise SarsplatError(
+                f"the loss returned {what}; it must return one real number, a tensor of shape () computed from the "
+                "rendered images by torch"
+            )
+        terms = {name: self._penalty_unit * value for name, value in self.model.penalties().items()}
+        if (penalty := self.model.penalty()) is not None:
+            terms = {"priors": penalty} | terms
+        self.terms = {name: term.detach() for name, term in terms.items()}
+        self._each_strategy("step_pre_backward", step, chosen, rendering)
+        sum(terms.values(), loss).backward()
+        loss, rendering = loss.detach(), _done(rendering)
+        self.optimiser.step(self.iteration)
+        self.iteration += 1
+        self._each_strategy("step_post_backward", step, chosen, rendering)
+        return loss
+
+    def _compared(self, chosen: Sequence[int], left_out: Bool[Tensor, " n"] | None) -> tuple[Tensor, Rendering]:
+        """The loss of some training images, without the Gaussians `left_out`, and what was rendered."""
+        step = self.iteration + 1
+        images, rendering = self.model.render(
+            [self.views[i] for i in chosen],
+            self.images.grid,
+            self.model.degree(self.iteration),
+            rays=self._rays,
+            numbers=torch.stack([self.images.numbers[i] for i in chosen]),
+            plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
+            bounds=self._bounds,
+            dropped=left_out,
+            processes=self._processes,
+        )
+        truth = torch.stack([self.images.truth[i] for i in chosen])  # much faster than an index
+        return self._loss(channel_of(images, self.model.power_channel), truth), rendering
+
+    def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
+        """Let all strategies act; what they remember of single Gaussians follows where others move rows."""
+        info = Info(
+            self.model,
+            self.images,
+            tuple(chosen),
+            of_rows(rendering, lambda rows: rows[:, : len(self.model)]),
+            self.model.degree(self.iteration),
+            self._rays,
+            self._bounds,
+            self._generator,
+            self._processes,
+        )
+        for strategy, state in zip(self.strategies, self._states, strict=True):
+            getattr(strategy, method)(self.model.parameters, self.optimiser, state, step, info)
+            if (moves := self.optimiser.take_moves()) is not None:
+                self.optimiser.constrain()
+                source, kept = moves.clamp(min=0), moves >= 0
+                for other in self._states:
+                    if other is not state:
+                        other.follow(source, kept)
+                info = replace(info, rendering=of_rows(info.rendering, partial(_followed_in, source, kept)))
+
+    @property
+    def grid(self) -> ImageGrid:
+        """Of the dataset's images; steps may look at coarser ones, `images`."""
+        return self.model.setting.grid
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """From where the training images were taken, as refined so far."""
+        return self.images.views
+
+    @property
+    def _rays(self) -> RayGrid:
+        config = self.config
+        fine = self.model.levels.fine(self.iteration, config.fine_from)
+        return RayGrid.for_image(self.images.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)
+
+    def check(self) -> None:
+        """Wait for the device, and raise a SarsplatError if a step so far was given what it cannot render."""
+        self._bounds.check()
+
+    @property
+    def learning_rates(self) -> dict[str, float]:
+        """Of the next step, by parameter: of its first column; of means and shifts in m."""
+        return self.optimiser.rates(self.iteration)
+
+    @torch.no_grad()
+    @checks_arguments
+    def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        """β⁰ of any views as they are now, linear power, with the rays of the training."""
+        degree, few, power = self.model.degree(self.iteration), self.config.views_per_step, self.model.power_channel
+        images = [
+            self.model.render(views[first : first + few], self.grid, degree, rays=self._rays)[0][:, power].cpu().numpy()
+            for first in range(0, len(views), few)  # what a step takes fits into memory
+        ]
+        return np.concatenate(images or [np.empty((0, self.grid.rows, self.grid.columns), np.float32)])
+
+    @property
+    def gaussian_count(self) -> int:
+        """Number of the target's Gaussians."""
+        return len(self.model)
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The target as it is now."""
+        return self.model.target(self.model.degree(self.iteration)).detach()
+
+    @checks_arguments
+    def snapshot(self, seconds: float) -> Snapshot:
+        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
+        self.check()
+        tensors = {"generator": self._generator.get_state(), **self.model.tensors()}
+        tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.tensors().items()}
+        for strategy, state in zip(self.strategies, self._states, strict=True):
+            tensors[f"strategy/{strategy.name}"] = torch.empty(0, device="cpu")  # it is there, even without any state
+            tensors |= {f"strategy/{strategy.name}/{name}": tensor for name, tensor in state.tensors().items()}
+        return Snapshot(
+            self.iteration,
+            seconds,
+            tuple(self._queue.waiting),
+            self.grid,
+            self.views,
+            self.model.unit,
+            self.images.brightest,
+            stacks=self.model.setting.stacks,
+            tensors={name: tensor.cpu().clone() for name, tensor in tensors.items()},
+        )
+
+    @checks_arguments
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to the state of a snapshot.
+
+        Raises a SarsplatError if it is of a training with other strategies, KeyError or ValueError if of no training.
+        """
+        if not snapshot.part("optimiser"):
+            raise SarsplatError("it holds Gaussians that were not trained here, which cannot be resumed")
+        names = [name.removeprefix("strategy/") for name in snapshot.tensors if name.startswith("strategy/")]
+        begun, own = {name for name in names if "/" not in name}, {strategy.name for strategy in self.strategies}
+        if begun != own:
+            raise SarsplatError(
+                f"the training was begun with the strategies {', '.join(sorted(begun)) or 'none'}, not "
+                f"{', '.join(sorted(own)) or 'none'}; give the same"
+            )
+        self._learn(SceneModel.saved(snapshot, self.config, self.device))
+        self.optimiser.load(snapshot.part("optimiser"))
+        for strategy, state in zip(self.strategies, self._states, strict=True):
+            state.load(snapshot.part(f"strategy/{strategy.name}"))
+        self._queue.restore(snapshot)
+        self.images.views, self.iteration = snapshot.views, snapshot.iteration
+
+
+def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
+    return followed(rows.transpose(0, 1), source, kept).transpose(0, 1)
+
+
+def _done(rendering: Rendering) -> Rendering:
+    """What was rendered, without what the backward pass needed: strategies render anew, and need that memory."""
+    ground = None if rendering.ground is None else rendering.ground.detach()
+    return replace(
+        rendering, images=rendering.images.detach(), cross_sections=rendering.cross_sections.detach(), ground=ground
+    )
+
+
+@torch.no_grad()
+def _of_black(loss: Loss, truth: Float32[Tensor, "v rows columns"]) -> Tensor:
+    """The loss of black images, the unit of what else is minimised; 1 where that is not a measure of distance."""
+    value = loss(torch.zeros_like(truth), truth)
+    if not isinstance(value, Tensor) or value.is_complex():  # the first step says so
+        return truth.new_ones(())
+    return torch.where(value.isfinite() & (value > 0), value, 1.0)

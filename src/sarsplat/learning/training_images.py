@@ -1,0 +1,99 @@
+"""The images that a training learns from, on its device, and the order in which its steps look at them."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import torch
+
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View
+from sarsplat.learning.image_windows import Windows
+from sarsplat.learning.snapshot import Snapshot
+
+_FAINTEST = 1e-30
+"""Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
+
+
+class TrainingImages:
+    """The training images of a dataset; refused if they are black.
+
+    Attributes
+    ----------
+    views : tuple of View
+        From where they were taken, as refined so far.
+    grid : ImageGrid
+        Of the images.
+    truth : Tensor, float32 [K, rows, columns]
+        β⁰, linear power.
+    numbers : Tensor, int64 [K]
+        0, 1, … on the device.
+    brightest : float
+        Largest β⁰.
+    samples : float
+        Independent samples of speckle in each.
+    """
+
+    def __init__(self, dataset: Dataset, device: torch.device) -> None:
+        train, power = dataset.select("train"), torch.from_numpy(dataset.images("train"))
+        self.views, self.grid, self.brightest = train.views, dataset.grid, float(power.max())
+        if not self.brightest > _FAINTEST:
+            raise SarsplatError(
+                f"the training images of {dataset} are black everywhere (largest β⁰ {self.brightest:.3g}); "
+                "simulate or import again"
+            )
+        self.samples = self.grid.independent_samples * (train.looks or 1.0)
+        self.truth = power.to(device)
+        self.numbers = torch.arange(len(self.views), device=device)
+
+    def through(self, windows: Windows) -> TrainingImages:
+        """What windows show of them."""
+        looked = copy(self)
+        looked.truth, looked.grid = windows.of(self.truth), windows.stack
+        return looked
+
+    def multilooked(self, factor: int, views: tuple[View, ...]) -> TrainingImages:
+        """Means of power over blocks of factor × factor pixels, taken from these views."""
+        looked = copy(self)
+        looked.views = views
+        if factor > 1:
+            looked.grid = self.grid.multilooked(factor)
+            rows, columns = looked.grid.rows, looked.grid.columns
+            whole = self.truth[:, : rows * factor, : columns * factor]
+            looked.truth = whole.reshape(len(whole), rows, factor, columns, factor).mean(4).mean(2)
+            looked.samples = self.samples * looked.grid.independent_samples / self.grid.independent_samples
+        return looked
+
+
+class ViewQueue:
+    """Numbers of the training views in a random order, then in another, `per_step` or all of them at a time.
+
+    `generator` is one of the CPU, so that the order is the same on every device.
+    """
+
+    def __init__(self, views: int, per_step: int, generator: torch.Generator) -> None:
+        self.waiting: list[int] = []
+        self._views, self._count, self._generator = views, min(per_step, views), generator
+
+    def next(self) -> list[int]:
+        """Numbers of the views of the next step."""
+        while len(self.waiting) < self._count:
+            self.waiting += torch.randperm(self._views, generator=self._generator, device="cpu").tolist()
+        chosen, self.waiting = self.waiting[: self._count], self.waiting[self._count :]
+        return chosen
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Continue with the views and the state of the generator that a snapshot holds.
+
+        Raises
+        ------
+        ValueError, KeyError, TypeError, RuntimeError
+            If it does not hold them.
+        """
+        if len(snapshot.views) != self._views:
+            raise ValueError(f"it has {len(snapshot.views)} views for {self._views} training images")
+        if not all(0 <= k < self._views for k in snapshot.queue):
+            raise ValueError("it queues views that do not exist")
+        self._generator.set_state(snapshot.tensors["generator"])
+        self.waiting = list(snapshot.queue)

@@ -1,5 +1,0 @@
-"""From SAR images to Gaussians and a point cloud. What needs torch is loaded when first used."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,93 @@
+"""Where target and shadow are in an image, told from the image alone: nothing is assumed of its direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Real
+from scipy.ndimage import gaussian_filter, label
+
+from sarsplat.geometry import ImageGrid
+from sarsplat.radiometry import to_db
+from sarsplat.regions.target_box import above_ground_db
+
+_BRIGHT_DB, _DARK_DB = 3.0, -4.5
+"""Above and below the ground: what is farther off, smoothed over a resolution cell, is not speckle."""
+
+_LARGE_PART = 0.2
+"""Parts that stand out count if they have this share of the largest."""
+
+_RANGE_DB = 30.0
+"""Images without ground: what is this far below the brightest of a median image counts as nothing."""
+
+_REACH = 1.0
+"""Shadow is looked for this far from the target, in the target's extent along range."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What stands out in one image.
+
+    Attributes
+    ----------
+    target, shadow : numpy.ndarray, bool [rows, columns]
+        Where the target is, and where it is dark beside it along range, on whichever side; perhaps nowhere.
+    """
+
+    target: Bool[np.ndarray, "rows columns"]
+    shadow: Bool[np.ndarray, "rows columns"]
+
+
+def levels_db(
+    power: Real[np.ndarray, "v rows columns"], grid: ImageGrid, ground: bool
+) -> Float64[np.ndarray, "v rows columns"]:
+    """Decibels above the ground, smoothed over a resolution cell; without ground, above what counts as nothing.
+
+    Parameters
+    ----------
+    power : numpy.ndarray [V, rows, columns]
+        β⁰, linear power.
+    grid : ImageGrid
+        Where the pixels lie.
+    ground : bool
+        Whether the images show ground around the target.
+    """
+    if ground:
+        return above_ground_db(power, grid)
+    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
+    smooth = gaussian_filter(power.astype(np.float64), width, mode="nearest")
+    peak = max(float(np.median(smooth.max(axis=(1, 2)))), np.finfo(float).tiny)
+    return np.maximum(to_db(smooth, peak) + _RANGE_DB, 0.0)
+
+
+def outline(level_db: Float64[np.ndarray, "rows columns"]) -> Outline:
+    """Target and shadow of one image.
+
+    Parameters
+    ----------
+    level_db : numpy.ndarray, float64 [rows, columns]
+        Of `levels_db`.
+    """
+    target = _large_parts(level_db > _BRIGHT_DB, np.maximum(level_db, 0))
+    shadow = np.zeros_like(target)
+    rows = np.flatnonzero(target.any(axis=1))
+    if len(rows):
+        reach = max(3, round(_REACH * (rows[-1] - rows[0] + 1)))
+        near = np.zeros_like(target)
+        near[max(0, rows[0] - reach) : rows[-1] + reach + 1, target.any(axis=0)] = True
+        dark = (level_db < _DARK_DB) & near & ~target
+        shadow = _large_parts(dark, np.maximum(-level_db, 0))
+    return Outline(target, shadow)
+
+
+def _large_parts(
+    standing_out: Bool[np.ndarray, "rows columns"], by_db: Float64[np.ndarray, "rows columns"]
+) -> Bool[np.ndarray, "rows columns"]:
+    """The connected parts that have a good share of the one that stands out most."""
+    part, count = label(standing_out)
+    if not count:
+        return standing_out
+    weight = np.bincount(part.ravel(), (standing_out * by_db).ravel(), count + 1)
+    weight[0] = 0
+    return (weight >= _LARGE_PART * weight.max())[part] & standing_out

@@ -1,0 +1,113 @@
+"""Where scatterers of stacks are looked for: where they would be imaged, within one ambiguity of elevation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64
+
+from sarsplat.data import Dataset
+from sarsplat.data.header import Box
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians.initialise import Region
+from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
+from sarsplat.regions.target_region import target_region
+from sarsplat.surface.points import imaged, spread
+
+_BELOW = 0.1
+"""Part of the heights looked at that lies below z = 0."""
+
+_PER_CELL = 3.0
+"""Gaussians for a cell of azimuth, range and elevation."""
+
+_FEWEST_CELLS = 4
+"""Of elevation: a single pair of passes resolves none, but tells one."""
+
+_TRIED, _VIEWS = 1 << 16, 96
+
+_SAME = 1.0 - 1e-4
+"""Cosine between directions that count as one: 0.8°."""
+
+
+def stack_region(train: Dataset, box: Box | None = None) -> Region:
+    """The given box, or the dataset's, or as high as phases tell; of one direction, only what its images show.
+
+    Without a box, heights are those that one ambiguity holds, or that an image is long enough to show; of polarisations
+    alone, those of what stands out from the ground, or what all images hold.
+    """
+    box, grid = box or train.target_box_m, train.grid
+    blind = box is None and not any(np.ptp(stack.offsets_rad) for stack in train.stacks)  # phases tell no heights
+    if blind and not train.ground:
+        return target_region(train, ground=False)
+    half_azimuth, half_range = grid.columns * grid.spacing_m[0] / 2, grid.rows * grid.spacing_m[1] / 2
+    if box is None:
+        heights = [
+            min(
+                stack.ambiguous_elevation_m * math.cos(math.radians(view.grazing_deg)),
+                2 * half_range / math.sin(math.radians(view.grazing_deg)),
+            )
+            for stack, view in zip(train.stacks, train.views, strict=True)
+        ]
+        tallest = float(target_region(train, ground=True).high[2]) / (1 - _BELOW) if blind else min(heights)
+        low, high = -_BELOW * tallest, (1 - _BELOW) * tallest
+        reach = max(_reach_m(view, grid, high) for view in train.views)
+        box = (-reach, -reach, low), (reach, reach, high)
+    region = Region.box(*box)
+    if not _in_any(_tried(region), train.views, grid).any():
+        raise SarsplatError(
+            f"no training image shows anything of the box {box[0]} to {box[1]} m; give another one with --target-box"
+        )
+    if not of_one_direction(train.views):
+        return region
+    frame = radar_frame(train.views[0])
+    normals, middle = np.array([frame[0], -frame[0], frame[2], -frame[2]]), np.array(grid.center_m)
+    offsets = np.array([half_azimuth, half_azimuth, half_range, half_range])
+    offsets += np.array([middle[0], -middle[0], middle[1], -middle[1]])
+    return Region(
+        np.concatenate([region.normals, normals]), np.concatenate([region.offsets, offsets]), region.low, region.high
+    )
+
+
+def of_one_direction(views: Sequence[View]) -> bool:
+    """Whether all views are the same, or nearly so."""
+    directions = np.array([view.direction for view in views])
+    return bool((directions @ directions[0]).min() > _SAME)
+
+
+def imaged_sample(
+    region: Region, views: Sequence[View], grid: ImageGrid, count: int, generator: torch.Generator
+) -> Float64[np.ndarray, "{count} 3"]:
+    """Uniform places in a region, of those that at least one image shows."""
+    kept: list[np.ndarray] = []
+    while sum(map(len, kept)) < count:
+        points = region.sample(count, generator)
+        kept.append(points[_in_any(points, views, grid)])
+    return np.concatenate(kept)[:count]
+
+
+def enough_gaussians(region: Region, views: Sequence[View], grid: ImageGrid, stacks: Sequence[Stack]) -> int:
+    """How many Gaussians stacks need: so many for each cell of azimuth, range and elevation that images show."""
+    size, points = region.high - region.low, _tried(region)
+    inside = (points @ region.normals.T <= region.offsets).all(axis=1) & _in_any(points, views, grid)
+    volume, span = float(np.prod(size)) * float(inside.mean()), size[2] / math.cos(math.radians(views[0].grazing_deg))
+    elevation = min(min(stack.resolution_m for stack in stacks), float(span) / _FEWEST_CELLS)
+    return max(1, round(_PER_CELL * volume / (grid.cell_m**2 * elevation)))
+
+
+def _tried(region: Region) -> Float64[np.ndarray, "k 3"]:
+    """Places in the box around a region, always the same."""
+    return region.low + (region.high - region.low) * np.random.default_rng(0).random((_TRIED, 3))
+
+
+def _in_any(points: Float64[np.ndarray, "p 3"], views: Sequence[View], grid: ImageGrid) -> Bool[np.ndarray, " p"]:
+    return np.any([imaged(points, view, grid) for view in spread(views, _VIEWS)], axis=0)
+
+
+def _reach_m(view: View, grid: ImageGrid, height: float) -> float:
+    """Farthest from the origin that something is imaged, along the ground, m."""
+    sine, cosine = math.sin(math.radians(view.grazing_deg)), math.cos(math.radians(view.grazing_deg))
+    azimuth, slant = (np.abs(edges).max() for edges in (grid.extent_m[:2], grid.extent_m[2:]))
+    return math.hypot(azimuth, (slant + height * sine) / cosine)

@@ -1,0 +1,282 @@
+"""The box around what stands out from the ground in images of it, as high as its shadow is long."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Float64
+from scipy.ndimage import affine_transform, gaussian_filter, label
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.radiometry import to_db
+from sarsplat.regions.multilook import multilooked
+
+_SURE_DB = 3.0
+"""What is brighter than the ground by more is not speckle …"""
+
+_PROBABLE = 2.0
+"""… and what is connected to it and brighter by this many standard deviations of the ground belongs to it …"""
+
+_FAINTEST_DB = 1.0
+"""… if by no less than this: what is bright reaches far where there is no noise."""
+
+_GLINT_DB = 12.0
+"""What is darker than the bright part of the target by more may be the response of its glints."""
+
+_BRIGHT_PART = 0.9
+"""Share of the target that is darker than its bright part."""
+
+_LARGE_PART = 0.2
+"""Parts that stand out count if they have this share of the largest: few views show a target in pieces."""
+
+_DARKEST_DB = -3.0
+"""Below the ground: shadow may be darker, but says no more than that where the target is looked for …"""
+
+_SHADOW_DB = (-6.0, 3.0)
+"""… and than the first in the search for shadow; what is brighter than the second hides it."""
+
+_DARK_DB = (-4.5, -2.5)
+"""Shadow is darker on average than the first in its middle; what is not darker than the second is none …"""
+
+_SURELY_DARK = 6.0
+"""… between them it must be this many standard deviations of the ground: the darkest of many places is looked at."""
+
+_KNOWN = 0.6
+"""Share of the images that must show where a place's shadow would lie for them to say whether it is there."""
+
+_UPRIGHT = 4.0
+"""A view counts half for the extent along an axis if it displaces things along that axis by their height over this."""
+
+_TIP = 1.1
+"""Its top may be too narrow for a shadow that is seen: the box is this much higher than the highest one that is."""
+
+_HEIGHT = 0.65
+"""Of the box, relative to its narrower side, where no shadow tells it."""
+
+_SIDE = 256
+"""Places along a side of the scene that are looked at; more pixels than that are averaged."""
+
+_PLACES = 128
+"""Places along a side of the box, and heights up to its width, at which shadow is looked for …"""
+
+_VIEWS = 48
+"""… in so many of the images, evenly chosen: more would say the same."""
+
+_QUARTER = 0.6373
+"""Width of the narrowest interval that holds a quarter of normal noise, in standard deviations."""
+
+
+def target_box(
+    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
+) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+    """Corners of the box, from means over the images of the decibels above the ground at each place of it.
+
+    What stands on the ground is displaced towards the radar, but never across: the extent along an axis is mostly that
+    in the views from its sides. The height is the greatest whose shadow is dark in
+    all views, but for those in which something bright hides it.
+
+    Parameters
+    ----------
+    power : numpy.ndarray [V, rows, columns]
+        β⁰, linear power, of images that show the ground around the target. Their gains may differ.
+    views, grid
+        Where they were taken from, and where their pixels lie.
+
+    Returns
+    -------
+    low, high : numpy.ndarray, float64 [3]
+        World frame, m; a cell wider and higher than what was found; z from 0, to two thirds of the narrower side if
+        there is no shadow. Where nothing stands out, the middle half of the scene.
+
+    Raises
+    ------
+    SarsplatError
+        If an image does not show the world's origin.
+    """
+    level_db, grid, axis = _levels(power, views, grid)
+    half = float(axis[-1])
+    bright_db = np.maximum(level_db, _DARKEST_DB)
+    extents = []
+    for i in range(2):
+        above_db = _on_the_ground(bright_db, views, grid, axis, _weights_across(views, i))
+        extent = _extent(above_db, axis, i)
+        if extent is None:
+            return np.array([-half / 2, -half / 2, 0.0]), np.array([half / 2, half / 2, _HEIGHT * half])
+        extents.append(extent)
+    low, high = np.array(extents).T + np.array([[-grid.cell_m], [grid.cell_m]])
+    some = np.unique(np.linspace(0, len(views) - 1, min(len(views), _VIEWS)).round().astype(int))
+    height = _height(level_db[some], [views[k] for k in some], grid, axis, low, high)
+    return np.array([*low, 0.0]), np.array([*high, height])
+
+
+def stands_out_db(
+    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
+) -> tuple[Float64[np.ndarray, "side side"], Float64[np.ndarray, " side"]]:
+    """What surely stands out from the ground: its decibels at places [y, x], else 0; the places along x and y, m.
+
+    The mean over the images, of the places that all of them show; arguments and errors as for `target_box`.
+    """
+    level_db, grid, axis = _levels(power, views, grid)
+    above_db = _on_the_ground(np.maximum(level_db, _DARKEST_DB), views, grid, axis, np.ones(len(views)))
+    return np.where(above_db > _SURE_DB, above_db, 0.0), axis
+
+
+def _levels(
+    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
+) -> tuple[Float64[np.ndarray, "v rows columns"], ImageGrid, Float64[np.ndarray, " side"]]:
+    """Decibels above the ground, of fewer pixels if there are many; their grid; places on the ground along x and y."""
+    half = seen_by_all(views, grid)
+    if half <= 0:
+        raise SarsplatError(
+            f"the images, with their middle at {grid.center_m} m, do not show the world's origin, around which the "
+            "target is looked for; say where it is with --target-box (in Python target_box_m), or give images that "
+            "show the origin"
+        )
+    power, grid = multilooked(power, grid, math.ceil(4 * half / grid.cell_m / _SIDE))
+    axis = np.linspace(-half, half, 2 * math.ceil(2 * half / grid.cell_m) + 1)
+    return above_ground_db(power, grid), grid, axis
+
+
+def _extent(
+    above_db: Float64[np.ndarray, "side side"], axis: Float64[np.ndarray, " side"], i: int
+) -> list[float] | None:
+    """First and last place along an axis of what stands out; None if nothing does."""
+    sure = above_db > _SURE_DB
+    if not sure.any():
+        return None
+    threshold_db = max(
+        _FAINTEST_DB,
+        _PROBABLE * _typical(above_db)[1],
+        float(np.quantile(above_db[sure], _BRIGHT_PART)) - _GLINT_DB,
+    )
+    part, count = label(above_db > threshold_db)
+    weight = np.bincount(part.ravel(), (sure * above_db).ravel(), count + 1)
+    weight[0] = 0  # what does not stand out
+    if not weight.any():
+        return None
+    found = np.nonzero((weight >= _LARGE_PART * weight.max())[part])[1 - i]
+    return [float(axis[found.min()]), float(axis[found.max()])]
+
+
+def _height(
+    level_db: Float[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    axis: Float64[np.ndarray, " side"],
+    low: Float64[np.ndarray, " 2"],
+    high: Float64[np.ndarray, " 2"],
+) -> float:
+    """A little more than the greatest height in the box above which nothing casts a shadow, m."""
+    tangents = np.tan(np.radians([view.grazing_deg for view in views]))
+    weights = tangents**-2.0  # an error along the ground is one in height times the tangent
+    clipped_db = np.clip(level_db, *_SHADOW_DB)
+    noise_db = _typical(_on_the_ground(clipped_db, views, grid, axis, weights))[1]
+    clipped_db[level_db > _SHADOW_DB[1]] = np.nan
+    dark = max(_DARK_DB[0], min(_DARK_DB[1], -_SURELY_DARK * noise_db))
+    narrow, wide = (float(pick(high - low)) for pick in (np.min, np.max))
+    step = max(grid.cell_m / 2, wide / _PLACES)
+    x, y = (np.arange(a, b + step, step) for a, b in zip(low, high, strict=True))
+    top = darkest = 0.0
+    for z in np.arange(0.0, 2 * axis[-1], step):  # no higher than the scene is wide
+        mean, seen = _mean(clipped_db, views, grid, x, y, float(z), weights)
+        known = seen >= _KNOWN
+        if not known.any():
+            if top > z - 1.5 * step:  # as high as shadows lie within the images, and who knows how much higher
+                top = max(top, _HEIGHT * narrow)
+            break
+        depth = float((mean * np.sqrt(seen))[known].min())  # fewer images, more noise
+        darkest = min(darkest, depth)
+        if depth < dark:
+            top = float(z)
+        elif z > narrow:  # below, the target's own brightness may hide the shadow of a part
+            break
+    if darkest > _DARK_DB[0]:
+        return _HEIGHT * narrow
+    # above the middle of a wide roof the views from all sides see shadow, too, and the more, the steeper they are
+    return _TIP * max(min(top, narrow), top - narrow / 2 * float(tangents.min())) + max(grid.cell_m, 2 * step)
+
+
+def seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
+    """Radius of the largest disc of ground around the origin that lies in every image, m; ≤ 0 if there is none."""
+    flattest = math.cos(math.radians(min(view.grazing_deg for view in views)))
+    across = grid.columns * grid.spacing_m[0] / 2 - abs(grid.center_m[0])
+    along = (grid.rows * grid.spacing_m[1] / 2 - abs(grid.center_m[1])) / flattest
+    return min(across, along)
+
+
+def above_ground_db(
+    power: Float[np.ndarray, "v rows columns"], grid: ImageGrid
+) -> Float64[np.ndarray, "v rows columns"]:
+    """Decibels above each image's ground, smoothed over a resolution cell; `power` is linear."""
+    # one cell wide, each way: speckle is smoothed, and what is larger stays
+    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
+    smooth = gaussian_filter(power.astype(np.float64), width, mode="nearest")
+    level_db = to_db(smooth, np.maximum(np.median(smooth, axis=(1, 2), keepdims=True), np.finfo(float).tiny))
+    return level_db - np.array([_typical(image)[0] for image in level_db])[:, None, None]
+
+
+def _on_the_ground(
+    level_db: Float64[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    axis: Float64[np.ndarray, " side"],
+    weights: Float64[np.ndarray, " v"],
+) -> Float64[np.ndarray, "side side"]:
+    """Weighted mean over the images at each place on the ground, NaN where not all show it."""
+    mean, seen = _mean(level_db, views, grid, axis, axis, 0.0, weights)
+    return np.where(seen < 1 - 1e-9, np.nan, mean)
+
+
+def _weights_across(views: Sequence[View], i: int) -> Float64[np.ndarray, " v"]:
+    """How much each view says about the extent along axis i."""
+    aways = [radar_frame(view)[2] for view in views]
+    leans = np.array([away[i] * away[2] / (1 - away[2] ** 2) for away in aways])  # along the axis, per metre of height
+    return 1 / (1 + (_UPRIGHT * leans) ** 2)
+
+
+def _mean(
+    level_db: Float64[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    x: Float64[np.ndarray, " nx"],
+    y: Float64[np.ndarray, " ny"],
+    z: float,
+    weights: Float64[np.ndarray, " v"],
+) -> tuple[Float64[np.ndarray, "ny nx"], Float64[np.ndarray, "ny nx"]]:
+    """Weighted mean over the images that show where on the ground places cast their shadow, and the share of these.
+
+    Places are those of an even raster at one height. The ground itself casts its shadow to where it is. Where no image
+    shows it, the mean is 0.
+    """
+    pixel_m, first_m = np.array(grid.spacing_m[::-1]), np.array([grid.range_m[0], grid.azimuth_m[0]])
+    total, weight_seen, seen = np.zeros((3, len(y), len(x)))
+    for image, view, weight in zip(level_db, views, weights, strict=True):
+        frame = radar_frame(view)[[2, 0]]  # away and across, as rows and columns are
+        # on through the first place, down to the ground
+        first = frame @ (x[0], y[0], z) + (z / math.sin(math.radians(view.grazing_deg)), 0.0)
+        step = frame[:, [1, 0]] * (y[1] - y[0], x[1] - x[0]) / pixel_m[:, None]
+        level = affine_transform(
+            image, step, (first - first_m) / pixel_m, total.shape, order=1, mode="constant", cval=np.nan
+        )
+        shown = np.isfinite(level)
+        total += weight * np.where(shown, level, 0.0)
+        weight_seen += weight * shown
+        seen += shown / len(views)
+    return np.divide(total, weight_seen, out=np.zeros_like(total), where=weight_seen > 0), seen
+
+
+def _typical(values: Float64[np.ndarray, ...]) -> tuple[float, float]:
+    """Middle and standard deviation of normal noise that is at least a quarter of what is known; the rest is anything.
+
+    What is as dark or as bright as anything gets is no noise: it was clipped.
+    """
+    known = np.sort(values[np.isfinite(values)])
+    between = known[(known > known[0]) & (known < known[-1])]
+    known = between if len(between) else known
+    count = len(known) // 4
+    width = known[count:] - known[: len(known) - count]
+    first = int(width.argmin())
+    return float(known[first] + width[first] / 2), float(width[first]) / _QUARTER

@@ -1,0 +1,100 @@
+"""A run of Gaussians that another program or a loop of one's own has made: the settings and the state that it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.initialise import Region
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.learning.model import SceneModel
+from sarsplat.learning.parts.target import law
+from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.snapshot import Snapshot
+from sarsplat.renderer import channel_of
+from sarsplat.settings.config import OWN_LOOP, Config
+from sarsplat.tiles import at_once
+
+_SIGMAS = 2.5
+"""Standard deviations of a Gaussian that count as its extent."""
+
+_DEGREES = (3, 2, 1, 0)
+"""Of the harmonics, largest first."""
+
+_PIXELS = 128
+_FILLED = 0.7
+"""Of an image's width, by the Gaussians that are not faint."""
+
+_CELL_SIGMAS = 2.0  # resolution cell in standard deviations of a Gaussian, as after our own trainings
+_FAINT = 0.05
+"""Optical depth below which a Gaussian hardly shows."""
+
+_AROUND = tuple(View(azimuth, grazing) for grazing in (15.0, 45.0, 75.0) for azimuth in range(0, 360, 45))
+
+
+def usual_grid(gaussians: Gaussians) -> ImageGrid:
+    """128 × 128 square pixels as wide as their resolution, which show the Gaussians from any direction.
+
+    No pixel is much finer than the Gaussians: points and meshes are as fine as the pixels, and would be huge.
+    """
+    shown = gaussians[gaussians.optical_depth > _FAINT]
+    shown = (shown if len(shown) else gaussians).detach()
+    if not bool(shown.means.isfinite().all()):
+        raise SarsplatError("the centre of a Gaussian is not finite, so no grid can be chosen; give finite ones")
+    reach = shown.means.norm(dim=1) + _SIGMAS * shown.scales.amax(dim=1)  # images are centred on the world's origin
+    coarse_m = _CELL_SIGMAS * float(shown.scales.amax(dim=1).median())
+    spacing_m = float(f"{max(2 * float(reach.max()) / (_FILLED * _PIXELS), coarse_m):.2g}")
+    return ImageGrid(_PIXELS, _PIXELS, (spacing_m, spacing_m), (spacing_m, spacing_m))
+
+
+def own_scene(
+    gaussians: Gaussians, grid: ImageGrid | None, views: Sequence[View] | None, brightest: float | None, time_s: float
+) -> tuple[Config, Snapshot]:
+    """Settings and state of a run; without grid, views or the brightest power, usual ones are chosen.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no Gaussians or no views, or configurations cannot name the law of scattering and its settings.
+    """
+    own = gaussians.detach().to("cpu").to(torch.float32)
+    views = _AROUND if views is None else tuple(views)
+    if not views or not len(own):
+        raise SarsplatError(f"a run needs at least one {'view' if len(own) else 'Gaussian'}; give some")
+    grid = grid or usual_grid(own)
+    scattering, settings = own.scattering, own.scattering.settings()
+    usual = Config(
+        preset=OWN_LOOP,
+        iterations=_DEGREES[0],
+        gaussians=len(own),
+        scattering=scattering.kind,
+        p_min=scattering.p_min,
+        common_law=False,
+        harmonics_every=1,
+    )
+    configs = [replace(usual, harmonics_degree=degree) for degree in _DEGREES]
+    laws = [law(config, 1, 1.0) for config in configs]
+    columns = scattering.parameters.shape[1]
+    fits = [each.parameters.shape[1] == columns and each.settings() == settings for each in laws]
+    if type(scattering) is not type(laws[0]) or not any(fits):
+        raise SarsplatError(
+            f"a run cannot keep the scattering law {shown(scattering.kind)} with {columns} columns of parameters and "
+            f"the settings {shown(settings)}; use what its `initial` gives"
+        )
+    config = configs[fits.index(True)]
+    tensors: dict[str, Tensor] = {name: tensor.contiguous() for name, tensor in own.tensors().items()}
+    region = Region.box(own.means.amin(0).tolist(), own.means.amax(0).tolist())
+    setting = Setting(region, 1.0, views, grid)
+    model = SceneModel(config, setting, tensors)
+    if brightest is None:
+        rays = RayGrid.for_image(grid)
+        few = views if at_once(own, views[:1], grid, rays) else views[:1]  # of a scene that is rendered by tiles
+        images = (image for view in few for image in model.unseen([view], grid, _DEGREES[0], rays))
+        brightest = max(float(channel_of(image, model.power_channel).max()) for image in images)
+    brightest = max(brightest, torch.finfo(torch.float32).tiny)
+    return config, Snapshot(config.iterations, time_s, (), grid, views, 1.0, brightest, model.tensors())

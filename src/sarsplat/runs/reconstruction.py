@@ -1,0 +1,140 @@
+"""From a dataset to a run, by any method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data import Dataset, read_dataset
+from sarsplat.data.plausible import suspicions, warn
+from sarsplat.errors import SarsplatError
+from sarsplat.learning.device import device_named
+from sarsplat.learning.losses import Loss
+from sarsplat.learning.method import Inputs
+from sarsplat.learning.trainer import Trainer
+from sarsplat.processes import Processes
+from sarsplat.progress import progress
+from sarsplat.runs.methods import method_named
+from sarsplat.runs.run import Run
+from sarsplat.runs.tiled_training import TiledTraining, refuse_with_tiles, steps_of
+from sarsplat.runs.training_loop import Step, Training, train
+from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
+
+
+@checks_arguments
+def reconstruct(
+    dataset: Dataset | str | Path,
+    preset: str | AnyConfig = "auto",
+    out: str | Path | None = None,
+    *,
+    method: str = DEFAULT_METHOD,
+    masks: str | Path | None = None,
+    scattering: str | None = None,
+    loss: Loss | None = None,
+    strategies: Sequence[Any] = (),
+    device: str = "auto",
+    on_step: Callable[[Step[Any]], object] | None = None,
+    quiet: bool = False,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> Run:
+    """Reconstruct a target from the training images of a dataset.
+
+    In a program that torchrun has started, its processes share the views of every step, with the same result; the first
+    one writes `out` and calls `on_step`, and the others get the run in memory.
+
+    Parameters
+    ----------
+    dataset : Dataset, str or Path
+        The images, or the folder that holds them.
+    preset : str or AnyConfig
+        How: a name in `PRESETS`, settings of your own, or "auto": of `sar-gs`, "measured" where the images show
+        ground, "speckled" where there is only speckle, "default" elsewhere; of other methods, their defaults. To
+        resume, "auto" is what the run was begun with.
+    out : str or Path, optional
+        Folder of the run; it appears, or replaces an earlier run, with the first checkpoint. Without it everything
+        stays in memory.
+    method : str
+        Name of the method, one of `METHODS`.
+    masks : str or Path, optional
+        Folder of masks of the training images (`read_masks`), for methods that learn from them. The run keeps them.
+    scattering : str, optional
+        For `sar-gs`, instead of the configuration's: the kind of a law of scattering, of ours ("harmonics",
+        "normal-lobes") or registered (`sarsplat.gaussians.register_scattering`).
+    loss : callable, optional
+        For `sar-gs`, instead of the configuration's: `loss(rendered, truth)` is given two float32 stacks
+        [V, rows, columns] of β⁰, linear power, and returns one number that torch can differentiate. It is first asked
+        for the loss of black images, the unit of `scattering_penalty`. The run's configuration has its name; to
+        resume, give it again.
+    strategies : sequence
+        For `sar-gs`: what else happens between steps, besides what the configuration says.
+    device : {"auto", "cpu", "cuda"}
+        Where to train; "auto" is a GPU if there is one that passes the CUDA engine's check.
+    on_step : callable, optional
+        Called after every step (`Step`), by the first process. If it returns True, the training ends there, and the run
+        is what has been learned so far. An exception ends it too; what has been learned is then kept in `out`.
+    quiet : bool
+        Show no progress.
+    resume : bool
+        Go on from the newest checkpoint in `out`, exactly as if the training had never stopped. The settings must be
+        those the run was started with, except `iterations`, `checkpoint_every` and, of `sar-gs`, `points`: more
+        iterations extend a run, even a finished one, and its points are extracted anew.
+    overwrite : bool
+        Replace an existing run.
+
+    Returns
+    -------
+    Run
+        The finished run. If KeyboardInterrupt or another exception ends the training, what was saved stays usable; but
+        an earlier run stays if the new one has no checkpoint yet.
+
+    Raises
+    ------
+    SarsplatError
+        If there is no such method, the dataset lacks what it learns from, it does not use what was given, `out` exists
+        (to resume: does not), another process is writing it, or dataset, method or settings are not those the run was
+        started with.
+    """
+    chosen = method_named(method)
+    processes = Processes.started()
+    inputs = Inputs(None if masks is None else Path(masks), loss, tuple(strategies), processes)
+    chosen.refuse_others(inputs)
+    on = device_named(device)
+    if processes is not None and on.type != "cpu":
+        raise SarsplatError(f"the processes of torchrun share views on the CPU only, not on {on.type}; give device cpu")
+    dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
+    begun = Run.load(out) if resume and out is not None else None
+    if begun is not None and begun.method != method:
+        raise SarsplatError(f"{out} was started with the method {begun.method}, not {method}; resume it with that")
+    if isinstance(preset, str):
+        config = begun.config if begun is not None and preset == "auto" else chosen.preset(preset, dataset)
+    else:
+        config = chosen.checked(preset)
+    if scattering is not None:
+        if not isinstance(config, Config):
+            raise SarsplatError(f"{method} uses no scattering; omit {scattering!r}, or choose a method that does")
+        config = replace(config, scattering=scattering)
+    if isinstance(config, Config) and config.tiles > 1:
+        refuse_with_tiles(config, inputs)
+    warn(suspicions(dataset))
+    learned = None if begun is None or begun.checkpoint_path is None else lambda: begun.reconstruction
+    trainer = chosen.trainer(dataset, config, inputs, on, learned)
+    follows = processes is not None and not processes.leads
+    heading, note = chosen.about(config, dataset.grid)
+    whole = trainer if isinstance(trainer, Trainer) and trainer.config.tiles > 1 else None
+    steps = config.iterations if whole is None else steps_of(whole)
+    with progress(f"reconstruct ({heading})", steps, quiet or follows) as shown:
+        if note is not None:
+            shown.note(note)
+        where = None if dataset.path is None else dataset.path.resolve()
+        new = Run(method, trainer.config, dataset.fingerprint(), dataset_path=where)
+        folder = None if out is None else Path(out)
+        training: Training[Any]
+        if whole is not None:
+            training = TiledTraining(whole, on_step, shown, dataset, inputs)
+        else:
+            training = Training(trainer, None if follows else on_step, shown, processes)
+        return train(training, new, dataset, folder, resume=resume, overwrite=overwrite)

@@ -1,0 +1,270 @@
+"""The training loop of all methods: step, log, save now and then, and resume where an earlier one stopped."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from sarsplat.data import Dataset, new_folder, write_bytes
+from sarsplat.data.files import plain_os_errors
+from sarsplat.data.folders import only_writer, refuse_existing
+from sarsplat.errors import SarsplatError
+from sarsplat.learning.method import Trainable
+from sarsplat.processes import Processes
+from sarsplat.progress import Reporter
+from sarsplat.runs.log import LogLine, log_text
+from sarsplat.runs.run import InMemory, Run, write_header
+from sarsplat.runs.run_folder import ABOUT, HEADER, MESH, POINTS, require_replaceable
+from sarsplat.settings.config import AnyConfig, refuse_other_settings
+
+_LINES_PER_RUN = 200
+"""About how many lines `metrics.jsonl` gets."""
+
+_SECONDS_UNSEEN = 5.0
+"""The progress is shown at least this often, if steps are not longer."""
+
+_CHECKPOINTS_KEPT = 2
+
+_RESULTS = ("gaussians.ply", MESH, ABOUT, POINTS, "metrics.json", "report/index.html")
+"""What is made from the newest checkpoint."""
+
+T = TypeVar("T", bound=Trainable)
+
+
+@dataclass(frozen=True)
+class Step(Generic[T]):
+    """What is passed to a watcher of a training after each step."""
+
+    iteration: int
+    """Steps done, this one included."""
+    loss: Tensor
+    """Its loss, a single number; reading it waits for the device."""
+    trainer: T
+    """The training itself, between two steps; that of `sar-gs` has the target as it is now, `trainer.gaussians`."""
+    line: LogLine | None = None
+    """The line that the log gets after this step; None after most."""
+    folder_to_come: Path | None = None
+    """The run's folder as long as it is being built elsewhere, which is until after the first checkpoint: nothing may
+    be written there yet. Then, and for a run in memory, None."""
+
+
+class Training(Generic[T]):
+    """A trainer at work: counts the time, calls `on_step`, and keeps the log.
+
+    `run` is the one whose folder gets the log and the checkpoints; None in memory. `ended` is whether `on_step` asked
+    for the end. Of `processes` that share the work, only the first has a run and `on_step`.
+    """
+
+    def __init__(
+        self,
+        trainer: T,
+        on_step: Callable[[Step[T]], object] | None,
+        shown: Reporter,
+        processes: Processes | None = None,
+    ) -> None:
+        self.trainer, self.shown, self._on_step, self._processes = trainer, shown, on_step, processes
+        self.history: list[LogLine] = []
+        self.run: Run | None = None
+        self.ended = False
+        self.folder_to_come: Path | None = None
+        self._between_steps = True
+        self._begun = self._shown_at = time.monotonic()
+
+    @property
+    def seconds(self) -> float:
+        """Time trained so far, s of wall clock."""
+        return time.monotonic() - self._begun
+
+    @property
+    def follows(self) -> bool:
+        """Whether another process writes and says what is done."""
+        return self._processes is not None and not self._processes.leads
+
+    def follow(self) -> None:
+        """Begin where the first process does, which resumes."""
+        assert self._processes is not None
+        if (snapshot := self._processes.shared(None)) is not None:
+            self.trainer.restore(snapshot)
+
+    def resume(self, dataset: Dataset) -> None:
+        """Bring the trainer, the log and the folder to the newest checkpoint of `run`."""
+        run, config = self.run, self.trainer.config
+        assert run is not None
+        if run.fingerprint != dataset.fingerprint():
+            raise SarsplatError(
+                f"{run.path} was started with another dataset ({run.dataset_path}); resume it with that one"
+            )
+        refuse_other_settings(run.folder, run.config, config)
+        if run.checkpoint_path is not None and run.iteration > config.iterations:
+            raise SarsplatError(
+                f"{run.path} has already done {run.iteration} iterations, more than {config.iterations}; resume it "
+                f"with at least {run.iteration}"
+            )
+        other_results = any(name not in AnyConfig.may_change for name, _, _ in run.config.changes(config))
+        where = None if dataset.path is None else dataset.path.resolve()
+        self.run = resumed = replace(run, dataset_path=where, config=config)
+        if resumed != run:
+            write_header(resumed)
+        snapshot = None if run.checkpoint_path is None else run.snapshot
+        if self._processes is not None:
+            self._processes.shared(snapshot)
+        if snapshot is not None:
+            try:
+                self.trainer.restore(snapshot)
+            except (LookupError, TypeError, ValueError, RuntimeError, OverflowError) as error:
+                raise SarsplatError(
+                    f"{run.checkpoint_path} does not match this version ({error}); start again with overwrite=True"
+                ) from error
+            self._begun -= snapshot.seconds
+            self.history = [line for line in run.history if line.iteration <= snapshot.iteration]  # a killed one's end
+            self.shown.start_at(snapshot.iteration)
+        if other_results or self.trainer.iteration < config.iterations:
+            with plain_os_errors("write", run.folder):
+                for name in _RESULTS:
+                    (run.folder / name).unlink(missing_ok=True)
+        write_bytes(run.log_path, log_text(self.history))
+
+    def advance_to(self, iterations: int) -> None:
+        """Step until so many iterations are done; what has been learned is saved whatever ends it between two steps."""
+        trainer, begun = self.trainer, self.trainer.iteration
+        try:
+            self._steps(iterations)
+        finally:
+            unsaved = trainer.iteration > begun and trainer.iteration % trainer.config.checkpoint_every
+            if self._between_steps and unsaved:
+                self._save()
+
+    def _steps(self, iterations: int) -> None:
+        trainer, config = self.trainer, self.trainer.config
+        every = max(1, config.iterations // _LINES_PER_RUN)
+        losses: list[Tensor] = []
+        while trainer.iteration < iterations and not self.ended:
+            self._between_steps = False
+            loss = trainer.step()
+            losses.append(loss)
+            logs = trainer.iteration % every == 0 or trainer.iteration == config.iterations
+            saves = self.run is not None and trainer.iteration % config.checkpoint_every == 0
+            if logs or saves:
+                trainer.check()  # as a part of the step: what is wrong is not saved
+            line = self._line(losses) if logs else None
+            self._between_steps = True
+            if line is not None:
+                losses = []
+                self._log(line)
+            elif time.monotonic() - self._shown_at > _SECONDS_UNSEEN:
+                self._show(loss.item())
+            if saves:
+                self._save()
+            self.ended = self._ends(Step(trainer.iteration, loss, trainer, line, self.folder_to_come))
+
+    def _ends(self, step: Step[T]) -> bool:
+        """Whether this was the last step, as `on_step` says; an exception of it ends those that follow, too."""
+        ended = True
+        try:
+            ended = self._on_step is not None and self._on_step(step) is True
+        finally:
+            if self._processes is not None:
+                ended = self._processes.said(ended)
+        return ended
+
+    def _line(self, losses: list[Tensor]) -> LogLine:
+        loss = sum(torch.stack(losses).tolist()) / len(losses)  # one wait for the device
+        if not math.isfinite(loss):
+            raise SarsplatError(
+                f"the loss became {loss} at iteration {self.trainer.iteration}; lower the learning rates (the last "
+                "checkpoint is from before)"
+            )
+        return LogLine(self.trainer.iteration, round(self.seconds, 3), loss, self.trainer.gaussian_count)
+
+    def _log(self, line: LogLine) -> None:
+        self.history.append(line)
+        self._show(line.loss)
+        if self.run is not None:
+            with plain_os_errors("write", self.run.log_path), self.run.log_path.open("ab") as file:
+                file.write(log_text([line]))
+
+    def _show(self, loss: float) -> None:
+        count = self.trainer.gaussian_count
+        self.shown.update(
+            self.trainer.iteration, f"loss {loss:.3g}" + ("" if count is None else f"  {count} Gaussians")
+        )
+        self._shown_at = time.monotonic()
+
+    def _save(self) -> None:
+        if self.run is None:
+            return
+        folder = self.run.folder / "checkpoints"
+        self.trainer.snapshot(self.seconds).save(folder / f"{self.trainer.iteration:08d}.safetensors")
+        with plain_os_errors("write", folder):
+            for old in sorted(folder.glob("*.safetensors"))[:-_CHECKPOINTS_KEPT]:
+                old.unlink()
+
+
+def train(
+    training: Training[Any], new: Run, dataset: Dataset, out: Path | None, *, resume: bool, overwrite: bool
+) -> Run:
+    """Train to the end, in memory or, with `out`, in a folder from which it can be resumed at any time.
+
+    `training` is at its beginning; `new` is the run as it will be, with settings and the dataset's fingerprint. An
+    exception leaves a checkpoint, from which a run shows what it has learned; only a finished one gets its points,
+    which may take longer than the training.
+
+    Raises
+    ------
+    SarsplatError
+        If `out` exists (to resume: does not), another process is writing it, or dataset or settings are not those the
+        run was started with.
+    """
+    config = training.trainer.config
+    if resume and overwrite:
+        raise SarsplatError("a run is either resumed or overwritten; give only one of resume and overwrite")
+    if out is None and (resume or overwrite):
+        raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
+    if out is None or training.follows:
+        if resume:
+            training.follow()
+        training.advance_to(config.iterations)
+        held = InMemory(training.trainer.snapshot(training.seconds), tuple(training.history))
+        return replace(new, memory=held, images=dataset)
+    if resume:
+        training.run = Run.load(out)
+    else:
+        if overwrite:
+            require_replaceable(out)
+        refuse_existing(out, overwrite, marker=HEADER)
+    stopped: BaseException | None = None
+    with only_writer(out):
+        if resume:
+            training.resume(dataset)
+        else:
+            with new_folder(out, overwrite, marker=HEADER) as folder:
+                training.run, training.folder_to_come = replace(new, path=folder), out
+                (folder / "checkpoints").mkdir()
+                write_header(training.run)
+                try:
+                    training.advance_to(min(config.checkpoint_every, config.iterations))
+                except BaseException as error:
+                    if training.run.checkpoint_path is None:
+                        raise
+                    if (out / HEADER).is_file():
+                        if not isinstance(error, KeyboardInterrupt):
+                            raise
+                        raise KeyboardInterrupt(
+                            f"stopped before the first checkpoint; {out} is still as it was"
+                        ) from error
+                    stopped = error
+            training.run, training.folder_to_come = Run.load(out), None
+        if stopped is not None:
+            raise stopped
+        training.advance_to(config.iterations)
+        training.shown.note("extracting the surface: points and normals; Ctrl-C leaves that for later")
+        finished = replace(Run.load(out), images=dataset)
+        finished.write_results()
+    return finished

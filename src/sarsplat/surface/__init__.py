@@ -1,0 +1,5 @@
+"""From Gaussians to a surface: points, normals, a mesh, masks. What needs torch is loaded when first used."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

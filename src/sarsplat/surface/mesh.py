@@ -1,0 +1,261 @@
+"""A triangle mesh through points with normals: signed distances on a voxel grid, and marching cubes.
+
+After H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992: the distance of a place is that
+from the plane through the weighted mean of the points around it. Only what was seen has points, so the mesh is open
+where no view looked, as below a vehicle. The grid is cut into bricks, of which only those near points are looked at,
+one after the other: time grows with the surface, and memory hardly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float64, Int64, Real
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from sarsplat.errors import SarsplatError
+from sarsplat.progress import stage
+from sarsplat.radiometry import shade
+from sarsplat.surface.visibility import Seen
+from sarsplat.unbroken import unbroken
+
+if TYPE_CHECKING:
+    import trimesh
+
+# Lengths in units: resolution cells, or more where points are so far apart that smaller ones would fall between them.
+_SPACINGS = 7.5  # of the points, in a unit at least: nothing is farther from the next one than the mesh reaches
+_VOXEL = 0.25
+_SMOOTHING = 0.25  # standard deviation of the points' weights
+_REACH = 0.2  # of the mesh from the nearest point
+
+# A part that is smaller, of the whole area and in square units, floats.
+_SMALLEST_PART, _SMALLEST_UNITS = 0.01, 12.0
+_NEIGHBOURS = 24  # points that count for a place
+_AT_ONCE = 50_000  # places whose points are searched
+_SUMMED = 4096  # places whose points are summed: what is calculated of them stays in the processor's cache
+_ASKED = 10_000  # points, at most, how far the next one is
+_SEARCH, _NEAR, _NORMALS = 70, 75, 90  # per cent of the time, until they are done
+_BRICK = 128  # voxels along a side
+_DARKEST_DB = -30.0  # of the brightest vertex: black
+
+
+def surface_mesh(
+    points: Real[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], seen: Seen, cell: float
+) -> trimesh.Trimesh:
+    """The surface through oriented points, with what the radar saw of it.
+
+    Parameters
+    ----------
+    points, normals : numpy.ndarray [P, 3]
+        Surface points, m, and unit normals that point outwards.
+    seen : Seen
+        Gives the γ⁰ of the vertices.
+    cell : float
+        Side of a resolution cell, m: voxels are a quarter of it, and no vertex is farther than a fifth from a point;
+        where points are sparse, of 7.5 times their spacing.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        World frame, m; faces are counter-clockwise seen from outside. Vertices have the attribute `gamma0` (γ⁰, linear)
+        and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of less than 1 % of the area
+        and 12 squares of such sides are left out. Without faces where the points make no surface.
+
+    Raises
+    ------
+    SarsplatError
+        If scikit-image or trimesh is missing.
+    """
+    try:
+        import trimesh
+        from skimage.measure import marching_cubes
+    except ImportError as error:
+        raise SarsplatError(
+            f"a mesh needs {error.name}, which is not installed; install it with: pip install 'sarsplat[mesh]'"
+        ) from error
+    vertices, faces, vertex_normals = np.empty((0, 3)), np.empty((0, 3), np.int64), None
+    with stage("surface: mesh", 100) as shown:
+        if len(points):
+            planes = _Planes.through(np.asarray(points, np.float64), normals, cell)
+            vertices, faces = _zero_surface(planes, marching_cubes, lambda share: shown.update(_SEARCH * share))
+            near = np.empty(len(vertices), bool)
+            for part in _some_at_a_time(len(vertices)):
+                near[part] = unbroken(planes.tree.query, vertices[part], workers=-1)[0] <= _REACH * planes.unit_m
+                shown.update(_SEARCH + (_NEAR - _SEARCH) * part.stop / len(vertices))
+            vertices, faces = _without_crumbs(vertices, faces[near[faces].all(axis=1)], planes.unit_m)
+            if len(faces):
+                vertex_normals = np.empty((len(vertices), 3))
+                for part in _some_at_a_time(len(vertices)):  # of many points: those of a voxel's few triangles jump
+                    _, vertex_normals[part] = planes.at(vertices[part])
+                    shown.update(_NEAR + (_NORMALS - _NEAR) * part.stop / len(vertices))
+        gamma0, _ = seen.around(vertices)
+        shown.update(100)
+    grey = np.uint8(np.round(255 * shade(gamma0, gamma0.max(initial=np.finfo(float).tiny), -_DARKEST_DB)))
+    return trimesh.Trimesh(
+        vertices,
+        faces,
+        vertex_normals=vertex_normals,
+        vertex_colors=np.stack([grey, grey, grey, np.full_like(grey, 255)], axis=1),
+        vertex_attributes={"gamma0": gamma0.astype(np.float32)},
+        process=False,
+    )
+
+
+@dataclass(frozen=True)
+class _Planes:
+    """The plane through the weighted mean of the points around a place."""
+
+    oriented: Float64[np.ndarray, "p 6"]
+    """Points, m, and their normals."""
+    tree: cKDTree
+    unit_m: float
+
+    @classmethod
+    def through(cls, points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], cell: float) -> _Planes:
+        """Those of oriented points."""
+        tree = cKDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)  # the fastest to make and ask
+        spacing = 0.0
+        if len(points) > 1:
+            some = points[:: math.ceil(len(points) / _ASKED)]
+            spacing = float(np.median(tree.query(some, k=[2], workers=-1)[0]))
+        return cls(np.concatenate([points, normals], axis=1), tree, max(cell, _SPACINGS * spacing))
+
+    def at(self, places: Real[np.ndarray, "q 3"]) -> tuple[Float64[np.ndarray, " q"], Float64[np.ndarray, "q 3"]]:
+        """Signed distances of places from their planes, m, and the planes' unit normals."""
+        distance, normal = np.empty(len(places)), np.empty((len(places), 3))
+        count = np.arange(1, min(_NEIGHBOURS, len(self.oriented)) + 1)
+        for part in _some_at_a_time(len(places)):
+            apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
+            for few in range(0, len(apart), _SUMMED):
+                some = slice(few, few + _SUMMED)
+                place, plane = self._means(apart[some], index[some])
+                offset = places[part][some] - place
+                distance[part][some], normal[part][some] = np.einsum("pc,pc->p", offset, plane), plane
+        return distance, normal
+
+    def _means(
+        self, apart: Float64[np.ndarray, "q k"], index: Int64[np.ndarray, "q k"]
+    ) -> tuple[Float64[np.ndarray, "q 3"], Float64[np.ndarray, "q 3"]]:
+        """Weighted mean places and unit normals of points that are so far away, m."""
+        weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / (_SMOOTHING * self.unit_m) ** 2)
+        sums = np.zeros((len(apart), 6))
+        for of, near in zip(weight.T.copy(), index.T.copy(), strict=True):  # one after the other: no large arrays
+            sums += of[:, None] * self.oriented[near]
+        length = np.linalg.norm(sums[:, 3:], axis=1, keepdims=True)
+        # normals on both sides of a sheet may cancel
+        return sums[:, :3] / weight.sum(1, keepdims=True), sums[:, 3:] / np.maximum(length, 1e-12)
+
+
+def _some_at_a_time(count: int) -> Iterator[slice]:
+    """Parts of so many places."""
+    return (slice(first, min(first + _AT_ONCE, count)) for first in range(0, count, _AT_ONCE))
+
+
+def _zero_surface(
+    planes: _Planes, marching_cubes: Callable[..., tuple[np.ndarray, ...]], tell: Callable[[float], object]
+) -> tuple[Float64[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:
+    """Vertices, m, and faces where the signed distance, positive outside, changes its sign near points.
+
+    Of the time that takes, it tells the part that is over.
+    """
+    unit = planes.unit_m
+    voxel = _VOXEL * unit
+    band = _REACH * unit + 2 * voxel  # beyond what is kept: cubes at its rim are whole
+    points = planes.oriented[:, :3]
+    corner = points.min(axis=0) - band
+    occupied = _distinct(np.rint((points - corner) / voxel).astype(np.int64))
+    margin = int(band / voxel) + 1  # cubes begin one before what is near, or end one behind
+    bricks = _bricks(occupied, margin)
+    vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    done, total = 0, sum(len(near_by) for _, near_by in bricks)
+    for brick, near_by in bricks:
+        first, last = near_by.min(axis=0), near_by.max(axis=0)
+        low, high = np.maximum(brick, first - margin), np.minimum(brick + _BRICK, last + margin)
+        start, end = np.minimum(low, first), np.maximum(high, last)
+        empty = np.ones(end - start + 1, dtype=bool)
+        empty[tuple((near_by - start).T)] = False
+        inside = tuple(slice(begin, begin + size) for begin, size in zip(low - start, high - low + 1, strict=True))
+        near = (distance_transform_edt(empty, sampling=voxel) <= band)[inside]
+        distance = np.full(near.shape, unit)
+        distance[near], _ = planes.at((np.argwhere(near) + low) * voxel + corner)
+        done += len(near_by)
+        tell(done / total)
+        if not distance.min() < 0 < distance.max():
+            continue
+        try:
+            some, triangles, _, _ = marching_cubes(distance, 0.0, mask=near, allow_degenerate=False)
+        except RuntimeError:  # no cube whose corners are all near has the surface in it
+            continue
+        vertices.append(some + low.astype(np.float64))
+        faces.append(triangles.astype(np.int64) + count)
+        count += len(some)
+    joined, owner = _welded(np.concatenate(vertices))
+    return joined * voxel + corner, owner[np.concatenate(faces)]
+
+
+def _distinct(voxels: Int64[np.ndarray, "v 3"]) -> Int64[np.ndarray, "o 3"]:
+    """Each once, in order."""
+    order, first = _sorted(voxels)
+    return voxels[order[first]]
+
+
+def _sorted(voxels: Int64[np.ndarray, "v 3"]) -> tuple[Int64[np.ndarray, " v"], Int64[np.ndarray, " d"]]:
+    """What sorts them, and where among the sorted ones others begin: `numpy.unique` of rows takes ten times as long."""
+    order = np.lexsort(voxels.T[::-1])
+    ranked = voxels[order]
+    return order, np.flatnonzero(np.append(True, (ranked[1:] != ranked[:-1]).any(axis=1)))
+
+
+def _bricks(
+    occupied: Int64[np.ndarray, "o 3"], margin: int
+) -> list[tuple[Int64[np.ndarray, " 3"], Int64[np.ndarray, "n 3"]]]:
+    """First voxels of the bricks near occupied voxels, and those that reach into each: at most `margin` from it."""
+    members: dict[tuple[int, ...], list[Int64[np.ndarray, "n 3"]]] = {}
+    first, last = (occupied - margin) // _BRICK, (occupied + margin) // _BRICK
+    for step in product((0, 1), repeat=3):  # margins are shorter than bricks
+        brick = first + np.array(step)
+        reached = (brick <= last).all(axis=1)
+        if not reached.any():
+            continue
+        order, starts = _sorted(brick[reached])
+        keys = brick[reached][order[starts]].tolist()
+        for key, part in zip(keys, np.split(occupied[reached][order], starts[1:]), strict=True):
+            members.setdefault(tuple(key), []).append(part)
+    return [(_BRICK * np.array(key), np.concatenate(parts)) for key, parts in sorted(members.items())]
+
+
+def _welded(
+    vertices: Float64[np.ndarray, "v 3"],
+) -> tuple[Float64[np.ndarray, "w 3"], Int64[np.ndarray, " v"]]:
+    """Vertices, in voxels, without the doubles where bricks touch, and which of them each one is.
+
+    An edge between two voxels has one vertex at most, whose place on it is a rounding apart in both bricks.
+    """
+    on_face = (vertices % _BRICK == 0).any(axis=1)
+    edges = np.floor(vertices[on_face]) + np.ceil(vertices[on_face])
+    _, first, same = np.unique(edges, axis=0, return_index=True, return_inverse=True)
+    owner = np.empty(len(vertices), np.int64)
+    owner[on_face], owner[~on_face] = same.ravel(), len(first) + np.arange((~on_face).sum())
+    return np.concatenate([vertices[on_face][first], vertices[~on_face]]), owner
+
+
+def _without_crumbs(
+    vertices: Real[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"], unit_m: float
+) -> tuple[Real[np.ndarray, "w 3"], Int64[np.ndarray, "g 3"]]:
+    """Connected parts that are not small against the whole, and only the vertices they need."""
+    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
+    links = coo_array((np.ones(len(ends), bool), tuple(ends.T)), shape=(len(vertices), len(vertices)))
+    part = connected_components(links, directed=False)[1][faces[:, 0]]
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    area = np.bincount(part, np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    faces = faces[area[part] >= min(_SMALLEST_PART * area.sum(), _SMALLEST_UNITS * unit_m**2)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used], faces.reshape(-1, 3)

@@ -1,0 +1,379 @@
+"""Images that contradict what a dataset says of them are found; those that do not, pass."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import dataset_of
+from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
+from sarsplat.cli import main
+from sarsplat.data import Dataset, write_dataset
+from sarsplat.data.orientation import SIDES, Layout, oriented
+from sarsplat.examination.clutter import contrast_of
+from sarsplat.examination.contradictions import examine
+from sarsplat.examination.running_numbers import counting
+from sarsplat.geometry import ImageGrid, View
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("embreex")
+
+GRID = ImageGrid(40, 36, (0.4, 0.35), (0.5, 0.45))
+
+
+@pytest.fixture(autouse=True)
+def coarsely(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ground is compared in fewer places."""
+    monkeypatch.setattr("sarsplat.examination.neighbouring_views._PLACES", 48)
+
+
+@cache
+def simulated(
+    ground: float | None, grid: ImageGrid = GRID, scale: float = 1.0, azimuths: range = range(0, 360, 30)
+) -> Dataset:
+    """A long box with a cabin at one end and a mast: like a lorry, of no symmetry."""
+    parts = []
+    for size, place in (((6, 2, 1), (0, 0, 0.5)), ((1.5, 1.8, 1.2), (2.2, 0, 1.6)), ((0.8, 0.8, 1), (-2, 0.6, 1.5))):
+        part = trimesh.creation.box(np.multiply(size, scale))
+        part.apply_translation(np.multiply(place, scale))
+        parts.append(part)
+    mesh = trimesh.util.concatenate(parts)
+    views = [View(float(azimuth), grazing) for azimuth in azimuths for grazing in (30.0,)]
+    images = [
+        simulate_raycast(mesh, view, grid, ScatteringLaw(), ground_gamma0=ground, ray_spacing=min(grid.spacing_m) / 5)
+        for view in views
+    ]
+    return dataset_of(grid, [(view, "train") for view in views], np.stack(images), ground=ground is not None)
+
+
+def speckled(dataset: Dataset, looks: float, seed: int) -> Dataset:
+    return replace(dataset, power=add_speckle(dataset.power, looks, np.random.default_rng(seed)), looks=looks)
+
+
+@pytest.fixture(scope="module")
+def bare() -> Dataset:
+    return simulated(None)
+
+
+@pytest.fixture(scope="module")
+def grounded() -> Dataset:
+    return simulated(0.05)
+
+
+def with_power(dataset: Dataset, power: np.ndarray) -> Dataset:
+    return replace(dataset, power=np.ascontiguousarray(power))
+
+
+def with_azimuths(dataset: Dataset, change: Callable[[float], float]) -> Dataset:
+    entries = [
+        replace(entry, view=View(change(entry.view.azimuth_deg), entry.view.grazing_deg)) for entry in dataset.entries
+    ]
+    return replace(dataset, entries=tuple(entries))
+
+
+def with_resolution(dataset: Dataset, factor: float) -> Dataset:
+    return replace(
+        dataset, grid=replace(dataset.grid, resolution_m=tuple(factor * r for r in dataset.grid.resolution_m))
+    )
+
+
+def only(dataset: Dataset) -> str:
+    (text,) = examine(dataset).contradictions
+    return text
+
+
+@pytest.mark.parametrize(("looks", "seed"), [(1, 0), (1, 1), (4, 0), (None, 0)])
+def test_what_is_right_passes(bare: Dataset, grounded: Dataset, looks: float | None, seed: int) -> None:
+    for dataset in (bare, grounded):
+        if looks is not None:
+            dataset = speckled(dataset, looks, seed)
+        found = examine(dataset)
+        assert found.contradictions == []
+        assert "as given" in found.checks["azimuths"]
+
+
+def imported(dataset: Dataset, layout: Layout, seen: Layout) -> Dataset:
+    """The dataset that `import folder` makes of pictures that lie as in `seen`, told that they lie as in `layout`."""
+    pictures = dataset.power[..., ::-1] if seen.mirrored else dataset.power
+    pictures = np.rot90(pictures, -SIDES.index(seen.near), axes=(1, 2))
+    power = oriented(pictures, layout.near, layout.mirrored)
+    sign = 1 if layout.counter_clockwise == seen.counter_clockwise else -1
+    turned = with_azimuths(dataset, lambda azimuth: (sign * azimuth + 20) % 360)
+    grid = replace(dataset.grid, rows=power.shape[1], columns=power.shape[2])
+    return replace(turned, power=power, grid=grid, source={"kind": "folder", "layout": asdict(layout)})
+
+
+LAYOUTS = [Layout(*options) for options in itertools.product(SIDES, (False, True), (False, True))]
+HALF = [LAYOUTS[4 * side + (side + k) % 4] for side in range(4) for k in (0, 1)]
+"""Two of each side, and each combination of the others twice."""
+
+
+@pytest.mark.parametrize("seen", HALF, ids=str)
+def test_every_orientation_is_recovered(bare: Dataset, grounded: Dataset, seen: Layout) -> None:
+    """Images, azimuths or both lie otherwise than an import was told: it names the options that were right."""
+    right = Layout(seen.near, False, seen.counter_clockwise ^ seen.mirrored)  # the same, but for a mirrored target
+    told = (Layout(), Layout("left", True), Layout("bottom", False, True))
+    first = HALF.index(seen) % 3
+    for dataset, layouts in ((speckled(grounded, 1, 0), (told + told)[first : first + 2]), (bare, told[1:2])):
+        for layout in layouts:
+            said = examine(imported(dataset, layout, seen)).contradictions
+            if layout in (right, right.twin):
+                assert said == []
+            else:
+                assert len(said) == 1
+                assert f"import with {right}" in said[0]
+                if right.counter_clockwise != (layout.counter_clockwise ^ layout.mirrored):
+                    assert f"or with {right.twin} if the table" in said[0]
+
+
+def test_an_import_names_the_options_that_mend_it(
+    grounded: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a radar that looks to the left."""
+    dataset = speckled(grounded, 1, 0)
+    table = ["file,azimuth,grazing,look"]
+    for entry, image in zip(dataset.entries, dataset.power, strict=True):
+        picture = np.rot90(image[:, ::-1], -SIDES.index("left"))
+        np.save(tmp_path / f"{entry.name}.npy", picture)
+        table.append(f"{entry.name}.npy,{-entry.view.azimuth_deg:g},{entry.view.grazing_deg:g},left")
+    (tmp_path / "table.csv").write_text("\n".join(table))
+    lengths = ["--spacing", "0.4", "0.35", "--resolution", "0.5", "0.45", "--quantity", "power"]
+    words = ["import", "folder", str(tmp_path), "--out", str(tmp_path / "made"), *lengths]
+    assert main([*words, "--near", "bottom"]) == 1
+    shown = capsys.readouterr()
+    assert "ready" not in shown.out
+    options = shown.err.split("import with ")[1].split(",")[0].split()
+    assert options == ["--near", "left", "--counter-clockwise"]
+    assert main([*words, "--overwrite", *options]) == 0
+    assert "ready" in capsys.readouterr().out
+
+
+def test_another_size_and_spacing(bare: Dataset) -> None:
+    ship = simulated(0.1, ImageGrid(40, 64, (8.0, 10.0), (12.0, 10.0)), scale=20, azimuths=range(0, 360, 24))
+    assert examine(speckled(ship, 1, 0)).contradictions == []
+    assert "--near bottom --counter-clockwise, or with --near bottom --mirrored if" in only(
+        imported(ship, Layout(), Layout("bottom", True))
+    )
+
+
+def test_the_remedy_for_arrays(grounded: Dataset) -> None:
+    """What no importer laid out is turned by numpy; doing so mends it."""
+    said = only(with_power(grounded, grounded.power[:, ::-1, ::-1]))
+    assert said.startswith("shadows fall upwards")
+    assert said.endswith("; turn the images (np.rot90(power, 2, axes=(1, 2)))")
+    sense = only(with_power(grounded, grounded.power[:, :, ::-1]))
+    assert "if azimuths run the other way" in sense
+    assert "; negate the azimuths, or flip the columns (power[:, :, ::-1]) if azimuths do run clockwise" in sense
+
+
+def test_the_table_of_orientations(grounded: Dataset) -> None:
+    head, *rows = examine(imported(grounded, Layout(), Layout("right", False, True))).orientations
+    assert [row[0] for row in rows] == [str(Layout(near, False, ccw)) for near in SIDES for ccw in (False, True)]
+    assert [row[-1] for row in rows] == ["as it is", "", "", "best", "", "", "", ""]
+    darkest = max(rows, key=lambda row: float(row[head.index("shadow beyond")].split()[0]))
+    assert darkest[0].startswith("--near right")
+
+
+def test_a_target_of_no_azimuth_is_undecided() -> None:
+    """A cone looks the same from everywhere: no sense of the azimuths is right."""
+    cone = trimesh.creation.cone(2.0, 3.0, sections=720)
+    views = [View(float(azimuth), 40.0) for azimuth in range(0, 360, 30)]
+    power = np.stack([simulate_raycast(cone, view, GRID, ScatteringLaw(), ground_gamma0=0.05) for view in views])
+    dataset = dataset_of(GRID, [(view, "train") for view in views], power, ground=True)
+    dataset = speckled(dataset, 1, 3)
+    for changed in (dataset, with_azimuths(dataset, lambda azimuth: -azimuth)):
+        examined = examine(changed)
+        assert examined.contradictions == []
+        assert "cannot be determined" in examined.checks["azimuths"]
+        assert examined.checks["near range"].startswith("at the top")
+
+
+def test_incidence_angles_for_grazing_angles() -> None:
+    for ground, columns, remedy in (
+        (0.05, {"grazing": "elev"}, "import with --columns incidence=elev"),
+        (None, {"incidence": "inc"}, "import with --columns grazing=inc"),
+        (0.05, {}, "(--grazing 30)"),
+    ):
+        dataset = speckled(simulated(ground), 1, 0)
+        dataset = replace(dataset, source={"kind": "folder", "columns": columns})
+        assert "than if they were incidence angles" in examine(dataset).checks["grazing angles"]
+        swapped = tuple(replace(entry, view=View(entry.view.azimuth_deg, 60.0)) for entry in dataset.entries)
+        wrong = [text for text in examine(replace(dataset, entries=swapped)).contradictions if "incidence" in text]
+        assert len(wrong) == 1
+        assert remedy in wrong[0]
+
+
+def test_ground_that_is_said_not_to_be_there(bare: Dataset, grounded: Dataset) -> None:
+    for dataset in (grounded, speckled(grounded, 1, 0)):
+        assert "import them without --no-ground" in only(replace(dataset, ground=False))
+    noise = np.random.default_rng(0).exponential(np.quantile(bare.power, 0.999) / 300, bare.power.shape)
+    assert (
+        examine(with_power(bare, (bare.power + noise).astype(np.float32))).contradictions == []
+    )  # a floor, not ground
+
+
+@pytest.mark.parametrize("looks", [1.0, 4.0])
+def test_values_that_are_not_power(grounded: Dataset, looks: float) -> None:
+    dataset = speckled(grounded, looks, 1)
+    assert "square the values (--quantity amplitude)" in only(with_power(dataset, np.sqrt(dataset.power)))
+    assert "take the root" in only(with_power(dataset, dataset.power**2))
+
+
+@pytest.mark.parametrize("looks", [1.0, 4.0])
+def test_pictures_in_eight_bits(grounded: Dataset, looks: float) -> None:
+    dataset = speckled(grounded, looks, 1)
+    bright = np.quantile(dataset.power, 0.999)
+    amplitude = np.clip(np.round(255 * np.sqrt(dataset.power / bright)), 1, 255)
+    decibels = np.clip(np.round(255 * (10 * np.log10(np.maximum(dataset.power / bright, 1e-9)) + 60) / 60), 1, 255)
+    assert examine(with_power(dataset, (amplitude**2).astype(np.float32))).contradictions == []
+    as_decibels = only(with_power(dataset, (10 ** (amplitude / 10) / 1e12).astype(np.float32)))
+    assert "dB above the ground, more than any radar image has" in as_decibels
+    assert "--quantity amplitude" in as_decibels
+    for power in (decibels, decibels**2):
+        said = only(with_power(dataset, power.astype(np.float32)))
+        assert "as in decibels" in said
+        assert "--quantity db, with --scale and --offset" in said
+
+
+def test_ground_of_few_values_tells_no_unit(grounded: Dataset) -> None:
+    """Coarse steps, as of pictures that a glint has darkened, look like speckle of another unit."""
+    dataset = speckled(grounded, 1, 1)
+    step = np.sqrt(np.median(dataset.power))
+    coarse = np.maximum(np.round(np.sqrt(dataset.power) / step), 1) ** 2
+    examined = examine(with_power(dataset, coarse.astype(np.float32)))
+    assert examined.contradictions == []
+    assert "so coarsely are pixels quantised" in examined.checks["unit"]
+
+
+def test_speckle_that_is_not_as_stated(grounded: Dataset) -> None:
+    assert "states no speckle; give the number of looks" in only(replace(speckled(grounded, 1, 2), looks=None))
+    assert "smoother than stated" in only(replace(grounded, looks=1.0))
+
+
+def test_contrast_of_amplitude_is_that_of_rayleigh() -> None:
+    power, amplitude = contrast_of(1.0)
+    assert power == 1
+    assert amplitude == pytest.approx(np.sqrt(4 / np.pi - 1))
+    drawn = np.sqrt(np.random.default_rng(0).gamma(4, 0.25, 200_000))
+    assert contrast_of(4.0)[1] == pytest.approx(drawn.std() / drawn.mean(), rel=0.01)
+
+
+def test_a_resolution_that_images_do_not_have(grounded: Dataset) -> None:
+    coarse = examine(with_resolution(grounded, 2.5)).contradictions
+    assert [text[:26] for text in coarse] == ["the sharpest structure is "] * 2
+    fine = examine(with_resolution(grounded, 0.3)).contradictions
+    assert all("less than half a pixel" in text for text in fine)
+    assert len(fine) == 2
+
+
+def test_speckle_that_correlates_tells_the_resolution() -> None:
+    """Speckle as a coherent sensor has it: white noise seen through the response of the amplitude."""
+    from scipy.ndimage import gaussian_filter
+
+    rng, grid = np.random.default_rng(0), ImageGrid(56, 48, (0.4, 0.35), (0.8, 0.7))
+    grounded = simulated(0.05, replace(grid, resolution_m=GRID.resolution_m))
+    sigma = (0.0, *(np.sqrt(2) * width / 2.3548 / pixel for width, pixel in ((0.7, 0.35), (0.8, 0.4))))
+    noise = [gaussian_filter(rng.normal(size=grounded.power.shape), sigma) for _ in range(2)]
+    field = noise[0] ** 2 + noise[1] ** 2
+    power = (grounded.power * field / field.mean()).astype(np.float32)
+    right = replace(grounded, grid=grid, power=power, looks=1.0)
+    found = examine(right)
+    assert found.contradictions == []
+    assert "pixels of speckle correlate as of" in found.checks["resolution"]
+    for factor in (0.4, 2.5):
+        texts = examine(with_resolution(right, factor)).contradictions
+        assert len(texts) == 2, factor
+        assert all("correct the resolution or the pixel spacing" in text for text in texts)
+
+
+def test_images_that_are_the_same_or_constant(grounded: Dataset) -> None:
+    same = examine(with_power(grounded, np.repeat(grounded.power[:1], len(grounded), axis=0))).contradictions
+    assert any("pixel by pixel" in text for text in same)
+    assert "are constant" in only(with_power(grounded, np.ones_like(grounded.power)))
+
+
+def test_of_few_images_nothing_is_said(grounded: Dataset) -> None:
+    few = replace(grounded, entries=grounded.entries[::6], power=grounded.power[::6])
+    wrong = with_power(few, few.power[:, ::-1])
+    examined = examine(wrong)
+    assert examined.contradictions == []
+    assert all("cannot be determined" in examined.checks[name] for name in ("near range", "azimuths"))
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    image = pytest.importorskip("PIL.Image")
+    few = simulated(0.05, azimuths=range(0, 360, 45))
+    write_dataset(tmp_path / "right", few)
+    write_dataset(tmp_path / "wrong", with_power(few, few.power[:, ::-1]))
+    sheet = tmp_path / "sheet.png"
+    assert main(["check", str(tmp_path / "right"), "--out", str(sheet)]) == 0
+    assert "no contradictions" in capsys.readouterr().out
+    assert main(["check", str(tmp_path / "wrong")]) == 1
+    shown = capsys.readouterr()
+    assert "np.rot90(power, 2, axes=(1, 2))" in " ".join(shown.err.split())
+    assert "1 contradiction found" in shown.out
+    assert "--near bottom --counter-clockwise" not in shown.out
+    assert main(["check", str(tmp_path / "wrong"), "--verbose"]) == 1
+    assert "--near bottom --counter-clockwise" in capsys.readouterr().out
+    assert main(["check", str(tmp_path / "right"), "--out", str(sheet)]) == 2  # it is there
+    assert main(["check", str(tmp_path / "right"), "--out", str(tmp_path / "sheet.gif")]) == 2
+    assert main(["check", str(tmp_path / "nowhere")]) == 2
+    pixels = np.asarray(image.open(sheet).convert("RGB")).astype(int)
+    orange, blue = ((abs(pixels - colour).sum(axis=2) < 60).sum() for colour in ((255, 180, 84), (92, 200, 255)))
+    assert min(orange, blue) > 300  # outlines of targets and shadows
+
+
+def test_one_image_is_not_called_all(bare: Dataset) -> None:
+    assert examine(bare.take([0])).checks["images"] == "the only one is not constant"
+    assert examine(bare.take([0, 1])).checks["images"] == "all 2 differ, none is constant"
+
+
+def numbered(dataset: Dataset, places: np.ndarray | range, first: float = 1.0) -> Dataset:
+    """With the number of each image as its azimuth, of a dataset that was imported from a table."""
+    entries = [
+        replace(dataset.entries[k], view=View(number + first, dataset.entries[k].view.grazing_deg))
+        for number, k in enumerate(places)
+    ]
+    made = replace(dataset.take([*places]), entries=tuple(entries))
+    return replace(made, source={"kind": "folder", "layout": asdict(Layout())})
+
+
+@pytest.mark.parametrize(("step", "ground"), [(15, None), (30, 0.05), (45, 0.05)])
+def test_numbers_of_images_are_no_azimuths(ground: float | None, step: int) -> None:
+    """Neither in the order of their azimuths nor in another; without a table only if other azimuths match better."""
+    dataset = speckled(simulated(ground, azimuths=range(0, 360, step)), 1, 0)
+    count = len(dataset.entries)
+    for places in (range(count), np.random.default_rng(0).permutation(count)):
+        said = only(numbered(dataset, places))
+        assert f"they count from 1 to {count}, and images" in said
+        assert "--columns azimuth=NAME" in said
+    in_order = replace(numbered(dataset, range(count), 100.0), source={})
+    said = examine(in_order).contradictions
+    assert bool(said) == (step == 15)
+    assert all("match better if these are spread all round" in text for text in said)
+
+
+@pytest.mark.parametrize(("first", "ground"), [(0, None), (1, 0.05), (70, 0.05)])
+def test_azimuths_that_do_count_degrees_pass(ground: float | None, first: int) -> None:
+    """A sector in steps of a degree, from the nose or from the side."""
+    grid = ImageGrid(40, 40, (0.4, 0.35), (0.5, 0.45))
+    sector = simulated(ground, grid, azimuths=range(first, first + 36))
+    dataset = replace(speckled(sector, 1, 0), source={"layout": asdict(Layout())})
+    assert examine(dataset).contradictions == []
+
+
+def test_degrees_all_round_count_nothing() -> None:
+    assert counting([View(float(k), 30.0) for k in range(360)]) is None
+    assert counting([View(float(k), 30.0) for k in (1, 2, 3, 5)]) is None
+    counts = counting([View(float(k), grazing) for k, grazing in ((3, 30), (1, 30), (2, 40), (4, 40))])
+    assert counts is not None
+    assert (counts.first_deg, counts.last_deg) == (1, 4)
+    assert counts.from_one
+    assert [view.azimuth_deg for view in counts.spread] == [180, 0, 0, 180]

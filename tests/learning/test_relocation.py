@@ -1,0 +1,69 @@
+"""Idle Gaussians join strong ones: who moves, where to, and that little of the image changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Dataset, View, preset
+from sarsplat.geometry import radar_frame
+from sarsplat.learning import Trainer
+from sarsplat.learning.strategies import State, ops
+from sarsplat.learning.strategies.relocation import Relocating, pairs
+from sarsplat.settings.config import Relocation
+
+
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def test_rounds_are_evenly_spaced_until_the_last() -> None:
+    def rounds(**settings: float) -> list[int]:
+        relocating = Relocating(Relocation(**settings), 100)
+        return [step for step in range(101) if relocating.due(step)]
+
+    assert rounds(rounds=5, until=0.5) == [10, 20, 30, 40, 50]
+    assert rounds(until=0) == []
+    assert rounds(rounds=100_000_000, until=1) == list(range(1, 101))
+
+
+def test_the_weakest_join_strong_ones_each_its_own() -> None:
+    sigma = torch.tensor([5.0, 0.0, 3.0, 0.01, 2.0, 0.5])
+    idle, strong = pairs(sigma, 0.01, generator())
+    assert idle.tolist() == [1, 3]  # 0.01 of 10.51 is less than a hundredth, 0.51 is more
+    assert len(set(strong.tolist())) == 2
+    assert not set(strong.tolist()) & {1, 3}
+
+
+def test_at_most_half_is_idle_and_nobody_joins_what_scatters_nothing() -> None:
+    assert len(pairs(torch.ones(10), 1.0, generator())[0]) == 5
+    idle, strong = pairs(torch.tensor([0.0, 0.0, 0.0, 1.0]), 0.5, generator())
+    assert (len(idle), strong.tolist()) == (1, [3])
+    assert len(pairs(torch.zeros(4), 0.5, generator())[0]) == 0
+
+
+def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
+    config = replace(preset("default"), iterations=80, gaussians=400, relocation=Relocation(rounds=1))
+    trainer = Trainer(dataset, config)
+    for _ in range(69):
+        trainer.step()
+    images, rendering = trainer.model.render(trainer.views, trainer.grid, 0)
+    before, means = images.detach(), trainer.gaussians.means
+    rows = pairs(rendering.cross_sections[..., 0].detach().mean(0), 0.01, generator())
+    ops.relocate(trainer.model.parameters, trainer.optimiser, State(), *rows, generator())
+    assert trainer.optimiser.take_moves() is not None
+    after = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
+    assert len(trainer.model) == 400
+    assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300
+    assert float(after.mean()) == pytest.approx(float(before.mean()), rel=0.25)  # halves that hid each other are seen
+    trainer.step()
+
+
+@pytest.mark.parametrize("direction", [(1.0, 2.0, 3.0), (-0.3, 0.1, 0.2), (0.0, 0.0, 1.0)])
+def test_a_view_towards_a_direction(direction: tuple[float, float, float]) -> None:
+    view = View.towards(np.array(direction))
+    expected = np.array(direction) / np.linalg.norm(direction)
+    assert -radar_frame(view)[2] == pytest.approx(expected, abs=2e-5)

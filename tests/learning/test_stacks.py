@@ -1,0 +1,288 @@
+"""Reconstruction from interferometric stacks: heights in layover, the same bits again, and what is refused."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from sarsplat import (
+    ImageGrid,
+    Run,
+    SarsplatError,
+    ScatteringLaw,
+    Stack,
+    View,
+    evaluate_run,
+    reconstruct,
+    render_covariances,
+    simulate_stack,
+)
+from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
+from sarsplat.data.plausible import suspicions
+from sarsplat.learning.stack_trainer import refuse_with_passes
+from sarsplat.processes import Processes
+from sarsplat.regions.stack_region import stack_region
+from sarsplat.settings.config import FlatGround, Surroundings
+from sarsplat.settings.presets import PRESETS, preset
+
+GRID = ImageGrid(28, 20, (0.5, 0.5), (0.6, 0.6))
+VIEW = View(0.0, 45.0)
+NOISE = 0.05
+OFFSETS = tuple(0.0052 * (k / 5 - 0.5) for k in range(6))  # 3 m of resolution in elevation
+LAW = ScatteringLaw(floor=1.0, lobe=0.0, exponent=1.0)
+
+
+def block(height: float) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((4.0, 6.0, height))
+    mesh.apply_translation((0.0, 0.0, height / 2))
+    return mesh
+
+
+def dataset(noise: bool = True, views: tuple[View, ...] = (VIEW,)) -> Dataset:
+    stack = Stack(0.031, OFFSETS, noise=(NOISE,) * len(OFFSETS))
+    signals = [
+        simulate_stack(block(5.0), view, GRID, stack, LAW, ground_gamma0=0.5, noise=NOISE, seed=k)
+        for k, view in enumerate(views)
+    ]
+    stack = stack if noise else replace(stack, noise=None)
+    entries = tuple(DatasetEntry(view, "train", f"{k}", stack=stack) for k, view in enumerate(views))
+    return Dataset.of_complex(GRID, entries, np.stack(signals), looks=1.0, ground=True, target="block")
+
+
+@pytest.fixture(scope="module")
+def stacks(tmp_path_factory) -> Dataset:
+    return write_dataset(tmp_path_factory.mktemp("stacks") / "data", dataset(), truth_mesh=block(5.0))
+
+
+@pytest.fixture(scope="module")
+def run(stacks, tmp_path_factory) -> Run:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS, "stack", replace(preset("stack"), iterations=180))
+        return reconstruct(stacks, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
+
+
+def test_a_dataset_of_stacks_is_read_as_written(stacks):
+    read = read_dataset(stacks.path)
+    assert read.fingerprint() == stacks.fingerprint()
+    assert (read.passes, read.stacks) == (6, stacks.stacks)
+    assert np.array_equal(read.signal, stacks.signal)
+    np.testing.assert_allclose(read.power, (np.abs(stacks.signal) ** 2).mean(1), rtol=1e-5)
+
+
+def test_heights_are_those_of_roof_and_ground(run):
+    """Roof, wall and ground share pixels; single looks at 10 dB."""
+    assert run.config.preset == "stack"
+    scores = evaluate_run(run, quiet=True)
+    own, capon = scores["points"]["visible"], scores["capon"]["visible"]
+    assert own["f1@0.6"] > 0.95
+    assert own["f1@0.4"] > capon["f1@0.4"]
+    roof = run.points[(np.abs(run.points[:, :2]) < (1.5, 2.5)).all(1) & (run.points[:, 2] > 3.5)]
+    assert abs(np.median(roof[:, 2]) - 5.0) < 0.25
+
+
+def test_a_run_renders_its_covariances_with_noise(run, stacks):
+    found = run.render_covariances(stacks.views, stacks.stacks)
+    assert found.shape == (1, 6, 6, GRID.rows, GRID.columns)
+    np.testing.assert_allclose(found[:, 2, 2].real, run.render(stacks.views), rtol=0.03, atol=0.002)
+    without = run.snapshot.unit * render_covariances(run.gaussians, [VIEW], GRID, stacks.stacks[0]).numpy()
+    noise = (found - without)[0].mean((2, 3))
+    np.testing.assert_allclose(noise, NOISE * np.eye(6), atol=5e-3)
+    measured = stacks.signal[0, 4] * stacks.signal[0, 3].conj()
+    assert abs(np.angle((measured * found[0, 4, 3].conj()).sum())) < 0.3
+    other = run.render_covariances([View(20.0, 40.0)] * 2, Stack(0.031, (0.0, 0.001)), ImageGrid(9, 8, (1, 1), (1, 1)))
+    assert other.shape == (2, 2, 2, 9, 8)
+    with pytest.raises(SarsplatError, match=r"2 stacks of .* passes for 1 view"):
+        run.render_covariances([VIEW], [stacks.stacks[0]] * 2)
+
+
+@pytest.mark.filterwarnings("ignore:there is one training view")
+def test_a_run_of_power_alone_has_no_covariances(stacks):
+    few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
+    alone = reconstruct(stacks, few, quiet=True)
+    with pytest.raises(SarsplatError, match="has not learned phases, so it has no covariances"):
+        alone.render_covariances([VIEW], stacks.stacks)
+    own = Run.from_gaussians(alone.gaussians, GRID)
+    np.testing.assert_allclose(
+        own.render_covariances([VIEW], stacks.stacks)[:, 0, 0].real, own.render([VIEW]), rtol=5e-3, atol=1e-4
+    )
+
+
+def test_centres_move_in_elevation_alone(run, stacks):
+    still = replace(run.config, relocation=replace(run.config.relocation, rounds=0))
+    started, moved = (
+        reconstruct(stacks, replace(still, iterations=count), quiet=True).gaussians.means for count in (1, 40)
+    )
+    plane = torch.tensor([[0.0, -1.0, 0.0], [-(0.5**0.5), 0.0, -(0.5**0.5)]])  # azimuth and range
+    aside = ((moved - started) @ plane.T).abs().amax(1)
+    assert float((aside > 1e-4).float().mean()) < 0.02  # those that the region's edges stop
+    assert float((moved - started).abs().max()) > 0.3
+
+
+def test_a_resumed_run_is_the_same(stacks, tmp_path):
+    config = replace(preset("stack"), iterations=12, gaussians=400, checkpoint_every=4)
+    whole = reconstruct(stacks, config, quiet=True)
+    reconstruct(stacks, config, tmp_path / "run", quiet=True, on_step=lambda step: step.iteration == 8)
+    resumed = reconstruct(stacks, config, tmp_path / "run", quiet=True, resume=True)
+    assert torch.equal(whole.gaussians.means, resumed.gaussians.means)
+    loaded = Run.load(tmp_path / "run")
+    np.testing.assert_array_equal(loaded.render([VIEW]), resumed.render([VIEW]))
+
+
+def test_heights_are_found_without_known_noise():
+    """It is learned with them: low, for single looks can be explained by Gaussians as well."""
+    learned = reconstruct(dataset(noise=False), replace(preset("stack"), iterations=120, gaussians=1500), quiet=True)
+    noise = learned.snapshot.tensors["model/pass_noise"].exp() * learned.snapshot.unit
+    assert noise.shape == (1, 6)
+    assert bool((noise < NOISE).all())
+    roof = learned.points[(np.abs(learned.points[:, :2]) < (1.5, 2.5)).all(1) & (learned.points[:, 2] > 3.5)]
+    assert abs(np.median(roof[:, 2]) - 5.0) < 0.3
+
+
+def test_two_headings_share_a_scene():
+    """Both are learned from, and nothing is warned of: phases determine the shape."""
+    nats: list[float] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        both = reconstruct(
+            dataset(views=(VIEW, View(180.0, 45.0))),
+            replace(preset("stack"), iterations=40, gaussians=1500),
+            quiet=True,
+            on_step=lambda step: nats.append(float(step.loss)),
+        )
+    assert nats[-1] < nats[0] - 3
+    for view in both.snapshot.views:  # each wall is seen by one of them
+        wall = both.points @ view.direction
+        assert ((np.abs(both.points[:, 2] - 2.5) < 1.5) & (wall > 1.0)).any()
+
+
+@pytest.mark.filterwarnings("ignore:there is one training view")
+def test_what_is_refused():
+    images = dataset()
+    entries = (*images.entries, replace(images.entries[0], stack=None))
+    with pytest.raises(SarsplatError, match="some images are of 0 passes and others of 6"):
+        Dataset.of_complex(GRID, entries, np.repeat(images.signal, 2, axis=0))
+    with pytest.raises(SarsplatError, match="for 6 passes; make it with of_complex"):
+        Dataset(GRID, images.entries, images.power, signal=images.signal[:, 0])
+    with pytest.raises(SarsplatError, match=r"loss is .*, which learning from passes knows nothing of; give 'passes'"):
+        reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
+    with pytest.raises(SarsplatError, match="of torchrun cannot share learning from stacks; start one process"):
+        refuse_with_passes(preset("stack"), images, cast(Processes, "2 processes of torchrun"))
+    single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
+    with pytest.raises(SarsplatError, match=r"learn from stacks, and .* has single images; choose another preset"):
+        reconstruct(single, "stack", quiet=True)
+
+
+def test_a_box_higher_than_an_ambiguity_is_warned_of():
+    high = replace(dataset(), target_box_m=((-5.0, -5.0, 0.0), (5.0, 5.0, 40.0)))
+    assert any("repeat every 10.5 m of height, and the target's box is 40 m high" in text for text in suspicions(high))
+    assert not suspicions(dataset())
+
+
+def test_a_wavelength_in_millimetres_and_noise_in_another_unit_are_warned_of():
+    images = dataset()
+    for changes, words in (
+        ({"wavelength_m": 31.0}, "resolve elevations of 2.98e.03 m at best, and images show 14 m, .* wavelength, 31 m"),
+        ({"noise": (100.0,) * 6}, "the stack 0 states noise of 100 and has a mean power of 0"),
+    ):
+        stacks = replace(images.stacks[0], **changes)
+        odd = suspicions(replace(images, entries=(replace(images.entries[0], stack=stacks),)))
+        assert len(odd) == 1 and re.search(words, odd[0]), odd
+
+
+@pytest.mark.filterwarnings("ignore:there is one training view")
+def test_polarisations_may_be_learned_from_by_power_alone():
+    images = dataset()
+    assert images.signal is not None
+    pair = Stack(0.031, (0.0, 0.0), polarisations=("HH", "VV"))
+    entries = (replace(images.entries[0], stack=pair),)
+    polarimetric = Dataset.of_complex(GRID, entries, images.signal[:, :2], looks=1.0)
+    with pytest.raises(SarsplatError, match=r"the same in all polarisations, and .* has HH, VV; choose polarimetric"):
+        reconstruct(polarimetric, "stack", quiet=True)
+    few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
+    assert reconstruct(polarimetric, few, quiet=True).snapshot.stacks == ()
+    with pytest.raises(SarsplatError, match="polarisations HH, VV, and the Gaussians' scattering has one alone"):
+        render_covariances(reconstruct(polarimetric, few, quiet=True).gaussians, [VIEW], GRID, pair)
+
+
+def test_without_a_box_all_that_images_show_is_looked_at_wherever_they_lie():
+    moved = replace(GRID, center_m=(40.0, -30.0))
+    images = dataset()
+    assert images.signal is not None
+    far = Dataset.of_complex(moved, images.entries, images.signal, looks=1.0)
+    region = stack_region(far)
+    corners = np.array([[x, y, 0.0] for x in (moved.extent_m[:2]) for y in (moved.extent_m[2:])])
+    ground = np.column_stack([-corners[:, 1] / 0.5**0.5, -corners[:, 0], corners[:, 2]])  # φ = 0: ranges at z = 0
+    inside = ground * (1 - 1e-6) + ground.mean(0) * 1e-6
+    assert (inside @ region.normals.T <= region.offsets).all()
+
+
+def test_stacks_that_do_not_fit_into_memory(monkeypatch):
+    monkeypatch.setattr("sarsplat.memory.free_bytes", lambda: 1e5)
+    with pytest.raises(SarsplatError, match=r"learning from these stacks takes about .* GiB .* fewer passes"):
+        reconstruct(dataset(), quiet=True)
+
+
+def of_stacks(*stacks: Stack) -> Dataset:
+    """Noise, the same direction for each of the stacks."""
+    signal = (np.random.default_rng(0).standard_normal((len(stacks), 2, 24, 20, 2)) @ [1, 1j]).astype(np.complex64)
+    entries = tuple(DatasetEntry(View(90.0 * k, 45.0), "train", f"v{k}", stack=one) for k, one in enumerate(stacks))
+    return Dataset.of_complex(ImageGrid(24, 20, (0.5, 0.5), (0.6, 0.6)), entries, signal, looks=1.0, ground=True)
+
+
+def of_two(**fields: object) -> Dataset:
+    """Two passes of 24 × 20 pixels."""
+    return of_stacks(Stack(0.031, (0.0, 0.001), **fields))
+
+
+PAIRS = [Stack(0.24, (0.0, 0.0), polarisations=("HH", other)) for other in ("VV", "HV")]
+PASSES = preset("stack").passes
+AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
+
+
+@pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
+@pytest.mark.parametrize(
+    ("images", "changes", "message"),
+    [
+        *(
+            (dataset, changes, f"{next(iter(changes))} is .*, which learning from passes knows nothing of")
+            for changes in ({"coarsest": 8}, {"tiles": 2}, {"ground": FlatGround()}, {"surroundings": Surroundings()})
+        ),
+        (lambda: replace(dataset(), target_box_m=AWAY), {}, "no training image shows anything of the box"),
+        (
+            lambda: of_stacks(*PAIRS),
+            {},
+            r"v0 has the polarisations HH, VV and v1 has HH, HV; give all views",
+        ),
+        *(
+            (
+                partial(of_two, noise=(noise, 0.1)),
+                {},
+                rf"v0 states noise of {noise:g} where .* state at least .*, or none",
+            )
+            for noise in (1e-12, 1e-7)
+        ),
+        (
+            of_two,
+            {"passes": replace(PASSES, window=25)},
+            r"passes.window is 25, more than the 24 × 20 pixels of the images; give a",
+        ),
+        (of_two, {"passes": None}, r"the loss passes is learned from stacks with passes on, and passes is off"),
+    ],
+)
+def test_refusals(images: Callable[[], Dataset], changes: dict[str, Any], message: str):
+    with pytest.raises(SarsplatError, match=message):
+        reconstruct(images(), replace(preset("stack"), **changes) if changes else "auto", quiet=True)
+
+
+def test_screens_too_narrow_are_refused():
+    with pytest.raises(SarsplatError, match=r"passes.screen_std is 1e-30; give at least 1e-06 radians, or 0 to switch"):
+        replace(PASSES, screen_std=1e-30)

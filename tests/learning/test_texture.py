@@ -1,0 +1,100 @@
+"""Texture: a pattern on the ground is found from some chips and seen in others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import ImageGrid, View, preset
+from sarsplat.geometry import radar_frame
+from sarsplat.learning.parts.texture import Maps
+from sarsplat.learning.strategies.texture import TextureEstimation
+from sarsplat.settings.config import Surroundings
+
+GRID = ImageGrid(48, 60, (0.4, 0.5), (0.6, 0.7), (1.0, -2.0))
+SETTINGS = Surroundings(texture_looks=0.01, texture_reach_deg=20.0)
+VIEWS = [View(azimuth, 30.0) for azimuth in range(0, 360, 10)]
+
+
+def pattern(view: View, shift_m: np.ndarray) -> np.ndarray:
+    """A waved ground as a chip shows it that is displaced."""
+    pixels = np.stack(np.meshgrid(GRID.azimuth_m, GRID.range_m), axis=-1) - shift_m
+    x, y = np.moveaxis(pixels @ np.linalg.inv(radar_frame(view)[[0, 2], :2]).T, -1, 0)
+    return 1 + 0.5 * np.sin(x) * np.cos(0.7 * y + 1)
+
+
+def chips(views: list[View], shifts_m: np.ndarray) -> dict[str, torch.Tensor]:
+    ratio = np.stack([pattern(view, shift_m) for view, shift_m in zip(views, shifts_m, strict=True)])
+    angles = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views], dtype=torch.float64)
+    return {
+        "ratio": torch.from_numpy(ratio).float(),
+        "shift_m": torch.from_numpy(shifts_m).float(),
+        "view_deg": angles,
+    }
+
+
+@pytest.mark.parametrize("grazing_deg", [30.0, 45.0])
+def test_a_pattern_on_the_ground_is_seen_from_anywhere(grazing_deg: float) -> None:
+    """An unseen chip is displaced as the mean one is."""
+    shifts_m = np.random.default_rng(0).normal(size=(len(VIEWS), 2))
+    texture = Maps(chips(VIEWS, shifts_m), GRID, SETTINGS)
+    wanted = View(4.0, grazing_deg)
+    inside = (slice(8, -8), slice(8, -8))
+    found = texture.factor([wanted], GRID)[0].numpy()[inside]
+    assert np.abs(found - pattern(wanted, shifts_m.mean(axis=0))[inside]).max() < 0.06
+    own = texture.among_images[7].numpy()[inside]
+    assert np.abs(own - pattern(VIEWS[7], shifts_m[7])[inside]).max() < 0.06
+
+
+def test_a_chip_does_not_explain_itself() -> None:
+    tensors = chips(VIEWS, np.zeros((len(VIEWS), 2)))
+    changed = {**tensors, "ratio": tensors["ratio"].clone()}
+    changed["ratio"][3] = 50.0
+    before, after = (Maps(some, GRID, SETTINGS).among_images for some in (tensors, changed))
+    assert torch.equal(before[3], after[3])
+    assert float((after[4] / before[4]).median()) > 5
+
+
+def test_few_looks_are_believed_less_and_distant_ones_not_at_all() -> None:
+    settings = replace(SETTINGS, texture_looks=2.0)
+    views, ratio = [View(350.0, 30.0)], torch.full((1, 48, 60), 4.0)
+    texture = Maps.estimated(ratio, torch.zeros(1, 2), views, GRID, settings)
+    near, farther, opposite = texture.factor([View(350.0, 45.0), View(10.0, 30.0), View(170.0, 30.0)], GRID)
+    assert float(near[24, 30]) == pytest.approx((2 + 4) / (2 + 1))
+    weight = np.exp(-1)  # 20° away
+    assert float(farther[24, 30]) == pytest.approx((2 + 4 * weight) / (2 + weight), rel=1e-5)
+    assert torch.equal(opposite, torch.ones(48, 60))
+
+
+def test_the_ratio_is_smoothed_over_cells_and_not_over_chips() -> None:
+    ratio = torch.full((2, 48, 60), 2.0)
+    ratio[1, 20, 30] += 200
+    settings = replace(SETTINGS, texture_width=0.5)
+    ratio = Maps.estimated(ratio, torch.zeros(2, 2), VIEWS[:2], GRID, settings).tensors["ratio"]
+    assert torch.allclose(ratio[0], torch.full((48, 60), 2.0))
+    over = ratio[1].double() - 2
+    assert float(over.sum()) == pytest.approx(200, rel=1e-3)
+    offsets = np.arange(60) - 30
+    spread_m = np.sqrt((over.sum(0).numpy() * offsets**2).sum() / 200) * GRID.spacing_m[0]
+    assert spread_m == pytest.approx(0.5 * GRID.cell_m, rel=0.05)
+
+
+def test_a_window_wider_than_the_image_takes_its_mean() -> None:
+    """And no longer for it."""
+    ratio = torch.zeros(1, 48, 60)
+    ratio[0, 20, 30] = 48 * 60
+    settings = replace(SETTINGS, texture_width=1e6)
+    found = Maps.estimated(ratio, torch.zeros(1, 2), VIEWS[:1], GRID, settings).tensors["ratio"]
+    assert torch.allclose(found, found[0, 0, 0].expand_as(found), rtol=0.2)
+
+
+def test_rounds_are_even_and_end_with_the_training() -> None:
+    settings = preset("measured").surroundings
+    assert settings is not None
+    few = TextureEstimation(replace(settings, texture_rounds=4, texture_from=0.4), 600)
+    assert [step for step in range(1, 601) if few.due(step)] == [240, 330, 420, 510, 600]
+    many = TextureEstimation(replace(settings, texture_rounds=100_000_000, texture_from=0.5), 60)
+    assert [step for step in range(1, 61) if many.due(step)] == list(range(30, 61))

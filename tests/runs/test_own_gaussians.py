@@ -1,0 +1,122 @@
+"""Runs that leave the memory, and runs of Gaussians that no training of ours has made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Config, Dataset, Gaussians, Harmonics, Run, SarsplatError, View, evaluate_run, reconstruct
+from sarsplat.exports import export
+from sarsplat.report import write_report
+
+VIEWS = [View(10.0, 30.0), View(200.0, 50.0)]
+
+
+@pytest.fixture(autouse=True)
+def few_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points cost little here, on whatever grid."""
+    monkeypatch.setattr("sarsplat.surface.points._MOST_RAYS", 1e5)
+
+
+def test_a_run_in_memory_is_saved_with_its_scores_and_resumed(dataset: Dataset, config: Config, tmp_path: Path) -> None:
+    short = replace(config, iterations=6, gaussians=80)
+    held = reconstruct(dataset, short, on_step=lambda step: step.iteration == 3, quiet=True)
+    scores = evaluate_run(held, quiet=True)
+    saved = held.save(tmp_path / "run")
+    assert saved.path == tmp_path / "run"
+    again = Run.load(tmp_path / "run")
+    assert again.metrics == saved.metrics == scores
+    assert np.array_equal(again.points, held.points)
+    assert np.array_equal(again.render(VIEWS), held.render(VIEWS))
+    assert again.history == held.history
+    assert again.dataset.fingerprint() == dataset.fingerprint()
+    resumed = reconstruct(dataset, short, tmp_path / "run", resume=True, quiet=True)
+    assert torch.equal(resumed.gaussians.means, reconstruct(dataset, short, quiet=True).gaussians.means)
+    with pytest.raises(SarsplatError, match="run already exists"):
+        held.save(tmp_path / "run")
+    assert Run.load(held.save(tmp_path / "run", overwrite=True).folder).iteration == 3
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "config.json").write_text("{}")
+    with pytest.raises(SarsplatError, match="not the header of a run"):
+        held.save(tmp_path / "mine", overwrite=True)
+
+
+def test_gaussians_of_ones_own_are_scored_exported_and_shown_in_a_report(
+    dataset: Dataset, finished: Run, tmp_path: Path
+) -> None:
+    run = Run.from_gaussians(finished.gaussians, dataset=dataset, time_s=7.0)
+    assert (run.grid, run.snapshot.views) == (dataset.grid, dataset.select("train").views)
+    np.testing.assert_array_equal(run.render(VIEWS), finished.render(VIEWS))
+    usual = replace(finished.config.points, voxel=run.config.points.voxel, rays_per_pixel=10.0)
+    assert run.config.points == usual
+    assert len(run.points) > 200
+    assert len(run.mesh().faces) > 100
+    scores = evaluate_run(run, quiet=True)
+    assert scores["images"]["test"]["psnr_db"] > 15
+    assert (scores["time_s"], run.metrics) == (7.0, scores)
+    page = write_report(run, tmp_path / "pages" / "own.html")
+    with pytest.raises(SarsplatError, match=r"in memory and has no folder; save it first with run\.save\(PATH\)"):
+        write_report(run)
+    with pytest.raises(SarsplatError, match="is a folder; give the name of the page"):
+        write_report(run, tmp_path)
+    html = page.read_text()
+    assert f"{scores['points']['visible']['cd_m']:#.3g}" in html
+    assert "own loop" in html
+    assert "Iterations" not in html
+    export(run, tmp_path / "own.splat")
+    export(run, tmp_path / "own.obj")
+    saved = Run.load(run.save(tmp_path / "run").folder)
+    assert saved.dataset.fingerprint() == dataset.fingerprint()
+    assert saved.facts == {"made by": "own loop", "scattering": saved.gaussians.scattering.in_words}
+    with pytest.raises(SarsplatError, match="Gaussians that were not trained here, which cannot be resumed"):
+        reconstruct(dataset, replace(saved.config, iterations=9), saved.folder, resume=True, quiet=True)
+
+
+def test_without_images_they_are_shown_whole_from_all_sides(finished: Run, dataset: Dataset, tmp_path: Path) -> None:
+    tenfold = finished.gaussians.with_tensors(
+        means=10 * finished.gaussians.means, scales=10 * finished.gaussians.scales
+    ).to(torch.float64)
+    run, large = Run.from_gaussians(finished.gaussians), Run.from_gaussians(tenfold)
+    assert large.grid.spacing_m[0] == pytest.approx(10 * run.grid.spacing_m[0], rel=0.05)
+    for each in (run, large):
+        images = each.render(each.snapshot.views)
+        lit = (images > 1e-3 * images.max()).any(axis=0)
+        assert not (lit[[0, -1]].any() or lit[:, [0, -1]].any())  # nothing is cut off
+        assert lit.any(axis=0).sum() > 8  # pixels, none finer than the Gaussians
+        assert each.brightest == pytest.approx(images.max(), rel=0.02)
+    saved = Run.load(run.save(tmp_path / "run").folder)
+    np.testing.assert_array_equal(saved.render(VIEWS), run.render(VIEWS))
+    with pytest.raises(SarsplatError, match=r"own Gaussians has no dataset; give it to Run\.from_gaussians"):
+        _ = saved.dataset
+    assert Run.load(saved.folder, dataset=dataset).dataset is dataset
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_harmonics_of_every_degree_and_p_min_are_kept(degree: int, tmp_path: Path) -> None:
+    generator = torch.Generator().manual_seed(0)
+    count = 20
+    own = Gaussians(
+        torch.rand(count, 3, generator=generator),
+        torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        torch.full((count, 3), 0.1),
+        torch.full((count,), 30.0),
+        Harmonics(torch.randn(count, (degree + 1) ** 2, generator=generator), p_min=0.25),
+    )
+    saved = Run.load(Run.from_gaussians(own, views=VIEWS).save(tmp_path / "run").folder).gaussians
+    assert saved.scattering.settings() == own.scattering.settings()
+    for name, tensor in own.tensors().items():
+        assert torch.equal(saved.tensors()[name], tensor), name
+
+
+def test_what_no_run_can_hold_is_refused(finished: Run) -> None:
+    own = finished.gaussians
+    with pytest.raises(SarsplatError, match="at least one view; give some"):
+        Run.from_gaussians(own, finished.grid, [])
+    with pytest.raises(SarsplatError, match="at least one Gaussian; give some"):
+        Run.from_gaussians(own[:0])
+    with pytest.raises(SarsplatError, match="a Gaussian is not finite, so no grid"):
+        Run.from_gaussians(own.with_tensors(means=own.means * torch.nan))

@@ -1,0 +1,249 @@
+"""What researchers bend: trainings in memory, watched, with a loss of their own, and runs whose images are gone."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, preset, reconstruct
+from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply, write_points_ply
+from sarsplat.gaussians import SCATTERINGS
+from sarsplat.learning import Trainer
+from sarsplat.runs import Step
+from sarsplat.settings import Config
+
+SHORT = {"iterations": 6, "gaussians": 80, "checkpoint_every": 4}
+
+
+@pytest.fixture
+def short(config: Config) -> Config:
+    return replace(config, **SHORT)
+
+
+def test_a_run_in_memory_is_the_same_as_one_on_the_disk(dataset: Dataset, config: Config, finished: Run) -> None:
+    held = reconstruct(dataset, config, quiet=True)
+    assert held.path is None
+    assert torch.equal(held.gaussians.means, finished.gaussians.means)
+    assert np.array_equal(held.points, finished.points)
+    views = [View(10.0, 30.0), View(200.0, 50.0)]
+    assert np.array_equal(held.render(views), finished.render(views))
+    assert [line.loss for line in held.history] == [line.loss for line in finished.history]
+    assert (held.iteration, held.metrics, held.dataset) == (60, None, dataset)
+    with pytest.raises(SarsplatError, match="in memory and has no folder; save it first"):
+        held.write_results()
+    with pytest.raises(SarsplatError, match="neither resumed nor overwritten"):
+        reconstruct(dataset, config, resume=True)
+
+
+def test_a_run_needs_its_dataset_for_nothing_but_the_images(
+    dataset: Dataset, short: Config, tmp_path: Path, finished: Run
+) -> None:
+    shutil.copytree(dataset.path, tmp_path / "dataset")
+    made = reconstruct(str(tmp_path / "dataset"), short, str(tmp_path / "run"), quiet=True)
+    expected = made.gaussians.tensors(), made.points, made.render([View(10.0, 30.0)])
+    shutil.rmtree(tmp_path / "dataset")
+    (tmp_path / "run" / "points.ply").unlink()
+    alone = Run.load(str(tmp_path / "run"))
+    assert all(torch.equal(tensor, alone.gaussians.tensors()[name]) for name, tensor in expected[0].items())
+    assert np.array_equal(alone.points, expected[1])
+    assert np.array_equal(alone.render([View(10.0, 30.0)]), expected[2])
+    assert alone.grid == dataset.grid
+    assert alone.brightest == dataset.images("train").max()
+    with pytest.raises(SarsplatError, match="needs its dataset, which is no longer at"):
+        _ = alone.dataset
+
+
+def test_normals_are_read_with_the_points_and_computed_where_they_are_missing(finished: Run, tmp_path: Path) -> None:
+    shutil.copytree(finished.folder, tmp_path / "run")
+    points, columns = read_points_ply(tmp_path / "run" / "points.ply")
+    assert np.array_equal(Run.load(tmp_path / "run").normals[:, 2], columns["nz"])
+    write_points_ply(tmp_path / "run" / "points.ply", points, normals=np.tile([0.0, 0.0, 1.0], (len(points), 1)))
+    assert (Run.load(tmp_path / "run").normals == [0, 0, 1]).all()
+    write_points_ply(tmp_path / "run" / "points.ply", points)
+    computed = Run.load(tmp_path / "run").normals
+    np.testing.assert_allclose(computed[:, 2], columns["nz"], atol=1e-5)
+
+
+def test_a_run_renders_where_it_is_told_to(finished: Run) -> None:
+    assert replace(Run.load(finished.folder), device="meta").gaussians.means.device.type == "meta"
+    assert Run.load(finished.folder).gaussians.means.device.type == "cpu"
+
+
+def test_every_step_is_told(dataset: Dataset, short: Config) -> None:
+    message: list[Step] = []
+    run = reconstruct(dataset, short, on_step=message.append, quiet=True)
+    assert [step.iteration for step in message] == [1, 2, 3, 4, 5, 6]
+    assert all(step.loss.shape == () and step.loss > 0 for step in message)
+    assert torch.equal(message[-1].trainer.gaussians.means, run.gaussians.means)
+
+
+def test_a_watcher_ends_the_training_and_has_a_run(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+    for out in (None, tmp_path / "run"):
+        run = reconstruct(dataset, short, out, on_step=lambda step: step.iteration == 3, quiet=True)
+        assert run.iteration == 3
+        assert len(run.gaussians) == short.gaussians
+    assert reconstruct(dataset, out=tmp_path / "run", resume=True, quiet=True).iteration == short.iterations
+
+
+def test_a_watcher_stops_between_two_steps_and_nothing_is_lost(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+    def enough(step: Step) -> None:
+        if step.iteration == 5:
+            raise ValueError("enough")
+
+    with pytest.raises(ValueError, match="enough"):
+        reconstruct(dataset, short, tmp_path / "run", on_step=enough, quiet=True)
+    assert Run.load(tmp_path / "run").iteration == 5
+    resumed = reconstruct(dataset, short, tmp_path / "run", resume=True, quiet=True)
+    whole = reconstruct(dataset, short, quiet=True)
+    assert torch.equal(resumed.gaussians.means, whole.gaussians.means)
+
+
+def test_ctrl_c_within_a_step_saves_nothing_that_is_half_done(
+    dataset: Dataset, short: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = Trainer.step
+
+    def interrupted(trainer: Trainer) -> torch.Tensor:
+        loss = step(trainer)
+        if trainer.iteration == 6:
+            raise KeyboardInterrupt
+        return loss
+
+    monkeypatch.setattr(Trainer, "step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(dataset, short, tmp_path / "run", quiet=True)
+    assert Run.load(tmp_path / "run").iteration == 4  # the last checkpoint
+
+
+def test_no_signal_handler_is_touched(dataset: Dataset, short: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    import signal
+
+    def touched(*arguments: object) -> None:
+        raise AssertionError(arguments)
+
+    monkeypatch.setattr(signal, "signal", touched)
+    reconstruct(dataset, short, quiet=True)
+
+
+def test_a_loss_of_ones_own(dataset: Dataset, config: Config) -> None:
+    shapes = set()
+
+    def squares(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        shapes.add((rendered.shape, truth.shape))
+        return (rendered - truth).square().mean()
+
+    run = reconstruct(dataset, replace(config, iterations=40), loss=squares, quiet=True)
+    assert run.config.loss == "squares"
+    assert shapes == {((4, 32, 32), (4, 32, 32))}
+    assert run.history[-1].loss < 0.5 * run.history[0].loss
+    rendered = run.render(dataset.select("train").views)
+    assert run.render([]).shape == (0, *rendered.shape[1:])
+    assert (
+        np.square(rendered - dataset.images("train")).mean() < 0.5 * run.history[0].loss
+    )  # β⁰ it was, and no other unit
+
+
+def test_a_loss_of_ones_own_does_not_pass_for_a_known_one(dataset: Dataset, config: Config, tmp_path: Path) -> None:
+    def amplitude(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        return (rendered - truth).abs().mean()
+
+    run = reconstruct(dataset, replace(config, iterations=2), tmp_path / "run", loss=amplitude, quiet=True)
+    assert run.config.loss == "own amplitude"
+    with pytest.raises(SarsplatError, match="loss 'own amplitude' is unknown"):
+        reconstruct(dataset, out=tmp_path / "run", resume=True, quiet=True)
+
+
+@pytest.mark.parametrize("surroundings", [False, True])
+@pytest.mark.parametrize("law", sorted(set(SCATTERINGS) - {"polarimetric"}))  # which needs several polarisations
+def test_every_law_of_scattering_is_learned_kept_and_resumed(
+    law: str, surroundings: bool, dataset: Dataset, config: Config, tmp_path: Path
+) -> None:
+    around = preset("measured").surroundings if surroundings else None
+    config = replace(config, scattering=law, surroundings=around, iterations=30, checkpoint_every=20)
+    whole = reconstruct(dataset, config, quiet=True)
+
+    def stop(step: Step) -> None:
+        if step.iteration == 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(dataset, config, tmp_path / "run", on_step=stop, quiet=True)
+    resumed = reconstruct(dataset, config, tmp_path / "run", resume=True, quiet=True)
+    assert resumed.gaussians.scattering.kind == law
+    assert torch.equal(resumed.gaussians.scattering.parameters, whole.gaussians.scattering.parameters)
+    *own, last = resumed.gaussians.scattering.parameters.T  # every column was learned
+    assert all(column.std() > 0 for column in own)
+    start = SCATTERINGS[law].initial(1, 0.5, 0.03)
+    assert last[0] != start.parameters[0, -1] if start.common else last.std() > 0
+    written = read_gaussians_ply(tmp_path / "run" / "gaussians.ply")
+    assert written.scattering.kind == law
+    assert torch.equal(written.scattering.parameters, whole.gaussians.scattering.parameters)
+
+
+def test_scores_of_a_run_in_memory(dataset: Dataset, config: Config) -> None:
+    run = reconstruct(dataset, replace(config, iterations=20), quiet=True)
+    scores = evaluate_run(run)
+    assert scores["images"]["test"]["psnr_db"] > 15
+    assert scores["points"]["visible"]["cd_m"] < 1
+    assert run.metrics == scores  # kept with the run, as metrics.json is
+
+
+@pytest.mark.parametrize(
+    ("loss", "words"),
+    [
+        (lambda a, b: (a - b).square(), r"returned \(4, 32, 32\) of torch.float32; it must return one real number"),
+        (lambda a, b: (a - b).square().mean().detach(), r"returned \(\) of"),
+        (lambda a, b: (a - b).mean() * 1j, r"returned \(\) of torch.complex64"),
+        (lambda a, b: 0.5, "returned float"),
+    ],
+)
+def test_losses_that_are_none(dataset: Dataset, short: Config, loss: object, words: str) -> None:
+    with pytest.raises(SarsplatError, match=words):
+        reconstruct(dataset, short, loss=loss, quiet=True)
+
+
+def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureFixture[str]) -> None:
+    reconstruct(dataset, short, quiet=True)
+    assert capsys.readouterr() == ("", "")
+    reconstruct(dataset, short)
+    assert "reconstruct (default): 6/6" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"device": "tpu"}, "device 'tpu' is unknown; choose auto, cpu or cuda"),
+        ({"preset": replace(preset("default"), loss="amplitud")}, "loss 'amplitud' is unknown; did you mean amplitude"),
+        ({"device": "cuda"}, "install .*, or use the CPU"),
+        ({"preset": "defualt"}, "preset 'defualt' is unknown"),
+    ],
+)
+def test_refusals(dataset: Dataset, options: dict[str, str], words: str) -> None:
+    if options.get("device") == "cuda" and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(SarsplatError, match=words):
+        reconstruct(dataset, **{"preset": "default", **options})
+
+
+def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(SarsplatError, match="does not exist; make one"):
+        reconstruct(tmp_path / "nowhere")
+    with pytest.raises(SarsplatError, match="does not exist; make one"):
+        read_dataset(str(tmp_path / "nowhere"))
+
+
+def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+    def breaks(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        calls.append(1)
+        loss = (rendered - truth).square().mean()
+        return loss * float("nan") if len(calls) == 7 else loss  # the first call is of black images
+
+    calls: list[int] = []
+    with pytest.raises(SarsplatError, match="the loss became nan at iteration 6"):
+        reconstruct(dataset, short, tmp_path / "run", loss=breaks, quiet=True)
+    assert Run.load(tmp_path / "run").iteration == 4

@@ -1,0 +1,195 @@
+"""A run goes on only with what it was started with: another dataset, other settings or another version are refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from datasets import dataset_of
+from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
+from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_tiff
+from sarsplat.runs.log import LogLine
+from sarsplat.settings import Config
+from sarsplat.settings.config import Densification, PointExtraction, Rates
+
+CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
+
+
+def make_dataset(path: Path, *, spacing: float = 0.3, azimuth: float = 0.0, seed: int = 0) -> Dataset:
+    images = np.zeros((3, 16, 16), np.float32)
+    images[:, 6:10, 6:10] = np.random.default_rng(seed).uniform(0.5, 1, size=(3, 4, 4))
+    views = [(View(azimuth + 120.0 * k, 40.0), "train") for k in range(3)]
+    grid = ImageGrid(16, 16, (spacing, spacing), (0.4, 0.4))
+    return write_dataset(path, dataset_of(grid, views, images))
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    return make_dataset(tmp_path / "dataset")
+
+
+@pytest.fixture
+def begun(dataset: Dataset, tmp_path: Path) -> Path:
+    """A run with one step to go."""
+    reconstruct(dataset, CONFIG, tmp_path / "run")
+    newest = Run.load(tmp_path / "run").checkpoint_path
+    assert newest is not None
+    newest.unlink()
+    return tmp_path / "run"
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def refused(begun: Path, dataset: Dataset, config: Config, message: str) -> None:
+    before = content(begun)
+    with pytest.raises(SarsplatError, match=message):
+        reconstruct(dataset, config, begun, resume=True)
+    assert content(begun) == before
+
+
+def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
+    assert Run.load(begun).iteration == 1
+    assert reconstruct(dataset, CONFIG, begun, resume=True).iteration == 2
+
+
+@pytest.mark.parametrize("change", [{"spacing": 0.31}, {"azimuth": 1e-6}, {"seed": 1}])
+def test_another_dataset(begun: Path, tmp_path: Path, change: dict[str, Any]) -> None:
+    refused(begun, make_dataset(tmp_path / "other", **change), CONFIG, "started with another dataset")
+
+
+def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> None:
+    image = dataset.images("train")[1].copy()
+    image[0, 0] = 1e-30
+    write_tiff(dataset.path / "images/001.tif", image, "changed")
+    refused(begun, read_dataset(dataset.path), CONFIG, "started with another dataset")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": 1}, "started with seed 0, not 1; resume it with the same settings"),
+        ({"p_min": 0.031}, "started with p_min 0.03, not 0.031"),
+        ({"preset": "mine"}, "started with preset 'default', not 'mine'"),
+        ({"rates": Rates(means=0.1)}, r"started with rates\.means 0.15, not 0.1"),
+        ({"densification": Densification()}, "started with densification None, not "),
+        ({"iterations": 3, "seed": 1}, "started with seed 0, not 1"),
+    ],
+)
+def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any], message: str) -> None:
+    refused(begun, dataset, replace(CONFIG, **change), message)
+
+
+def test_fewer_iterations_than_are_done(dataset: Dataset, tmp_path: Path) -> None:
+    reconstruct(dataset, CONFIG, tmp_path / "run")
+    message = "has already done 2 iterations, more than 1"
+    refused(tmp_path / "run", dataset, replace(CONFIG, iterations=1), message)
+
+
+@pytest.mark.parametrize("done", [1, 2])
+def test_more_iterations_extend_a_run(begun: Path, dataset: Dataset, done: int) -> None:
+    if done == 2:
+        reconstruct(dataset, CONFIG, begun, resume=True)
+    run = reconstruct(dataset, replace(CONFIG, iterations=4, checkpoint_every=3), begun, resume=True)
+    assert run.iteration == 4
+    assert (Run.load(begun).config.iterations, Run.load(begun).config.checkpoint_every) == (4, 3)
+    assert [line.iteration for line in run.history] == [1, 2, 3, 4]
+
+
+def test_points_are_extracted_anew(dataset: Dataset, tmp_path: Path) -> None:
+    first = reconstruct(dataset, CONFIG, tmp_path / "run")
+    (tmp_path / "run" / "metrics.json").write_text("{}")
+    everything = PointExtraction(method="centres", optical_depth=0.0, voxel=1e-6, min_height=-1e6)
+    again = reconstruct(dataset, replace(CONFIG, points=everything), tmp_path / "run", resume=True)
+    assert again.iteration == first.iteration
+    assert len(Run.load(tmp_path / "run").points) == len(again.gaussians)
+    assert not (tmp_path / "run" / "metrics.json").exists()  # it was of other points
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema_version": 5}, "schema_version is 5 but this program reads 4; give a run, or reconstruct it again"),
+        ({"schema_version": 3}, "was written by an older version; reconstruct it again with overwrite=True"),
+        ({"config": CONFIG.as_dict() | {"warmth": 1}}, "config.json: the setting 'warmth' is unknown"),
+    ],
+)
+def test_another_version(begun: Path, dataset: Dataset, change: dict[str, Any], message: str) -> None:
+    header = json.loads((begun / "config.json").read_text())
+    (begun / "config.json").write_text(json.dumps(header | change))
+    refused(begun, dataset, CONFIG, message)
+
+
+@pytest.mark.parametrize("change", [{"model/optical_depth": None}, {"model/means": torch.empty(0, 3)}])
+def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
+    newest = Run.load(begun).checkpoint_path
+    assert newest is not None
+    tensors, state = load_checkpoint(newest)
+    save_checkpoint(newest, {name: t for name, t in (tensors | change).items() if t is not None}, state)
+    refused(begun, dataset, CONFIG, "does not match this version")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seconds": 10**400},
+        {"seconds": -1.0},
+        {"seconds": True},
+        {"iteration": 10**400},
+        {"iteration": -1},
+        {"iteration": 1.5},
+        {"iteration": None},
+    ],
+)
+def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
+    newest = Run.load(begun).checkpoint_path
+    assert newest is not None
+    tensors, state = load_checkpoint(newest)
+    save_checkpoint(newest, tensors, {**state, **change})
+    message = f"{newest.name} does not record how far the training had got"
+    refused(begun, dataset, CONFIG, message)
+    for name in ("time_s", "iteration"):
+        with pytest.raises(SarsplatError, match=message):
+            getattr(Run.load(begun), name)
+
+
+LINE = {"iteration": 1, "seconds": 0.5, "loss": 0.25, "gaussians": 50}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"iteration": 1e300, "gaussians": 1e300},
+        {"iteration": 10**400},
+        {"gaussians": -1},
+        {"loss": 1e308},
+        {"loss": -1e308},
+        {"seconds": 1e11},
+    ],
+)
+def test_a_line_that_no_training_writes_ends_the_history(begun: Path, change: dict[str, Any]) -> None:
+    lines = [LINE, {**LINE, **change}, LINE]
+    (begun / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert Run.load(begun).history == [LogLine(**LINE)]
+
+
+def test_a_history_that_is_too_long(begun: Path) -> None:
+    (begun / "metrics.jsonl").write_text((json.dumps(LINE) + "\n") * 70_000)
+    with pytest.raises(SarsplatError, match=r"metrics\.jsonl is longer than 4194304 bytes"):
+        _ = Run.load(begun).history
+
+
+def test_a_run_that_is_not_there(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(SarsplatError, match="does not exist"):
+        reconstruct(dataset, CONFIG, tmp_path / "nowhere", resume=True)
+    shutil.copytree(dataset.path, tmp_path / "a dataset")
+    with pytest.raises(SarsplatError, match="is a dataset, not a run"):
+        reconstruct(dataset, CONFIG, tmp_path / "a dataset", resume=True)

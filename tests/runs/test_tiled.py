@@ -1,0 +1,177 @@
+"""Reconstruction by tiles: the whole scene on coarse images, then tile after tile, and no seams."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from datasets import FEW_POINTS, dataset_of
+from sarsplat import Config, Dataset, Gaussians, Harmonics, ImageGrid, Run, SarsplatError, View, preset, reconstruct
+from sarsplat.gaussians.ground import Ground
+from sarsplat.geometry import RayGrid
+from sarsplat.learning.image_windows import Windows
+from sarsplat.learning.scene_tiles import Tile, tiles_of
+from sarsplat.renderer import render
+from sarsplat.settings.config import Densification, Surroundings
+
+GRID = ImageGrid(48, 56, (0.3, 0.3), (0.45, 0.45))
+VIEWS = [View(azimuth, grazing) for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]
+SIDES = (13.0, 9.0, 1.5)
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    """A low, wide box, as ray casting shows it."""
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    from sarsplat import ScatteringLaw, simulate_raycast
+
+    box = trimesh.creation.box(SIDES)
+    box.apply_translation([0, 0, SIDES[2] / 2])
+    images = np.stack([simulate_raycast(box, view, GRID, ScatteringLaw()) for view in VIEWS])
+    return dataset_of(GRID, [(view, "train") for view in VIEWS], images)
+
+
+@pytest.fixture(scope="module")
+def config() -> Config:
+    return replace(preset("quick"), iterations=36, gaussians=600, tiles=2, checkpoint_every=12, points=FEW_POINTS)
+
+
+@pytest.fixture(scope="module")
+def finished(dataset: Dataset, config: Config, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return reconstruct(dataset, config, tmp_path_factory.mktemp("tiled") / "run", quiet=True)
+
+
+def tensors(run: Run) -> dict[str, torch.Tensor]:
+    return run.snapshot.tensors
+
+
+def assert_same(run: Run, other: Run) -> None:
+    assert tensors(run).keys() == tensors(other).keys()
+    assert all(torch.equal(tensor, tensors(other)[name]) for name, tensor in tensors(run).items())
+
+
+def test_nothing_is_lost_or_doubled_at_the_seams(finished: Run, dataset: Dataset, config: Config) -> None:
+    """Tiles meet near the middle, in the shape of a cross: there is as much as where the whole is learned at once."""
+    whole = reconstruct(dataset, replace(config, tiles=1), quiet=True)
+    assert finished.iteration == whole.iteration == 36
+    rendered, expected = (run.render(VIEWS) ** 0.5 for run in (finished, whole))
+    truth = dataset.power**0.5
+    assert ((rendered - truth) ** 2).mean() < 1.1 * ((expected - truth) ** 2).mean()
+    assert abs(len(finished.gaussians) / len(whole.gaussians) - 1) < 0.2
+    everywhere, there = (held(finished, width_m) / held(whole, width_m) for width_m in (np.inf, 0.6))
+    assert 0.8 < everywhere < 1.25
+    assert 0.8 < there < 1.25
+
+
+def held(run: Run, width_m: float) -> float:
+    """What Gaussians there are so near to the axes, by the area that each would shade, m²."""
+    scene = run.gaussians
+    near = scene.means[:, :2].abs().amin(1) < width_m
+    areas = scene.scales.sort(dim=1).values[:, 1:].prod(1)
+    return float((scene.optical_depth * areas)[near].sum())
+
+
+def test_a_stopped_one_goes_on_to_the_same_bits(
+    finished: Run, dataset: Dataset, config: Config, tmp_path: Path
+) -> None:
+    out, steps = tmp_path / "run", []
+
+    def stop(step: Any) -> None:
+        steps.append(step.iteration)
+        if len(steps) in (6, 39, 40, 60):  # of the whole; of the second tile, twice; of the last one
+            raise RuntimeError("stopped")
+
+    for _ in range(4):
+        with pytest.raises(RuntimeError, match="stopped"):
+            reconstruct(dataset, config, out, on_step=stop, quiet=True, resume=out.exists())
+    assert steps.count(36) == 3  # finished tiles are kept
+    assert (out / "tiles").is_dir()
+    resumed = reconstruct(dataset, config, out, quiet=True, resume=True)
+    assert_same(resumed, finished)
+    np.testing.assert_array_equal(resumed.points, finished.points)
+    assert not (out / "tiles").exists()
+    assert [line.iteration for line in resumed.history][-1] == 36
+
+
+def test_threads_and_folders_make_no_difference(finished: Run, dataset: Dataset, config: Config, threads: Any) -> None:
+    threads(3 if torch.get_num_threads() == 1 else 1)
+    assert_same(reconstruct(dataset, config, quiet=True), finished)
+
+
+def test_its_points_are_extracted_anew(finished: Run, dataset: Dataset, config: Config) -> None:
+    coarser = replace(config, points=replace(FEW_POINTS, voxel=1.0))
+    again = reconstruct(dataset, coarser, finished.path, resume=True, quiet=True)
+    assert 0 < len(again.points) < len(finished.points)
+    reconstruct(dataset, config, finished.path, resume=True, quiet=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tiles": 0}, "tiles.* 1"),
+        ({"tiles": 3}, "tiles is 3, but .* blocks of 2 × 2 pixels, by the scene's size.* give tiles from 1 to 2"),
+        ({"tiles": 9, "coarsest": 2}, "by the setting coarsest"),
+        ({"surroundings": Surroundings()}, "tiles is 2, and tiles cannot be combined with surroundings; omit them"),
+        ({"densification": Densification()}, "tiles cannot be combined with densification"),
+    ],
+)
+def test_what_tiles_cannot_do_is_refused(
+    dataset: Dataset, config: Config, changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SarsplatError, match=message):
+        reconstruct(dataset, replace(config, **changes), tmp_path / "run", quiet=True)
+    assert not (tmp_path / "run").exists()
+
+
+# ---- tiles and windows -----------------------------------------------------------------------------------------------
+def some(count: int, seed: int = 0) -> Gaussians:
+    draw = torch.Generator().manual_seed(seed)
+    places = (torch.rand(count, 3, generator=draw) - 0.5) * torch.tensor([16.0, 16.0, 0.0])
+    places[:, 2] = 3 * torch.rand(count, generator=draw)
+    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1)
+    depth, gamma0 = 3 * torch.rand(count, generator=draw), torch.rand(count, 1, generator=draw)
+    return Gaussians(places, upright, 0.1 + 0.2 * torch.rand(count, 3, generator=draw), depth, Harmonics(gamma0))
+
+
+@pytest.mark.parametrize("ground", [None, Ground(torch.tensor(0.1))])
+def test_windows_show_what_whole_images_show_there(ground: Ground | None) -> None:
+    """With all that shades it or lies over it, though only some Gaussians are rendered."""
+    scene, rays = some(400), RayGrid.for_image(GRID)
+    views = [View(20, 15), View(100, 45), View(200, 75)]
+    own = Tile((1.0, -4.0), (5.0, 0.0)).holds(scene.means)
+    windows = Windows.around(scene[own.nonzero()[:, 0]], views, GRID, 0.3, 4)
+    needed = windows.shown(scene, views, rays, ground, 0.0)
+    assert own.sum() < needed.sum() < len(scene)
+    whole = render(scene, views, GRID, rays=rays, ground=ground).images
+    order = [2, 0]
+    options = {"rays": rays, "ground": ground, "amplitudes": None, "shift": None}
+    few = [views[k] for k in order]
+    part = windows.render(scene[needed.nonzero()[:, 0]], few, windows.stack, order, **options)
+    expected = windows.of(whole[:, 0])[order]
+    assert expected.shape[1:] != whole.shape[2:]
+    assert len({(grid.rows, grid.columns) for grid in windows.grids}) > 1
+    assert all(side.start % 4 == 0 == side.stop % 4 for side in (*windows.rows, *windows.columns))
+    torch.testing.assert_close(part.images[:, 0], expected, rtol=0, atol=1e-4 * float(whole.max()))
+    assert part.cross_sections.shape[:2] == (2, int(needed.sum()))
+
+
+def test_an_image_that_does_not_show_a_tile_has_a_window_at_its_edge() -> None:
+    small = replace(GRID, rows=16, columns=16)
+    windows = Windows.around(some(50), [View(0, 45), View(90, 45)], replace(small, center_m=(40.0, 0.0)), 0.3, 2)
+    assert all(0 <= side.start < side.stop <= 16 for side in (*windows.rows, *windows.columns))
+
+
+def test_tiles_hold_everything_once_and_alike() -> None:
+    means = some(1000).means
+    tiles = tiles_of(means, 3)
+    held = torch.stack([tile.holds(means) for tile in tiles])
+    assert len(tiles) == 9
+    assert (held.sum(0) == 1).all()
+    assert set(held.sum(1).tolist()) <= {110, 111, 112}
+    assert len(tiles_of(torch.zeros(5, 3), 3)) == 1  # nothing to divide

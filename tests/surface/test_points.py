@@ -1,0 +1,198 @@
+"""Which of the returns that rays have become points."""
+
+from __future__ import annotations
+
+import re
+from contextlib import AbstractContextManager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from sarsplat import Gaussians, Harmonics, ImageGrid, View, memory
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import RayGrid
+from sarsplat.progress import Reporter
+from sarsplat.settings.config import PointExtraction
+from sarsplat.surface import extract_points
+from sarsplat.surface import points as of_points
+from sarsplat.surface.points import _cluster, _FirstReturns, _Voxels, between, spread
+
+GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))
+VIEWS = [View(45.0 * k, 30.0) for k in range(8)]
+HEIGHT, RADIUS = 1.5, 1.2
+KEPT = PointExtraction(rays_per_pixel=4.0, seen_through=0.25)
+
+
+@pytest.fixture(scope="module")
+def ball_with_a_hole() -> Gaussians:
+    """An opaque shell; through a hole in it the first view alone sees what is at its centre."""
+    turns = np.arange(1500)
+    z = 1 - 2 * (turns + 0.5) / len(turns)
+    angle = turns * np.pi * (3 - 5**0.5)
+    outwards = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=1)
+    shell = RADIUS * outwards[outwards @ VIEWS[0].direction < np.cos(np.radians(15))]
+    means = np.concatenate([shell, np.zeros((1, 3))])
+    means[:, 2] += HEIGHT
+    count = len(means)
+    return Gaussians(
+        torch.tensor(means, dtype=torch.float32),
+        torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        torch.full((count, 3), 0.06),
+        torch.full((count,), 6.0),
+        Harmonics(torch.ones(count, 1)),
+    )
+
+
+def near_centre(points: np.ndarray) -> int:
+    return int(np.sum(np.linalg.norm(points - [0, 0, HEIGHT], axis=1) < 0.4))
+
+
+def test_what_one_view_alone_sees_is_left_out_if_others_must_see_it(ball_with_a_hole: Gaussians) -> None:
+    all_points = extract_points(ball_with_a_hole, VIEWS, GRID, KEPT)
+    assert near_centre(all_points) > 0
+    points = extract_points(ball_with_a_hole, VIEWS, GRID, replace(KEPT, seen_by=3))
+    assert near_centre(points) == 0
+    assert len(points) > 0.8 * len(all_points)  # the shell, each part of which faces several views
+    assert np.allclose(np.linalg.norm(points - [0, 0, HEIGHT], axis=1), RADIUS, atol=0.3)
+
+
+def test_of_few_views_a_fifth_is_enough(ball_with_a_hole: Gaussians) -> None:
+    views = VIEWS[::4]  # opposite ones, which see nothing in common
+    usual = extract_points(ball_with_a_hole, views, GRID, KEPT)
+    assert len(usual) > 0
+    assert np.array_equal(extract_points(ball_with_a_hole, views, GRID, replace(KEPT, seen_by=3)), usual)
+
+
+def test_views_between_neighbours_alone() -> None:
+    ring = [View(azimuth, 30.0) for azimuth in (0.0, 90.0, 180.0, 270.0)]
+    grazing = np.degrees(np.arctan(np.tan(np.radians(30)) / np.cos(np.radians(45))))
+    actual = sorted((view.azimuth_deg, view.grazing_deg) for view in between([*ring, ring[0]]))
+    assert actual == [pytest.approx((azimuth, grazing)) for azimuth in (45, 135, 225, 315)]  # opposite ones see others
+    assert between(ring[:1]) == []
+
+
+def test_how_far_behind_a_place_its_ray_returns() -> None:
+    ranges = np.pad([[1.0, 2.0, np.inf], [4.0, 5.0, 6.0]], 1, constant_values=np.inf)  # two rows of y, three columns
+    returns = _FirstReturns(np.eye(3), ranges, np.array([9.5, 18.0]), np.array([0.5, 2.0]))
+    beyond = {(10, 20): 1, (10.5, 20): 2, (11, 20): np.inf, (11.2, 22.9): 6, (10.2, 21.1): 4}
+    beyond |= dict.fromkeys([(9.7, 20), (11.3, 20), (10, 18.9), (10, 23.1)], np.inf)
+    places = np.array([(*place, 0.25) for place in beyond])
+    assert returns.beyond(places).tolist() == [far - 0.25 for far in beyond.values()]
+    x, y, r = returns.points().T
+    assert [*zip(x, y, r)] == [(10, 20, 1), (10.5, 20, 2), (10, 22, 4), (10.5, 22, 5), (11, 22, 6)]
+
+
+def test_points_are_those_that_enough_of_all_views_confirm(ball_with_a_hole: Gaussians) -> None:
+    """By the definition, every point held against every view."""
+    how = replace(KEPT, seen_by=3)
+    rays = RayGrid.for_image(GRID, how.rays_per_pixel)
+    views = [*VIEWS, *between(VIEWS)]
+    returns = [_FirstReturns.of(ball_with_a_hole, view, GRID, rays, how.optical_depth) for view in views]
+    every = np.concatenate([each.points() for each in returns])
+    cells, owner = np.unique(np.floor(every / (how.voxel * GRID.cell_m)), axis=0, return_inverse=True)
+    expected = np.stack([every[owner.ravel() == k].mean(axis=0) for k in range(len(cells))])
+    beyond = np.stack([each.beyond(expected) for each in returns])
+    through, seen = beyond > how.behind * GRID.cell_m, np.abs(beyond) <= how.behind * GRID.cell_m
+    expected = expected[(through.mean(axis=0) <= how.seen_through) & (seen.sum(axis=0) >= 3)]
+    assert 0 < len(expected) < len(cells)
+    np.testing.assert_allclose(extract_points(ball_with_a_hole, VIEWS, GRID, how), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e15])
+def test_voxels_are_the_same_however_the_points_come(offset: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All at once or in parts, and where cells are so many that no number counts them."""
+    places = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+    places[0] += offset
+    once = _Voxels(0.3)
+    once.add(places)
+    monkeypatch.setattr(of_points, "_AT_ONCE", 40)
+    parts = _Voxels(0.3)
+    for part in np.array_split(places, 20):
+        parts.add(part)
+    cells = np.unique(np.floor(places / 0.3), axis=0)
+    assert len(once.means()) == len(cells)
+    np.testing.assert_array_equal(np.floor(once.means() / 0.3), cells)
+    np.testing.assert_allclose(parts.means(), once.means(), rtol=1e-12)
+    assert _Voxels(0.3).means().shape == (0, 3)
+
+
+def test_voxels_grow_where_there_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory and what is done with the points have a limit, also while points are added; none is lost."""
+    monkeypatch.setattr(of_points, "_AT_ONCE", 1000)
+    monkeypatch.setattr(of_points, "_MOST_POINTS", 600)
+    places = np.random.default_rng(0).uniform(-1, 1, (9000, 3)) * [1, 1, 0]
+    voxels = _Voxels(0.01)
+    for part in np.array_split(places, 9):
+        voxels.add(part)
+        assert len(voxels._cells) <= 600
+    assert 300 < len(voxels.means()) <= 600
+    assert voxels._counts.sum() == len(places)
+    np.testing.assert_allclose(voxels._sums.sum(axis=0), places.sum(axis=0), atol=1e-9)
+
+
+def test_many_views_are_thinned_evenly() -> None:
+    ring = [View(float(azimuth), 30.0) for azimuth in range(360)]
+    some = spread(ring, 12)
+    assert len(some) == 12
+    assert some[0] == ring[0]
+    gaps = np.diff([view.azimuth_deg for view in some] + [360.0])
+    assert gaps.max() <= 2 * gaps.min() + 1
+    assert spread(ring, 360) == ring
+    assert len(spread([ring[0]] * 9, 4)) <= 4
+
+
+def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(
+    ball_with_a_hole: Gaussians, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The ball's cost has a limit, whatever rays and views are asked for."""
+    counted: list[int] = []
+    first_returns = vars(_FirstReturns)["of"].__func__
+
+    def counting(cls: type, *arguments: object) -> _FirstReturns:
+        returns = first_returns(cls, *arguments)
+        counted.append(returns.range_m.size)
+        return returns
+
+    monkeypatch.setattr(_FirstReturns, "of", classmethod(counting))
+    usual = extract_points(ball_with_a_hole, VIEWS, GRID, KEPT)
+    rays = sum(counted)
+    counted.clear()
+    monkeypatch.setattr(of_points, "_MOST_RAYS", rays / 16)
+    monkeypatch.setattr(of_points, "_MOST_VIEWS", 12)
+    many = [View(10.0 * k, 30.0) for k in range(36)]
+    said: list[str] = []
+    shown = of_points.stage
+
+    def noted(description: str, total: int) -> AbstractContextManager[Reporter]:
+        said.append(description)
+        return shown(description, total)
+
+    monkeypatch.setattr(of_points, "stage", noted)
+    points = extract_points(ball_with_a_hole, many, GRID, KEPT)
+    assert re.fullmatch(r"surface: rays [\d.]+ times as far apart as set from 12 of \d+ views", said[0])
+    assert len(counted) == 12
+    assert rays / 64 < sum(counted) < rays / 8
+    assert len(usual) / 40 < len(points) < len(usual)
+    off = np.abs(np.linalg.norm(points - [0, 0, HEIGHT], axis=1) - RADIUS)
+    assert np.median(off) < 0.2
+
+
+def test_what_does_not_fit_into_memory_is_refused(ball_with_a_hole: Gaussians, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "free_bytes", lambda: 1000.0)
+    monkeypatch.setattr(_FirstReturns, "of", lambda *_: pytest.fail("must not get here"))
+    with pytest.raises(
+        SarsplatError, match=r"^extracting the surface takes about .* 9\.3e-07 GiB are free; .*rays-per"
+    ):
+        extract_points(ball_with_a_hole, VIEWS, GRID, KEPT)
+
+
+def test_the_largest_cluster_is_kept_however_dense_the_points() -> None:
+    """A line with a gap wider than the radius; of the few at its side there are too few to be one."""
+    rng = np.random.default_rng(0)
+    for dense in (1, 50):
+        long, short = rng.uniform(0, 10, (400 * dense, 3)), rng.uniform([11.5, 0, 0], [14.5, 3, 3], (300 * dense, 3))
+        line, beside = np.concatenate([long, short]) * [1, 0.01, 0.01], np.array([[5.0, 3, 0], [5.0, 3.2, 0]])
+        kept = _cluster(np.concatenate([line, beside]), 0.8, 10)
+        np.testing.assert_array_equal(kept, line[: len(long)])
