@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import re
 import time
 
 import pytest
+from rich.console import Console
+from rich.progress import Progress
 
 from sarsplat import progress
 
@@ -35,6 +38,23 @@ def test_short_parts_of_long_work_are_not_silent_together(
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["mesh:"]
 
 
+@pytest.mark.parametrize("width", [60, 80, 110, 200])
+@pytest.mark.parametrize(("seconds", "left"), [(1, ""), (60, "0:21:13 left"), (10, "212 s left")])
+def test_narrow_terminals_cut_words_and_no_figures(width: int, seconds: float, left: str) -> None:
+    """And nothing is foretold after one second."""
+    console = Console(width=width, file=io.StringIO())
+    bar = Progress(*progress._columns(width), console=console)
+    reporter = progress.Reporter(20_000, bar, "evaluate /home/someone/data/t72/runs/first-run")
+    reporter._begun -= seconds
+    reporter.update(900, "distances: points from the visible surface  12345 Gaussians")
+    with console.capture() as shown:
+        console.print(bar.get_renderable())
+    (line,) = shown.get().splitlines()
+    assert "900/20000" in line
+    assert "0:00:00" in line  # the bar's own clock
+    assert line.rstrip().endswith(left or "0:00:00")
+
+
 def test_a_tally_says_where_the_time_went() -> None:
     with progress.tally() as spent, progress.progress("work", 3, quiet=True) as shown:
         time.sleep(0.12)
@@ -43,7 +63,7 @@ def test_a_tally_says_where_the_time_went() -> None:
         shown.advance(1, "digging: another")
         shown.advance(1)
     assert spent["digging"] >= 0.18 > spent["work"]
-    assert re.fullmatch(r"digging \d\.\d s", str(spent))
+    assert re.fullmatch(r"\d\.\d s \(digging \d\.\d s\)", str(spent))
     with progress.progress("work", 1, quiet=True) as shown:
         shown.advance(1, "unasked")
     assert "unasked" not in spent

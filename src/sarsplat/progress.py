@@ -6,11 +6,19 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from datetime import timedelta
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Column
 
 _SECONDS_BETWEEN_LINES = 4.0  # what takes a second at a time is then heard of within five
+
+_FIGURES = 36
+"""Columns of a terminal that numbers and times take in a bar, with the blanks between."""
+
+_TRUSTED_S = 2.0
+"""Seconds after which the time left is guessed: what goes first is often quicker than the rest."""
 
 _shown: ContextVar[Reporter | None] = ContextVar("_shown", default=None)
 """The progress that is being shown."""
@@ -34,7 +42,8 @@ class Tally(dict[str, float]):
         self._last = now
 
     def __str__(self) -> str:
-        return ", ".join(f"{kind} {seconds:.1f} s" for kind, seconds in self.items() if seconds >= 0.05)
+        parts = ", ".join(f"{kind} {seconds:.1f} s" for kind, seconds in self.items() if seconds >= 0.05)
+        return f"{sum(self.values()):.1f} s" + (f" ({parts})" if parts else "")
 
 
 @contextmanager
@@ -53,7 +62,7 @@ class Reporter:
 
     def __init__(self, total: int, bar: Progress | None, description: str, quiet: bool = False) -> None:
         self._total, self._bar, self._description, self._quiet = total, bar, description, quiet
-        self._task = bar.add_task(description, total=total, status="") if bar else None
+        self._task = bar.add_task(description, total=total, status="", left="") if bar else None
         self._begun = time.monotonic()
         self._spoken = [self._begun]  # when the last line was printed
         self._first = self._done = 0.0
@@ -90,16 +99,24 @@ class Reporter:
         self._done = done
         if (counted := _tally.get()) is not None:
             counted.count(status or self._description)
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=done, status=status)
-            return
         now = time.monotonic()
+        if self._bar is not None and self._task is not None:
+            left = self._left(now) if now - self._begun > _TRUSTED_S else ""
+            self._bar.update(self._task, completed=done, status=status, left=left)
+            return
         if self._quiet or self._ended or (now - self._spoken[0] < _SECONDS_BETWEEN_LINES and done < self._total):
             return
         self._spoken[0], self._ended = now, done >= self._total  # the last line only once
-        here = done - self._first  # without which nothing tells how long the others take
-        left = f"  {(now - self._begun) / here * max(0, self._total - done):.0f} s left" if here > 0 else ""
-        print(f"{self._description}: {int(done)}/{self._total}  {status}{left}", flush=True)
+        left = self._left(now)
+        print(f"{self._description}: {int(done)}/{self._total}  {status}{left and f'  {left}'}", flush=True)
+
+    def _left(self, now: float) -> str:
+        """How long the rest takes at the pace so far."""
+        here = self._done - self._first  # without which nothing tells how long the others take
+        if here <= 0:
+            return ""
+        left_s = round((now - self._begun) / here * max(0, self._total - self._done))
+        return f"{timedelta(seconds=left_s)} left" if left_s >= 600 else f"{left_s} s left"
 
 
 class _Within(Reporter):
@@ -126,17 +143,26 @@ def progress(description: str, total: int, quiet: bool = False) -> Iterator[Repo
         with _as_shown(Reporter(total, None, description, quiet)) as reporter:
             yield reporter
         return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[status]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as bar, _as_shown(Reporter(total, bar, description)) as reporter:
+    with (
+        Progress(*_columns(console.width), console=console) as bar,
+        _as_shown(Reporter(total, bar, description)) as reporter,
+    ):
         yield reporter
+
+
+def _columns(width: int) -> Iterator[ProgressColumn]:
+    """Columns of a bar; on a narrow terminal the texts are cut, and never the figures."""
+    shared = max(width - _FIGURES, 0)  # by the bar and two texts
+    yield _text("{task.description}", shared * 2 // 5)
+    yield BarColumn(min(40, shared // 5))
+    yield MofNCompleteColumn()
+    yield _text("{task.fields[status]}", shared * 2 // 5)
+    yield TimeElapsedColumn()
+    yield TextColumn("{task.fields[left]}")
+
+
+def _text(template: str, widest: int) -> TextColumn:
+    return TextColumn(template, table_column=Column(no_wrap=True, overflow="ellipsis", max_width=widest))
 
 
 @contextmanager

@@ -119,7 +119,7 @@ def test_export_and_info(tmp_path: Path, said, refused) -> None:
         "box.obj": "a mesh",
         tmp_path / "gaussians.ply": f"{count} Gaussians",
         **{tmp_path / f"mesh.{kind}": "a mesh" for kind in ("ply", "glb", "obj")},
-        tmp_path / "points.ply": f"{len(points)};",
+        tmp_path / "points.ply": f"{len(points):,};",
     }
     for path, text in expected.items():
         assert text in said(f"info {path}").replace("\n", " ")
@@ -327,8 +327,9 @@ def test_info_lists_datasets_and_runs_in_a_folder(tmp_path: Path, said) -> None:
         shutil.copytree(folder, tmp_path / "deep" / folder)
         shutil.copytree(folder, tmp_path / f"bad-{folder}")
     shutil.copytree("run", tmp_path / "begun")
-    log = (tmp_path / "begun" / "metrics.jsonl").read_text().splitlines(keepends=True)
-    (tmp_path / "begun" / "metrics.jsonl").write_text(log[0])
+    header = json.loads((tmp_path / "begun" / "config.json").read_text())
+    header["config"]["iterations"] = 6000
+    (tmp_path / "begun" / "config.json").write_text(json.dumps(header))
     (tmp_path / "begun" / "metrics.json").unlink()
     (tmp_path / "bad-dataset" / "dataset.json").write_text('{"schema": "sarsplat-dataset"}')
     (tmp_path / "bad-run" / "config.json").write_text('{"schema": "sarsplat-run"}')
@@ -343,7 +344,7 @@ def test_info_lists_datasets_and_runs_in_a_folder(tmp_path: Path, said) -> None:
     assert rows["deep/run"].startswith("deep/run run of dataset (sar-gs) finished ")
     assert f"target {psnr_db:.2f} dB" in rows["deep/run"]
     assert f"CD {cd_m:#.3g} m" in rows["deep/run"]
-    assert rows["begun"] == "begun run of dataset (sar-gs) 1 of 4 iterations not evaluated"
+    assert rows["begun"] == "begun run of dataset (sar-gs) unfinished, 4 of 6,000 iterations not evaluated"
     assert "unusable:" in rows["bad-dataset"]
     assert "unusable:" in rows["bad-run"]
     assert "model" not in rows
@@ -358,11 +359,56 @@ def test_info_on_a_run_whose_dataset_has_moved(tmp_path: Path, said) -> None:
     after = said(f"info {run}")
     assert "(no longer there)" in after
     assert after.split()[-20:] == before[-20:]  # iterations, Gaussians, points: as with the dataset
-    for lost in ("about.json", "points.ply"):
-        kept = (run / lost).read_bytes()
-        (run / lost).unlink()
-        assert said(f"info {run}").split()[-20:] == before[-20:]  # made anew
-        (run / lost).write_bytes(kept)
+    (run / "about.json").unlink()
+    assert said(f"info {run}").split()[-20:] == before[-20:]  # as runs of older versions
+
+
+def test_info_on_a_run_that_is_not_finished_says_how_to_go_on(tmp_path: Path, said, monkeypatch) -> None:
+    """At once: it neither opens the checkpoint nor extracts points."""
+    run = tmp_path / "run"
+    shutil.copytree("run", run)
+    (run / "points.ply").unlink()
+    monkeypatch.setattr(Run, "load", None)
+
+    def told() -> list[str]:
+        return [" ".join(line.split()) for line in said(f"info {run}").splitlines()]
+
+    lines = told()
+    assert "state trained, but its points have not been extracted" in lines
+    assert "points none yet" in lines
+    assert any(re.fullmatch(r"learned [\d,]+ Gaussians", line) for line in lines)
+    header = json.loads((run / "config.json").read_text())
+    header["config"]["iterations"] = 6000
+    (run / "config.json").write_text(json.dumps(header))
+    with (run / "metrics.jsonl").open("a") as log:  # of a training that was killed after its last checkpoint
+        log.write('{"iteration":5,"seconds":9999.0,"loss":0.5}\n')
+    lines = told()
+    assert "state unfinished, 4 of 6,000 iterations" in lines
+    assert "time 9999.0 s" not in lines
+    assert lines[-1] == f"go on with: sarsplat reconstruct {Path('dataset').resolve()} --out {run} --resume"
+    shutil.rmtree(run / "checkpoints")
+    assert "state unfinished, 0 of 6,000 iterations" in told()
+
+
+def test_evaluating_images_alone_keeps_the_points_and_says_so(tmp_path: Path, capsys) -> None:
+    run = tmp_path / "run"
+    shutil.copytree("run", run)
+    before = json.loads((run / "metrics.json").read_text())
+    alone = ["evaluate", str(run), "--no-points", "--no-report"]
+    assert main(alone) == 0
+    told, complaints = capsys.readouterr()
+    assert complaints == ""
+    assert "points and mesh: their scores are those of the earlier evaluation" in told
+    assert re.search(r"^time: \d+\.\d s", told, re.MULTILINE)
+    assert json.loads((run / "metrics.json").read_text()) == before
+    header = json.loads((run / "config.json").read_text())
+    header["config"]["iterations"] = 6000
+    (run / "config.json").write_text(json.dumps(header))
+    (run / "metrics.json").unlink()
+    assert main(alone) == 0
+    told, complaints = capsys.readouterr()
+    assert "earlier evaluation" not in told
+    assert f"{run} is unfinished, 4 of 6,000 iterations: these are scores of its newest" in complaints
 
 
 @pytest.mark.parametrize("part", ["run/config.json", "run/report", "run/report/index.html", "dataset/dataset.json"])

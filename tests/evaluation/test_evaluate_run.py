@@ -2,6 +2,7 @@ import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,6 +52,8 @@ class FakeRun:
     method: str = "sar-gs"
     has_mesh: bool = True
     memory: None = None
+    metrics: Any = None
+    state: None = None
     asked: list[View] = field(default_factory=list)
 
     __class__ = Run  # to `isinstance`
@@ -139,8 +142,21 @@ def test_points_may_be_left_out(make) -> None:
     assert metrics["images"]["test-17"]["psnr_db"] is not None
     assert metrics["points"]["visible"]["cd_m"] is None and metrics["mesh"]["whole"]["cd_m"] is None
     assert metrics["reasons"]["points.visible.cd_m"] == "points were left out"
-    with pytest.raises(SarsplatError, match="points are left out, so nothing can be aligned"):
-        evaluate_run(FakeRun(make()), points=False, alignment="rigid", quiet=True)
+    for options, what in (({"alignment": "rigid"}, "can be aligned"), ({"mesh": "t.ply"}, "is held against t.ply")):
+        with pytest.raises(SarsplatError, match=f"points are left out, so nothing {what}"):
+            evaluate_run(FakeRun(make()), points=False, quiet=True, **options)
+
+
+def test_what_is_left_out_keeps_its_scores(make, monkeypatch) -> None:
+    run = FakeRun(make(), has_mesh=False)
+    run.metrics = before = evaluate_run(run, quiet=True)
+    monkeypatch.setattr(FakeRun, "points", property(lambda _: pytest.fail("points were asked for")), raising=False)
+    run.power = 1.5
+    after = evaluate_run(run, points=False, quiet=True)
+    assert after["images"] != before["images"]
+    assert after["points"] == before["points"] and after["points"]["visible"]["cd_m"] > 0
+    assert after["reasons"]["mesh.whole.cd_m"] == "the points make no surface"
+    assert {**after, "images": None, "by_image": None} == {**before, "images": None, "by_image": None}
 
 
 def test_what_is_being_done_is_told_and_how_far(make, capsys, monkeypatch):

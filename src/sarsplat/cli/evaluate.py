@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import shlex
-import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile, OptionalFolder, RunOrFile, is_ply
@@ -47,51 +47,66 @@ def evaluate(
     dataset
         Dataset to score a PLY file on; a run has its own.
     no_points
-        Score images only: points and mesh take most of the time.
+        Score images only, as points and mesh take most of the time; their earlier scores stay.
     no_report
         Write the scores only; a report that is there stays as it is.
     """
+    from sarsplat.progress import tally
+
+    with tally() as spent:
+        from sarsplat.evaluation import evaluate_run
+        from sarsplat.report import write_report
+
+        done = _run(run, dataset, mesh)
+        spent.count("loading")
+        before = done.metrics if no_points else None
+        metrics = evaluate_run(
+            done, mesh=mesh, alignment=align, masks=masks, lpips_weights=lpips_weights, points=not no_points
+        )
+        _show(metrics, done)
+        if before is not None and any(value is not None for value in metrics["points"]["whole"].values()):
+            console.say("points and mesh: their scores are those of the earlier evaluation")
+        page = None if done.path is None or no_report else write_report(done)
+        spent.count("tables" if page is None else "report")
+    console.say(f"time: {spent}")
+    if page is not None:
+        console.finish(f"{run / 'metrics.json'} and {page}", f"open {page} in a browser")
+    elif done.path is not None:
+        console.finish(f"{run / 'metrics.json'}", f"sarsplat report {shlex.quote(str(run))}")
+
+
+def _run(run: Path, dataset: Path | None, mesh: Path | None) -> Run:
+    """What is scored: a run, or the Gaussians of a file."""
+    from sarsplat.report.write import refuse_linked_report
+    from sarsplat.runs import Run
+
+    if is_ply(run):
+        return _of_gaussians(run, dataset, mesh)
+    if dataset is not None:
+        raise SarsplatError(f"--dataset {dataset} is for PLY files, and {run} is a run, which has its own; omit it")
+    done = Run.load(run)
+    refuse_linked_report(run)
+    return done
+
+
+def _show(metrics: Mapping[str, Any], run: Run) -> None:
+    """Print the table of scores, and what has to be said of them."""
     from sarsplat.evaluation import (
         NOT_THE_SAME_EXPERIMENT,
         Yardstick,
         beaten_by_baselines,
         comparison,
-        evaluate_run,
         metrics_table,
         paper_beside,
     )
-    from sarsplat.progress import tally
-    from sarsplat.report import write_report
-    from sarsplat.report.write import refuse_linked_report
-    from sarsplat.runs import Run
 
-    if is_ply(run):
-        done = _of_gaussians(run, dataset, mesh)
-    elif dataset is None:
-        done = Run.load(run)
-        refuse_linked_report(run)
-    else:
-        raise SarsplatError(f"--dataset {dataset} is for PLY files, and {run} is a run, which has its own; omit it")
-    with tally() as spent:
-        metrics = evaluate_run(
-            done, mesh=mesh, alignment=align, masks=masks, lpips_weights=lpips_weights, points=not no_points
-        )
-    paper = paper_beside(done.dataset)
+    paper = paper_beside(run.dataset)
     yardstick = Yardstick(metrics["parameters"]["yardstick_m"])
     console.show(metrics_table(comparison(metrics, paper), yardstick, NOT_THE_SAME_EXPERIMENT if paper else None))
     if (capon := metrics.get("capon")) is not None:
         console.say(_beside(metrics["points"]["visible"], capon["visible"]))
     for sentence in beaten_by_baselines(metrics):
         console.warn(sentence)
-    if done.path is None or no_report:
-        console.say(f"time: {spent}")
-        if done.path is not None:
-            console.finish(f"{run / 'metrics.json'}", f"sarsplat report {shlex.quote(str(run))}")
-        return
-    begun = time.monotonic()
-    page = write_report(done)
-    console.say(f"time: {spent}, report {time.monotonic() - begun:.1f} s")
-    console.finish(f"{run / 'metrics.json'} and {page}", f"open {page} in a browser")
 
 
 def _beside(own: dict[str, float | None], capon: dict[str, float | None]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
@@ -13,10 +13,8 @@ from sarsplat.cli.importers import recognised
 from sarsplat.cli.info_chips import chips_in, describe_chips
 from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.cli.info_folder import describe_contents
+from sarsplat.cli.info_run import describe_run, extent
 from sarsplat.errors import SarsplatError, counted
-
-if TYPE_CHECKING:
-    import numpy as np
 
 _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
@@ -57,13 +55,14 @@ def info(
         if importable.command is not None:
             console.say(f"import with: {importable.command}")
         return
+    if (path / "config.json").is_file():
+        describe_run(path)
+        return
     kind, rows = _folder(path) if path.is_dir() else _file(path)
     console.facts(f"{path}: {kind}", rows)
 
 
 def _folder(path: Path) -> tuple[str, dict[str, str]]:
-    if (path / "config.json").is_file():
-        return _run(path)
     if (path / "contact-sheet.png").is_file():
         return _renderings(path)
     _refuse_part(path)
@@ -102,36 +101,6 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
     return _mesh(path)
 
 
-def _run(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.runs.run_folder import read_header, read_metrics
-
-    header = read_header(path)
-    where = None if header.dataset is None else Path(header.dataset)
-    about, points = _learned(path)
-    rows = {
-        "dataset": "images in memory" if where is None else f"{where}{'' if where.exists() else ' (no longer there)'}",
-        "method": header.method,
-        **about,
-        "points": _extent(points),
-        "scores": "metrics.json" if read_metrics(path) else "none yet; run sarsplat evaluate",
-        "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
-    }
-    return "a run", rows
-
-
-def _learned(path: Path) -> tuple[dict[str, str], np.ndarray]:
-    """`Run.about` and `Run.points`: as a finished run has them in files, which takes no torch."""
-    from sarsplat.data import read_json, read_points_ply
-    from sarsplat.runs.run_folder import ABOUT, POINTS
-
-    if (path / ABOUT).is_file() and (path / POINTS).is_file():
-        return read_json(path / ABOUT, dict[str, str]), read_points_ply(path / POINTS)[0]
-    from sarsplat.runs import Run
-
-    run = Run.load(path)
-    return run.about, run.points
-
-
 def _renderings(path: Path) -> tuple[str, dict[str, str]]:
     images = sorted(path.glob("az*_gr*.tif"))
     if not images:
@@ -140,14 +109,6 @@ def _renderings(path: Path) -> tuple[str, dict[str, str]]:
         )
     rows = {"images": f"{images[0].stem} … {images[-1].stem}, degrees", "pixels": _tiff(images[0])[1]["pixels"]}
     return f"{counted(len(images), 'rendered image')}, β⁰ in linear power (TIFF) and decibels (PNG)", rows
-
-
-def _extent(points: np.ndarray) -> str:
-    if len(points) == 0:
-        return "0"
-    low, high = points.min(axis=0), points.max(axis=0)
-    ranges = ", ".join(f"{name} {a:.4g} … {b:.4g} m" for name, a, b in zip("xyz", low, high, strict=True))
-    return f"{len(points)}; {ranges}"
 
 
 def _tiff(path: Path) -> tuple[str, dict[str, str]]:
@@ -186,7 +147,7 @@ def _ply(path: Path) -> tuple[str, dict[str, str]]:
 
         gaussians = read_gaussians_ply(path)
         rows = {
-            "centres": _extent(gaussians.means.numpy()),
+            "centres": extent(gaussians.means.numpy()),
             "scales": f"median {gaussians.scales.median():.3g} m" if len(gaussians) else "none",
             "optical depth": f"median {gaussians.optical_depth.median():.3g} (two-way, peak)"
             if len(gaussians)
@@ -198,7 +159,7 @@ def _ply(path: Path) -> tuple[str, dict[str, str]]:
     from sarsplat.data import read_points_ply
 
     points, columns = read_points_ply(path)
-    return "points", {"points": _extent(points), "other columns": ", ".join(columns) or "none"}
+    return "points", {"points": extent(points), "other columns": ", ".join(columns) or "none"}
 
 
 def _mesh(path: Path) -> tuple[str, dict[str, str]]:
@@ -206,7 +167,7 @@ def _mesh(path: Path) -> tuple[str, dict[str, str]]:
 
     mesh = load_mesh(path)
     rows = {
-        "vertices": _extent(mesh.vertices),
+        "vertices": extent(mesh.vertices),
         "faces": str(len(mesh.faces)),
         "surface": f"{mesh.area:.4g} m²",
         "closed": "yes" if mesh.is_watertight else "no (fine for ray casting)",

@@ -69,20 +69,19 @@ def _dataset(folder: Path) -> tuple[str, str, str]:
 
 
 def _run(folder: Path) -> tuple[str, str, str]:
-    from sarsplat.runs import Run
+    from sarsplat.runs.run_folder import read_header, read_metrics
+    from sarsplat.runs.state import state_of
 
-    run = Run.load(folder)
-    learned_from = "images in memory" if run.dataset_path is None else run.dataset_path.name
-    done = run.history[-1].iteration if run.history else 0
-    state = "finished" if done >= run.config.iterations else f"{done:,} of {run.config.iterations:,} iterations"
-    return f"run of {learned_from} ({run.method})", state, _scores(run.metrics)
+    header = read_header(folder)
+    learned_from = "images in memory" if header.dataset is None else Path(header.dataset).name
+    return f"run of {learned_from} ({header.method})", str(state_of(folder, header)), _scores(read_metrics(folder))
 
 
 def _scores(metrics: Mapping[str, Any] | None) -> str:
-    from sarsplat.evaluation import Yardstick, all_metrics, comparison
-
     if metrics is None:
         return "not evaluated"
+    from sarsplat.evaluation import Yardstick, all_metrics, comparison
+
     try:
         headed = [metric for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"])) if metric.short]
         values = comparison(metrics)[0].values

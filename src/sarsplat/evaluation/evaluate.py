@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -78,7 +78,8 @@ def evaluate_run(
     lpips_weights : pathlib.Path, optional
         Folder of the LPIPS weights; without it the environment variable SARSPLAT_LPIPS_WEIGHTS, without that no LPIPS.
     points : bool
-        Whether points and mesh are scored, which takes most of the time.
+        Whether points and mesh are scored, which takes most of the time. If not, their scores of an earlier evaluation
+        stay.
     quiet : bool
         Show no progress.
 
@@ -97,25 +98,42 @@ def evaluate_run(
     Raises
     ------
     SarsplatError
-        If there is nothing to score (no test images, and no true mesh or no points), the training images are black, a
+        If there is nothing to score (no test images, and no true mesh or no points), a mesh or an alignment is given
+        but points are left out, the training images are black, a
         rendered image is unsound, the LPIPS weights or masks are given but unusable, the true mesh cannot be read, or
         another process is writing the run.
 
     Warns
     -----
     SarsplatWarning
-        If points of a run from training views that cannot determine the shape are scored.
+        If the run's training is not finished, or if points of a run from training views that cannot determine the shape
+        are scored.
     """
     with nullcontext() if run.path is None else only_writer(run.path):
         dataset = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
         folder = None if masks is None else Path(masks)
         weights = None if lpips_weights is None else Path(lpips_weights)
+        if mesh is not None and not points:
+            raise SarsplatError(f"points are left out, so nothing is held against {mesh}; leave out one of the two")
+        if (state := run.state) is not None and not state.trained:
+            warn([f"{run.path} is {state}: these are scores of its newest checkpoint"])
         metrics = _evaluate(run, dataset, alignment, folder, weights, points, quiet)
+        if not points and run.metrics is not None:
+            metrics |= _of_points(run.metrics, metrics["reasons"])
         if run.path is not None:
             write_json(run.path / "metrics.json", metrics)
         elif run.memory is not None:
             run.memory.metrics = cast("Metrics", metrics)
     return metrics
+
+
+def _of_points(before: Mapping[str, Any], reasons: dict[str, str]) -> dict[str, Any]:
+    """The scores of points in an earlier `metrics.json`, which a run that has not changed keeps; adds their reasons."""
+    scored = ("points", "mesh", "capon")
+    for key in [key for key in reasons if key.partition(".")[0] in scored]:
+        del reasons[key]
+    reasons |= {key: why for key, why in before["reasons"].items() if key.partition(".")[0] in scored}
+    return {kind: before[kind] for kind in (*scored, "truth") if kind in before}
 
 
 def _evaluate(
@@ -233,15 +251,15 @@ def _surfaces(
     shown: Reporter,
 ) -> dict[str, Any]:
     """Scores of the points and of the mesh against the visible and the whole surface, and the truth they refer to."""
-    clouds: dict[str, Float[np.ndarray, "p 3"]] = {"points": run.points, "mesh": np.empty((0, 3))}
+    clouds: dict[str, Float[np.ndarray, "p 3"]] = dict.fromkeys(("points", "mesh"), np.empty((0, 3)))
     parts: dict[str, tuple[Float64[np.ndarray, "t 3 3"], Float64[np.ndarray, "s 3"]] | None]
     parts = dict.fromkeys(("visible", "whole"))
     given = dataset.truth_mesh != run.dataset.truth_mesh
     truth: dict[str, Any] = {"mesh": str(dataset.truth_mesh.resolve()) if given and dataset.truth_mesh else None}
     lacks = dict.fromkeys(clouds, "the run reconstructed no points" if scored else "points were left out")
-    if not scored:
-        clouds["points"] = clouds["mesh"]
-    elif dataset.truth_mesh is not None and len(run.points):
+    if scored:
+        clouds["points"] = run.points
+    if dataset.truth_mesh is not None and len(clouds["points"]):
         clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)
         shown.advance(_MESH, "surface: mesh")
         views = dataset.select("train").views

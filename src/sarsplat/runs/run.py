@@ -48,6 +48,7 @@ from sarsplat.runs.run_folder import (
     read_metrics,
     require_replaceable,
 )
+from sarsplat.runs.state import TrainingState, state_of
 from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, SCATTERERS
 
 if TYPE_CHECKING:
@@ -575,6 +576,11 @@ class Run:
         """The newest checkpoint, if there is one."""
         files = [] if self.path is None else sorted((self.path / "checkpoints").glob("*.safetensors"))
         return files[-1] if files else None
+
+    @property
+    def state(self) -> TrainingState | None:
+        """How far its training is, by its folder; None in memory, where only finished ones are."""
+        return None if self.path is None else state_of(self.path, read_header(self.path))
 
     @property
     def log_path(self) -> Path:
