@@ -64,17 +64,19 @@ guard:
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --durations 10
 
 test: $(TEST_READY)
+	@[ -e "tests/$(ROOM)" ] || { \
+	  echo "tests/$(ROOM) does not exist; ROOM is one of:" $(filter-out __pycache__,$(patsubst tests/%/,%,$(wildcard tests/*/))) >&2; exit 2; }
 	$(PYTEST) -m "not slow" tests/$(ROOM)
 
 test-all: $(TEST_READY) $(DOCS_READY)
 	$(PYTEST)
 
 check: $(TEST_READY)
-	$(BIN)/ruff format --check
-	$(BIN)/ruff check
-	$(BIN)/mypy
-	$(BIN)/mypy --config-file tests/mypy.toml
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" tests/test_imports.py $$($(BIN)/python tests/changed.py)
+	$(call step,style,$(BIN)/ruff format --check && $(BIN)/ruff check)
+	$(call step,types of the library (half a minute the first time),$(BIN)/mypy)
+	$(call step,types of the tests (half a minute the first time),$(BIN)/mypy --config-file tests/mypy.toml)
+	$(call step,imports and what changed,\
+	  OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" tests/test_imports.py $$($(BIN)/python tests/changed.py))
 
 # Guided by coverage where atheris can be installed, by chance elsewhere.
 fuzz: $(TEST_READY)

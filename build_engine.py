@@ -165,4 +165,5 @@ if __name__ == "__main__":
         else:
             put(engine(this), RENDERER / target.library)
     except subprocess.CalledProcessError:
-        sys.exit("sarsplat: the engine was not built; above is what the compiler says")
+        former = "; the former one stays in use" if (RENDERER / target.library).exists() else ""
+        sys.exit(f"sarsplat: the engine was not built; above is what the compiler says{former}")

@@ -1,4 +1,5 @@
-"""Whether `make demo` still scores what it did: `python benchmarks/guard.py [RUN]` exits 1 if a score is worse.
+"""Whether `make demo` still scores what it did: `python benchmarks/guard.py [RUN]` exits 1 if a score is worse,
+and 2 if the code has changed since.
 
 `python benchmarks/guard.py --write RUN RUN RUN` makes the bands, results/demo.json, from runs of several seeds.
 """
@@ -18,6 +19,8 @@ from results import REPOSITORY, RESULTS, save
 BANDS = RESULTS / "demo.json"
 WIDENED = 5.0
 """A band is the range over the seeds, about its middle, so many times as wide: three seeds show less than there is."""
+_MOST = 1.0
+"""Of shares: a band may reach beyond."""
 _SURFACES = ("points.visible", "points.whole", "mesh.visible", "mesh.whole")
 BETTER = {
     **dict.fromkeys(("images.test.psnr_db", "images.test.psnr_target_db", "images.test.ssim"), "more"),
@@ -47,7 +50,8 @@ def bands(runs: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
 def compare(now: Mapping[str, float], before: Mapping[str, Sequence[float]]) -> tuple[list[str], bool]:
     """A line for each score, and whether none is missing or left its band to the worse."""
     lines, fine = [f"{'':28}{'now':>12}{'from':>12}{'to':>12}"], True
-    for name, (low, high) in before.items():
+    for name, (low, band) in before.items():
+        high = min(band, _MOST) if "f1@" in name or name.endswith("ssim") else band
         value = now.get(name, math.nan)
         good = value > high if BETTER[name] == "more" else value < low and BETTER[name] == "less"
         verdict = ""
@@ -57,6 +61,13 @@ def compare(now: Mapping[str, float], before: Mapping[str, Sequence[float]]) -> 
             fine = fine and good
         lines.append(f"{name:28}{value:12.7g}{low:12.7g}{high:12.7g}  {verdict}".rstrip())
     return [*lines, f"{'time_s':28}{now.get('time_s', math.nan):12.4g}  not judged"], fine
+
+
+def newer(run: Path, sources: Path) -> Path | None:
+    """A source that has changed since a run was evaluated; None if none has."""
+    evaluated = (run / "metrics.json").stat().st_mtime
+    files = (path for path in sources.rglob("*") if path.suffix in {".py", ".cpp", ".h"})
+    return next((path for path in files if path.stat().st_mtime > evaluated), None)
 
 
 def main() -> int:
@@ -69,8 +80,16 @@ def main() -> int:
     if arguments.write:
         save(BANDS, {"widened": WIDENED, "runs": len(runs), "bands": bands(runs)})
         return 0
+    if (changed := newer(arguments.runs[0], REPOSITORY / "src")) is not None:
+        print(
+            f"guard: {changed.relative_to(REPOSITORY)} has changed since {arguments.runs[0]} was made, so that shows "
+            "nothing of it; run `make demo` first",
+            file=sys.stderr,
+        )
+        return 2
     lines, fine = compare(runs[0], json.loads(BANDS.read_text(encoding="utf-8"))["bands"])
     print(*lines, sep="\n")
+    print("guard: no score is worse" if fine else "guard: worse than before, or missing: see above")
     return 0 if fine else 1
 
 

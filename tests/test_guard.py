@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -51,6 +52,23 @@ def test_a_score_that_leaves_its_band_is_named(guard, tmp_path, changes, name, v
     assert line.split(maxsplit=4)[4:] == ([verdict] if verdict else [])
     assert len(lines) == 2 + len(guard.BETTER)
     assert "7  not judged" in lines[-1]
+
+
+def test_a_run_of_former_code_is_not_judged(guard, tmp_path):
+    run, kernel = demo(tmp_path / "run"), tmp_path / "src" / "csrc" / "kernel.h"
+    kernel.parent.mkdir(parents=True)
+    for name, age_s, found in (("kernel.h", 5, None), ("notes.txt", -5, None), ("kernel.h", -5, kernel)):
+        file = kernel.with_name(name)
+        file.touch()
+        made = (run / "metrics.json").stat().st_mtime
+        os.utime(file, (made - age_s, made - age_s))
+        assert guard.newer(run, tmp_path / "src") == found
+
+
+def test_no_share_is_held_against_more_than_one(guard):
+    lines, fine = guard.compare({"images.test.ssim": 1.0}, {"images.test.ssim": [0.9, 1.3]})
+    assert fine
+    assert lines[1].split()[1:] == ["1", "0.9", "1"]
 
 
 def test_the_stored_bands_are_of_what_is_judged(guard):

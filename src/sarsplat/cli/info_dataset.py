@@ -118,7 +118,7 @@ def _source(source: Mapping[str, Any]) -> dict[str, str]:
             continue
         parts = [*value.values()] if isinstance(value, dict) else value
         if not isinstance(parts, list):
-            rows[f"source.{name}"] = str(value)
+            rows[f"source.{name}"] = f"{value:.6g}" if isinstance(value, float) else str(value)
         elif name in _SAID:
             rows[_SAID[name]] = "\n".join(map(str, parts))
         elif any(isinstance(part, dict | list) for part in parts):
