@@ -28,7 +28,8 @@ from sarsplat import (
 )
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
 from sarsplat.data.plausible import suspicions
-from sarsplat.learning.stack_trainer import refuse_with_passes
+from sarsplat.learning import Inputs
+from sarsplat.learning.observations.stacks import Stacks
 from sarsplat.processes import Processes
 from sarsplat.regions.stack_region import stack_region
 from sarsplat.settings.config import FlatGround, Surroundings
@@ -172,10 +173,10 @@ def test_what_is_refused():
         Dataset.of_complex(GRID, entries, np.repeat(images.signal, 2, axis=0))
     with pytest.raises(SarsplatError, match="for 6 passes; make it with of_complex"):
         Dataset(GRID, images.entries, images.power, signal=images.signal[:, 0])
-    with pytest.raises(SarsplatError, match=r"loss is .*, which learning from passes knows nothing of; give 'passes'"):
+    with pytest.raises(SarsplatError, match=r"loss is .*, which cannot be combined with passes on; give 'passes'"):
         reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
-    with pytest.raises(SarsplatError, match="of torchrun cannot share learning from stacks; start one process"):
-        refuse_with_passes(preset("stack"), images, cast(Processes, "2 processes of torchrun"))
+    with pytest.raises(SarsplatError, match="2 processes of torchrun cannot be combined with passes on; omit them"):
+        Stacks.refuse(preset("stack"), images, Inputs(processes=cast(Processes, "2 processes of torchrun")))
     single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
     with pytest.raises(SarsplatError, match=r"learn from stacks, and .* has single images; choose another preset"):
         reconstruct(single, "stack", quiet=True)
@@ -253,7 +254,7 @@ AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
     ("images", "changes", "message"),
     [
         *(
-            (dataset, changes, f"{next(iter(changes))} is .*, which learning from passes knows nothing of")
+            (dataset, changes, f"{next(iter(changes))} is .*, which cannot be combined with passes on")
             for changes in ({"coarsest": 8}, {"tiles": 2}, {"ground": FlatGround()}, {"surroundings": Surroundings()})
         ),
         (lambda: replace(dataset(), target_box_m=AWAY), {}, "no training image shows anything of the box"),

@@ -117,8 +117,11 @@ def test_its_points_are_extracted_anew(finished: Run, dataset: Dataset, config: 
         ({"tiles": 0}, "tiles.* 1"),
         ({"tiles": 3}, "tiles is 3, but .* blocks of 2 × 2 pixels, by the scene's size.* give tiles from 1 to 2"),
         ({"tiles": 9, "coarsest": 2}, "by the setting coarsest"),
-        ({"surroundings": Surroundings()}, "tiles is 2, and tiles cannot be combined with surroundings; omit them"),
-        ({"densification": Densification()}, "tiles cannot be combined with densification"),
+        (
+            {"surroundings": Surroundings()},
+            "surroundings is on, which cannot be combined with tiles 2; give off, or",
+        ),
+        ({"densification": Densification()}, "densification is on, which cannot be combined with tiles 2"),
     ],
 )
 def test_what_tiles_cannot_do_is_refused(

@@ -221,7 +221,8 @@ def _speckle(config: Config, scale: ImageScale) -> Loss:
 class NamedLoss:
     """A loss that configurations can name: what makes it, and how reports call it and its unit."""
 
-    make: Callable[[Config, ImageScale], Loss]
+    make: Callable[[Config, ImageScale], Loss] | None
+    """None if it compares something else than images, which is compared by what observes it."""
     title: str
     unit: str
 
@@ -231,17 +232,10 @@ class NamedLoss:
         return self.unit.startswith("nats")
 
 
-def _passes(config: Config, scale: ImageScale) -> Loss:
-    raise SarsplatError(
-        "the loss passes is learned from stacks with passes on, and passes is off; switch it on, or choose the loss "
-        "amplitude or speckle"
-    )
-
-
 LOSSES = {
     "amplitude": NamedLoss(_amplitude, "difference of amplitudes (largest = 1)", "loss"),
     "speckle": NamedLoss(_speckle, "negative log-likelihood of the speckle", "nats per pixel"),
-    "passes": NamedLoss(_passes, "negative log-likelihood of all passes", "nats per pixel"),
+    "passes": NamedLoss(None, "negative log-likelihood of all passes", "nats per pixel"),
 }
 """Losses by their names in configurations."""
 
@@ -250,4 +244,9 @@ def named_loss(config: Config, scale: ImageScale) -> Loss:
     """The loss that a configuration names; a SarsplatError if there is none."""
     if config.loss not in LOSSES:
         raise SarsplatError(f"loss {shown(config.loss)} is unknown; {advised(config.loss, LOSSES)}")
-    return LOSSES[config.loss].make(config, scale)
+    if (make := LOSSES[config.loss].make) is None:
+        raise SarsplatError(
+            f"the loss {config.loss} is learned from stacks with passes on, and passes is off; switch it on, or choose "
+            f"the loss {' or '.join(name for name, loss in LOSSES.items() if loss.make)}"
+        )
+    return make(config, scale)

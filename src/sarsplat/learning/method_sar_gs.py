@@ -18,16 +18,15 @@ from sarsplat.data import Dataset, write_gaussians_ply
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.law_polarimetric import Polarimetric
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
 from sarsplat.learning.losses import LOSSES
 from sarsplat.learning.method import Inputs, Method, Reconstruction
 from sarsplat.learning.model import SceneModel
+from sarsplat.learning.observations import observations_of
 from sarsplat.learning.parts.target import scales_m
 from sarsplat.learning.polarimetry import covariance_within
 from sarsplat.learning.sampler import Sampler
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.learning.stack_trainer import StackTrainer, refuse_with_passes
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS
 from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
@@ -79,15 +78,9 @@ class SarGs(Method):
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
-        if config.passes is not None:
-            refuse_with_passes(config, dataset, inputs.processes)
-        if config.scattering == Polarimetric.kind and not (config.passes and dataset.polarimetric):
-            raise SarsplatError(
-                f"scattering is {config.scattering}, which is learned from stacks of several polarisations with passes "
-                f"on, and {dataset} is learned from without them; choose harmonics"
-            )
-        trainer = Trainer if config.passes is None else StackTrainer
-        return trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
+        for observation in observations_of(config):
+            observation.refuse(config, dataset, inputs)
+        return Trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
 
     def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
         return GaussianReconstruction(snapshot, config, device)

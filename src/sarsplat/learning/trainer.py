@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
@@ -19,15 +19,16 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.device import usable_device
 from sarsplat.learning.dropout import dropped, share_dropped
-from sarsplat.learning.losses import LOSSES, ImageScale, Loss, named_loss
+from sarsplat.learning.losses import Loss
 from sarsplat.learning.model import SceneModel
+from sarsplat.learning.observations import Batch, Observation, observations_of
 from sarsplat.learning.optimiser import Optimiser, followed
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, Strategy, strategies_of
 from sarsplat.learning.strategies.strategy import of_rows
-from sarsplat.learning.training_images import TrainingImages, ViewQueue
+from sarsplat.learning.training_images import ViewQueue
 from sarsplat.processes import Processes
-from sarsplat.renderer import Rendering, channel_of
+from sarsplat.renderer import Rendering
 from sarsplat.settings.config import Config
 
 
@@ -48,6 +49,8 @@ class Trainer:
         What else changes the model, after the configuration's own; each of another name.
     processes : Processes, optional
         Who shares the views: all have the same trainer, and make the same steps.
+    observation : Observation, optional
+        What is learned from, instead of what the configuration says.
 
     Raises
     ------
@@ -64,35 +67,23 @@ class Trainer:
         device: torch.device | str = "cpu",
         strategies: Sequence[Strategy] = (),
         processes: Processes | None = None,
+        observation: Observation | None = None,
     ) -> None:
         self.config, self._processes = config, processes
         self.device = usable_device(device)
-        self._finest = self._images_of(dataset)
+        self._observation = observation or observations_of(config)[0](dataset, config, self.device)
+        self._finest = self._observation.images
         self._generator = torch.Generator().manual_seed(config.seed)
         self._queue = ViewQueue(len(self._finest.views), config.views_per_step, self._generator)
         self.strategies = [*strategies_of(config, dataset.select("train")), *strategies]
-        self._learn(self._first_model(dataset))
-        self._penalty_unit = self._minimise(loss)
+        self._learn(self._observation.first_model(self._generator))
+        self._penalty_unit = self._observation.minimise(loss, self.model)
         self.iteration = 0
         self.terms: dict[str, Tensor] = {}
 
-    def _minimise(self, loss: Loss | None) -> Tensor:
-        """Minimise this loss, or the configuration's; returns the unit of what else is minimised."""
-        self._loss = loss or named_loss(self.config, ImageScale(self.images.brightest, self.model.unit))
-        if loss is None and LOSSES[self.config.loss].in_nats:  # so are penalties, then
-            return torch.ones((), device=self.device)
-        return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
-
-    def _images_of(self, dataset: Dataset) -> TrainingImages:
-        """What is learned from, at the finest level."""
-        return TrainingImages(dataset, self.device)
-
-    def _first_model(self, dataset: Dataset) -> SceneModel:
-        """What is learned, as it is before the first step."""
-        return SceneModel.initial(self.config, dataset, self._generator, self.device)
-
     def _learn(self, model: SceneModel) -> None:
         """Begin with this model."""
+        self._observation.begin(model)
         self.model, self._bounds, self.images, self._factor = model, model.scene_bounds(), self._finest, 1
         self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)
         for name, count in Counter(strategy.name for strategy in self.strategies).items():
@@ -118,7 +109,16 @@ class Trainer:
         self._look()
         chosen, step, share = self._queue.next(), self.iteration + 1, share_dropped(self.config, len(self.views))
         left_out = dropped(len(self.model), share, self.config.seed, step, self.device) if share else None
-        loss, rendering = self._compared(chosen, left_out)
+        batch = Batch(
+            chosen,
+            self.model.degree(self.iteration),
+            self._rays,
+            self._bounds,
+            dropped=left_out,
+            plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
+            processes=self._processes,
+        )
+        loss, rendering = self._observation.compared(self.model, self.images, batch)
         if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad or loss.is_complex():
             what = f"{tuple(loss.shape)} of {loss.dtype}" if isinstance(loss, Tensor) else type(loss).__name__
             raise SarsplatError(
@@ -136,23 +136,6 @@ class Trainer:
         self.iteration += 1
         self._each_strategy("step_post_backward", step, chosen, rendering)
         return loss
-
-    def _compared(self, chosen: Sequence[int], left_out: Bool[Tensor, " n"] | None) -> tuple[Tensor, Rendering]:
-        """The loss of some training images, without the Gaussians `left_out`, and what was rendered."""
-        step = self.iteration + 1
-        images, rendering = self.model.render(
-            [self.views[i] for i in chosen],
-            self.images.grid,
-            self.model.degree(self.iteration),
-            rays=self._rays,
-            numbers=torch.stack([self.images.numbers[i] for i in chosen]),
-            plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
-            bounds=self._bounds,
-            dropped=left_out,
-            processes=self._processes,
-        )
-        truth = torch.stack([self.images.truth[i] for i in chosen])  # much faster than an index
-        return self._loss(channel_of(images, self.model.power_channel), truth), rendering
 
     def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
         """Let all strategies act; what they remember of single Gaussians follows where others move rows."""
@@ -277,12 +260,3 @@ def _done(rendering: Rendering) -> Rendering:
     return replace(
         rendering, images=rendering.images.detach(), cross_sections=rendering.cross_sections.detach(), ground=ground
     )
-
-
-@torch.no_grad()
-def _of_black(loss: Loss, truth: Float32[Tensor, "v rows columns"]) -> Tensor:
-    """The loss of black images, the unit of what else is minimised; 1 where that is not a measure of distance."""
-    value = loss(torch.zeros_like(truth), truth)
-    if not isinstance(value, Tensor) or value.is_complex():  # the first step says so
-        return truth.new_ones(())
-    return torch.where(value.isfinite() & (value > 0), value, 1.0)

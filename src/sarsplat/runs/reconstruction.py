@@ -19,7 +19,7 @@ from sarsplat.processes import Processes
 from sarsplat.progress import progress
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run import Run
-from sarsplat.runs.tiled_training import TiledTraining, refuse_with_tiles, steps_of
+from sarsplat.runs.tiled_training import TiledTraining, steps_of
 from sarsplat.runs.training_loop import Step, Training, train
 from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
 
@@ -117,8 +117,6 @@ def reconstruct(
         if not isinstance(config, Config):
             raise SarsplatError(f"{method} uses no scattering; omit {scattering!r}, or choose a method that does")
         config = replace(config, scattering=scattering)
-    if isinstance(config, Config) and config.tiles > 1:
-        refuse_with_tiles(config, inputs)
     warn(suspicions(dataset))
     learned = None if begun is None or begun.checkpoint_path is None else lambda: begun.reconstruction
     trainer = chosen.trainer(dataset, config, inputs, on, learned)

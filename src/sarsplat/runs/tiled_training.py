@@ -20,16 +20,15 @@ from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.method import Inputs
+from sarsplat.learning.observations.parts_of_images import PartsOfImages, rows_in
 from sarsplat.learning.scene_tiles import Tile, merged, tiles_of
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.learning.tile_trainer import TileTrainer, rows_in
 from sarsplat.learning.trainer import Trainer
 from sarsplat.progress import Reporter
 from sarsplat.runs.log import LogLine
 from sarsplat.runs.run import Run, write_header
 from sarsplat.runs.run_folder import HEADER
 from sarsplat.runs.training_loop import Step, Training
-from sarsplat.settings.config import Config
 
 _FOLDER = "tiles"
 """In a run's folder, until its tiles are finished: a run of each."""
@@ -91,15 +90,17 @@ class TiledTraining(Training[Trainer]):
         """What a tile learns, and its log; from where it had come."""
         _give_back_memory()
         whole, shown = self.trainer, self.shown.within(number * (iterations - begun.iteration), name)
-        trainer = TileTrainer(self._dataset, whole.config, self._inputs.loss, whole.device, begun, tile)
-        training: Training[TileTrainer] = Training(trainer, self._watcher, shown)
+        parts = PartsOfImages(self._dataset, whole.config, whole.device, begun, tile)
+        trainer = Trainer(self._dataset, whole.config, self._inputs.loss, whole.device, observation=parts)
+        trainer.restore(parts.begun)
+        training = Training(trainer, self._watcher, shown)
         if self.run is not None:
             self._open(training, self.run, str(number))
         training.advance_to(iterations)
         self.ended = training.ended
-        return trainer.result(training.seconds), training.history
+        return parts.of_tile(trainer.snapshot(training.seconds), trainer.model), training.history
 
-    def _open(self, training: Training[TileTrainer], run: Run, name: str) -> None:
+    def _open(self, training: Training[Trainer], run: Run, name: str) -> None:
         """Give a tile its folder, in which it goes on if it was begun."""
         folder = run.folder / _FOLDER / name
         if (folder / HEADER).is_file():
@@ -145,24 +146,3 @@ def begin_of_tiles(trainer: Trainer) -> int:
             f"pixels, by {limit}, and these must not be smaller than tiles × tiles; give tiles from 1 to {coarsest}"
         )
     return trainer.model.levels.begin_below(tiles)
-
-
-def refuse_with_tiles(config: Config, inputs: Inputs) -> None:
-    """Refuse what a training by tiles cannot have.
-
-    Raises
-    ------
-    SarsplatError
-        If the configuration or the inputs ask for it.
-    """
-    unknown = {
-        "surroundings": config.surroundings is not None,
-        "densification": config.densification is not None,
-        "strategies of one's own": bool(inputs.strategies),
-        "processes that share views": inputs.processes is not None,
-    }
-    for what, wanted in unknown.items():
-        if wanted:
-            raise SarsplatError(
-                f"tiles is {config.tiles}, and tiles cannot be combined with {what}; omit them, or give 1 for no tiles"
-            )

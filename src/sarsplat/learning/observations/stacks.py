@@ -1,24 +1,24 @@
-"""Training from stacks: what is compared are covariances between passes, or polarisations."""
+"""Learning from stacks: what is compared are covariances between passes, or polarisations."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
-from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Polarimetric
 from sarsplat.learning.losses import Loss
-from sarsplat.learning.trainer import Trainer
+from sarsplat.learning.method import Inputs
+from sarsplat.learning.model import SceneModel
+from sarsplat.learning.observations.observation import Batch, Observation
 from sarsplat.learning.training_images import TrainingImages
 from sarsplat.learning.windowed_likelihood import packed, windowed, windowed_nats
 from sarsplat.memory import required
-from sarsplat.processes import Processes
 from sarsplat.renderer import Rendering
-from sarsplat.settings.config import Config
+from sarsplat.settings.config import Config, Passes
 
 _OF_ONE, _OF_EACH = 11, 4
 """Numbers of a pixel for each pair of channels: of one stack while it is averaged, as measured, and of each that a step
@@ -57,36 +57,69 @@ class StackImages(TrainingImages):
             self.measured.append(packed(windowed((y[:, None] * y.conj())[None], level.float()[None], window))[0])
 
 
-def refuse_with_passes(config: Config, dataset: Dataset, processes: Processes | None = None) -> None:
-    """Refuse what is not known of covariances: it would be left out in silence.
+class Stacks(Observation):
+    """Covariances between the channels of stacks, compared by their likelihood."""
 
-    Raises
-    ------
-    SarsplatError
-        If the configuration asks for it, the dataset has no covariances to learn from, or several processes are to
-        share the work.
-    """
-    if processes is not None:
-        raise SarsplatError(f"{processes} cannot share learning from stacks; start one process, without torchrun")
-    if not (dataset.interferometric or dataset.polarimetric):
-        has = "stacks of one offset and one polarisation" if dataset.passes else "single images"
-        raise SarsplatError(
-            f"the settings (preset {config.preset}) learn from stacks, and {dataset} has {has}; choose another preset, "
-            "or auto, which learns from the power"
-        )
-    if dataset.polarimetric and config.scattering != Polarimetric.kind:
-        raise SarsplatError(
-            f"scattering is {config.scattering}, which is the same in all polarisations, and {dataset} has "
-            f"{', '.join(dict.fromkeys(dataset.stacks[0].of_channels))}; choose {Polarimetric.kind}"
-        )
-    _refuse_stacks(config, dataset.select("train"), dataset)
-    known = {"loss": "passes", "coarsest": 1, "tiles": 1, "ground": None, "surroundings": None, "densification": None}
-    for name, value in known.items():
-        if (asked := getattr(config, name)) != value:
-            asked, remedy = ("on", "off") if value is None else (shown(asked), shown(value))
+    order = 1
+    switch = "passes off"
+    goes_with: ClassVar = {
+        "loss": "passes",
+        "coarsest": 1,
+        "tiles": 1,
+        "ground": None,
+        "surroundings": None,
+        "densification": None,
+    }
+    takes = frozenset({"strategies"})
+
+    images: StackImages
+
+    def __init__(self, dataset: Dataset, config: Config, device: torch.device) -> None:
+        super().__init__(dataset, config, device)
+        self.images = StackImages(dataset, self._settings.window, config.views_per_step, device)
+
+    @property
+    def _settings(self) -> Passes:
+        assert self.config.passes is not None  # `wanted`
+        return self.config.passes
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        return config.passes is not None
+
+    @classmethod
+    def refuse(cls, config: Config, dataset: Dataset, inputs: Inputs) -> None:
+        if not (dataset.interferometric or dataset.polarimetric):
+            has = "stacks of one offset and one polarisation" if dataset.passes else "single images"
             raise SarsplatError(
-                f"{name} is {asked}, which learning from passes knows nothing of; give {remedy}, or passes off"
+                f"the settings (preset {config.preset}) learn from stacks, and {dataset} has {has}; choose another "
+                "preset, or auto, which learns from the power"
             )
+        if dataset.polarimetric and config.scattering != Polarimetric.kind:
+            raise SarsplatError(
+                f"scattering is {config.scattering}, which is the same in all polarisations, and {dataset} has "
+                f"{', '.join(dict.fromkeys(dataset.stacks[0].of_channels))}; choose {Polarimetric.kind}"
+            )
+        _refuse_stacks(config, dataset.select("train"), dataset)
+        super().refuse(config, dataset, inputs)
+
+    def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
+        """Always the likelihood: penalties are nats of each channel."""
+        return self.images.truth.new_tensor(float(len(self.images.stacks[0])))
+
+    def compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:
+        of, chosen = self.images, batch.chosen
+        expected, rendering = model.covariances(
+            [images.views[i] for i in chosen],
+            [of.stacks[i] for i in chosen],
+            of.grid,
+            batch.degree,
+            rays=batch.rays,
+            numbers=torch.stack([of.numbers[i] for i in chosen]),
+            dropped=batch.dropped,
+        )
+        level, measured = (torch.stack([whole[i] for i in chosen]) for whole in (of.plane_phases, of.measured))
+        return windowed_nats(expected, level, measured / model.unit, self._settings.window), rendering
 
 
 def _refuse_stacks(config: Config, train: Dataset, dataset: Dataset) -> None:
@@ -112,32 +145,3 @@ def _refuse_stacks(config: Config, train: Dataset, dataset: Dataset) -> None:
                 f"{entry.name} states noise of {least:.3g} where the mean power is {mean:.3g}, too little for 32-bit "
                 f"numbers; state at least {_LEAST_NOISE * mean:.2g}, or none, so that it is learned"
             )
-
-
-class StackTrainer(Trainer):
-    """A `Trainer` that learns from the phases between passes as well; the loss is their likelihood."""
-
-    images: StackImages
-
-    def _images_of(self, dataset: Dataset) -> StackImages:
-        assert self.config.passes is not None  # or there would be a `Trainer`
-        return StackImages(dataset, self.config.passes.window, self.config.views_per_step, self.device)
-
-    def _minimise(self, loss: Loss | None) -> Tensor:
-        return self.images.truth.new_tensor(float(len(self.images.stacks[0])))
-
-    def _compared(self, chosen: Sequence[int], left_out: Bool[Tensor, " n"] | None) -> tuple[Tensor, Rendering]:
-        of, unit = self.images, self.model.unit
-        expected, rendering = self.model.covariances(
-            [self.views[i] for i in chosen],
-            [of.stacks[i] for i in chosen],
-            of.grid,
-            self.model.degree(self.iteration),
-            rays=self._rays,
-            numbers=torch.stack([of.numbers[i] for i in chosen]),
-            dropped=left_out,
-        )
-        level, measured = (torch.stack([whole[i] for i in chosen]) for whole in (of.plane_phases, of.measured))
-        assert self.config.passes is not None  # as above
-        loss: Float32[Tensor, ""] = windowed_nats(expected, level, measured / unit, self.config.passes.window)
-        return loss, rendering

@@ -1,0 +1,71 @@
+"""Learning from single images: their power."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Polarimetric
+from sarsplat.learning.losses import LOSSES, ImageScale, Loss, named_loss
+from sarsplat.learning.method import Inputs
+from sarsplat.learning.model import SceneModel
+from sarsplat.learning.observations.observation import Batch, Observation
+from sarsplat.learning.training_images import TrainingImages
+from sarsplat.renderer import Rendering, channel_of
+from sarsplat.settings.config import Config
+
+
+class SingleImages(Observation):
+    """β⁰ of each training image, compared by the configuration's loss or one of the user's own."""
+
+    order = 2
+
+    def __init__(self, dataset: Dataset, config: Config, device: torch.device) -> None:
+        super().__init__(dataset, config, device)
+        self.images = TrainingImages(dataset, device)
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        return True
+
+    @classmethod
+    def refuse(cls, config: Config, dataset: Dataset, inputs: Inputs) -> None:
+        if config.scattering == Polarimetric.kind and not (config.passes and dataset.polarimetric):
+            raise SarsplatError(
+                f"scattering is {config.scattering}, which is learned from stacks of several polarisations with passes "
+                f"on, and {dataset} is learned from without them; choose harmonics"
+            )
+        super().refuse(config, dataset, inputs)
+
+    def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
+        self._loss = loss or named_loss(self.config, ImageScale(self.images.brightest, model.unit))
+        if loss is None and LOSSES[self.config.loss].in_nats:  # so are penalties, then
+            return torch.ones((), device=self.device)
+        return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
+
+    def compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:
+        rendered, rendering = model.render(
+            [images.views[i] for i in batch.chosen],
+            images.grid,
+            batch.degree,
+            rays=batch.rays,
+            numbers=torch.stack([images.numbers[i] for i in batch.chosen]),
+            plane_gradients=batch.plane_gradients,
+            bounds=batch.bounds,
+            dropped=batch.dropped,
+            processes=batch.processes,
+        )
+        truth = torch.stack([images.truth[i] for i in batch.chosen])  # much faster than an index
+        return self._loss(channel_of(rendered, model.power_channel), truth), rendering
+
+
+@torch.no_grad()
+def _of_black(loss: Loss, truth: Float32[Tensor, "v rows columns"]) -> Tensor:
+    """The loss of black images, the unit of what else is minimised; 1 where that is not a measure of distance."""
+    value = loss(torch.zeros_like(truth), truth)
+    if not isinstance(value, Tensor) or value.is_complex():  # the first step says so
+        return truth.new_ones(())
+    return torch.where(value.isfinite() & (value > 0), value, 1.0)
