@@ -90,19 +90,6 @@ def test_a_watcher_ends_the_training_and_has_a_run(dataset: Dataset, short: Conf
     assert reconstruct(dataset, out=tmp_path / "run", resume=True, quiet=True).iteration == short.iterations
 
 
-def test_a_watcher_stops_between_two_steps_and_nothing_is_lost(dataset: Dataset, short: Config, tmp_path: Path) -> None:
-    def enough(step: Step) -> None:
-        if step.iteration == 5:
-            raise ValueError("enough")
-
-    with pytest.raises(ValueError, match="enough"):
-        reconstruct(dataset, short, tmp_path / "run", on_step=enough, quiet=True)
-    assert Run.load(tmp_path / "run").iteration == 5
-    resumed = reconstruct(dataset, short, tmp_path / "run", resume=True, quiet=True)
-    whole = reconstruct(dataset, short, quiet=True)
-    assert torch.equal(resumed.gaussians.means, whole.gaussians.means)
-
-
 def test_ctrl_c_within_a_step_saves_nothing_that_is_half_done(
     dataset: Dataset, short: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -228,13 +215,6 @@ def test_refusals(dataset: Dataset, options: dict[str, str], words: str) -> None
         pytest.skip("there is a GPU")
     with pytest.raises(SarsplatError, match=words):
         reconstruct(dataset, **{"preset": "default", **options})
-
-
-def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:
-    with pytest.raises(SarsplatError, match="does not exist; make one"):
-        reconstruct(tmp_path / "nowhere")
-    with pytest.raises(SarsplatError, match="does not exist; make one"):
-        read_dataset(str(tmp_path / "nowhere"))
 
 
 def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short: Config, tmp_path: Path) -> None:

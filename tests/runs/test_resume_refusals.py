@@ -39,7 +39,7 @@ def dataset(tmp_path: Path) -> Dataset:
 def begun(dataset: Dataset, tmp_path: Path) -> Path:
     """A run with one step to go."""
     reconstruct(dataset, CONFIG, tmp_path / "run")
-    newest = Run.load(tmp_path / "run").checkpoint_path
+    newest = Run.load(tmp_path / "run").files.checkpoint_path
     assert newest is not None
     newest.unlink()
     return tmp_path / "run"
@@ -130,7 +130,7 @@ def test_another_version(begun: Path, dataset: Dataset, change: dict[str, Any], 
 
 @pytest.mark.parametrize("change", [{"model/optical_depth": None}, {"model/means": torch.empty(0, 3)}])
 def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
-    newest = Run.load(begun).checkpoint_path
+    newest = Run.load(begun).files.checkpoint_path
     assert newest is not None
     tensors, state = load_checkpoint(newest)
     save_checkpoint(newest, {name: t for name, t in (tensors | change).items() if t is not None}, state)
@@ -150,7 +150,7 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset, change: 
     ],
 )
 def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
-    newest = Run.load(begun).checkpoint_path
+    newest = Run.load(begun).files.checkpoint_path
     assert newest is not None
     tensors, state = load_checkpoint(newest)
     save_checkpoint(newest, tensors, {**state, **change})

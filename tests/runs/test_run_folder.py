@@ -102,18 +102,6 @@ def test_ctrl_c_before_the_first_checkpoint_keeps_an_old_run_and_makes_a_new_one
     assert len(Run.load(tmp_path / "new").points)  # which is extracted where it is asked for
 
 
-def test_one_process_writes(dataset: Dataset, config: Config, tmp_path: Path, finished: Run) -> None:
-    out = tmp_path / "run"
-    shutil.copytree(finished.path, out)
-    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
-    with elsewhere(only_writer(out)):
-        for how in ({"resume": True}, {"overwrite": True}):
-            with pytest.raises(SarsplatError, match="run is in use by another process; wait"):
-                reconstruct(dataset, config, out, **how)
-    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
-    reconstruct(dataset, config, out, resume=True)
-
-
 def test_it_is_locked_from_its_first_moment_to_its_last(
     dataset: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -69,12 +69,12 @@ def _dataset(folder: Path) -> tuple[str, str, str]:
 
 
 def _run(folder: Path) -> tuple[str, str, str]:
-    from sarsplat.runs.run_folder import read_header, read_metrics
-    from sarsplat.runs.state import state_of
+    from sarsplat.runs.run_folder import RunFolder
 
-    header = read_header(folder)
+    files = RunFolder(folder)
+    header = files.header
     learned_from = "images in memory" if header.dataset is None else Path(header.dataset).name
-    return f"run of {learned_from} ({header.method})", str(state_of(folder, header)), _scores(read_metrics(folder))
+    return f"run of {learned_from} ({header.method})", str(files.state), _scores(files.metrics)
 
 
 def _scores(metrics: Mapping[str, Any] | None) -> str:

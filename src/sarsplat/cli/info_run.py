@@ -12,26 +12,26 @@ from sarsplat.errors import counted
 if TYPE_CHECKING:
     import numpy as np
 
-    from sarsplat.runs.run_folder import Header
+    from sarsplat.runs.run_folder import Header, RunFolder
     from sarsplat.runs.state import TrainingState
 
 
 def describe_run(path: Path) -> None:
     """Print what a run's folder says of it: of a finished run without loading torch, of another without its model."""
-    from sarsplat.runs.run_folder import read_header, read_metrics
-    from sarsplat.runs.state import state_of
+    from sarsplat.runs.run_folder import RunFolder
 
-    header = read_header(path)
+    files = RunFolder(path)
+    header, state = files.header, files.state
     where = None if header.dataset is None else Path(header.dataset)
-    state = state_of(path, header)
-    about, points = _results(path) if state.has_results else (_so_far(header, state), None)
+    about = _about(files) if state.has_results else _so_far(header, state)
+    stored = files.points
     rows = {
         "dataset": "images in memory" if where is None else f"{where}{'' if where.exists() else ' (no longer there)'}",
         "method": header.method,
         "state": str(state),
         **about,
-        "points": "none yet" if points is None else extent(points),
-        "scores": "metrics.json" if read_metrics(path) else "none yet; run sarsplat evaluate",
+        "points": "none yet" if stored is None else extent(stored[0]),
+        "scores": "metrics.json" if files.metrics else "none yet; run sarsplat evaluate",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
     console.facts(f"{path}: a run", rows)
@@ -40,17 +40,16 @@ def describe_run(path: Path) -> None:
         console.say(f"go on with: sarsplat reconstruct {dataset} --out {shlex.quote(str(path))} --resume")
 
 
-def _results(path: Path) -> tuple[dict[str, str], np.ndarray]:
-    """`Run.about` and `Run.points`, from their files; only runs of older versions lack the first."""
-    from sarsplat.data import read_json, read_points_ply
-    from sarsplat.runs.run_folder import ABOUT, POINTS
+def _about(files: RunFolder) -> dict[str, str]:
+    """`Run.about`, from its file; only runs of older versions lack that."""
+    from sarsplat.data import read_json
+    from sarsplat.runs.run_folder import ABOUT
 
-    points = read_points_ply(path / POINTS)[0]
-    if (path / ABOUT).is_file():
-        return read_json(path / ABOUT, dict[str, str]), points
+    if (files.path / ABOUT).is_file():
+        return read_json(files.path / ABOUT, dict[str, str])
     from sarsplat.runs import Run
 
-    return Run.load(path).about, points
+    return Run.load(files.path).about
 
 
 def _so_far(header: Header, state: TrainingState) -> dict[str, str]:

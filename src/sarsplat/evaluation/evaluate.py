@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import Dataset, Mask, read_masks, write_json
+from sarsplat.data import Dataset, Mask, read_masks
 from sarsplat.data.determined import weakest_direction
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import warn
@@ -120,10 +120,7 @@ def evaluate_run(
         metrics = _evaluate(run, dataset, alignment, folder, weights, points, quiet)
         if not points and run.metrics is not None:
             metrics |= _of_points(run.metrics, metrics["reasons"])
-        if run.path is not None:
-            write_json(run.path / "metrics.json", metrics)
-        elif run.memory is not None:
-            run.memory.metrics = cast("Metrics", metrics)
+        run.keep(cast("Metrics", metrics))
     return metrics
 
 

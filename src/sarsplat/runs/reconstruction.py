@@ -19,6 +19,7 @@ from sarsplat.processes import Processes
 from sarsplat.progress import progress
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run import Run
+from sarsplat.runs.run_folder import RunFolder
 from sarsplat.runs.tiled_training import TiledTraining, steps_of
 from sarsplat.runs.training_loop import Step, Training, train
 from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
@@ -118,7 +119,8 @@ def reconstruct(
             raise SarsplatError(f"{method} uses no scattering; omit {scattering!r}, or choose a method that does")
         config = replace(config, scattering=scattering)
     warn(suspicions(dataset))
-    learned = None if begun is None or begun.checkpoint_path is None else lambda: begun.reconstruction
+    saved = begun if begun is not None and RunFolder(begun.folder).checkpoint_path is not None else None
+    learned = None if saved is None else lambda: saved.reconstruction
     trainer = chosen.trainer(dataset, config, inputs, on, learned)
     follows = processes is not None and not processes.leads
     heading, note = chosen.about(config, dataset.grid)

@@ -1,19 +1,34 @@
-"""What files in a run's folder hold, whatever its method: its settings and its scores."""
+"""A run's folder, file by file, whatever its method. Reading settings, log and scores takes no torch."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 
 import msgspec
+import numpy as np
+from jaxtyping import Float32, Real
 
-from sarsplat.data import read_json, read_versioned_json
+from sarsplat.data import read_json, read_points_ply, read_versioned_json, write_json, write_points_ply
+from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
+from sarsplat.runs.log import LogLine, read_log
+from sarsplat.runs.state import TrainingState
+from sarsplat.settings.config import OWN_LOOP, AnyConfig
+
+if TYPE_CHECKING:
+    from sarsplat.learning.method import Reconstruction
+    from sarsplat.learning.snapshot import Snapshot
 
 SCHEMA = "sarsplat-run"
 SCHEMA_VERSION = 4
 HEADER = "config.json"
 
+CHECKPOINTS = "checkpoints"
+_CHECKPOINTS_KEPT = 2
+
+METRICS = "metrics.json"
 POINTS = "points.ply"
 ABOUT = "about.json"
 """What `Run.about` says of a finished run, for those who will not wait for torch."""
@@ -70,6 +85,87 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     """What its dataset shows."""
 
 
+@dataclass(frozen=True)
+class RunFolder:
+    """The files of a run; each property reads them anew."""
+
+    path: Path
+
+    @property
+    def header(self) -> Header:
+        """Its settings, and the dataset that it was made from."""
+        return read_header(self.path)
+
+    def write_header(self, method: str, config: AnyConfig, dataset: Path | None, fingerprint: str, target: str) -> None:
+        """Write `config.json`."""
+        where = None if dataset is None else str(dataset)
+        header = Header(SCHEMA, SCHEMA_VERSION, where, fingerprint, config.as_dict(), method, target)
+        write_json(self.path / HEADER, header)
+
+    @property
+    def checkpoint_path(self) -> Path | None:
+        """The newest checkpoint, if there is one."""
+        return max((self.path / CHECKPOINTS).glob("*.safetensors"), default=None)
+
+    def save(self, snapshot: Snapshot) -> None:
+        """Add a checkpoint, and remove all but the newest."""
+        folder = self.path / CHECKPOINTS
+        with plain_os_errors("write", folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        snapshot.save(folder / f"{snapshot.iteration:08d}.safetensors")
+        with plain_os_errors("write", folder):
+            for old in sorted(folder.glob("*.safetensors"))[:-_CHECKPOINTS_KEPT]:
+                old.unlink()
+
+    @property
+    def log_path(self) -> Path:
+        """Its `metrics.jsonl`."""
+        return self.path / "metrics.jsonl"
+
+    @property
+    def history(self) -> list[LogLine]:
+        """The lines of its log (`read_log`)."""
+        return read_log(self.log_path)
+
+    @property
+    def state(self) -> TrainingState:
+        """How far its training is."""
+        settings, newest = self.header.config, self.checkpoint_path
+        done = int(newest.stem) if newest is not None and newest.stem.isdecimal() else 0
+        planned = settings.get("iterations")
+        if settings.get("preset") == OWN_LOOP or not isinstance(planned, int):
+            planned = done
+        last = next((line for line in reversed(self.history) if line.iteration <= done), None)
+        return TrainingState(done, planned, (self.path / POINTS).is_file(), last)
+
+    @property
+    def points(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:
+        """The content of `points.ply`, if there is one: positions, and other columns."""
+        return read_points_ply(self.path / POINTS) if (self.path / POINTS).is_file() else None
+
+    def write_results(self, learned: Reconstruction, about: dict[str, str]) -> None:
+        """Write what other programs read: `points.ply`, `about.json`, and what else its method has."""
+        learned.write(self.path)
+        write_json(self.path / ABOUT, about)
+        points = learned.points()
+        write_points_ply(self.path / POINTS, points, normals=learned.normals_at(points))
+
+    def remove_results(self) -> None:
+        """Remove what was made from the newest checkpoint."""
+        with plain_os_errors("write", self.path):
+            for name in ("gaussians.ply", MESH, ABOUT, POINTS, METRICS, "report/index.html"):
+                (self.path / name).unlink(missing_ok=True)
+
+    @property
+    def metrics(self) -> Metrics | None:
+        """The scores of the last evaluation; None before."""
+        return read_json(self.path / METRICS, Metrics) if (self.path / METRICS).is_file() else None
+
+    def write_metrics(self, metrics: Metrics) -> None:
+        """Write `metrics.json`."""
+        write_json(self.path / METRICS, metrics)
+
+
 def read_header(path: Path) -> Header:
     """The header of a run's folder.
 
@@ -94,11 +190,6 @@ def read_header(path: Path) -> Header:
     return read_versioned_json(
         header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
     )
-
-
-def read_metrics(path: Path) -> Metrics | None:
-    """The scores in a run's folder, if it was evaluated."""
-    return read_json(path / "metrics.json", Metrics) if (path / "metrics.json").is_file() else None
 
 
 def require_replaceable(out: Path) -> None:

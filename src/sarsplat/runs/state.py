@@ -1,13 +1,10 @@
-"""How far a run's training is, as the files in its folder tell: takes no torch and opens no checkpoint."""
+"""How far a training is, as its run's folder tells without opening a checkpoint."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from sarsplat.runs.log import LogLine, read_log
-from sarsplat.runs.run_folder import POINTS, Header
-from sarsplat.settings.config import OWN_LOOP
+from sarsplat.runs.log import LogLine
 
 
 @dataclass(frozen=True)
@@ -45,14 +42,3 @@ class TrainingState:
         if not self.trained:
             return f"unfinished, {self.done:,} of {self.planned:,} iterations"
         return "finished" if self.has_results else "trained, but its points have not been extracted"
-
-
-def state_of(path: Path, header: Header) -> TrainingState:
-    """The state of the training in a folder with this header."""
-    checkpoints = [int(file.stem) for file in (path / "checkpoints").glob("*.safetensors") if file.stem.isdecimal()]
-    done = max(checkpoints, default=0)
-    planned, lines = header.config.get("iterations"), read_log(path / "metrics.jsonl")
-    if header.config.get("preset") == OWN_LOOP or not isinstance(planned, int):
-        planned = done
-    last = next((line for line in reversed(lines) if line.iteration <= done), None)
-    return TrainingState(done, planned, (path / POINTS).is_file(), last)

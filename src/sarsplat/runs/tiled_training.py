@@ -26,7 +26,7 @@ from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.trainer import Trainer
 from sarsplat.progress import Reporter
 from sarsplat.runs.log import LogLine
-from sarsplat.runs.run import Run, write_header
+from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import HEADER
 from sarsplat.runs.training_loop import Step, Training
 
@@ -109,8 +109,8 @@ class TiledTraining(Training[Trainer]):
             return
         training.run = replace(run, path=folder)
         with plain_os_errors("write", folder):
-            (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
-        write_header(training.run)
+            folder.mkdir(parents=True, exist_ok=True)
+        training.run.write_header()
 
     def _remove_tiles(self) -> None:
         if self.run is not None:

@@ -20,8 +20,8 @@ from sarsplat.learning.method import Trainable
 from sarsplat.processes import Processes
 from sarsplat.progress import Reporter
 from sarsplat.runs.log import LogLine, log_text
-from sarsplat.runs.run import InMemory, Run, write_header
-from sarsplat.runs.run_folder import ABOUT, HEADER, MESH, POINTS, require_replaceable
+from sarsplat.runs.run import InMemory, Run
+from sarsplat.runs.run_folder import HEADER, RunFolder, require_replaceable
 from sarsplat.settings.config import AnyConfig, refuse_other_settings
 
 _LINES_PER_RUN = 200
@@ -29,11 +29,6 @@ _LINES_PER_RUN = 200
 
 _SECONDS_UNSEEN = 5.0
 """The progress is shown at least this often, if steps are not longer."""
-
-_CHECKPOINTS_KEPT = 2
-
-_RESULTS = ("gaussians.ply", MESH, ABOUT, POINTS, "metrics.json", "report/index.html")
-"""What is made from the newest checkpoint."""
 
 T = TypeVar("T", bound=Trainable)
 
@@ -102,7 +97,9 @@ class Training(Generic[T]):
                 f"{run.path} was started with another dataset ({run.dataset_path}); resume it with that one"
             )
         refuse_other_settings(run.folder, run.config, config)
-        if run.checkpoint_path is not None and run.iteration > config.iterations:
+        files = RunFolder(run.folder)
+        begun = files.checkpoint_path is not None
+        if begun and run.iteration > config.iterations:
             raise SarsplatError(
                 f"{run.path} has already done {run.iteration} iterations, more than {config.iterations}; resume it "
                 f"with at least {run.iteration}"
@@ -111,8 +108,8 @@ class Training(Generic[T]):
         where = None if dataset.path is None else dataset.path.resolve()
         self.run = resumed = replace(run, dataset_path=where, config=config)
         if resumed != run:
-            write_header(resumed)
-        snapshot = None if run.checkpoint_path is None else run.snapshot
+            resumed.write_header()
+        snapshot = run.snapshot if begun else None
         if self._processes is not None:
             self._processes.shared(snapshot)
         if snapshot is not None:
@@ -120,16 +117,14 @@ class Training(Generic[T]):
                 self.trainer.restore(snapshot)
             except (LookupError, TypeError, ValueError, RuntimeError, OverflowError) as error:
                 raise SarsplatError(
-                    f"{run.checkpoint_path} does not match this version ({error}); start again with overwrite=True"
+                    f"{files.checkpoint_path} does not match this version ({error}); start again with overwrite=True"
                 ) from error
             self._begun -= snapshot.seconds
             self.history = [line for line in run.history if line.iteration <= snapshot.iteration]  # a killed one's end
             self.shown.start_at(snapshot.iteration)
         if other_results or self.trainer.iteration < config.iterations:
-            with plain_os_errors("write", run.folder):
-                for name in _RESULTS:
-                    (run.folder / name).unlink(missing_ok=True)
-        write_bytes(run.log_path, log_text(self.history))
+            files.remove_results()
+        write_bytes(files.log_path, log_text(self.history))
 
     def advance_to(self, iterations: int) -> None:
         """Step until so many iterations are done; what has been learned is saved whatever ends it between two steps."""
@@ -187,7 +182,8 @@ class Training(Generic[T]):
         self.history.append(line)
         self._show(line.loss)
         if self.run is not None:
-            with plain_os_errors("write", self.run.log_path), self.run.log_path.open("ab") as file:
+            path = RunFolder(self.run.folder).log_path
+            with plain_os_errors("write", path), path.open("ab") as file:
                 file.write(log_text([line]))
 
     def _show(self, loss: float) -> None:
@@ -200,11 +196,7 @@ class Training(Generic[T]):
     def _save(self) -> None:
         if self.run is None:
             return
-        folder = self.run.folder / "checkpoints"
-        self.trainer.snapshot(self.seconds).save(folder / f"{self.trainer.iteration:08d}.safetensors")
-        with plain_os_errors("write", folder):
-            for old in sorted(folder.glob("*.safetensors"))[:-_CHECKPOINTS_KEPT]:
-                old.unlink()
+        RunFolder(self.run.folder).save(self.trainer.snapshot(self.seconds))
 
 
 def train(
@@ -246,12 +238,11 @@ def train(
         else:
             with new_folder(out, overwrite, marker=HEADER) as folder:
                 training.run, training.folder_to_come = replace(new, path=folder), out
-                (folder / "checkpoints").mkdir()
-                write_header(training.run)
+                training.run.write_header()
                 try:
                     training.advance_to(min(config.checkpoint_every, config.iterations))
                 except BaseException as error:
-                    if training.run.checkpoint_path is None:
+                    if RunFolder(folder).checkpoint_path is None:
                         raise
                     if (out / HEADER).is_file():
                         if not isinstance(error, KeyboardInterrupt):
