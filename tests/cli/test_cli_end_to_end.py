@@ -207,7 +207,9 @@ def test_a_dataset_in_place_of_a_run_is_to_be_reconstructed(command: str, refuse
 RECONSTRUCT = "reconstruct dataset --out run"
 
 
-@pytest.mark.parametrize("command", ["evaluate run", "report run", f"{RECONSTRUCT} --resume", f"{RECONSTRUCT} --overwrite"])
+@pytest.mark.parametrize(
+    "command", ["evaluate run", "report run", f"{RECONSTRUCT} --resume", f"{RECONSTRUCT} --overwrite"]
+)
 def test_a_second_process_is_refused(workshop: Path, command: str, refused) -> None:
     before = {path: path.stat().st_mtime_ns for path in (workshop / "run").rglob("*")}
     with elsewhere(only_writer(workshop / "run")):

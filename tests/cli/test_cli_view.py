@@ -84,4 +84,3 @@ def test_the_extra_is_named_if_it_is_missing(folder, refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     told = "error: this needs viser, which is not installed; install it with: pip install 'sarsplat[view]'\n"
     assert refused(f"view {folder}") == told
-

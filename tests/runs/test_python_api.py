@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, preset, reconstruct
-from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply, write_points_ply
+from sarsplat.data import read_gaussians_ply, read_points_ply, write_points_ply
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.learning import Trainer
 from sarsplat.runs import Step

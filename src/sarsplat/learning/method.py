@@ -35,6 +35,8 @@ class Inputs:
 
     masks: Path | None = None
     """Folder of masks of the training images."""
+    scattering: str | None = None
+    """Kind of the law of scattering, instead of the settings'."""
     loss: Loss | None = None
     """Loss to be trained with."""
     strategies: Sequence[Any] = ()
@@ -128,6 +130,10 @@ class Method(ABC):
     def about(self, config: Any, grid: ImageGrid) -> tuple[str, str | None]:
         """What is shown while it trains: a heading, and one line, if there is something to say."""
         return self.name, None
+
+    def by_tiles(self, config: Any) -> bool:
+        """Whether a training goes on tile by tile, its trainer being a `Trainer`."""
+        return False
 
     def checked(self, config: AnyConfig) -> AnyConfig:
         """The settings; refused if they are not its own."""

@@ -53,7 +53,7 @@ class SarGs(Method):
     name = DEFAULT_METHOD
     title = "sarsplat"
     settings = Config
-    takes = frozenset({"loss", "strategies", "processes"})
+    takes = frozenset({"scattering", "loss", "strategies", "processes"})
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
@@ -75,6 +75,8 @@ class SarGs(Method):
         begun: Callable[[], Reconstruction] | None,
     ) -> Trainer:
         """A training at its beginning; the settings get the name of a loss of one's own."""
+        if inputs.scattering is not None:
+            config = replace(config, scattering=inputs.scattering)
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
@@ -88,6 +90,9 @@ class SarGs(Method):
     def loss_title(self, config: Config) -> tuple[str, str]:
         loss = LOSSES.get(config.loss)
         return (loss.title, loss.unit) if loss else (f"function {config.loss}", "loss")
+
+    def by_tiles(self, config: Config) -> bool:
+        return config.tiles > 1
 
     def about(self, config: Config, grid: ImageGrid) -> tuple[str, str]:
         """The preset, and lengths in metres."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, read_dataset
@@ -22,7 +21,7 @@ from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import RunFolder
 from sarsplat.runs.tiled_training import TiledTraining, steps_of
 from sarsplat.runs.training_loop import Step, Training, train
-from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
+from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig
 
 
 @checks_arguments
@@ -101,7 +100,7 @@ def reconstruct(
     """
     chosen = method_named(method)
     processes = Processes.started()
-    inputs = Inputs(None if masks is None else Path(masks), loss, tuple(strategies), processes)
+    inputs = Inputs(None if masks is None else Path(masks), scattering, loss, tuple(strategies), processes)
     chosen.refuse_others(inputs)
     on = device_named(device)
     if processes is not None and on.type != "cpu":
@@ -114,18 +113,14 @@ def reconstruct(
         config = begun.config if begun is not None and preset == "auto" else chosen.preset(preset, dataset)
     else:
         config = chosen.checked(preset)
-    if scattering is not None:
-        if not isinstance(config, Config):
-            raise SarsplatError(f"{method} uses no scattering; omit {scattering!r}, or choose a method that does")
-        config = replace(config, scattering=scattering)
     warn(suspicions(dataset))
     saved = begun if begun is not None and RunFolder(begun.folder).checkpoint_path is not None else None
     learned = None if saved is None else lambda: saved.reconstruction
     trainer = chosen.trainer(dataset, config, inputs, on, learned)
     follows = processes is not None and not processes.leads
-    heading, note = chosen.about(config, dataset.grid)
-    whole = trainer if isinstance(trainer, Trainer) and trainer.config.tiles > 1 else None
-    steps = config.iterations if whole is None else steps_of(whole)
+    heading, note = chosen.about(trainer.config, dataset.grid)
+    by_tiles = chosen.by_tiles(config)
+    steps = steps_of(cast(Trainer, trainer)) if by_tiles else config.iterations
     with progress(f"reconstruct ({heading})", steps, quiet or follows) as shown:
         if note is not None:
             shown.note(note)
@@ -133,8 +128,8 @@ def reconstruct(
         new = Run(method, trainer.config, dataset.fingerprint(), dataset_path=where)
         folder = None if out is None else Path(out)
         training: Training[Any]
-        if whole is not None:
-            training = TiledTraining(whole, on_step, shown, dataset, inputs)
+        if by_tiles:
+            training = TiledTraining(cast(Trainer, trainer), on_step, shown, dataset, inputs)
         else:
             training = Training(trainer, None if follows else on_step, shown, processes)
         return train(training, new, dataset, folder, resume=resume, overwrite=overwrite)
