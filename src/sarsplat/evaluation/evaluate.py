@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -40,9 +40,6 @@ from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.runs import Run
 from sarsplat.scenes.surface_samples import surface_samples
-
-if TYPE_CHECKING:
-    from sarsplat.runs.run_folder import Metrics
 
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000
@@ -120,7 +117,7 @@ def evaluate_run(
         metrics = _evaluate(run, dataset, alignment, folder, weights, points, quiet)
         if not points and run.metrics is not None:
             metrics |= _of_points(run.metrics, metrics["reasons"])
-        run.keep(cast("Metrics", metrics))
+        run.keep(metrics)
     return metrics
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_bytes
@@ -283,12 +283,14 @@ class Run(Result):
             return self.memory.metrics
         return None if self.files is None else self.files.metrics
 
-    def keep(self, metrics: Metrics) -> None:
-        """Take these scores as those of the last evaluation, in its folder if it has one."""
+    @checks_arguments
+    def keep(self, metrics: dict[str, Any]) -> None:
+        """Take these scores, what `evaluate_run` returns, as its last ones; in its folder if it has one."""
+        scores = cast(Metrics, metrics)
         if self.files is not None:
-            self.files.write_metrics(metrics)
+            self.files.write_metrics(scores)
         elif self.memory is not None:
-            self.memory.metrics = metrics
+            self.memory.metrics = scores
 
     def write_header(self) -> None:
         """Write the `config.json` of its folder."""
