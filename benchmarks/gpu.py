@@ -19,8 +19,7 @@ import torch
 from clock import Clock, in_turn, spread
 from results import REPOSITORY
 from scene import Scene
-from torch.autograd import DeviceType
-from torch.profiler import profile
+from torch.profiler import DeviceType, profile
 
 from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.renderer import cuda, render

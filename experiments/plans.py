@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from experiment import Experiment, Options, Row
-from runs import Finished
+from finished import Finished
 
 from sarsplat import Dataset, import_mstar, read_dataset, target_mesh, write_dataset
 from sarsplat.baselines import BaselineMethod
