@@ -9,6 +9,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 
 import pytest
 import torch
+from torch.profiler import DeviceType
 
 from programs import ROOT
 from sarsplat.learning import adam, losses
@@ -55,8 +57,11 @@ def emulator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.fixture
 def gpu(suite: ModuleType, emulator: Emulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """What the sections measure: it has no clock, no memory and no queue of its own."""
-    # nothing is profiled, for which torch.profiler would load the compiler first, for a second
-    monkeypatch.setattr("gpu.profile", torch.autograd.profiler.profile)
+    rows = [
+        SimpleNamespace(device_type=place, key=str(place), self_device_time_total=ms * 1e3)
+        for place, ms in ((DeviceType.CUDA, 2.0), (DeviceType.CPU, 1.0))
+    ]
+    monkeypatch.setattr("gpu.profile", lambda: nullcontext(SimpleNamespace(key_averages=lambda: rows)))
     monkeypatch.setitem(TARGETS, "t72", cache(TARGETS["t72"]))
 
     class Emulated(suite.Gpu):
@@ -111,6 +116,7 @@ def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_pa
     assert len(paced) == 4 + 5
     for part in paced:
         assert part["step_ms"] == pytest.approx(part["views"] * part["per_view_ms"])
+        assert part["busy_ms"] == {"all": 2.0, "DeviceType.CUDA": 2.0}
         assert part["kernel_ms_per_view"]["attenuate_tiles"] > 0
         assert part.get("same_bits", True)
         for plane in part["lists"].values():
