@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 import torch
+from emulated_cuda import Emulator
 from torch.profiler import DeviceType
 
 from programs import ROOT
@@ -25,9 +26,6 @@ from sarsplat.learning import adam, losses
 from sarsplat.renderer import cuda, engines
 from sarsplat.scenes.targets import TARGETS
 from sarsplat.settings.presets import PRESETS
-
-sys.path.insert(0, str(ROOT / "tests" / "renderer"))
-from emulated_cuda import Emulator, compile_emulator
 
 BENCHMARKS = ROOT / "benchmarks"
 ON_A_GPU_BOX = ("cuda_suite", "clock", "gpu", "naive_torch", "results", "scene", "work")
@@ -39,10 +37,9 @@ def suite(module: Callable[[str], ModuleType]) -> ModuleType:
 
 
 @pytest.fixture
-def emulator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulator]:
+def emulator(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulator]:
     """On the CPU, all that a GPU would do is emulated."""
-    pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
-    emulator = Emulator(compile_emulator(Path(request.config.cache.mkdir("cuda-emulator"))))
+    emulator = Emulator(library)
     engine = engines.Engine("cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True)
     monkeypatch.setitem(engines.ENGINES, "cuda", engine)
     monkeypatch.setitem(engines.ENGINES, "cpu", replace(engines.ENGINES["cpu"], device_type="none"))  # so "auto" is not
