@@ -149,7 +149,7 @@ readme: $(TEST_READY)
 	$(BIN)/python docs/readme_results.py $(DEMO)/run
 
 clean:
-	rm -rf .venv $(DEMO) figures build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis src/sarsplat/renderer/_engine.*
+	rm -rf .venv $(DEMO) figures build dist site .pytest_cache .mypy_cache .ruff_cache src/sarsplat/renderer/_engine.*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 setup: $(DEMO_READY) $(ALL_SETS)

@@ -68,7 +68,7 @@ def host() -> str | None:
     return name if name in TARGETS else None
 
 
-class EngineBuildHook(BuildHookInterface):
+class EngineBuildHook(BuildHookInterface[Any]):
     """Adds the engine to a wheel, or to the source tree if the installation is editable."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:

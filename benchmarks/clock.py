@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
-from typing import TypedDict
+from typing import Any, TypedDict
 
 TURN = 8
 """Calls of one program before the next has its turn; the first of them finds its data out of the caches."""
@@ -56,7 +56,7 @@ class Clock:
     def __init__(self) -> None:
         self.spent: dict[str, float] = {}
 
-    def wrap(self, name: str, function: Callable) -> Callable:
+    def wrap(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function, its time added to `name`."""
 
         @wraps(function)

@@ -119,7 +119,7 @@ def _load(name: str) -> str:
     )
 
 
-def against_twins(twins: dict[str, Any]) -> list[tuple[str, dict, dict, dict]]:
+def against_twins(twins: dict[str, Any]) -> list[tuple[str, dict[str, Any], dict[str, Any], dict[str, Any]]]:
     """Loss and Adam: what, the ratio, PyTorch's time and the engine's."""
     names = {key.removesuffix(": torch / engine"): quotient for key, quotient in twins["ratios"].items()}
     return [

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
 from PIL import Image
 
 from sarsplat.colours import POWER, colormap
@@ -44,18 +46,18 @@ def main(files: list[str]) -> None:
     few.save(PICTURE, optimize=True)
 
 
-def draw_image(axes: plt.Axes, aperture: Aperture) -> None:
+def draw_image(axes: Axes, aperture: Aperture) -> None:
     """The lot, in decibels."""
     grid = ImageGrid(ROWS, COLUMNS, (SPACING, SPACING), aperture.resolution_m(Taylor()))
     power = np.abs(focus(aperture, grid, Taylor())) ** 2
     extent = (grid.azimuth_m[0], grid.azimuth_m[-1], grid.range_m[-1], grid.range_m[0])
     level = to_db(power, np.median(power))
     axes.imshow(level, cmap=colormap(POWER), extent=extent, vmin=DECIBELS[0], vmax=DECIBELS[1])
-    axes.add_patch(plt.Circle(TARGET, 3, fill=False, color="tab:blue"))
+    axes.add_patch(Circle(TARGET, 3, fill=False, color="tab:blue"))
     axes.set(xlabel="azimuth, m", ylabel="slant range, m")
 
 
-def draw_cut(axes: plt.Axes, aperture: Aperture, name: str, weighting: Taylor, along: str, colour: str) -> None:
+def draw_cut(axes: Axes, aperture: Aperture, name: str, weighting: Taylor, along: str, colour: str) -> None:
     """A line through the target beside theory; its width and highest side lobe are printed."""
     which = ("azimuth", "range").index(along)
     resolution = aperture.resolution_m(weighting)

@@ -1,6 +1,7 @@
 """Watch a training: a picture of one view every so often, and stop it when it is good enough."""
 
 from dataclasses import replace
+from typing import Any
 
 from sarsplat import (
     Dataset,
@@ -23,7 +24,7 @@ dataset = Dataset.from_images([SarImage(power, view, grid) for power, view in zi
 watched = View(20.0, 45.0)  # not trained on
 
 
-def watch(step: Step) -> bool:
+def watch(step: Step[Any]) -> bool:
     """Called after every step; True ends the training."""
     if step.iteration % 40 == 0:
         image = render(step.trainer.gaussians, [watched], grid, rays=RayGrid.for_image(grid, 4)).channel(0)[0].numpy()

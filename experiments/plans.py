@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from experiment import Experiment, Options, Row
+from finished import Finished
 
-from runs import Finished
 from sarsplat import Dataset, import_mstar, read_dataset, target_mesh, write_dataset
 from sarsplat.baselines import BaselineMethod
 from sarsplat.baselines.baseline import BaselineConfig

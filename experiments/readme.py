@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiment import Experiment
+from finished import Finished
 from metrics import METRIC
-from runs import Finished
 from summary import Line, lines
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "docs"))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from experiment import Experiment, Row
-from runs import Finished
+from finished import Finished
 
 from sarsplat.sweeps.results import Spread
 

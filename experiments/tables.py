@@ -16,10 +16,10 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does,
 
 from catalogue import EXPERIMENTS
 from experiment import Experiment
+from finished import runs_of
 from pictures import draw_groups
 from plans import Chips, in_our_time, make, missing, plan_of
 from readme import fill_readme
-from runs import runs_of
 from write import write, write_index
 
 from sarsplat import sweep

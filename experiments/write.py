@@ -12,9 +12,9 @@ from catalogue import EXPERIMENTS
 from draw import draw
 from experiment import Experiment
 from finding import findings
+from finished import Finished, lines_of
 from metrics import METRIC
 from pictures import picture_of
-from runs import Finished, lines_of
 from summary import Line, lines
 
 from sarsplat.data import write_bytes

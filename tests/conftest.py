@@ -99,6 +99,15 @@ def finished(dataset: Any, config: Any, tmp_path_factory: pytest.TempPathFactory
     return reconstruct(dataset, config, tmp_path_factory.mktemp("run") / "run")
 
 
+@pytest.fixture(scope="session")
+def library(request: pytest.FixtureRequest) -> Path:
+    """The emulated CUDA engine, compiled once."""
+    pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
+    from emulated_cuda import compile_emulator
+
+    return compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
+
+
 @pytest.fixture
 def threads() -> Iterator[Callable[[int], None]]:
     """Sets torch's thread count; the old one comes back."""

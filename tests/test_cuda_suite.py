@@ -9,6 +9,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -17,15 +18,14 @@ from typing import Any
 
 import pytest
 import torch
+from emulated_cuda import Emulator
+from torch.profiler import DeviceType
 
 from programs import ROOT
 from sarsplat.learning import adam, losses
 from sarsplat.renderer import cuda, engines
 from sarsplat.scenes.targets import TARGETS
 from sarsplat.settings.presets import PRESETS
-
-sys.path.insert(0, str(ROOT / "tests" / "renderer"))
-from emulated_cuda import Emulator, compile_emulator
 
 BENCHMARKS = ROOT / "benchmarks"
 ON_A_GPU_BOX = ("cuda_suite", "clock", "gpu", "naive_torch", "results", "scene", "work")
@@ -37,10 +37,9 @@ def suite(module: Callable[[str], ModuleType]) -> ModuleType:
 
 
 @pytest.fixture
-def emulator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulator]:
+def emulator(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulator]:
     """On the CPU, all that a GPU would do is emulated."""
-    pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
-    emulator = Emulator(compile_emulator(Path(request.config.cache.mkdir("cuda-emulator"))))
+    emulator = Emulator(library)
     engine = engines.Engine("cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True)
     monkeypatch.setitem(engines.ENGINES, "cuda", engine)
     monkeypatch.setitem(engines.ENGINES, "cpu", replace(engines.ENGINES["cpu"], device_type="none"))  # so "auto" is not
@@ -55,8 +54,11 @@ def emulator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.fixture
 def gpu(suite: ModuleType, emulator: Emulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """What the sections measure: it has no clock, no memory and no queue of its own."""
-    # nothing is profiled, for which torch.profiler would load the compiler first, for a second
-    monkeypatch.setattr("gpu.profile", torch.autograd.profiler.profile)
+    rows = [
+        SimpleNamespace(device_type=place, key=str(place), self_device_time_total=ms * 1e3)
+        for place, ms in ((DeviceType.CUDA, 2.0), (DeviceType.CPU, 1.0))
+    ]
+    monkeypatch.setattr("gpu.profile", lambda: nullcontext(SimpleNamespace(key_averages=lambda: rows)))
     monkeypatch.setitem(TARGETS, "t72", cache(TARGETS["t72"]))
 
     class Emulated(suite.Gpu):
@@ -111,6 +113,7 @@ def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_pa
     assert len(paced) == 4 + 5
     for part in paced:
         assert part["step_ms"] == pytest.approx(part["views"] * part["per_view_ms"])
+        assert part["busy_ms"] == {"all": 2.0, "DeviceType.CUDA": 2.0}
         assert part["kernel_ms_per_view"]["attenuate_tiles"] > 0
         assert part.get("same_bits", True)
         for plane in part["lists"].values():

@@ -28,7 +28,7 @@ from sarsplat.sweeps.results import Result
 from sarsplat.sweeps.work import Row, do
 
 EXPERIMENTS = ROOT / "experiments"
-MODULES = ("catalogue", "draw", "experiment", "finding", "metrics", "plans", "runs", "summary", "tables", "write")
+MODULES = ("catalogue", "draw", "experiment", "finding", "finished", "metrics", "plans", "summary", "tables", "write")
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def waiting(line: Any, seed: int) -> Result:
 
 def lines(made: SimpleNamespace, table, results: Sequence[Result], kept: Path | None = None):
     """What is known of its rows, and their runs."""
-    runs = made.runs.runs_of(table, results, kept or Path("nowhere"))
+    runs = made.finished.runs_of(table, results, kept or Path("nowhere"))
     return made.summary.lines(table, runs), runs
 
 
@@ -128,7 +128,7 @@ def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made, tmp_path):
     assert (line.seeds, line.older) == (2, False)
     assert line.spreads["cd_m"].mean == pytest.approx(0.3)
     assert line.spreads["cd_m"].sd == pytest.approx(0.2 / 2**0.5)
-    assert made.runs.scores(results[0].row, both) == {
+    assert made.finished.scores(results[0].row, both) == {
         **{"psnr_db": 40.0, "cd_m": 0.1, "f1@0.3": 0.9, "f1@0.1": 0.5, "time_s": 1.0},
         **{"cd_cells": 0.2, "f1@cell": 0.9, "f1@third": 0.5},
     }
@@ -229,7 +229,7 @@ def test_rows_are_of_a_test_set_or_of_a_simpler_method(made):
     scores["baselines.test-15.nearest_chip.ssim"] = 0.05
     found = Row("address", "recipe", "code", "scoring", "finished", scores=scores, yardstick_m=0.5)
     every, one, simpler = (
-        made.runs.scores(found, row(made, "row", scored=where))
+        made.finished.scores(found, row(made, "row", scored=where))
         for where in ("", "images.test-15.", "baselines.test-15.nearest_chip.")
     )
     assert (every["ssim"], one["ssim"], one["cd_m"], simpler) == (0.2, 0.1, 0.2, {"ssim": 0.05})

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
+from chip_files import write_chips
+from made_imports import rewrite
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatWarning
-
-COLUMNS = ["path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"]
 
 
 @pytest.fixture(autouse=True)
@@ -26,24 +23,12 @@ def warnings_are_shown() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def chips(tmp_path: Path) -> Path:
-    """Six chips; the last has no azimuth, and one more has no label."""
-    generator = np.random.default_rng(0)
-    with (tmp_path / "labels.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(COLUMNS)
-        for index in range(7):
-            noise = generator.integers(10, 200, size=(16, 16), dtype=np.uint8)
-            Image.fromarray(noise).save(tmp_path / f"{index}.jpeg")
-            if index < 6:
-                table.writerow([f"{index}.jpeg", "T72", "132", 17, 17.1, "" if index == 5 else 70 * index])
-    return tmp_path
-
-
-def test_importing_counts_what_lacks_labels(chips: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["import", "mstar", str(chips), "--labels", str(chips / "labels.csv"), "--class", "T72"]
-    assert main([*command, "--train-views", "1", "--out", str(chips / "out")]) == 0
+def test_importing_counts_what_lacks_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of six chips the last has no azimuth, and one more has no label."""
+    labels = write_chips(tmp_path, [("T72", "132", 17, 70 * k if k < 5 else "") for k in range(7)])
+    rewrite(labels, lambda rows: rows[:-1])
+    command = ["import", "mstar", str(tmp_path), "--labels", str(labels), "--class", "T72"]
+    assert main([*command, "--train-views", "1", "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr()
     lines = told.err.splitlines()
     assert [line.startswith("warning: ") for line in lines] == [True, True, True]
@@ -51,7 +36,7 @@ def test_importing_counts_what_lacks_labels(chips: Path, capsys: pytest.CaptureF
     assert "empty fields for 1 of 6 chips (the first: target_az_deg in line 7)" in lines[1]
     assert "one training view (azimuth 0°)" in lines[2]
     assert "5 views (1 train, 4 test-17)" in told.out
-    assert len(read_dataset(chips / "out").views) == 5
+    assert len(read_dataset(tmp_path / "out").views) == 5
 
 
 def test_radians_are_simulated_as_the_degrees_they_are_called(

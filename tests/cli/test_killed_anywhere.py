@@ -15,13 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from killable import use_small_presets
 from PIL import Image
 
 from sarsplat.cli import main
 from sarsplat.settings import PRESETS
-
-sys.path.insert(0, str(Path(__file__).parent))
-from killable import use_small_presets
 
 KILLS = int(os.environ.get("SARSPLAT_TEST_KILLS", "2"))
 """Of each command."""

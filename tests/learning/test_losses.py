@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import pytest
 import torch
+from emulated_cuda import Emulator
 
 from sarsplat.errors import SarsplatError
 from sarsplat.learning import adam, losses
@@ -22,9 +21,6 @@ from sarsplat.learning.losses import (
 )
 from sarsplat.renderer import cpu
 from sarsplat.settings import preset
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
-from emulated_cuda import Emulator, compile_emulator
 
 AVAILABLE = cpu.instruction_sets()
 
@@ -48,8 +44,7 @@ def test_amplitude_loss_and_its_gradient_are_those_of_float64(shape, weight, how
     if how in ("cuda", "plain"):
         monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
         if how == "cuda":
-            pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
-            emulator = Emulator(compile_emulator(Path(request.config.cache.mkdir("cuda-emulator"))))
+            emulator = Emulator(request.getfixturevalue("library"))
             monkeypatch.setattr(losses, "gpu_of", lambda tensors: emulator)
     else:
         monkeypatch.setattr(adam.cpu, "Pass", partial(cpu.Pass, how))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import ClassVar, Self
 
 import pytest
 import torch
+from emulated_cuda import Emulator
 
 from sarsplat import Dataset, Run, preset, reconstruct
 from sarsplat.gaussians import SCATTERINGS, Scattering, register_scattering
@@ -19,9 +19,6 @@ from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
 from sarsplat.renderer import cpu, cuda
 from sarsplat.settings import Config
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
-from emulated_cuda import Emulator, compile_emulator
 
 AVAILABLE = cpu.instruction_sets()
 # more than one task, a tail in the last vector, one to sixteen columns
@@ -118,9 +115,7 @@ def how(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     if request.param == "plain":
         engine = None
     elif request.param == "cuda":
-        pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
-        library = compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
-        engine = partial(cuda.adam, Emulator(library))
+        engine = partial(cuda.adam, Emulator(request.getfixturevalue("library")))
     else:
         engine = partial(cpu.adam, instruction_set=request.param)
     monkeypatch.setattr(adam, "engine_for", lambda tensors: engine)

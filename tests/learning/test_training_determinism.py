@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
+from train_once import config
 
 from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, ScatteringLaw, View, preset, simulate_raycast
@@ -20,9 +21,6 @@ from sarsplat.data import load_checkpoint, write_dataset
 from sarsplat.learning import Trainer
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.strategies.density import DensityControl
-
-sys.path.insert(0, str(Path(__file__).parent))
-from train_once import config
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from emulated_cuda import Emulator, render_on
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
@@ -27,9 +27,6 @@ from sarsplat.runs import Step
 from sarsplat.settings import Config
 from sarsplat.settings.config import Densification, Relocation
 from sarsplat.surface import extract_points, points
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))
-from emulated_cuda import Emulator, compile_emulator, render_on
 
 DENSITY = Densification(
     start=4,
@@ -161,12 +158,6 @@ def test_devices_that_are_none_are_refused(device: str, words: str, dataset: Dat
         Trainer(dataset, CONFIGS["amplitude"], device=device)
     with pytest.raises(SarsplatError, match="Gaussians cannot be turned to 'x'"):
         Trainer(dataset, CONFIGS["amplitude"]).gaussians.to("x")
-
-
-@pytest.fixture(scope="module")
-def library(request: pytest.FixtureRequest) -> Path:
-    pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
-    return compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
 
 
 def use_emulated(library: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -101,6 +101,22 @@ def with_scales(gaussians: Gaussians, scales: tuple[float, float, float]) -> Gau
     return replace(gaussians, scales=torch.tensor(scales).expand(len(gaussians), 3).contiguous())
 
 
+def wall(height_m: float, foot_m: float = 0.0) -> Gaussians:
+    """Black and opaque, across the line of sight of a radar at azimuth 0, 6 m wide."""
+    pitch = 0.05
+    y, z = (
+        axis.ravel() for axis in np.meshgrid(np.arange(-3, 3, pitch), np.arange(foot_m + pitch / 2, height_m, pitch))
+    )
+    n = len(y)
+    return Gaussians(
+        torch.from_numpy(np.column_stack([np.zeros(n), y, z])).float(),
+        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
+        torch.tensor([0.002, 0.6 * pitch, 0.6 * pitch]).repeat(n, 1),
+        torch.full((n,), 4.0),
+        Harmonics(torch.full((n, 1), -90.0), 0.0),
+    )
+
+
 def facing(view: View, offsets: Tensor) -> Tensor:
     """World positions of points given in a view's radar frame, [N, 3] → [N, 3]."""
     return (offsets.double() @ torch.from_numpy(radar_frame(view))).float()

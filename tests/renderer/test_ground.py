@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from named_scenes import GRID, VIEWS, cloud
+from named_scenes import GRID, VIEWS, cloud, wall
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.geometry.shown import ground_radius_m
@@ -123,19 +123,10 @@ def test_what_the_ground_loses_is_what_rays_lose():
 @pytest.mark.parametrize("grazing", [30.0, 45.0, 60.0])
 def test_the_shadow_of_a_wall_is_as_long_as_the_wall_is_high(grazing):
     """An opaque wall of 2 m across the line of sight hides the ground to 2 m / tan θ behind its foot."""
-    height, pitch = 2.0, 0.05
-    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(-3, 3, pitch), np.arange(pitch / 2, height, pitch)))
-    n = len(y)
-    wall = Gaussians(
-        torch.from_numpy(np.column_stack([np.zeros(n), y, z])).float(),
-        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-        torch.tensor([0.002, 0.6 * pitch, 0.6 * pitch]).repeat(n, 1),
-        torch.full((n,), 4.0),
-        Harmonics(torch.full((n, 1), -90.0), 0.0),
-    )
+    height = 2.0
     view, ground = View(0.0, grazing), Ground(torch.tensor(0.3))
     grid = ImageGrid(120, 40, (0.1, 0.05), (0.15, 0.08))
-    image = render(wall, [view], grid, rays=RayGrid((0.02, 0.02)), ground=ground).images[0, 0]
+    image = render(wall(height), [view], grid, rays=RayGrid((0.02, 0.02)), ground=ground).images[0, 0]
     profile = image[:, 15:25].mean(1).double().numpy() / (0.3 * math.tan(math.radians(grazing)))
     theta = math.radians(grazing)
     near, far = 0.0, height / math.tan(theta) * math.cos(theta)

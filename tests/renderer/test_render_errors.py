@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
+from emulated_cuda import Emulator, render_on
 from named_scenes import GRID, VIEWS, cloud
 
 from sarsplat.errors import SarsplatError
@@ -23,7 +26,14 @@ def changed(name: str, index: tuple[int, ...], value: float) -> Gaussians:
     return scene.with_tensors(**{name: tensor})
 
 
-@pytest.mark.parametrize(("engine", "dtype"), [("cpu", torch.float32), ("reference", torch.float64)])
+def by(engine: str, request: pytest.FixtureRequest) -> Callable:
+    """Render with an engine; that of CUDA is emulated."""
+    if engine != "cuda":
+        return partial(render, engine=engine)
+    return partial(render_on, Emulator(request.getfixturevalue("library")))
+
+
+@pytest.mark.parametrize("engine", ["cpu", "reference", "cuda"])
 @pytest.mark.parametrize(
     ("name", "index", "value", "message"),
     [
@@ -44,9 +54,10 @@ def changed(name: str, index: tuple[int, ...], value: float) -> Gaussians:
         ("scattering", (7, 15), float("nan"), r"scattering\[7\] is \[.*nan\]; it must be finite"),
     ],
 )
-def test_values_out_of_range(name, index, value, message, engine, dtype):
+def test_values_out_of_range(name, index, value, message, engine, request):
+    scene = changed(name, index, value).to(torch.float64 if engine == "reference" else torch.float32)
     with pytest.raises(SarsplatError, match=message):
-        render(changed(name, index, value).to(dtype), VIEWS, GRID, engine=engine)
+        by(engine, request)(scene, VIEWS, GRID)
 
 
 def test_limits_themselves_are_allowed():
@@ -58,7 +69,7 @@ def test_limits_themselves_are_allowed():
 NOWHERE = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, float("inf")]])
 WRONG = torch.ones(3, 10, 1)
 WRONG[1, 4] = float("nan")
-ANY, CPU, REFERENCE = ("auto", "cpu", "reference"), ("cpu",), ("reference",)
+ANY, CPU, REFERENCE, BOTH = ("auto", "cpu", "reference"), ("cpu",), ("reference",), ("cpu", "cuda")
 
 
 @pytest.mark.parametrize(
@@ -87,8 +98,8 @@ ANY, CPU, REFERENCE = ("auto", "cpu", "reference"), ("cpu",), ("reference",)
                 {"amplitudes": torch.ones(3, 10, 1, dtype=torch.complex64)},
                 r"amplitudes is torch.complex64, but render takes real ones; .* sarsplat.splat",
             ),
-            (CPU, {"amplitudes": WRONG}, r"amplitudes\[1, 4\] is \[nan\]; it must be finite"),
-            (CPU, {"shift": NOWHERE}, r"shift\[2\] is \[0.0, inf\]; it must be finite metres"),
+            (BOTH, {"amplitudes": WRONG}, r"amplitudes\[1, 4\] is \[nan\]; it must be finite"),
+            (BOTH, {"shift": NOWHERE}, r"shift\[2\] is \[0.0, inf\]; it must be finite metres"),
             (("gpu",), {}, "engine 'gpu' is unknown; choose one of auto, cpu, cuda, reference"),
             (CPU, {"instruction_set": "sse9"}, "choose one of auto, base, avx2, avx512"),
             (("auto",), {"views": []}, "there are no views to render; give at least one View"),
@@ -100,11 +111,11 @@ ANY, CPU, REFERENCE = ("auto", "cpu", "reference"), ("cpu",), ("reference",)
             (CPU, {"gain": torch.ones(3).double()}, "gain is torch.float64 on cpu; the CPU"),
             (REFERENCE, {"plane_gradients": True}, r"needs another engine \(cpu, cuda\)"),
             (
-                CPU,
+                BOTH,
                 {"gaussians": changed("means", (0, 0), 1e6)},
                 r"view 0 would need too many rays .* reach 1e\+06 m .* remove distant or wide ones",
             ),
-            (CPU, {"rays": RayGrid((1e-5, 1e-5))}, "too many rays at a spacing of"),
+            (BOTH, {"rays": RayGrid((1e-5, 1e-5))}, "too many rays at a spacing of"),
             (
                 CPU,
                 {"grid": ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3)), "rays": RayGrid((0.1, 0.1))},
@@ -114,10 +125,10 @@ ANY, CPU, REFERENCE = ("auto", "cpu", "reference"), ("cpu",), ("reference",)
         for engine in engines
     ],
 )
-def test_arguments(engine, options, message):
-    whole = {"gaussians": cloud(10, 0), "views": VIEWS, "grid": GRID, "engine": engine} | options
+def test_arguments(engine, options, message, request):
+    whole = {"gaussians": cloud(10, 0), "views": VIEWS, "grid": GRID} | options
     with pytest.raises(SarsplatError, match=message):
-        render(**whole)
+        by(engine, request)(**whole)
 
 
 def test_engine_works_after_an_error():

@@ -5,9 +5,11 @@ from __future__ import annotations
 import ctypes
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import torch
+from emulated_cuda import Emulator
 from finite_differences import check_gradients
 from named_scenes import GRADCHECK, GRID, MATRIX, VIEWS, Scene, cloud
 from step_cases import STEPS, check, found_by, judged, projection_of, tensors_of
@@ -17,7 +19,8 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid
-from sarsplat.renderer import Footprints, Waves, attenuate, cpu, project, render, splat, structs
+from sarsplat.renderer import Footprints, Waves, attenuate, cpu, cuda, project, render, splat, structs
+from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
 RAYS = RayGrid.for_image(GRID)
@@ -254,7 +257,20 @@ def bad(tensor: Tensor, index: tuple[int, ...], value: float) -> Tensor:
 NAN, INF = float("nan"), float("inf")
 
 
-@pytest.mark.parametrize("engine", ["cpu", "reference"])
+@pytest.fixture(params=["cpu", "reference", "cuda"])
+def by(request: pytest.FixtureRequest) -> SimpleNamespace:
+    """The steps with an engine; that of CUDA is emulated."""
+    if request.param != "cuda":
+        steps = {"project": project, "attenuate": attenuate, "splat": splat}
+        return SimpleNamespace(**{name: partial(step, engine=request.param) for name, step in steps.items()})
+    new_pass = partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
+    return SimpleNamespace(
+        project=partial(project_with, new_pass, rays=RAYS, shift=None),
+        attenuate=partial(attenuate_with, new_pass, first_return_depth=None),
+        splat=partial(splat_with, new_pass, imaging_weight="area"),
+    )
+
+
 @pytest.mark.parametrize(
     ("name", "index", "value", "message"),
     [
@@ -266,24 +282,23 @@ NAN, INF = float("nan"), float("inf")
         ("tilt", (0, 3, 1), NAN, r"tilt\[0, 3\] is \[.*nan.*\]; it must be finite"),
     ],
 )
-def test_projections_out_of_range(engine, name, index, value, message):
+def test_projections_out_of_range(by, name, index, value, message):
     tensors = tensors_of(project(cloud(10, 0), VIEWS, GRID))
     with pytest.raises(SarsplatError, match=message):
-        attenuate(projection_of(tensors | {name: bad(tensors[name], index, value)}), RAYS, engine=engine)
+        by.attenuate(projection_of(tensors | {name: bad(tensors[name], index, value)}), RAYS)
 
 
-@pytest.mark.parametrize("engine", ["cpu", "reference"])
-def test_values_out_of_range(engine):
+def test_values_out_of_range(by):
     g, cross_sections = cloud(10, 0), torch.ones(3, 10, 2)
     p = project(g, VIEWS, GRID)
     with pytest.raises(SarsplatError, match=r"cross_sections\[2, 7\] is \[1.0, inf\]; it must be finite"):
-        splat(p.pixels, bad(cross_sections, (2, 7, 1), INF), GRID, engine=engine)
+        by.splat(p.pixels, bad(cross_sections, (2, 7, 1), INF), GRID)
     with pytest.raises(SarsplatError, match=r"footprints.roots\[0, 0\] is \[nan.*\]; it must be finite"):
-        splat(replace(p.pixels, roots=bad(p.pixels.roots, (0, 0, 0), NAN)), cross_sections, GRID, engine=engine)
+        by.splat(replace(p.pixels, roots=bad(p.pixels.roots, (0, 0, 0), NAN)), cross_sections, GRID)
     for name, message in (("means", "finite metres"), ("scattering", "finite")):
         with pytest.raises(SarsplatError, match=rf"{name}\[3\] is \[nan.*\]; it must be {message}"):
             wrong = g.with_tensors(**{name: bad(g.tensors()[name], (3, 0), NAN)})
-            project(wrong, VIEWS, GRID, engine=engine)
+            by.project(wrong, VIEWS, GRID)
 
 
 TEN = cloud(10, 0)
@@ -342,13 +357,17 @@ def test_shapes_dtypes_and_options(call, message):
         call(project(TEN, VIEWS, GRID), torch.ones(3, 10, 1))
 
 
-def test_grids_that_are_too_large():
+def test_lattices_that_are_too_large(by):
     far = cloud(10, 0)
     p = project(replace(far, means=bad(far.means, (0, 0), 1e6)), VIEWS, GRID)
-    with pytest.raises(SarsplatError, match=r"view 0 would need too many rays .* remove distant or wide ones"):
-        attenuate(p, RAYS, engine="cpu")
-    with pytest.raises(SarsplatError, match=r"reference would need too many rays"):
-        attenuate(p, RAYS, engine="reference")
+    with pytest.raises(
+        SarsplatError, match=r"(view 0 would .* remove distant or wide ones|reference would need too many)"
+    ):
+        by.attenuate(p, RAYS)
+
+
+def test_images_that_are_too_large():
+    p = project(cloud(10, 0), VIEWS, GRID)
     wide = ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
     with pytest.raises(SarsplatError, match="an image of 80000 × 1 pixels is too large"):
         splat(p.pixels, torch.ones(3, 10, 1), wide, engine="cpu")

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from named_scenes import GRID, MATRIX, VIEWS, cloud
+from named_scenes import GRID, MATRIX, VIEWS, cloud, wall
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer import lit_terrain, render
@@ -123,21 +122,14 @@ def test_a_hill_hides_what_is_behind_it_and_only_from_there():
 
 def test_a_wall_on_a_slope_hides_more_of_it_the_more_it_falls():
     """An opaque wall of 2 m across the line of sight hides the slope to 2 m / (tan θ − tan of the fall) behind it."""
-    height, pitch, grazing = 2.0, 0.05, 45.0
-    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(-3, 3, pitch), np.arange(-pitch, height, pitch)))
-    n = len(y)
-    wall = Gaussians(
-        torch.from_numpy(np.column_stack([np.zeros(n), y, z])).float(),
-        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-        torch.tensor([0.002, 0.6 * pitch, 0.6 * pitch]).repeat(n, 1),
-        torch.full((n,), 4.0),
-        Harmonics(torch.full((n, 1), -90.0), 0.0),
-    )
+    height, grazing = 2.0, 45.0
     grid = ImageGrid(120, 24, (0.1, 0.06), (0.15, 0.09))
     for fall in (-12.0, 0.0, 12.0):
         theta, down = math.radians(grazing), math.tan(math.radians(fall))
         ground = Ground(torch.tensor(0.3), height_m=slope(-fall))
-        image = render(wall, [View(0.0, grazing)], grid, rays=RayGrid((0.02, 0.02)), ground=ground).images[0, 0]
+        image = render(
+            wall(height, -0.075), [View(0.0, grazing)], grid, rays=RayGrid((0.02, 0.02)), ground=ground
+        ).images[0, 0]
         level = image[:, 8:16].mean(1).double().numpy() / (0.3 * math.tan(theta - math.radians(fall)))
         far = height / (math.tan(theta) - down)
         edge = far * math.cos(theta) + far * down * math.sin(theta)

@@ -30,15 +30,20 @@ def make_dataset(path: Path, *, spacing: float = 0.3, azimuth: float = 0.0, seed
     return write_dataset(path, dataset_of(grid, views, images))
 
 
-@pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
-    return make_dataset(tmp_path / "dataset")
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return make_dataset(tmp_path_factory.mktemp("made") / "dataset")
+
+
+@pytest.fixture(scope="module")
+def done(dataset: Dataset) -> Run:
+    return reconstruct(dataset, CONFIG, dataset.path.with_name("run"))
 
 
 @pytest.fixture
-def begun(dataset: Dataset, tmp_path: Path) -> Path:
+def begun(done: Run, tmp_path: Path) -> Path:
     """A run with one step to go."""
-    reconstruct(dataset, CONFIG, tmp_path / "run")
+    shutil.copytree(done.folder, tmp_path / "run")
     newest = Run.load(tmp_path / "run").files.checkpoint_path
     assert newest is not None
     newest.unlink()
@@ -66,11 +71,12 @@ def test_another_dataset(begun: Path, tmp_path: Path, change: dict[str, Any]) ->
     refused(begun, make_dataset(tmp_path / "other", **change), CONFIG, "started with another dataset")
 
 
-def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset) -> None:
+def test_a_dataset_that_was_changed_in_place(begun: Path, dataset: Dataset, tmp_path: Path) -> None:
     image = dataset.images("train")[1].copy()
     image[0, 0] = 1e-30
-    write_tiff(dataset.path / "images/001.tif", image, "changed")
-    refused(begun, read_dataset(dataset.path), CONFIG, "started with another dataset")
+    changed = shutil.copytree(dataset.path, tmp_path / "dataset")
+    write_tiff(changed / "images/001.tif", image, "changed")
+    refused(begun, read_dataset(changed), CONFIG, "started with another dataset")
 
 
 @pytest.mark.parametrize(
@@ -88,15 +94,14 @@ def test_other_settings(begun: Path, dataset: Dataset, change: dict[str, Any], m
     refused(begun, dataset, replace(CONFIG, **change), message)
 
 
-def test_fewer_iterations_than_are_done(dataset: Dataset, tmp_path: Path) -> None:
-    reconstruct(dataset, CONFIG, tmp_path / "run")
+def test_fewer_iterations_than_are_done(dataset: Dataset, done: Run) -> None:
     message = "has already done 2 iterations, more than 1"
-    refused(tmp_path / "run", dataset, replace(CONFIG, iterations=1), message)
+    refused(done.folder, dataset, replace(CONFIG, iterations=1), message)
 
 
-@pytest.mark.parametrize("done", [1, 2])
-def test_more_iterations_extend_a_run(begun: Path, dataset: Dataset, done: int) -> None:
-    if done == 2:
+@pytest.mark.parametrize("steps", [1, 2])
+def test_more_iterations_extend_a_run(begun: Path, dataset: Dataset, steps: int) -> None:
+    if steps == 2:
         reconstruct(dataset, CONFIG, begun, resume=True)
     run = reconstruct(dataset, replace(CONFIG, iterations=4, checkpoint_every=3), begun, resume=True)
     assert run.iteration == 4
@@ -104,12 +109,12 @@ def test_more_iterations_extend_a_run(begun: Path, dataset: Dataset, done: int) 
     assert [line.iteration for line in run.history] == [1, 2, 3, 4]
 
 
-def test_points_are_extracted_anew(dataset: Dataset, tmp_path: Path) -> None:
-    first = reconstruct(dataset, CONFIG, tmp_path / "run")
+def test_points_are_extracted_anew(dataset: Dataset, done: Run, tmp_path: Path) -> None:
+    shutil.copytree(done.folder, tmp_path / "run")
     (tmp_path / "run" / "metrics.json").write_text("{}")
     everything = PointExtraction(method="centres", optical_depth=0.0, voxel=1e-6, min_height=-1e6)
     again = reconstruct(dataset, replace(CONFIG, points=everything), tmp_path / "run", resume=True)
-    assert again.iteration == first.iteration
+    assert again.iteration == done.iteration
     assert len(Run.load(tmp_path / "run").points) == len(again.gaussians)
     assert not (tmp_path / "run" / "metrics.json").exists()  # it was of other points
 

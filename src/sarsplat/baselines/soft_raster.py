@@ -112,9 +112,7 @@ def soft_coverage(corners: Float[Tensor, "f 3 2"], lattice: Lattice, softness_m:
     else:
         sizes = _batches(counts)
         parts = zip(*(values.split(sizes) for values in (face, across, along)), strict=True)
-        signed = torch.cat(
-            [checkpoint(_signed, flat, *part, softness_m, use_reentrant=False) for part in parts]  # type: ignore[misc]
-        )
+        signed = torch.cat([checkpoint(_signed, flat, *part, softness_m, use_reentrant=False) for part in parts])
     return Coverage(face, pixel, signed, len(corners), pixels)
 
 

@@ -195,7 +195,7 @@ def scattering_named(kind: str) -> type[Scattering]:
             "its package"
         )
     _check_methods(law)
-    return law  # type: ignore[no-any-return]
+    return law
 
 
 def softplus(values: Tensor) -> Tensor:

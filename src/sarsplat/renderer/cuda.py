@@ -93,7 +93,7 @@ class Pass:
             If there is not enough memory, here and below.
         """
         with self._memory():
-            return getattr(self, f"_{step}")(problem, *arguments)  # type: ignore[no-any-return]
+            return getattr(self, f"_{step}")(problem, *arguments)
 
     def backward(self, step: str, problem: ctypes.Structure, *arguments: object) -> None:
         """Run the adjoint of the last forward call."""

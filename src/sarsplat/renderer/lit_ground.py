@@ -81,7 +81,7 @@ def lit_ground(
         patches.append((Axis(near, dy / math.tan(theta), rows), Axis(x - dx / 2, dx, columns)))
     left = ends.transmittance
     if not plain and left.dtype == torch.float32 and left.device.type == "cpu":
-        return _Engine.apply(left, shift, patches, grid)  # type: ignore[no-any-return]
+        return _Engine.apply(left, shift, patches, grid)
     return plain_lit_ground(left, shift, patches, grid)
 
 

@@ -94,7 +94,7 @@ def lit_terrain(
     left = ends.transmittance
     arguments = left, gamma0, shift, patches, pitch_m, grid, rays.spacing_m[1]
     if not plain and left.dtype == torch.float32 and left.device.type == "cpu":
-        return _Engine.apply(*arguments)  # type: ignore[no-any-return]
+        return _Engine.apply(*arguments)
     return plain_lit_terrain(*arguments)
 
 

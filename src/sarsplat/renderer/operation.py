@@ -48,7 +48,7 @@ class Operation(ABC):
 
     def of(self, *inputs: Tensor | None) -> tuple[Tensor, ...]:
         """The outputs, differentiable once."""
-        return _Call.apply(self, *inputs)  # type: ignore[no-any-return]
+        return _Call.apply(self, *inputs)
 
 
 class _Call(torch.autograd.Function):

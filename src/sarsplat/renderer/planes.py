@@ -11,12 +11,11 @@ import torch
 from jaxtyping import Complex, Float, Float64
 from torch import Tensor
 
-from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
 from sarsplat.gaussians.law_polarimetric import Polarimetric, covariances_between
 from sarsplat.gaussians.scattering import Scattering
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.geometry.stack import Stack
-from sarsplat.renderer.checks import MAX_OPTICAL_DEPTH
 from sarsplat.renderer.constants import MIN_RAY_DEPTH
 from sarsplat.renderer.elevations import elevated
 from sarsplat.renderer.footprints import Waves

@@ -38,7 +38,7 @@ def shared(
     `by_view` are the arrays with a row for each view; `planes` is one that `some` fills when gradients are computed.
     """
     job = _Job(processes, some, by_view, views, shapes, planes)
-    return _Shared.apply(job, *arrays)  # type: ignore[no-any-return]
+    return _Shared.apply(job, *arrays)
 
 
 class _Job:

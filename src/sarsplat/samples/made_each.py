@@ -35,7 +35,7 @@ def made_each(work: Callable[[int], T], indices: Sequence[int]) -> Iterator[T]:
     loader = DataLoader(
         _Work(work),
         batch_size=None,
-        sampler=[indices[first : first + _TOGETHER] for first in range(0, len(indices), _TOGETHER)],  # type: ignore[arg-type]
+        sampler=[indices[first : first + _TOGETHER] for first in range(0, len(indices), _TOGETHER)],
         num_workers=processes,
         multiprocessing_context="fork",
         worker_init_fn=_end_with_the_first,
@@ -59,7 +59,7 @@ class _Work(Dataset[list[T | Exception]], Generic[T]):
     def __init__(self, work: Callable[[int], T]) -> None:
         self._work = work
 
-    def __getitem__(self, indices: Sequence[int]) -> list[T | Exception]:  # type: ignore[override]
+    def __getitem__(self, indices: Sequence[int]) -> list[T | Exception]:
         made: list[T | Exception] = []
         try:
             made += map(self._work, indices)
