@@ -21,7 +21,7 @@ from sarsplat.geometry import View, radar_frame
 _SIDES = 72
 _HARDLY, _WEAKLY = 10.0, 3.0
 """From which weakness on a shape cannot be determined, and from which on it is uncertain; see the calibration in
-docs/datasets-and-runs.md."""
+docs/reference/checks.md."""
 
 _GRAZINGS = (15.0, 30.0, 45.0, 60.0, 75.0)  # degrees: what may be proposed
 

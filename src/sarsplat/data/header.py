@@ -20,7 +20,7 @@ Box = tuple[Point, Point]
 
 
 def about(text: str, **limits: Any) -> msgspec.Meta:
-    """What a field means, for docs/dataset.schema.json; the limits are checked by what is built from the value."""
+    """What a field means, for dataset.schema.json; the limits are checked by what is built from the value."""
     return msgspec.Meta(description=text, extra_json_schema=limits)
 
 

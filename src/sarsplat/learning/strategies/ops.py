@@ -20,7 +20,7 @@ _SPLIT_SHRINK = 1.6
 """A split Gaussian's two parts are this much smaller."""
 
 _OWN_PART = 0.6
-"""Of the optical depth, for each of the two: with 0.5 and 0.7 reconstructions were worse (docs/reconstruction.md)."""
+"""Of the optical depth, for each of the two; 0.5 and 0.7 were worse (docs/lab/2026-11-clean-surfaces.md)."""
 
 
 def rearrange(
