@@ -290,8 +290,8 @@ def section(results: dict[str, Any], devices: list[dict[str, Any]]) -> str:
         "## Beside plain PyTorch\n",
         wrapped(
             "The same results from PyTorch's own operations and automatic differentiation "
-            "([naive_torch.py](../../benchmarks/naive_torch.py)), and from sarsplat's engine in C++. It matters because a "
-            "training does this thousands of times."
+            "([naive_torch.py](../../benchmarks/naive_torch.py)), and from sarsplat's engine in C++. It matters "
+            "because a training does this thousands of times."
         ),
         beside_pytorch(parts),
         "## Beside the arithmetic alone\n",
