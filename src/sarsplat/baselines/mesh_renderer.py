@@ -1,4 +1,4 @@
-"""A triangle mesh as the radar sees it, softly: occlusion on a plane facing the radar, the image on azimuth × range.
+"""DSR's differentiable renderer of meshes: soft occlusion facing the radar, soft image on azimuth × slant range.
 
 After Fu & Xu, "Differentiable SAR renderer and image-based target reconstruction", IEEE TIP 2022; what was not
 published is listed in docs/concepts/baselines-dsr.md.
@@ -34,7 +34,7 @@ _MOST_PARTS = 4
 
 @dataclass(frozen=True)
 class Layers:
-    """What the mesh does to an image."""
+    """Images of what a mesh contributes: coverage, scattering and shadow."""
 
     target: Float[Tensor, "rows columns"]
     """β⁰ of the lit faces in units of `Scene.unit`."""

@@ -1,4 +1,4 @@
-"""How well the directions of views determine positions, and where they leave the shape open.
+"""Conditioning of the view directions: along which axis the training views determine positions worst.
 
 An image fixes a position in azimuth and slant range, and says nothing of the third direction, the view's elevation y_r.
 What all views together say of it is the mean of x_r x_rᵀ + z_r z_rᵀ = 1 − y_r y_rᵀ: its smallest eigenvalue is 1 where
@@ -28,7 +28,7 @@ _GRAZINGS = (15.0, 30.0, 45.0, 60.0, 75.0)  # degrees: what may be proposed
 
 @dataclass(frozen=True)
 class WeakestDirection:
-    """Where the views together tell least of positions.
+    """The direction along which the views determine positions worst, and by how much.
 
     Attributes
     ----------

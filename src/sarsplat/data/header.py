@@ -1,4 +1,4 @@
-"""What `dataset.json` holds, field by field; msgspec reads and writes it."""
+"""The schema of `dataset.json`, field by field; msgspec reads and writes it."""
 
 from __future__ import annotations
 

@@ -167,7 +167,7 @@ def side_by_side(points: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]
 
 
 def order_in_space(points: Float64[np.ndarray, "p 3"]) -> Int64[np.ndarray, " p"]:
-    """Their order in the leaves of a tree."""
+    """The order of the points in the leaves of a k-d tree."""
     return cKDTree(points, leafsize=64, compact_nodes=False, balanced_tree=False).indices
 
 

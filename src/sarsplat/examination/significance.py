@@ -1,4 +1,4 @@
-"""What many images say together: a difference counts if it is large enough, and hardly by chance."""
+"""Tests of significance over many images: a difference counts if it is large and unlikely by chance."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FEWEST = 5
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a number of images, or pairs of images, say of one alternative.
+    """Evidence of many images, or pairs of images, for one alternative.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class SideEvidence:
-    """How much a number of images, or pairs of images, say for each side of them being near the radar.
+    """Evidence of many images, or pairs of images, for each side being the near one.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class SideEvidence:
 
     @property
     def strongest(self) -> Side:
-        """The side for which most is said, perhaps by chance."""
+        """The side with the largest mean, significant or not."""
         return SIDES[int(self.mean.argmax())]
 
     @property

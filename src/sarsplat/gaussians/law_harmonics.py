@@ -32,7 +32,7 @@ class Harmonics(Scattering):
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Of degree 0 to 3."""
+        """Numbers of coefficients of degrees 0 to 3."""
         return 1, 4, 9, 16
 
     @property

@@ -194,7 +194,7 @@ class Sampler:
 
 
 def _divided(grid: ImageGrid, scene: Gaussians) -> int:
-    """Into how many a pixel is divided along each side, so that Gaussians are larger than its parts; an odd number."""
+    """Oversampling factor of the pixels, so that they are smaller than the Gaussians; odd."""
     smallest = scene.scales.amin(1).double().quantile(_SMALL).item()
     needed = math.ceil(max(grid.spacing_m) / (_FINE_ENOUGH * smallest))
     return min(needed + 1 - needed % 2, _FINEST)
@@ -223,7 +223,7 @@ def _widened(grid: ImageGrid) -> tuple[list[tuple[int, int]], ImageGrid]:
 
 
 def seed_of(seed: int, *place: int) -> int:
-    """A seed of its own for each place in a set, the same whatever else is drawn; below 2⁶³.
+    """Derive a seed for each item of a set, independent of what else is drawn; below 2⁶³.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Signals of a stack, scatterer by scatterer: shares no code with the renderer.
+"""Simulates the signals of a stack from point scatterers; shares no code with the renderer.
 
 Points with random complex amplitudes lie where rays first meet the mesh or the ground; every pass adds up the same
 points, each through the amplitude response and with the phase of its own distance. So speckle, layover, shadow and

@@ -155,7 +155,7 @@ class _Planes:
 
 
 def _some_at_a_time(count: int) -> Iterator[slice]:
-    """Parts of so many places."""
+    """Chunks of the places, to bound memory."""
     return (slice(first, min(first + _AT_ONCE, count)) for first in range(0, count, _AT_ONCE))
 
 
@@ -202,13 +202,13 @@ def _zero_surface(
 
 
 def _distinct(voxels: Int64[np.ndarray, "v 3"]) -> Int64[np.ndarray, "o 3"]:
-    """Each once, in order."""
+    """Unique rows, sorted."""
     order, first = _sorted(voxels)
     return voxels[order[first]]
 
 
 def _sorted(voxels: Int64[np.ndarray, "v 3"]) -> tuple[Int64[np.ndarray, " v"], Int64[np.ndarray, " d"]]:
-    """What sorts them, and where among the sorted ones others begin: `numpy.unique` of rows takes ten times as long."""
+    """Sorting permutation of rows, and where runs of equal rows begin; ten times as fast as `numpy.unique` of rows."""
     order = np.lexsort(voxels.T[::-1])
     ranked = voxels[order]
     return order, np.flatnonzero(np.append(True, (ranked[1:] != ranked[:-1]).any(axis=1)))

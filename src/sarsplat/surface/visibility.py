@@ -1,4 +1,4 @@
-"""What the radar saw of the Gaussians: from where, over which area, and how bright."""
+"""Per-Gaussian visibility summed over views: lit area, mean γ⁰ and mean direction to the radar."""
 
 from __future__ import annotations
 

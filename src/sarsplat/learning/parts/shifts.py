@@ -1,4 +1,4 @@
-"""Shifts: measured images are cut out around their targets, by eye."""
+"""Shifts: a displacement of each measured image, since chips are cut out around their targets by eye."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Shifts(Nuisance):
         return {"shift": torch.zeros(len(train), 2, device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """They are small."""
+        """Prior: shifts are small."""
         if self.settings.shift_std:
             yield normal_nats(p["shift"], self.settings.shift_std * self.setting.cell_m)
 
