@@ -41,12 +41,12 @@ class Evidence:
         """Mean over all; 0 if they are too few."""
         return float(self.values.mean()) if self.count else 0.0
 
-    def supports(self, least: float, chance: float = CHANCE) -> bool:
+    def supports(self, least: float, significance: float = CHANCE) -> bool:
         """Whether the mean exceeds `least`, and is positive not by chance."""
         if not self.count or self.mean <= least:
             return False
         error = float(self.values.std(ddof=1)) / math.sqrt(self.count)
-        return error == 0 or bool(stdtr(self.count - 1, -self.mean / error) < chance)
+        return error == 0 or bool(stdtr(self.count - 1, -self.mean / error) < significance)
 
     def against(self, least: float) -> bool:
         """Whether the mean is below −`least`, and negative not by chance."""
@@ -86,9 +86,9 @@ class SideEvidence:
         next_best, best = np.sort(self.mean)[-2:]
         return float(best - next_best)
 
-    def side(self, least: float, chance: float = CHANCE) -> Side | None:
+    def side(self, least: float, significance: float = CHANCE) -> Side | None:
         """The side that is ahead of each of the others by `least` and not by chance; None if there is none."""
         best = int(self.mean.argmax())
         others = np.delete(self.values, best, axis=1)
-        ahead = [Evidence(self.values[:, best] - other).supports(least, chance) for other in others.T]
+        ahead = [Evidence(self.values[:, best] - other).supports(least, significance) for other in others.T]
         return SIDES[best] if all(ahead) else None

@@ -291,10 +291,10 @@ class SceneModel:
         views: Sequence[View],
         grid: ImageGrid,
         numbers: Int64[Tensor, " v"] | None = None,
-        chance: np.random.Generator | None = None,
+        rng: np.random.Generator | None = None,
     ) -> Shot:
         """Imaging conditions of these views (shift, gain, …), as the parts state them: see `Shot`."""
-        shot = Shot(views, grid, self.power_channel, numbers, chance)
+        shot = Shot(views, grid, self.power_channel, numbers, rng)
         for part in self.parts:
             shot = part.shot(shot, self.parameters)
         return shot

@@ -25,7 +25,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.progress import stage
 from sarsplat.radiometry import shade
 from sarsplat.surface.visibility import Seen
-from sarsplat.unbroken import unbroken
+from sarsplat.uninterruptible import uninterruptible
 
 if TYPE_CHECKING:
     import trimesh
@@ -88,7 +88,7 @@ def surface_mesh(
             vertices, faces = _zero_surface(planes, marching_cubes, lambda share: shown.update(_SEARCH * share))
             near = np.empty(len(vertices), bool)
             for part in _some_at_a_time(len(vertices)):
-                near[part] = unbroken(planes.tree.query, vertices[part], workers=-1)[0] <= _REACH * planes.unit_m
+                near[part] = uninterruptible(planes.tree.query, vertices[part], workers=-1)[0] <= _REACH * planes.unit_m
                 shown.update(_SEARCH + (_NEAR - _SEARCH) * part.stop / len(vertices))
             vertices, faces = _without_crumbs(vertices, faces[near[faces].all(axis=1)], planes.unit_m)
             if len(faces):
@@ -133,7 +133,7 @@ class _Planes:
         distance, normal = np.empty(len(places)), np.empty((len(places), 3))
         count = np.arange(1, min(_NEIGHBOURS, len(self.oriented)) + 1)
         for part in _some_at_a_time(len(places)):
-            apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
+            apart, index = uninterruptible(self.tree.query, places[part], k=count, workers=-1)
             for few in range(0, len(apart), _SUMMED):
                 some = slice(few, few + _SUMMED)
                 place, plane = self._means(apart[some], index[some])

@@ -37,8 +37,8 @@ class Gains(Nuisance):
     def shot(self, shot: Shot, p: Parameters) -> Shot:
         if shot.numbers is not None:
             return shot
-        if shot.chance is not None:
-            return replace(shot, gain=drawn_like(gains(p).log(), len(shot.views), shot.chance).exp())
+        if shot.rng is not None:
+            return replace(shot, gain=drawn_like(gains(p).log(), len(shot.views), shot.rng).exp())
         return replace(shot, additive=gains(p).reciprocal().mean())
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:

@@ -62,8 +62,8 @@ class Shot:
     """The channel of the images that is β⁰."""
     numbers: Int64[Tensor, " v"] | None
     """Which training images they are. None for unseen ones: of what belongs to single images (shift, gain), only the
-    distribution is known, and their expectation is rendered, unless `chance` draws from it."""
-    chance: np.random.Generator | None = None
+    distribution is known, and their expectation is rendered, unless `rng` draws from it."""
+    rng: np.random.Generator | None = None
     """Draws what belongs to single unseen images."""
     shift: Float[Tensor, "v 2"] | None = None
     """Displacement (azimuth, range) of each image, m."""
@@ -180,10 +180,10 @@ class Nuisance(Part):
         self.settings = config.surroundings
 
 
-def drawn_like(values: Float[Tensor, "n ..."], count: int, chance: np.random.Generator) -> Float[Tensor, "{count} ..."]:
+def drawn_like(values: Float[Tensor, "n ..."], count: int, rng: np.random.Generator) -> Float[Tensor, "{count} ..."]:
     """Random values for unseen images, normal with the mean and standard deviation of the learned ones."""
     mean, std = values.detach().mean(0), values.detach().std(0, correction=0)
-    normal = torch.from_numpy(chance.standard_normal((count, *values.shape[1:]), np.float32))
+    normal = torch.from_numpy(rng.standard_normal((count, *values.shape[1:]), np.float32))
     return mean + std * normal.to(values.device)
 
 

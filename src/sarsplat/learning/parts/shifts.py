@@ -38,8 +38,8 @@ class Shifts(Nuisance):
     def shot(self, shot: Shot, p: Parameters) -> Shot:
         if shot.numbers is not None:
             return replace(shot, shift=p["shift"][shot.numbers])
-        if shot.chance is not None:
-            return replace(shot, shift=drawn_like(p["shift"], len(shot.views), shot.chance))
+        if shot.rng is not None:
+            return replace(shot, shift=drawn_like(p["shift"], len(shot.views), shot.rng))
         widened = shot.grid.widened(*p["shift"].detach().var(dim=0, correction=0).tolist())
         return replace(shot, grid=widened, shift=p["shift"].mean(0).expand(len(shot.views), 2))
 

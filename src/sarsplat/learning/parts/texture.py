@@ -50,7 +50,7 @@ class Texture(Nuisance):
         if shot.numbers is not None:
             factor = self.maps.among_images[shot.numbers]
         else:
-            factor = self.maps.factor(shot.views, shot.grid, None if shot.chance is None else shot.shift)
+            factor = self.maps.factor(shot.views, shot.grid, None if shot.rng is None else shot.shift)
         return images * factor[:, None]
 
     def state(self) -> Parameters:

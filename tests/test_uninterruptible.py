@@ -8,14 +8,14 @@ PROGRAM = """
 import os, signal, threading
 import numpy as np
 from scipy.spatial import cKDTree
-from sarsplat.unbroken import unbroken
+from sarsplat.uninterruptible import uninterruptible
 
 points = np.random.default_rng(0).normal(size=(60_000, 3))
 tree = cKDTree(points)
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background process starts without
 threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
 try:
-    unbroken(tree.query, points, k=64, workers=-1)
+    uninterruptible(tree.query, points, k=64, workers=-1)
 except KeyboardInterrupt:
     print("interrupted", flush=True)
 """

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 
-def unbroken(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+def uninterruptible(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """The result of a call that Ctrl-C does not interrupt.
 
     scipy's searches with `workers=-1` need this: their threads continue to write into an array that the interrupted
