@@ -4,7 +4,7 @@
 # make engine  the kernels alone, after a change to their sources, for this machine's instruction set: no pip, no network
 # make guard   whether the last `make demo` still scores what it did
 # make figures pictures with their tables: buildings, vehicles, splatting against ray casting, reconstructions, a village
-# make bench   speed and memory beside plain PyTorch and beside the arithmetic alone; fills docs/performance.md (3 minutes)
+# make bench   speed and memory beside plain PyTorch and beside the arithmetic alone; fills docs/reference/performance.md (3 minutes)
 # make tables  every experiment, beside the paper's tables and other methods, to docs/results (hours; resumable);
 #              QUICK=1 tries it in minutes, ONLY="density loss" runs some; those with measured chips need CHIPS, LABELS and
 #              MASKS: the folder of MSTAR chips, their table and the folder of their masks
@@ -13,7 +13,7 @@
 # make wheels  a wheel for every platform in dist/ (four minutes the first time)
 # make check-wheel  their contents; this machine's wheel is installed into an empty environment and tested there
 # make docs    the documentation as a site, site/index.html, its tutorials executed (minutes the first time)
-# make primer  the pictures of docs/primer.md; make sweep  the README's animation, from the last `make demo`
+# make primer  the pictures of docs/learn/primer.md; make sweep  the README's animation, from the last `make demo`
 # make lint    style and types
 # make clean   remove everything created here, including the environment
 #
@@ -95,7 +95,7 @@ wheels: $(TEST_READY)
 check-wheel: wheels
 	$(call step,install the wheel into an empty environment and try it,$(BIN)/python tests/wheel.py)
 
-# Also the tables of docs/forward-model.md and docs/images/buildings.png.
+# Also the tables of docs/reference/forward-model.md and docs/images/buildings.png.
 figures: $(TEST_READY)
 	$(call step,buildings: both forward models against the closed form,$(BIN)/python docs/draw_buildings.py)
 	$(call step,splat against ray cast: one mesh through both forward models,$(BIN)/python docs/draw_splat_against_raycast.py)
@@ -111,7 +111,7 @@ figures: $(TEST_READY)
 bench: $(TEST_READY)
 	$(call step,bench: speed and memory of every part (takes minutes; keep the machine idle),\
 	  $(BIN)/python benchmarks/bench.py --out benchmarks/results)
-	$(call step,docs/performance.md from benchmarks/results,$(BIN)/python benchmarks/performance_page.py)
+	$(call step,docs/reference/performance.md from benchmarks/results,$(BIN)/python benchmarks/performance_page.py)
 
 # Finished runs stay in runs/tables: end it at any time and start it again.
 tables: $(TEST_READY)

@@ -1,7 +1,7 @@
 """Every benchmark, or those named: ratios first, absolute times second.
 
 With --out the results of all parts are written to FOLDER/cpu.json and, where there is a GPU, those of cuda_suite.py
-beside it; `make bench` does that and fills docs/performance.md from them.
+beside it; `make bench` does that and fills docs/reference/performance.md from them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fill docs/performance.md and docs/images/growth.png from the files in benchmarks/results.
+"""Fill docs/reference/performance.md and docs/images/growth.png from the files in benchmarks/results.
 
 Run as the last step of `make bench`, or as `python benchmarks/performance_page.py`.
 """
@@ -23,7 +23,7 @@ sys.path.insert(0, str(REPOSITORY / "docs"))
 
 from fill_block import fill_block
 
-PAGE, PICTURE = REPOSITORY / "docs" / "performance.md", REPOSITORY / "docs" / "images" / "growth.png"
+PAGE, PICTURE = REPOSITORY / "docs" / "reference" / "performance.md", REPOSITORY / "docs" / "images" / "growth.png"
 
 
 Row = tuple[str, ...]
@@ -284,14 +284,14 @@ def markdown(head: Row, rows: Sequence[Row]) -> str:
 def section(results: dict[str, Any], devices: list[dict[str, Any]]) -> str:
     """All of it, as Markdown."""
     parts = results["parts"]
-    picture = "![Time for image and gradients against the number of Gaussians and of pixels](images/growth.png)\n"
+    picture = "![Time for image and gradients against the number of Gaussians and of pixels](../images/growth.png)\n"
     said = [
         how(results["machine"]),
         "## Beside plain PyTorch\n",
         wrapped(
             "The same results from PyTorch's own operations and automatic differentiation "
-            "([naive_torch.py](../benchmarks/naive_torch.py)), and from sarsplat's engine in C++. It matters because a "
-            "training does this thousands of times."
+            "([naive_torch.py](../../benchmarks/naive_torch.py)), and from sarsplat's engine in C++. It matters "
+            "because a training does this thousands of times."
         ),
         beside_pytorch(parts),
         "## Beside the arithmetic alone\n",

@@ -1,4 +1,4 @@
-"""Fill docs/scaling.md and docs/images/scaling.png from scenes-quick.json, tiles.json and fleets.json.
+"""Fill docs/reference/scaling.md and docs/images/scaling.png from scenes-quick.json, tiles.json and fleets.json.
 
 These, in benchmarks/results, are written by `python benchmarks/scenes.py quick`, `python benchmarks/tiles.py` and
 `python benchmarks/fleets.py`, on an idle machine.
@@ -17,7 +17,7 @@ from results import REPOSITORY, RESULTS
 sys.path.insert(0, str(REPOSITORY / "docs"))
 from fill_block import fill_block
 
-PAGE, PICTURE = REPOSITORY / "docs" / "scaling.md", REPOSITORY / "docs" / "images" / "scaling.png"
+PAGE, PICTURE = REPOSITORY / "docs" / "reference" / "scaling.md", REPOSITORY / "docs" / "images" / "scaling.png"
 COLOURS = {"simulate": "#4878a8", "train": "#c0392b", "render by tiles": "#7a9a3a"}
 VIEWS = 24
 SCENE_KM2, PIXEL_M, TARGETS, CORES = 1000.0, 0.3, 100_000, 1000  # what is projected
@@ -55,7 +55,7 @@ def fleet_lines(fleets: dict[str, Any]) -> list[str]:
     """What a sweep costs, as Markdown."""
     executors = {"local": "local processes", "ray": "Ray, two nodes"}
     lines = [
-        f"Runs of [a sweep](how-to/sweep.md), {fleets['processes']} at a time, one thread each; load before: "
+        f"Runs of [a sweep](../how-to/sweep.md), {fleets['processes']} at a time, one thread each; load before: "
         f"{fleets['machine']['load']:.1f}. The smallest run, 5 iterations on 32² pixels, is hardly more than what a "
         "sweep itself costs:",
         "",

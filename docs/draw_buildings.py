@@ -1,7 +1,7 @@
 """Draw the paper's buildings A, B and C, and measure edges and levels in their images against the closed form.
 
 Run as `python docs/draw_buildings.py`, or with the other figures as `make figures`. Writes figures/building-*.png and
-docs/images/buildings.png, prints the tables and fills them into docs/forward-model.md.
+docs/images/buildings.png, prints the tables and fills them into docs/reference/forward-model.md.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from sarsplat.scenes import BUILDINGS, Building, BuildingProfile, Gamma0, buildi
 from sarsplat.scenes.simulate import simulate_images
 
 HERE = Path(__file__).parent
-FIGURES, PICTURE, PAGE = HERE.parent / "figures", HERE / "images" / "buildings.png", HERE / "forward-model.md"
+FIGURES, PICTURE = HERE.parent / "figures", HERE / "images" / "buildings.png"
+PAGE = HERE / "reference" / "forward-model.md"
 
 GRID = ImageGrid(144, 80, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 LAW = ScatteringLaw(floor=1.0, lobe=0.0)  # the same at every angle: the faces' own factor is their γ⁰

@@ -1,4 +1,4 @@
-"""Draw docs/images/channels.png: the signs of docs/channels.md, one drawing for each, and what the library does.
+"""Draw docs/images/channels.png: the signs of docs/concepts/stacks.md, one drawing for each, and what the library does.
 
 Run as `python docs/draw_channels.py`, or with the other figures as `make figures`. Angles between passes are drawn much
 larger than they are.

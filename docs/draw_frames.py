@@ -1,4 +1,4 @@
-"""Draw docs/images/frames.png: the frames, the angles and the image array of docs/conventions.md.
+"""Draw docs/images/frames.png: the frames, the angles and the image array of docs/reference/conventions.md.
 
 Run as `python docs/draw_frames.py`. The vehicle and its image are the library's own, seen from the angles shown.
 """

@@ -1,7 +1,7 @@
 """A parking lot from measured phase history, and how sharp a calibration target is in it.
 
 Run as `python docs/draw_gotcha.py FILES`, with the files of azimuths 1° to 4° of AFRL's GOTCHA, pass 1, HH. Writes
-docs/images/gotcha.png and prints what docs/phase-history.md says of the target.
+docs/images/gotcha.png and prints what docs/reference/formats/phase-history.md says of the target.
 """
 
 from __future__ import annotations

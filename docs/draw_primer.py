@@ -1,4 +1,4 @@
-"""Draw the six pictures of docs/primer.md: docs/images/primer-*.png.
+"""Draw the six pictures of docs/learn/primer.md: docs/images/primer-*.png.
 
 Run as `python docs/draw_primer.py` (`make primer`). Every radar image is made by the library's ray caster or renderer.
 """

@@ -1,7 +1,7 @@
 """Image one mesh through both forward models, and measure what separates them.
 
 Run as `python docs/draw_splat_against_raycast.py`, or with the other figures as `make figures`. Writes
-figures/splat-against-raycast.png, prints the tables and fills them into docs/forward-model.md.
+figures/splat-against-raycast.png, prints the tables and fills them into docs/reference/forward-model.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sarsplat.radiometry import brighter
 from sarsplat.scenes import law_scattering, surface_gaussians
 
 HERE = Path(__file__).parent
-FIGURES, PAGE = HERE.parent / "figures", HERE / "forward-model.md"
+FIGURES, PAGE = HERE.parent / "figures", HERE / "reference" / "forward-model.md"
 
 MESH, LAW, GRID = target_mesh("t72"), ScatteringLaw(), paper_grid()
 VIEWS = (View(0.0, 15.0), View(30.0, 45.0), View(90.0, 75.0), View(135.0, 45.0))

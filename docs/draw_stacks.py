@@ -1,7 +1,7 @@
 """Reconstruct a building in layover from single looks: a table of three seeds beside Capon's method, and a slice.
 
 Run as `python docs/draw_stacks.py`, or with the other figures as `make figures`; minutes. Writes the table of
-docs/channels.md and docs/images/stacks.png.
+docs/concepts/stacks.md and docs/images/stacks.png.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def main() -> None:
             cells = [" ".join(f"{value:.3f}" for value in column) for column in zip(*values, strict=True)]
             rows.append(f"| {name} | {method} | {' | '.join(cells)} |\n")
     head = "\n| | | F1, 0.5 m | walls found | roof found | F1, 0.75 m |\n|---|---|---|---|---|---|\n"
-    fill_block(DOCS / "channels.md", "stacks", head + "".join(rows) + "\n")
+    fill_block(DOCS / "concepts" / "stacks.md", "stacks", head + "".join(rows) + "\n")
     assert drawn is not None
     draw(*drawn)
 

@@ -2,7 +2,7 @@
 
 Run as `python docs/draw_vehicles.py`, or with the other figures as `make figures`. Writes figures/vehicles.png and
 docs/images/vehicles.png. Where the measured chips are at hand (../shared/data/mstar) it also writes
-figures/t72-beside-mstar.png, prints the tables and fills them into docs/vehicles.md.
+figures/t72-beside-mstar.png, prints the tables and fills them into docs/reference/vehicles.md.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from sarsplat.radiometry import to_db
 from sarsplat.scenes import add_speckle, mstar_grid, simulate_raycast, target_mesh
 
 HERE = Path(__file__).parent
-FIGURES, PICTURE, PAGE = HERE.parent / "figures", HERE / "images" / "vehicles.png", HERE / "vehicles.md"
+FIGURES, PICTURE, PAGE = HERE.parent / "figures", HERE / "images" / "vehicles.png", HERE / "reference" / "vehicles.md"
 CHIPS = HERE.parents[1] / "shared" / "data" / "mstar"
 
 NAMES = {"t72": "T-72", "btr70": "BTR-70", "2s1": "2S1", "kraz": "KrAZ-255B"}
 GRAZING = 17.0
-GROUND = 0.04  # γ⁰: −14 dB, grass at X-band near grazing; see docs/vehicles.md
+GROUND = 0.04  # γ⁰: −14 dB, grass at X-band near grazing; see docs/reference/vehicles.md
 OBLIQUE = View(320.0, 22.0)
 AZIMUTHS = (0, 45, 90, 135, 180, 225, 270, 315)
 COUNT = 36  # measured chips that are compared, evenly around the vehicle
@@ -204,7 +204,8 @@ def main() -> None:
     draw_around()
     if not (CHIPS / "labels.csv").is_file():
         print(
-            f"There are no measured chips in {CHIPS}, so the T-72 is not compared and docs/vehicles.md stays as it is."
+            f"There are no measured chips in {CHIPS}, so the T-72 is not compared and "
+            "docs/reference/vehicles.md stays as it is."
         )
         return
     text = compare()

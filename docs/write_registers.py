@@ -1,4 +1,4 @@
-"""Write the registers of the CUDA kernels, and what they spill, as NVRTC says, into docs/engine.md; needs no GPU."""
+"""Write the registers of CUDA kernels, and what they spill, as NVRTC says, into concepts/engines.md; needs no GPU."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fill_block import fill_block
 from sarsplat.renderer import nvrtc
 from sarsplat.renderer.nvrtc import Nvrtc, sources
 
-PAGE = Path(__file__).with_name("engine.md")
+PAGE = Path(__file__).parent / "concepts" / "engines.md"
 ARCHITECTURES = ("sm_75", "sm_80", "sm_90", "sm_120")
 
 _KERNEL = re.compile(r"properties for (\w+)\s.*?(\d+) bytes spill stores.*?Used (\d+) registers", re.DOTALL)

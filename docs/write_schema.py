@@ -1,4 +1,4 @@
-"""Write docs/dataset.schema.json, and the fields in docs/formats.md, from the types that read dataset.json."""
+"""Write dataset.schema.json, and the fields in dataset.md beside it, from the types that read dataset.json."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fill_block import fill_block
 
 from sarsplat.data.header import DatasetHeader
 
-DOCS = Path(__file__).parent
+FORMATS = Path(__file__).parent / "reference" / "formats"
 
 
 def schema() -> dict[str, Any]:
@@ -58,5 +58,5 @@ def _kind(field: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    (DOCS / "dataset.schema.json").write_text(schema_text(), encoding="utf-8")
-    fill_block(DOCS / "formats.md", "fields", field_table())
+    (FORMATS / "dataset.schema.json").write_text(schema_text(), encoding="utf-8")
+    fill_block(FORMATS / "dataset.md", "fields", field_table())

@@ -66,8 +66,8 @@ _CHIPS = [
     )
 ]
 
-_ABOUT = """SAR-NeRF and DSR, written afresh ([docs/baselines.md](../baselines.md)), beside sarsplat on the same images,
-scored the same way, one training at a time, on one thread. *In our time*: as many iterations
+_ABOUT = """SAR-NeRF and DSR, written afresh ([other methods](../concepts/baselines.md)), beside sarsplat on the same
+images, scored the same way, one training at a time, on one thread. *In our time*: as many iterations
 as fit into the time that sarsplat takes, the learning rate falling within them; *full*: as long as the settings
 say. The perceptron's training would take months: it gets ten minutes, and is left out where hundreds of chips
 would have to be rendered, each of which takes it ten seconds. Points of measured chips are held against a procedural

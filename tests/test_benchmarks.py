@@ -1,4 +1,4 @@
-"""`make bench` in small: the parts run, and docs/performance.md can be made of what they find."""
+"""`make bench` in small: the parts run, and docs/reference/performance.md can be made of what they find."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BENCHMARKS = ROOT / "benchmarks"
 
 @pytest.fixture
 def generator(module) -> ModuleType:
-    """What fills docs/performance.md."""
+    """What fills docs/reference/performance.md."""
     return module("benchmarks/performance_page")
 
 
@@ -62,7 +62,7 @@ DEVICE = {"device": "Wheel", "sections": {name: {"done": True, "found": found} f
 
 
 def test_the_page_is_what_the_committed_results_say(generator):
-    text = (ROOT / "docs" / "performance.md").read_text()
+    text = (ROOT / "docs" / "reference" / "performance.md").read_text()
     devices = [json.loads(path.read_text()) for path in sorted((BENCHMARKS / "results").glob("cuda-*.json"))]
     assert generator.section(results(), devices) in text
 

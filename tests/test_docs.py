@@ -165,8 +165,17 @@ def test_the_readme_is_short():
     assert (ROOT / "docs" / "images" / "sweep.gif").stat().st_size <= 1.5e6
 
 
+def test_the_lab_notes_are_listed_by_their_titles():
+    lab = ROOT / "docs" / "lab"
+    titles = {
+        note.name: note.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ") for note in lab.glob("2*.md")
+    }
+    listed = re.findall(r"^- .*: \[(.*)\]\((.*)\)$", (lab / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted((name, title) for title, name in listed) == sorted(titles.items())
+
+
 def test_the_page_of_the_command_line_shows_every_command():
-    shown = {words_of(command)[0] for command in commands(ROOT / "docs" / "command-line.md")}
+    shown = {words_of(command)[0] for command in commands(ROOT / "docs" / "reference" / "command-line.md")}
     assert shown == set(COMMANDS)
 
 
@@ -194,7 +203,7 @@ def test_cheap_commands_in_pages_work(bench, capfd):
 
 
 def test_names_in_the_paper_map_exist():
-    text = (ROOT / "docs" / "paper-map.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "concepts" / "paper-map.md").read_text(encoding="utf-8")
     references = re.findall(r"`([\w/]+\.(?:py|h))`(?:: ((?:`\w+`(?:, )?)+))?", text)
     assert len(references) > 20
     for file, names in references:
@@ -226,7 +235,7 @@ def test_results_table_comes_from_metrics_and_leaves_gaps_open(module):
 
 
 def test_documented_metrics_are_those_of_the_registry():
-    text = (ROOT / "docs" / "datasets-and-runs.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "formats" / "run.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(images\.<set>|points\.<surface>)\.(.*?)` \| (.*) \|$", text, re.MULTILINE)
     every: tuple[Any, ...] = (*IMAGE_METRICS, *MASK_METRICS)
     expected = [("images.<set>", metric.key, metric.definition) for metric in every]
@@ -236,7 +245,7 @@ def test_documented_metrics_are_those_of_the_registry():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["getting-started.md", "command-line.md"])
+@pytest.mark.parametrize("page", ["learn/getting-started.md", "reference/command-line.md"])
 def test_commands_of_a_page_work_in_the_order_shown(page, tmp_path):
     """As printed; measured chips only where there are some."""
     target_mesh("t72").export(tmp_path / "vehicle.obj")

@@ -53,6 +53,12 @@ def test_every_folder_has_a_place_in_the_order():
     assert {p.parent.name for p in PACKAGE.glob("*/__init__.py")} == set(RANK)
 
 
+def test_contributing_has_a_map_of_the_rooms_in_this_order():
+    page = (PACKAGE.parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| .+ \|$", page, re.MULTILINE)
+    assert rows == [folder for folders in ORDER for folder in folders]
+
+
 @pytest.mark.parametrize("folder", RANK)
 def test_imports_run_one_way(folder):
     wrong = [

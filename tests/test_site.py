@@ -84,7 +84,7 @@ def test_nothing_is_loaded_from_elsewhere(site, pages):
 
 
 def test_every_public_name_is_in_the_reference(site, pages):
-    known = set().union(*(page.ids for path, page in pages.items() if path.parent.name == "api"))
+    known = set().union(*(page.ids for path, page in pages.items() if path.parent.name == "python"))
     missing = []
     lazy = (
         *("settings", "surface", "examination", "learning", "runs"),
@@ -103,9 +103,9 @@ def test_every_public_name_is_in_the_reference(site, pages):
 def test_the_home_page_is_the_readme_and_search_needs_no_server(site):
     home = (site / "index.html").read_text(encoding="utf-8")
     assert 'src="images/sweep.gif"' in home
-    assert 'href="getting-started.html"' in home
+    assert 'href="learn/getting-started.html"' in home
     index = json.loads((site / "search" / "search_index.js").read_text(encoding="utf-8").removeprefix("var __index = "))
-    assert {"primer.html", "tutorials/own_mesh.html", "api/renderer.html"} <= {
+    assert {"learn/primer.html", "tutorials/own_mesh.html", "reference/python/renderer.html"} <= {
         entry["location"].partition("#")[0] for entry in index["docs"]
     }
 
@@ -127,8 +127,8 @@ def test_a_link_that_leads_nowhere_stops_the_build(tmp_path):
             (copy / path.name).symlink_to(path)
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     (copy / "mkdocs.yml").write_text(re.sub(r"  - mkdocstrings:\n(?:    .*\n)+", "", settings), encoding="utf-8")
-    with (copy / "docs" / "limits.md").open("a", encoding="utf-8") as page:
-        page.write("\n[nowhere](conventions.md#nowhere-at-all) [gone](gone.md) [out](../examples/gone.py)\n")
+    with (copy / "docs" / "reference" / "limits.md").open("a", encoding="utf-8") as page:
+        page.write("\n[nowhere](conventions.md#nowhere-at-all) [gone](gone.md) [out](../../examples/gone.py)\n")
     done = python("-m", "mkdocs", "build", "--site-dir", tmp_path / "site", cwd=copy)
     assert done.returncode != 0
     for link in ("#nowhere-at-all", "gone.md", "gone.py"):
@@ -138,7 +138,7 @@ def test_a_link_that_leads_nowhere_stops_the_build(tmp_path):
 @pytest.mark.slow
 def test_a_browser_asks_nothing_of_other_machines(site):
     with chromium() as browser:
-        for name in ("index.html", "tutorials/own_mesh.html", "api/renderer.html"):
+        for name in ("index.html", "tutorials/own_mesh.html", "reference/python/renderer.html"):
             browser.page.open((site / name).as_uri())
             browser.page.value(
                 "new Promise(done => setTimeout(done, 1000))"

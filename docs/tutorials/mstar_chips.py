@@ -5,8 +5,9 @@
 # any good. The public MSTAR chips are not part of sarsplat, so this notebook makes
 # chips of its own in the same form: JPEGs of single-look magnitude with near range at
 # the bottom, and a table of labels. To use real ones, set the environment variable
-# `MSTAR_CHIPS` to their folder, with `labels.csv` in it ([its
-# columns](../datasets-and-runs.md#the-table-of-labels)), and run the notebook again.
+# `MSTAR_CHIPS` to their folder, with `labels.csv` in it
+# ([its columns](../reference/formats/mstar.md#the-table-of-labels)),
+# and run the notebook again.
 
 # %%
 import csv
@@ -35,7 +36,7 @@ from sarsplat import (
 # A T-72-like target on grass, seen from 36 directions at a grazing angle of 17°. The
 # magnitude is the root of power. An angle called TargetAz labels each chip; it runs the
 # other way round than sarsplat's azimuth
-# ([conventions](../conventions.md#6-measured-chips-mstar)).
+# ([conventions](../reference/formats/mstar.md#6-measured-chips-mstar)).
 
 
 # %%
@@ -109,8 +110,8 @@ dataset[0]
 # ## Reconstruct
 #
 # The preset `measured` models speckle, ground, side lobes, shifts and gains of the
-# chips ([term by term](../measured-data.md)). It takes 800 iterations; 200 are enough
-# to see how it goes.
+# chips ([term by term](../concepts/measured-chips.md)). It takes 800 iterations; 200
+# are enough to see how it goes.
 
 # %%
 run = reconstruct(dataset, replace(preset("measured"), iterations=200), quiet=True)
@@ -154,6 +155,6 @@ for name, score in found.items():
 # %% [markdown]
 # More chips, more iterations (`preset("measured")` as it is) and several depressions
 # (`train_depression=[15, 17, 30]`) help. What was measured on the real chips is in
-# [Measured chips, term by term](../measured-data.md) and in the
+# [Measured chips, term by term](../concepts/measured-chips.md) and in the
 # [README](../../README.md#measured-images). On the command line the same is `sarsplat
 # import mstar`, `sarsplat reconstruct`, `sarsplat evaluate`.

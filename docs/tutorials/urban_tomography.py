@@ -9,7 +9,7 @@
 # This tutorial simulates such a stack of images and looks at its power, its phases and
 # its coherence. Then it finds the heights twice: pixel by pixel with Capon's method, a
 # classic of SAR tomography, and by a reconstruction from all pixels and passes at once.
-# [Stacks](../channels.md) has the conventions.
+# [Stacks](../concepts/stacks.md) has the conventions.
 
 # %%
 import matplotlib.pyplot as plt
@@ -207,4 +207,4 @@ for name, whose in (("Capon", "capon"), ("reconstruction", "points")):
 # `write_report(run, "building.html")` writes a page with the phase, the coherence and a
 # slice through the brightest layover. On the command line, `sarsplat simulate --passes`
 # makes such stacks, and `reconstruct`, `evaluate` and `report` are the same as for any
-# other images ([how](../channels.md#reconstruction)).
+# other images ([how](../concepts/stacks.md#reconstruction)).

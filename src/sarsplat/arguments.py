@@ -1,4 +1,4 @@
-"""What public functions are given: an argument of another kind than its annotation says is refused in one sentence."""
+"""Argument checks of public functions: an argument of another type than its annotation is refused in one sentence."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _ONE_THING = (str, bytes, os.PathLike)
 
 
 def checks_arguments(function: F) -> F:
-    """The function, which first refuses arguments of other kinds than its annotations name.
+    """Decorate a function so that it refuses arguments of other types than its annotations name.
 
     Kinds are classes, paths, numbers, arrays, functions, mappings and sequences of them. Shapes, ranges and choices
     are left to the function; it raises a SarsplatError in either case, here before anything is done.
@@ -69,7 +69,7 @@ def checks_arguments(function: F) -> F:
 
 
 def expect(kind: Any, **values: object) -> None:
-    """Refuse values, by name, that are not of a kind, in the same words."""
+    """Refuse values that are not of a type; names and wording as in `checks_arguments`."""
     for name, value in values.items():
         _expect(tuple(_alternatives(kind)), name, value)
 
@@ -89,7 +89,7 @@ def described(value: object) -> str:
 
 @cache
 def _kinds(function: Callable[..., Any]) -> dict[str, tuple[Any, ...]]:
-    """The kinds that each parameter may be of; of a class that is imported for types alone, its name."""
+    """The types that each parameter accepts; a class that is imported for type checkers alone is given by its name."""
     known = vars(sys.modules[function.__module__])
     kinds: dict[str, tuple[Any, ...]] = {}
     for name, hint in function.__annotations__.items():
@@ -137,7 +137,7 @@ def _is(value: object, kind: Any) -> bool:
 
 
 def _items(kind: Any) -> tuple[Any, ...]:
-    """What each member of a series may be."""
+    """The types that each item of a sequence may have."""
     return tuple(_alternatives(next(iter(typing.get_args(kind)), Any)))
 
 
@@ -148,7 +148,7 @@ def _fixed(kind: Any) -> int:
 
 
 def _instead(value: object, kinds: Sequence[Any]) -> str:
-    """What is wrong with a value that is of none of these kinds, and what to give."""
+    """The error sentence for a value of a wrong type: what was given, and what to give."""
     for kind in kinds:
         if typing.get_origin(kind) in _SERIES:
             items = _items(kind)

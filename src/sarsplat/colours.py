@@ -1,4 +1,4 @@
-"""Every colour that has a meaning, once, for report, viewer, figures and exports.
+"""All colours that have a meaning, defined once for report, viewer, figures and exports.
 
 Ramps are legible on light and dark pages, and colour-blind readers can distinguish them. Their names are those below,
 or names of colour maps in matplotlib.

@@ -1,4 +1,4 @@
-"""The one exception and the one warning that users are meant to read, and how their sentences are made."""
+"""`SarsplatError` and `SarsplatWarning`, which users are meant to read, and helpers for their sentences."""
 
 from collections.abc import Collection
 from difflib import get_close_matches

@@ -1,4 +1,4 @@
-"""What memory there is: large work says what it will take, and what would not fit is refused before it begins."""
+"""Memory checks: large work announces what it needs, and is refused before it begins if that does not fit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CGROUPS = (  # version 2, and 1: prefix of its line in /proc/self/cgroup, its f
 
 
 def required(what: str, needed_bytes: float, remedy: str) -> str | None:
-    """A line that says what work will take, if that is much; None if it is not.
+    """A line that says how much memory work will take; None if that is little.
 
     Parameters
     ----------

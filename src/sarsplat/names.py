@@ -1,4 +1,4 @@
-"""Names that options accept, each list written once: importing what they name is too slow for a command's help."""
+"""Names that command-line options accept, without importing what they name, which is too slow for `--help`."""
 
 from __future__ import annotations
 

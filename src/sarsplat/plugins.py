@@ -1,4 +1,4 @@
-"""Capabilities: each is a file of ours, or an entry point of another package, and nothing else lists it."""
+"""Plugins: each is a file with a fixed name prefix, or an entry point of another package; no list names them."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Plugins(Mapping[str, Any]):
         return self._entries[name].module
 
     def add(self, name: str, plugin: Any) -> None:
-        """Let a name of this program mean this, too."""
+        """Register a plugin under a name, in this process."""
         self._entries[name] = EntryPoint(name, f"{plugin.__module__}:{plugin.__qualname__}", "")
         self._loaded[name] = plugin
 

@@ -49,11 +49,11 @@ class Processes:
 
     @property
     def leads(self) -> bool:
-        """Whether this one writes, and speaks, for all."""
+        """Whether this is the first process (rank 0), which writes and prints."""
         return self.rank == 0
 
     def shared(self, value: T) -> T:
-        """The value that the first process has."""
+        """Broadcast a value from rank 0."""
         held = [value]
         with _all_there():
             dist.broadcast_object_list(held, src=0, group=self._group)
@@ -65,7 +65,7 @@ class Processes:
         return bool(self.gathered(told, [1] + [0] * (self.count - 1))[0])
 
     def gathered(self, own: Tensor, sizes: Sequence[int]) -> list[Tensor]:
-        """The vectors of all processes, which have these sizes."""
+        """Gather the vectors of all processes, which have these sizes."""
         every = [own if rank == self.rank and size else own.new_empty(size) for rank, size in enumerate(sizes)]
         with _all_there():
             sent = [

@@ -1,4 +1,4 @@
-"""Version of this program, for what says by which one it was made."""
+"""Version of this program, which its output files record."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 
 def program_version() -> str:
-    """As it was installed."""
+    """The installed version."""
     try:
         return version("sarsplat")
     except PackageNotFoundError:

@@ -51,14 +51,14 @@ def test_views_that_determine_no_shape_are_told(name: str) -> None:
     (told,) = weak_directions(OPEN[name])
     assert "do not determine positions along" in told
     assert weakest_direction(OPEN[name]).undetermined
-    assert weakest_direction(OPEN[name]).weakness > 10
+    assert weakest_direction(OPEN[name]).conditioning > 10
 
 
 def test_what_is_proposed_helps() -> None:
     low = ring(8, 15)
     (told,) = weak_directions(low)
     assert "such as 60°" in told
-    assert weakest_direction([*low, *ring(8, 60)]).weakness < weakest_direction(low).weakness / 2
+    assert weakest_direction([*low, *ring(8, 60)]).conditioning < weakest_direction(low).conditioning / 2
 
 
 @pytest.mark.parametrize("grazing", [10.0, 20.0, 40.0])
@@ -68,16 +68,16 @@ def test_many_views_around_have_a_closed_form(grazing: float) -> None:
     open_ = [[sin**2 * 2 / 3, sin * cos * math.pi / 4], [sin * cos * math.pi / 4, cos**2]]  # outwards and upwards
     values, vectors = np.linalg.eigh(open_)
     found = weakest_direction(ring(360, grazing))
-    assert found.weakness == pytest.approx(1 / math.sqrt(1 - values[-1]), rel=1e-3)
+    assert found.conditioning == pytest.approx(1 / math.sqrt(1 - values[-1]), rel=1e-3)
     assert found.above_horizon_deg == pytest.approx(math.degrees(math.asin(abs(vectors[1, -1]))), abs=0.2)
 
 
-def test_the_weakness_depends_on_neither_the_zero_of_azimuth_nor_the_order() -> None:
+def test_the_conditioning_depends_on_neither_the_zero_of_azimuth_nor_the_order() -> None:
     turned = [View(view.azimuth_deg + 35, view.grazing_deg) for view in reversed(PAPER)]
-    assert weakest_direction(turned).weakness == pytest.approx(weakest_direction(PAPER).weakness)
+    assert weakest_direction(turned).conditioning == pytest.approx(weakest_direction(PAPER).conditioning)
 
 
 def test_more_grazing_angles_determine_better() -> None:
     sets = [ring(8, 15), ring(8, 15, 30), ring(8, 15, 30, 60)]
-    weaknesses = [weakest_direction(views).weakness for views in sets]
-    assert weaknesses == sorted(weaknesses, reverse=True)
+    found = [weakest_direction(views).conditioning for views in sets]
+    assert found == sorted(found, reverse=True)

@@ -1,4 +1,4 @@
-"""docs/formats.md and docs/dataset.schema.json say what `read_dataset` reads."""
+"""docs/reference/formats/dataset.md and dataset.schema.json beside it say what `read_dataset` reads."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from sarsplat.data import read_dataset, write_dataset
 from sarsplat.errors import SarsplatError
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = (DOCS / "formats.md").read_text(encoding="utf-8")
-SCHEMA = json.loads((DOCS / "dataset.schema.json").read_text(encoding="utf-8"))
+FORMATS = DOCS / "reference" / "formats"
+PAGE = (FORMATS / "dataset.md").read_text(encoding="utf-8")
+SCHEMA = json.loads((FORMATS / "dataset.schema.json").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory) -> Path:
     """The folder that the page's program writes, which knows nothing of sarsplat."""
-    (program,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    program = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)[-1]
     assert "sarsplat import" not in program
     assert "import sarsplat" not in program
     place = tmp_path_factory.mktemp("foreign")

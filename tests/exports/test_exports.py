@@ -154,7 +154,8 @@ def test_splat_holds_what_its_viewer_reads(run: Run, tmp_path: Path) -> None:
 
 
 def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
-    endings = ".glb, .las, .laz, .npz, .obj, .pcd, .ply, .splat, .stl or .xyz"
+    *others, last = (f".{ending}" for ending in FORMATS)
+    endings = f"{', '.join(others)} or {last}"
     for name in ("a.3ds", "a", "a.PLYX"):
         with pytest.raises(SarsplatError, match=rf"not a valid name for an export; .* ends in {endings}"):
             format_of(Path(name))

@@ -1,4 +1,4 @@
-"""Frames, angles and pixel positions (docs/conventions.md §1)."""
+"""Frames, angles and pixel positions (docs/reference/conventions.md §1)."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from sarsplat.renderer import nvrtc, render
 
 HERE = Path(__file__).parent
 DOCS = HERE.parents[1] / "docs"
-PAGE = (DOCS / "engine.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "concepts" / "engines.md").read_text(encoding="utf-8")
 KERNELS = re.findall(r"^KERNEL\((\w+)\)", (HERE / "emulator" / "kernels.h").read_text(), re.MULTILINE)
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
@@ -26,7 +26,7 @@ needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch find
 
 @pytest.fixture(scope="module")
 def registers() -> ModuleType:
-    """The script that writes the table of docs/engine.md, where there is NVRTC."""
+    """The script that writes the table of docs/concepts/engines.md, where there is NVRTC."""
     try:
         nvrtc.Nvrtc()
     except SarsplatError as error:

@@ -1,4 +1,4 @@
-"""What every renderer must satisfy, whatever its arithmetic (docs/conventions.md, identities)."""
+"""What every renderer must satisfy, whatever its arithmetic (docs/concepts/image-model.md, identities)."""
 
 from __future__ import annotations
 

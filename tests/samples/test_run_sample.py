@@ -127,9 +127,9 @@ def test_nothing_darkens_towards_the_edges(run: Run) -> None:
 
 def test_gains_and_shifts_are_drawn_as_they_were_found(run: Run) -> None:
     """Gains by e^±0.4 and shifts by ±0.1 m, as the fixture has it."""
-    chance, model = np.random.default_rng(0), run.model
+    rng, model = np.random.default_rng(0), run.model
     assert model is not None
-    shots = [model.shot([VIEW] * 500, run.grid, chance=chance) for _ in range(4)]
+    shots = [model.shot([VIEW] * 500, run.grid, rng=rng) for _ in range(4)]
     gains = torch.cat([shot.gain for shot in shots]).log()
     assert float(gains.std()) == pytest.approx(0.4, rel=0.05)
     assert float(gains.mean()) == pytest.approx(-np.log(np.cosh(0.4)), abs=0.03)  # of factors with the mean 1

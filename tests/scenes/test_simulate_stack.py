@@ -62,7 +62,7 @@ def test_phases_are_those_of_heights() -> None:
 @pytest.mark.parametrize("transmit", ["each", "one"])
 @pytest.mark.parametrize("view", [View(70.0, 30.0), View(200.0, 55.0)])
 def test_signs_are_those_of_distances_from_the_antennas(view: View, transmit: str) -> None:
-    """As docs/channels.md draws them: simulated signals, rendered covariances and distances agree, signs included."""
+    """As docs/concepts/stacks.md draws them: simulated signals, rendered covariances and distances agree in sign."""
     stack = Stack(0.031, (0.0, 0.0007), transmit)
     per_metre = (4 if transmit == "each" else 2) * math.pi / 0.031
     level, up = stack.plane_phases(view, GRID), radar_frame(view)[1]

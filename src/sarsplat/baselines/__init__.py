@@ -1,4 +1,4 @@
-"""Methods of others, to compare with ours: what they share. What needs torch is loaded when first used."""
+"""Methods of others to compare with: SAR-NeRF, DSR, and their common base. Torch is loaded when first used."""
 
 import lazy_loader
 

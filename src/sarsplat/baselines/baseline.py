@@ -1,4 +1,4 @@
-"""What a baseline has to offer: settings, and a torch module that renders a view and has a surface."""
+"""The interface of a baseline: its settings, and a torch module that renders a view and has a surface."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class BaselineConfig(AnyConfig):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a dataset fixes for a method that learns from its training images; refused if the box is empty."""
+    """What a baseline is given of a dataset: views, masks, units and the target's box, which must not be empty."""
 
     views: tuple[View, ...]
     """Of the training images."""

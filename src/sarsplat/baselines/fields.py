@@ -1,4 +1,4 @@
-"""What SAR-NeRF learns: two numbers at every place, before their activations, for attenuation and for scattering."""
+"""The field of SAR-NeRF: attenuation and scattering at every place, as a perceptron or as nested voxel grids."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST_NUMBERS = 1 << 28
 
 
 class Field(nn.Module, ABC):
-    """Attenuation and scattering at places, as what their activations are applied to."""
+    """Base of the fields: attenuation and scattering at places, before their activations."""
 
     at_once: int
     """Places for which one step keeps everything in memory; more are computed in parts, and again on the way back."""

@@ -1,4 +1,4 @@
-"""The surface of something that attenuates: at which level, and its triangles."""
+"""Surface of an attenuation field: the level to cut it at, and its triangles by marching cubes."""
 
 from __future__ import annotations
 

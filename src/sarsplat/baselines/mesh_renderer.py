@@ -1,7 +1,7 @@
-"""A triangle mesh as the radar sees it, softly: occlusion on a plane facing the radar, the image on azimuth × range.
+"""DSR's differentiable renderer of meshes: soft occlusion facing the radar, soft image on azimuth × slant range.
 
 After Fu & Xu, "Differentiable SAR renderer and image-based target reconstruction", IEEE TIP 2022; what was not
-published is listed in docs/baselines-dsr.md.
+published is listed in docs/concepts/baselines-dsr.md.
 
 The cross-section of a face is σ_f = γ⁰_f·A_f·max(cos i, 0)·v_f, with A_f its area, i the angle between its normal and
 the direction to the radar and v_f in [0, 1] the share of it that the radar sees. It is shared between the pixels as the
@@ -34,7 +34,7 @@ _MOST_PARTS = 4
 
 @dataclass(frozen=True)
 class Layers:
-    """What the mesh does to an image."""
+    """Images of what a mesh contributes: coverage, scattering and shadow."""
 
     target: Float[Tensor, "rows columns"]
     """β⁰ of the lit faces in units of `Scene.unit`."""
@@ -77,7 +77,7 @@ class MeshRenderer:
         normals = face_normals(seen, faces)
         areas = -normals[:, 2] / 2  # projected along the line of sight, m²; negative where turned away
         facing = torch.nonzero(areas.detach() > 0).reshape(-1)
-        with torch.no_grad():  # its slope is mostly noise from faces smaller than pixels: see docs/baselines-dsr.md
+        with torch.no_grad():  # its slope is mostly noise from faces smaller than pixels (baselines-dsr.md in docs)
             visible = self._visible(seen, faces[facing])
         sections = picked(gamma0 * areas, facing) * visible
 

@@ -1,7 +1,7 @@
 """SAR-NeRF: a field of attenuation and scattering, imaged along rays in azimuth, range and elevation.
 
 After Z. Lei, F. Xu et al., "SAR-NeRF: Neural Radiance Fields for Synthetic Aperture Radar Multi-View Representation".
-`docs/baselines-sar-nerf.md` lists every choice.
+`docs/concepts/baselines-sar-nerf.md` lists every choice.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""SAR-NeRF with nested grids instead of a perceptron, for a CPU; docs/baselines-sar-nerf.md."""
+"""SAR-NeRF with nested grids instead of a perceptron, for a CPU; docs/concepts/baselines-sar-nerf.md."""
 
 from __future__ import annotations
 

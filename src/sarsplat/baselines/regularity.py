@@ -1,4 +1,4 @@
-"""What keeps a mesh smooth, and how far soft masks are from true ones."""
+"""Losses of DSR: regularisers that keep a mesh smooth, and the distance of soft masks from true ones."""
 
 from __future__ import annotations
 

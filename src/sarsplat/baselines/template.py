@@ -85,7 +85,7 @@ def cube_sphere(parts: int) -> Template:
 
 
 def _blown_up(vertices: Float64[np.ndarray, "m 3"], faces: Int64[np.ndarray, "f 3"]) -> Template:
-    """On the sphere, each vertex once, all faces turned outwards."""
+    """Project onto the unit sphere, merge equal vertices, and turn all faces outwards."""
     vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
     _, first, same = np.unique(vertices.round(9) + 0.0, axis=0, return_index=True, return_inverse=True)
     vertices, faces = vertices[first], same.reshape(-1)[faces]

@@ -114,7 +114,7 @@ class BaselineTrainer:
 
 
 def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
-    """What a dataset's training images fix; the target's box is the one that sar-gs uses."""
+    """The `Scene` of a dataset's training images; the target's box is the one that sar-gs uses."""
     train = dataset.select("train")
     unit = float(train.power.mean(dtype=np.float64))
     if not np.float32(unit):

@@ -1,4 +1,4 @@
-"""How every command ends: what is said, and the exit code."""
+"""Runs a command: errors and warnings become sentences, and the exit code is set."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Ours in plain words; others' as Python shows them."""
+    """Show our warnings as plain sentences, and others' as Python does."""
     if issubclass(category, SarsplatWarning):
         console.warn(str(message))
     else:

@@ -1,4 +1,4 @@
-"""Kinds of arguments that several commands take, and how angles are spelled."""
+"""Argument types that several commands share, and their parsers: angles, lengths, boxes, runs."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def metres(text: str, name: str) -> float:
 
 
 def corners(box: tuple[float, float, float, float, float, float] | None) -> Box | None:
-    """Those of --target-box.
+    """The corners given by --target-box, m.
 
     Raises
     ------
@@ -109,14 +109,14 @@ def corners(box: tuple[float, float, float, float, float, float] | None) -> Box 
 
 
 def heights(path: Path | None) -> Terrain | None:
-    """Those of --terrain, measured from that of the scene's origin."""
+    """Terrain read from the file of --terrain, with heights relative to that of the scene's origin."""
     from sarsplat.data import read_terrain
 
     return None if path is None else read_terrain(path).centred()
 
 
 def pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:
-    """Azimuth and range of one or two lengths; None of none."""
+    """(azimuth, range) from one or two lengths; None if no length is given."""
     if len(lengths) > 2:
         raise SarsplatError(f"--{name} has {len(lengths)} numbers; give one, or two: azimuth and range")
     return (lengths[0], lengths[-1]) if lengths else None

@@ -1,4 +1,4 @@
-"""What the commands say, and where: results on stdout, complaints on stderr."""
+"""Terminal output of the commands: results on stdout, errors and warnings on stderr."""
 
 from __future__ import annotations
 

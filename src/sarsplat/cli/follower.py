@@ -1,4 +1,4 @@
-"""One of the processes that torchrun has started, but the first: what that one says, too, it does not say again."""
+"""Silence of all torchrun processes but the first, so that nothing is printed twice."""
 
 from __future__ import annotations
 

@@ -253,7 +253,8 @@ def _command(folder: Path, columns: Columns, lacking: list[str], target_class: s
 def _without_table(contents: Contents, pictures: int, endings: tuple[str, ...], tables: list[Path]) -> Recognised:
     numbers = {ending: len(contents.ending_in(ending)) for ending in endings}
     kinds = ", ".join(f"{number} {ending}" for ending, number in numbers.items() if number)
-    needed = "a table (CSV) with a row for each, with the columns file, azimuth, grazing, spacing (docs/formats.md)"
+    columns = "the columns file, azimuth, grazing, spacing (docs/reference/formats/folder.md)"
+    needed = f"a table (CSV) with a row for each, with {columns}"
     if tables:
         needed = f"which of {len(tables)} tables is theirs: {', '.join(map(str, tables[:_LISTED]))}"
         needed += ", …" * (len(tables) > _LISTED)

@@ -1,4 +1,4 @@
-"""Words that do not parse, explained in one sentence that names what was probably meant."""
+"""Error sentences for command lines that do not parse; they name what was probably meant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The help of commands that have commands, in the look of that of single ones: tyro would take longer to import."""
+"""Help pages that list commands (`sarsplat`, `sarsplat import`), without tyro, which is slow to import."""
 
 from __future__ import annotations
 

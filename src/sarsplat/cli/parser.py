@@ -1,4 +1,4 @@
-"""How the words after the program's name are read: only the command that they name is imported."""
+"""Parsing of the command line; only the module of the command that is named is imported."""
 
 from __future__ import annotations
 

@@ -97,9 +97,10 @@ class Options:
     print_config
         Print the settings as JSON and exit.
     method
-        What learns: sar-gs, our Gaussians, or to compare with it sar-nerf, sar-nerf-grid or dsr (docs/baselines.md);
-        --resume continues with the run's. Only --iterations, --views-per-step, --checkpoint-every and --seed are
-        options of these; their other settings are in the file that --print-config writes.
+        What learns: sar-gs, our Gaussians, or to compare with it sar-nerf, sar-nerf-grid or dsr
+        (docs/concepts/baselines.md); --resume continues with the run's. Only --iterations, --views-per-step,
+        --checkpoint-every and --seed are options of these; their other settings are in the file that --print-config
+        writes.
     masks
         Folder of masks of the training images, from which dsr learns; `sarsplat simulate --masks` writes them.
     device

@@ -147,7 +147,7 @@ def simulate(
         Also write true masks of all images, by ray casting, to DIR/masks: 0 clutter, 1 target, 2 shadow on flat ground
         (for `evaluate --masks` and `reconstruct --method dsr --masks`).
     passes
-        Simulate stacks of so many passes a little apart in elevation, complex and of one look (docs/channels.md).
+        Simulate stacks of so many passes a little apart in elevation, complex, of one look (docs/concepts/stacks.md).
     baseline
         b/R from the first pass to the last, rad, the others evenly between; or that of each pass.
     wavelength

@@ -1,4 +1,4 @@
-"""What `sarsplat simulate --passes` or `--polarimetric` makes: complex images of a mesh, scatterer by scatterer."""
+"""`sarsplat simulate --passes` and `--polarimetric`: complex images of a mesh, scatterer by scatterer."""
 
 from __future__ import annotations
 

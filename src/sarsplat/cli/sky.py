@@ -35,7 +35,7 @@ PRETTY = Symbols("●", "○")
 
 
 def symbols_for(encoding: str) -> Symbols:
-    """Those that a terminal of this encoding can show."""
+    """The symbols that a terminal of this encoding can show."""
     try:
         (PRETTY.train + PRETTY.test + chr(_BRAILLE)).encode(encoding)
     except (UnicodeEncodeError, LookupError):

@@ -17,5 +17,5 @@ class Stopped(KeyboardInterrupt):
 
 
 def terminate(number: int, frame: FrameType | None) -> None:
-    """As Ctrl-C does, so that what is half-written is removed."""
+    """Handle SIGTERM as Ctrl-C, so that half-written output is removed."""
     raise Stopped(number)

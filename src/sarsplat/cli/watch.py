@@ -1,4 +1,4 @@
-"""What accompanies a training: a log, a page, and Ctrl-C between two steps, so that it resumes bit for bit."""
+"""TensorBoard, live page and Ctrl-C of a training, which ends between two steps, to be resumed bit for bit."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def watched(
 
 @contextmanager
 def following() -> Iterator[None]:
-    """A training that shares the work of another process: silent, and ended by that one rather than by Ctrl-C."""
+    """A training in a torchrun process that is not the first: silent, and ended by the first rather than by Ctrl-C."""
     before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""From where the images of a dataset were taken: views by set and grazing angle, and the gaps between them."""
+"""Angular coverage of a dataset: views by set and grazing angle, and the gaps in azimuth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well the directions of views determine positions, and where they leave the shape open.
+"""Conditioning of the view directions: along which axis the training views determine positions worst.
 
 An image fixes a position in azimuth and slant range, and says nothing of the third direction, the view's elevation y_r.
 What all views together say of it is the mean of x_r x_rᵀ + z_r z_rᵀ = 1 − y_r y_rᵀ: its smallest eigenvalue is 1 where
@@ -20,43 +20,45 @@ from sarsplat.geometry import View, radar_frame
 
 _SIDES = 72
 _HARDLY, _WEAKLY = 10.0, 3.0
-"""From which weakness on a shape cannot be determined, and from which on it is uncertain; see the calibration in
-docs/datasets-and-runs.md."""
+"""Conditioning above which a shape cannot be determined, and above which it is uncertain; see the calibration in
+docs/reference/checks.md."""
 
 _GRAZINGS = (15.0, 30.0, 45.0, 60.0, 75.0)  # degrees: what may be proposed
 
 
 @dataclass(frozen=True)
 class WeakestDirection:
-    """Where the views together tell least of positions.
+    """The direction along which the views determine positions worst, and by how much.
 
     Attributes
     ----------
-    weakness : float
+    conditioning : float
         How many times less well a position is determined there than within an image: the inverse root of the smallest
         eigenvalue, averaged over the sides of the target that are seen; infinite if not at all.
     above_horizon_deg : float
         The direction's angle above the horizon, degrees; of the side for which it is weakest.
     """
 
-    weakness: float
+    conditioning: float
     above_horizon_deg: float
 
     @property
     def uncertain(self) -> bool:
         """Whether the views determine the shape badly, if at all."""
-        return self.weakness > _WEAKLY
+        return self.conditioning > _WEAKLY
 
     @property
     def undetermined(self) -> bool:
         """Whether the views cannot determine the shape."""
-        return self.weakness > _HARDLY
+        return self.conditioning > _HARDLY
 
     def __str__(self) -> str:
         where = f"{self.above_horizon_deg:.0f}° above the horizon"
         if self.undetermined:
             return f"{where}; positions are not determined along it"
-        return f"{where}; positions are {self.weakness:.1f} times less well determined along it than within an image"
+        return (
+            f"{where}; positions are {self.conditioning:.1f} times less well determined along it than within an image"
+        )
 
 
 def weakest_direction(views: Sequence[View]) -> WeakestDirection:
@@ -71,8 +73,8 @@ def weakest_direction(views: Sequence[View]) -> WeakestDirection:
     values, vectors = np.linalg.eigh(left_open)
     fixed = np.maximum(1 - values[:, -1], 0.0)
     direction = vectors[fixed.argmin(), :, -1]
-    weakness = 1 / math.sqrt(fixed.mean()) if fixed.mean() > 1e-9 else math.inf
-    return WeakestDirection(weakness, math.degrees(math.asin(min(abs(direction[2]), 1.0))))
+    conditioning = 1 / math.sqrt(fixed.mean()) if fixed.mean() > 1e-9 else math.inf
+    return WeakestDirection(conditioning, math.degrees(math.asin(min(abs(direction[2]), 1.0))))
 
 
 def _average(weights: Float64[np.ndarray, "s v"], y: Float64[np.ndarray, "v 3"]) -> Float64[np.ndarray, "s 3 3"]:
@@ -84,12 +86,12 @@ def weak_directions(views: Sequence[View]) -> list[str]:
     weakest = weakest_direction(views)
     if not weakest.uncertain:
         return []
-    best = min(_GRAZINGS, key=lambda grazing: weakest_direction(_with_grazing(views, grazing)).weakness)
+    best = min(_GRAZINGS, key=lambda grazing: weakest_direction(_with_grazing(views, grazing)).conditioning)
     where = f"along directions {weakest.above_horizon_deg:.0f}° above the horizon"
     if weakest.undetermined:
         verdict = f"do not determine positions {where}, and so not the shape"
     else:
-        less = f"{weakest.weakness:.1f} times less well {where} than within an image"
+        less = f"{weakest.conditioning:.1f} times less well {where} than within an image"
         verdict = f"determine positions {less}, so the shape is uncertain"
     return [f"the {len(views)} training views {verdict}; add views at other grazing angles, such as {best:g}°"]
 

@@ -79,7 +79,7 @@ def sync(path: Path) -> None:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Be the only one who writes a file or folder while the block runs: hold the file `.NAME.lock` beside it.
+    """Lock a file or folder for writing while the block runs, by the file `.NAME.lock` beside it.
 
     Refused if another process or thread holds it, or something other than a lock has that name. Whoever holds it may
     lock it again. The system releases it when the process ends, however it ends: what is left then is an empty file,

@@ -41,7 +41,7 @@ _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's renameat2
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Be the only process that writes a run, which need not exist yet, while the block runs (see `locked`).
+    """Lock a run, which need not exist yet, against other writers while the block runs (see `locked`).
 
     What a killed process left is removed: temporary files and locks in the run, and our temporary folder beside it.
     """

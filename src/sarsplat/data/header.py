@@ -1,4 +1,4 @@
-"""What `dataset.json` holds, field by field; msgspec reads and writes it."""
+"""The schema of `dataset.json`, field by field; msgspec reads and writes it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Box = tuple[Point, Point]
 
 
 def about(text: str, **limits: Any) -> msgspec.Meta:
-    """What a field means, for docs/dataset.schema.json; the limits are checked by what is built from the value."""
+    """What a field means, for dataset.schema.json; the limits are checked by what is built from the value."""
     return msgspec.Meta(description=text, extra_json_schema=limits)
 
 

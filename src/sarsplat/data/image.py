@@ -1,4 +1,4 @@
-"""One SAR image with everything needed to compare it with another."""
+"""One SAR image with its view and its grid."""
 
 from __future__ import annotations
 

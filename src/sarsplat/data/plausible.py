@@ -1,4 +1,4 @@
-"""What looks like a mistake in a dataset but may be intended: each is reported by name, and work continues.
+"""Plausibility checks of a dataset: warnings of what looks like a mistake but may be intended.
 
 What would make a result meaningless (no views, pixels that are not finite or negative, paths out of the folder) is
 refused where a dataset is read; see `read_dataset`.
@@ -29,7 +29,7 @@ _FROM_ABOVE_DEG = 80.0  # and above: a view that favours no side
 
 
 def suspicions(dataset: Dataset) -> list[str]:
-    """What is odd about the views and images of a dataset.
+    """Warnings about the views and images of a dataset, one sentence each.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def suspicions(dataset: Dataset) -> list[str]:
 
 
 def left_open(train: Dataset) -> list[str]:
-    """What the training images leave open of the shape: by their directions, or of stacks by their baselines."""
+    """Whether the training images leave the shape undetermined: by their directions, or by baselines of stacks."""
     return _baselines(train) if train.interferometric else suspicious_coverage(train.views)
 
 
@@ -88,7 +88,7 @@ def suspicious_angles(views: Sequence[View]) -> list[str]:
 
 
 def warn(texts: Iterable[str]) -> None:
-    """Each as a `SarsplatWarning`; what has just been said is not repeated."""
+    """Issue each sentence as a `SarsplatWarning`, but do not repeat the last ones."""
     for text in texts:
         warnings.warn(text, SarsplatWarning, stacklevel=1)  # one place, so that Python knows repetitions
 

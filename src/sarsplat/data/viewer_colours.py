@@ -93,14 +93,14 @@ def _hemisphere() -> Float64[np.ndarray, "v 3"]:
 
 
 def _weight(gaussians: Gaussians) -> Float[np.ndarray, " n"]:
-    """How much of a picture a Gaussian fills: its opacity times its largest cross-section."""
+    """Visual weight of each Gaussian: its opacity times its largest cross-section."""
     scales = gaussians.scales.detach().double().cpu().numpy()
     area = np.sort(scales, axis=1)[:, 1:].prod(axis=1)
     return area * -np.expm1(-gaussians.optical_depth.detach().double().cpu().numpy())
 
 
 def _span(values: Float[np.ndarray, "*any"], weight: Float[np.ndarray, "*any"]) -> tuple[float, float]:
-    """Between which values most of the weight lies; never one and the same."""
+    """The range of values that holds most of the weight; its ends always differ."""
     values, weight = values.ravel(), weight.ravel()
     if not weight.any():
         return 0.0, 1.0

@@ -61,8 +61,8 @@ def align(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], c
     """
     from scipy.optimize import minimize  # here, because it takes half a second to import, and few ask for it
 
-    chance = np.random.default_rng(0)
-    own, true = (np.asarray(cloud, np.float64)[chance.permutation(len(cloud))[:_COUNT]] for cloud in (points, surface))
+    rng = np.random.default_rng(0)
+    own, true = (np.asarray(cloud, np.float64)[rng.permutation(len(cloud))[:_COUNT]] for cloud in (points, surface))
     farthest = _FARTHEST * cell
     to_own, to_true = cKDTree(own), cKDTree(true)
 

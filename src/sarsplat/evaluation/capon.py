@@ -1,4 +1,4 @@
-"""Capon's method, for comparison: the elevations of each pixel by itself, where a spectrum over elevation peaks."""
+"""Capon's method, for comparison: each pixel's elevations are the peaks of its spectrum over elevation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The description of a metric, and how several are computed; the metrics themselves are in `metrics.py`."""
+"""What describes a metric, and how a list of metrics is computed; the metrics themselves are in `metrics.py`."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ from sarsplat.evaluation.tables import Scores
 def _points(*row: float) -> dict[str, float]:
     """A row of Tables III, VI and VII, whose columns are R→G, G→R, CD, P, R, F1, by our keys.
 
-    By its rows, R→G goes with precision and G→R with recall (docs/paper-map.md). The paper does not state its F1
-    threshold; 0.3 m is the most lenient of ours.
+    By its rows, R→G goes with precision and G→R with recall (docs/concepts/paper-map.md). The paper does not state its
+    F1 threshold; 0.3 m is the most lenient of ours.
     """
     keys = ("accuracy_m", "completeness_m", "cd_m", "precision@0.3", "recall@0.3", "f1@0.3")
     return dict(zip(keys, row, strict=True))

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
-from sarsplat.unbroken import unbroken
+from sarsplat.uninterruptible import uninterruptible
 
 _AT_ONCE = 20_000  # points whose distances fit into a processor's cache
 _SAMPLES_AT_ONCE = 200_000  # a second at most, so that progress is seen
@@ -136,7 +136,7 @@ class Cloud:
         to_points = np.empty(len(samples))
         for first in range(0, len(samples), _SAMPLES_AT_ONCE):
             part = slice(first, first + _SAMPLES_AT_ONCE)
-            to_points[part] = unbroken(self._tree.query, samples[part], workers=-1)[0]
+            to_points[part] = uninterruptible(self._tree.query, samples[part], workers=-1)[0]
             advanced(min(1.0, part.stop / len(samples)))
         precision = {threshold: float(np.mean(to_surface <= threshold)) for threshold in self._thresholds_m}
         recall = {threshold: float(np.mean(to_points <= threshold)) for threshold in self._thresholds_m}
@@ -167,7 +167,7 @@ def side_by_side(points: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]
 
 
 def order_in_space(points: Float64[np.ndarray, "p 3"]) -> Int64[np.ndarray, " p"]:
-    """Their order in the leaves of a tree."""
+    """The order of the points in the leaves of a k-d tree."""
     return cKDTree(points, leafsize=64, compact_nodes=False, balanced_tree=False).indices
 
 

@@ -1,4 +1,4 @@
-"""Scores of measured chips that ignore what no method can predict: a chip's position in its frame and its gain.
+"""Registered scores of measured chips: they ignore a chip's position and gain, which cannot be predicted.
 
 Chips are centred and scaled one by one, to within a pixel and a few tenths of their power. These errors say nothing
 about a model but dominate its scores, so each prediction is shifted by whole pixels and multiplied by one factor to fit

@@ -1,4 +1,4 @@
-"""What is wrong with a dataset: whether its images contradict what is said of them."""
+"""Checks of a dataset against its own images: near range, azimuths, unit, speckle, resolution."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What the statistics of images say of their unit and resolution: the contrast of speckle, and how sharp they are."""
+"""Statistics of clutter and sharpness, which tell the unit, the number of looks and the resolution of images."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _blocks(image: Shaped[np.ndarray, "rows columns"], along: int, across: int) 
 
 
 def _response_width(correlation: float, spacing_m: float) -> float | None:
-    """Of a Gaussian response: that of the power of speckle correlates over √2 of its 3 dB width."""
+    """3 dB width of a Gaussian response, from the correlation of speckle power, which is √2 times as wide."""
     if not _WHITE < correlation < 1:
         return None
     return spacing_m * math.sqrt(2 * math.log(2) / -math.log(correlation))

@@ -42,7 +42,7 @@ _TABLE = ("import with", "shadow beyond", "bright edge", "layover", "neighbours 
 
 @checks_arguments
 def examine(dataset: Dataset) -> Examination:
-    """Hold the images of a dataset against what it says of them.
+    """Check whether the images of a dataset contradict its metadata.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def examine(dataset: Dataset) -> Examination:
 
 
 def _of_one_channel(dataset: Dataset) -> Dataset:
-    """Of stacks the first channel alone, since the mean over channels has more looks; others as they are."""
+    """The first channel of stacks, since a mean over channels has more looks; other datasets as they are."""
     if dataset.signal is None or not dataset.passes:
         return dataset
     entries = tuple(replace(entry, stack=None) for entry in dataset.entries)
@@ -89,7 +89,7 @@ def _all_differ(images: int) -> str:
 def _upright(
     dataset: Dataset, examined: Examination, counts: Counting | None, spread: Sequence[View] | None
 ) -> Dataset:
-    """The images with near range on top, and with ground if they show it; what contradicts that is noted."""
+    """The dataset with near range on top, and with ground if images show it; notes what contradicts that."""
     ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
     centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
     look = partial(orientation, dataset.power, dataset.views, dataset.grid, centred=centred, spread=spread)
@@ -142,7 +142,7 @@ def _edges(power: np.ndarray) -> np.ndarray:
 
 
 def _orientation(seen: Orientation, near: Side, layout: Layout | None) -> str:
-    """What is wrong, and how it is mended: a half turn rather than a mirror."""
+    """Contradictions in orientation with their remedy, a half turn rather than a mirror where both would do."""
     opposite = seen.opposite is True
     wrong = []
     if near != "top" and seen.by_shadow:

@@ -1,4 +1,4 @@
-"""Which side of images is near the radar, by what each shows: shadow beyond what is bright, and a bright near edge."""
+"""Which side of the images is near range, from each image: shadow beyond the target, and a bright near edge."""
 
 from __future__ import annotations
 

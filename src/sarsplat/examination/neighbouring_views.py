@@ -1,4 +1,4 @@
-"""How well images of neighbouring directions match once they are turned to each other on the ground.
+"""Correlation of images from neighbouring azimuths after rotating one onto the other in the ground plane.
 
 Between two azimuths a target turns by their difference, and with it its image, in one sense and not in the other. What
 is high is displaced towards the radar in every image. Lengths in range, divided by the cosine of the grazing angle, are
@@ -40,7 +40,7 @@ _RADII = np.arange(1, 6) / 5 / 3
 
 @dataclass(frozen=True)
 class Matches:
-    """Correlations of pairs of images against the shift of one, after turning it to the other on the ground.
+    """Correlation of each pair of images as a function of the shift, after rotating one onto the other on the ground.
 
     Attributes
     ----------

@@ -181,7 +181,7 @@ def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centr
     certain = shadow.side(_LEAST_SHADOW_DB) or (layover.side(_LEAST_LAYOVER) if centred else None)
     if certain is not None:
         return certain
-    chance = math.sqrt(CHANCE)  # of each of the two
-    by_layover = layover.side(_LEAST_LAYOVER, chance)
-    agree = by_layover == edge.side(_LEAST_EDGE, chance) and (not shadow.count or shadow.strongest == by_layover)
+    significance = math.sqrt(CHANCE)  # of each of the two
+    by_layover = layover.side(_LEAST_LAYOVER, significance)
+    agree = by_layover == edge.side(_LEAST_EDGE, significance) and (not shadow.count or shadow.strongest == by_layover)
     return by_layover if agree else None

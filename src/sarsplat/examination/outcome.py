@@ -1,4 +1,4 @@
-"""What an examination of a dataset's images ends with."""
+"""The result of examining a dataset: contradictions, checks, and a table of orientations."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Examination:
-    """What a dataset's images say of it.
+    """The result of examining a dataset.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Whether azimuths only count the images, 1°, 2°, 3° …, as a column of running numbers does."""
+"""Detects running numbers in place of azimuths: 1°, 2°, 3° … one for each image."""
 
 from __future__ import annotations
 

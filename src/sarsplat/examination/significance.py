@@ -1,4 +1,4 @@
-"""What many images say together: a difference counts if it is large enough, and hardly by chance."""
+"""Tests of significance over many images: a difference counts if it is large and unlikely by chance."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FEWEST = 5
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a number of images, or pairs of images, say of one alternative.
+    """Evidence of many images, or pairs of images, for one alternative.
 
     Attributes
     ----------
@@ -41,12 +41,12 @@ class Evidence:
         """Mean over all; 0 if they are too few."""
         return float(self.values.mean()) if self.count else 0.0
 
-    def supports(self, least: float, chance: float = CHANCE) -> bool:
+    def supports(self, least: float, significance: float = CHANCE) -> bool:
         """Whether the mean exceeds `least`, and is positive not by chance."""
         if not self.count or self.mean <= least:
             return False
         error = float(self.values.std(ddof=1)) / math.sqrt(self.count)
-        return error == 0 or bool(stdtr(self.count - 1, -self.mean / error) < chance)
+        return error == 0 or bool(stdtr(self.count - 1, -self.mean / error) < significance)
 
     def against(self, least: float) -> bool:
         """Whether the mean is below −`least`, and negative not by chance."""
@@ -55,7 +55,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class SideEvidence:
-    """How much a number of images, or pairs of images, say for each side of them being near the radar.
+    """Evidence of many images, or pairs of images, for each side being the near one.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class SideEvidence:
 
     @property
     def strongest(self) -> Side:
-        """The side for which most is said, perhaps by chance."""
+        """The side with the largest mean, significant or not."""
         return SIDES[int(self.mean.argmax())]
 
     @property
@@ -86,9 +86,9 @@ class SideEvidence:
         next_best, best = np.sort(self.mean)[-2:]
         return float(best - next_best)
 
-    def side(self, least: float, chance: float = CHANCE) -> Side | None:
+    def side(self, least: float, significance: float = CHANCE) -> Side | None:
         """The side that is ahead of each of the others by `least` and not by chance; None if there is none."""
         best = int(self.mean.argmax())
         others = np.delete(self.values, best, axis=1)
-        ahead = [Evidence(self.values[:, best] - other).supports(least, chance) for other in others.T]
+        ahead = [Evidence(self.values[:, best] - other).supports(least, significance) for other in others.T]
         return SIDES[best] if all(ahead) else None

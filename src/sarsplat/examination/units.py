@@ -38,7 +38,7 @@ _DECIBELS = "--quantity db, with --scale and --offset for decibels in 8 bits"
 
 
 def examine_units(dataset: Dataset, examined: Examination) -> None:
-    """Add what contradicts the unit, the looks and the resolution of a dataset whose near range is on top."""
+    """Add contradictions in unit, looks and resolution, given a dataset with near range on top."""
     if dataset.ground and not _plausible_range(dataset, examined):
         return
     smooth = np.array([dataset.looks is None or (dataset.clean_tests and e.split != "train") for e in dataset.entries])

@@ -1,4 +1,4 @@
-"""The contents of a run that can be exported: Gaussians, points, a mesh; never empty."""
+"""What of a run can be exported: Gaussians, points, a mesh; refused if empty."""
 
 from __future__ import annotations
 

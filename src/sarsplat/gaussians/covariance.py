@@ -1,4 +1,4 @@
-"""Rotation and covariance of a Gaussian (docs/conventions.md §2)."""
+"""Rotation and covariance of a Gaussian (docs/concepts/image-model.md §2)."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _GEOMETRY = ("means", "quaternions", "scales", "optical_depth")
 
 
 def check_tensors(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], whole: str) -> None:
-    """See that each is a floating-point tensor of its shape, and all are of one dtype and on one device.
+    """Refuse tensors of wrong shapes, of different dtypes or on different devices.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where Gaussians start: scattered in the space that the images bound, or on the paper's hemisphere shell."""
+"""Initial positions of Gaussians: random in the region that the images bound, or on the paper's hemisphere shell."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def bounded_region(
     grid: ImageGrid,
     threshold_db: float = BRIGHT_DB,
 ) -> Region:
-    """The space that can hold the target, given that nothing else returns: an intersection of half-spaces.
+    """The region that can hold the target if nothing else returns power: an intersection of half-spaces.
 
     In every view the target lies within the azimuths of the bright pixels and behind the nearest bright range; it
     stands on the ground z = 0. Shadow hides nothing from these bounds, so nothing of the target is cut off.

@@ -20,7 +20,7 @@ class Harmonics(Scattering):
     """Real spherical harmonics: γ⁰(u) = p_min + softplus(Σ_k parameters_k Y_k(u)).
 
     `parameters` is [N, K] with K = (degree + 1)², degree ≤ 3; order and signs are those of 3D Gaussian splatting
-    (docs/conventions.md). Whatever else is at `Scattering` holds here too.
+    (docs/concepts/image-model.md). Whatever else is at `Scattering` holds here too.
     """
 
     kind: ClassVar[str] = "harmonics"
@@ -32,7 +32,7 @@ class Harmonics(Scattering):
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Of degree 0 to 3."""
+        """Numbers of coefficients of degrees 0 to 3."""
         return 1, 4, 9, 16
 
     @property

@@ -157,7 +157,7 @@ def register_scattering(law: L) -> L:
 
 @cache
 def _check_methods(law: type[Scattering]) -> None:
-    """See that a law has its methods, and that they can be called as they will be."""
+    """Refuse a law that lacks methods, or whose methods take other arguments."""
     if missing := sorted(law.__abstractmethods__):
         raise SarsplatError(f"the scattering law {law.__name__} has no {' or '.join(missing)}; define that, too")
     for name in ("amplitudes", "initial"):

@@ -1,4 +1,4 @@
-"""Parts of a flight that make one image each: which pulses, from where they look, and how finely they resolve."""
+"""Sub-apertures of a flight: the pulses of each image, their view and their resolution."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Aperture:
 
     @property
     def extent(self) -> float:
-        """What `cross` covers, half a pulse beyond the outer ones included."""
+        """Extent of `cross`, half a pulse beyond the outer ones included."""
         return float(np.ptp(self.cross)) * len(self.history) / (len(self.history) - 1)
 
     @property

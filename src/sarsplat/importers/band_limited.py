@@ -1,4 +1,4 @@
-"""Complex images between their pixels, exactly but for what rounding leaves: windowed-sinc interpolation.
+"""Windowed-sinc interpolation of complex, band-limited images.
 
 An image that was sampled densely enough for its bandwidth is known everywhere. The interpolating kernel passes the band
 and suppresses its repetitions; the more an image is oversampled, the shorter it may be.
@@ -21,7 +21,7 @@ _USUALLY_OCCUPIED = 1 / 1.2  # share of the sampled band that radars fill at mos
 
 
 def taps(occupied: float) -> int:
-    """Pixels along one axis that a value is made of (even), if the image fills this share of the sampled band."""
+    """Number of interpolation taps along one axis (even), if the image fills this share of the sampled band."""
     # Kaiser's formula: the transition is from the edge of the band to that of its repetition
     needed = (_SUPPRESSION_DB - 8) / (2.285 * 2 * math.pi * max(1 - occupied, 1e-3))
     return 2 * math.ceil(min(max(needed, _FEWEST), _MOST) / 2)
@@ -68,7 +68,7 @@ def resample(pixels: Pixels, rows: Float64[np.ndarray, " m"], columns: Float64[n
 
 
 def _matrix(places: Float64[np.ndarray, " m"], size: int) -> Float64[np.ndarray, "m {size}"]:
-    """What each of `size` pixels contributes to each place."""
+    """Interpolation weights of `size` pixels at each place."""
     count = taps(_USUALLY_OCCUPIED)
     first, weights = _weights(places, count, size)
     matrix = np.zeros((len(places), size + 4 * count))  # wide enough for what lies beyond the edges

@@ -1,4 +1,4 @@
-"""Which column of a table of images says what: as the user names them, or recognised by their usual names."""
+"""Meaning of the columns of a table of images: as the user names them, or recognised by their usual names."""
 
 from __future__ import annotations
 

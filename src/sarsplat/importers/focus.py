@@ -1,4 +1,4 @@
-"""Image formation by back-projection: every pixel gathers from every pulse the echo of its own distance.
+"""Image formation by back-projection.
 
 The echo of one pulse at all distances, Σ_f s(f)·exp(4πj f/c·d), is a Fourier sum at uneven places; `finufft` evaluates
 it to the accuracy asked for, as a direct sum would, without a range profile to interpolate in. Nothing is approximated

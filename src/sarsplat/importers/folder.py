@@ -104,7 +104,7 @@ def import_folder(
         Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
     wavelength_m : float, optional
         Of stacks, m. Rows with the same `view` are then coregistered channels of it, with the pass's `baseline` (b/R,
-        rad), or a `polarisation`, received and transmitted; see docs/channels.md.
+        rad), or a `polarisation`, received and transmitted; see docs/concepts/stacks.md.
     transmit : {"each", "one"}
         Of stacks, whether each pass transmits itself, or one transmits for all.
     noise : float, optional

@@ -79,7 +79,7 @@ def _byte_order(path: Path, header: bytes) -> str:
 
 
 class _Decoder:
-    """Makes values of a file's bytes, until its allowance is spent."""
+    """Decodes values from a file's bytes, up to a limit on their total size."""
 
     def __init__(self, path: Path, order: str, allowance: int) -> None:
         self.path = path

@@ -1,4 +1,4 @@
-"""What a NITF file holds of a SICD: its metadata, as plain XML, and where its pixels lie.
+"""Reads from a NITF file the XML metadata of a SICD and where its image segments lie.
 
 A NITF 2.1 file is a header, which states the length of every part, followed by the parts: segments of image, graphics,
 text, data extensions and reserved extensions, each with a header of its own. The files come from strangers: lengths
@@ -128,7 +128,7 @@ def _segment(numbers: _Numbers, place: int, header: int, length: int) -> Segment
 
 
 class _Numbers:
-    """Decimal numbers of fixed width, and text, in a file's headers."""
+    """Reads fixed-width decimal numbers and text from a file's headers."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self._path, self._file = path, file
@@ -153,7 +153,7 @@ class _Numbers:
         return self._file.read(length).decode("latin-1")
 
     def contradict(self) -> NoReturn:
-        """Give up on a header that cannot be right."""
+        """Raise the error for a header that cannot be right."""
         raise SarsplatError(f"{self._path} has a header whose lengths do not fit its size; get it again")
 
 

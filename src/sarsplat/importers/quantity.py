@@ -1,4 +1,4 @@
-"""What the numbers of an image stand for: amplitude, power, decibels, or complex amplitudes."""
+"""Conversion of pixel values to power or complex amplitude: amplitude, power, decibels, complex."""
 
 from __future__ import annotations
 

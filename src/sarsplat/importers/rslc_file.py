@@ -1,4 +1,4 @@
-"""One RSLC file of NISAR's layout (HDF5): what it says of its images, and parts of these.
+"""One RSLC file of NISAR's layout (HDF5): its metadata, and parts of its images.
 
 `/science/LSAR/RSLC/swaths/frequencyA` holds an image for each polarisation, azimuth times × slant ranges at zero
 Doppler, and `metadata/geolocationGrid` from where the radar saw places. Files come from strangers: only what is stored

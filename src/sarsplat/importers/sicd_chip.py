@@ -1,4 +1,4 @@
-"""The surroundings of a spot, cut out of a SICD and laid out on slant range and level azimuth of their own view.
+"""A chip around a spot, cut out of a SICD and resampled to slant range × level azimuth of its own view.
 
 The complex pixels are interpolated within their band, wherever in the spectrum that lies (`DeltaKCOAPoly`): it is moved
 to zero, and back afterwards. So the phase stays what the file has: SICDs are at baseband, and a scatterer shows, at its

@@ -1,4 +1,4 @@
-"""What a SICD's metadata say of its pixels: spacing, widths, weighting, pixel type, β⁰."""
+"""Fields of a SICD's metadata that concern its pixels: spacing, widths, weighting, pixel type, β⁰."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which versions of SICD are read, and how metadata of one that sarkit does not know become those of one it does."""
+"""Versions of SICD: metadata of versions that sarkit does not know are rewritten to one that it does."""
 
 from __future__ import annotations
 

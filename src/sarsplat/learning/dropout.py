@@ -23,7 +23,7 @@ _MOST = 0.4
 
 
 def share_dropped(config: Config, views: int) -> float:
-    """Share of the Gaussians that a step leaves out where there are so many training views."""
+    """Share of the Gaussians that a step drops, given the number of training views."""
     return max(config.dropout, min(_MOST, (config.few_views / views) ** 2))
 
 

@@ -1,4 +1,4 @@
-"""Windows: the parts of the images that show a part of the scene, and what else of the scene these parts show.
+"""Image windows: the part of each image that shows a part of the scene, and which Gaussians such windows need.
 
 Something h above the ground appears h·tan ψ nearer to the radar, ψ the grazing angle (layover), and shades h/tan ψ of
 the ground behind it. So a window shows, and is darkened by, more than the part that it is for: in each view another
@@ -72,7 +72,7 @@ class Windows:
     def shown(
         self, gaussians: Gaussians, views: Sequence[View], rays: RayGrid, ground: Ground | None, margin_m: float
     ) -> Bool[Tensor, " n"]:
-        """Which Gaussians any of the windows needs, though they move by a margin."""
+        """Which Gaussians any of the windows needs, even if they move by a margin."""
         needed = torch.zeros(len(gaussians), dtype=torch.bool, device=gaussians.means.device)
         for view, grid in zip(views, self.grids, strict=True):
             needed |= _needed(gaussians, view, grid, rays, ground, margin_m)
@@ -119,7 +119,7 @@ class Windows:
 
 
 def _filled(image: Float[Tensor, "*c rows columns"], grid: ImageGrid) -> Float[Tensor, "*c {grid.rows} {grid.columns}"]:
-    """A part with black pixels after its last ones."""
+    """An image part padded with black pixels."""
     rows, columns = image.shape[-2:]
     return pad(image, (0, grid.columns - columns, 0, grid.rows - rows))
 

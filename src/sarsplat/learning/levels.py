@@ -1,4 +1,4 @@
-"""Coarse to fine: a training first looks at multilooked images, with few Gaussians, and in the end at the images.
+"""Coarse-to-fine schedule: which multilooked level of the images each iteration is fitted to.
 
 A level is a factor f: images are means of power over blocks of f × f pixels. The first has the largest power of two
 that leaves the target enough such blocks across, each next one half of it, the last one 1. A small target has that one
@@ -24,7 +24,7 @@ _UNTIL = 0.75
 
 @dataclass(frozen=True)
 class Levels:
-    """Which level each iteration is on.
+    """The schedule of levels: blocks of pixels that each iteration's images are averaged over.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Levels:
 
     @classmethod
     def of(cls, config: Config, setting: Setting) -> Levels:
-        """Those of a configuration for a target and its images."""
+        """The levels that a configuration asks for, given the target's size and its images."""
         grid, (width_m, depth_m, _) = setting.grid, setting.region.high - setting.region.low
         shown_m = (grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1])  # a box may be given, of any size
         across_m, factor = min(math.sqrt(width_m * depth_m), *shown_m), 1
@@ -58,7 +58,7 @@ class Levels:
         return [0, *(math.ceil(_UNTIL * self.iterations * k / count) for k in range(1, count + 1))]
 
     def fine(self, iteration: int, share: float) -> bool:
-        """Whether this share of the iterations that look at the images themselves has passed."""
+        """Whether this share of the iterations at full resolution has passed."""
         begin = self._begins[-1]
         return iteration >= begin + share * (self.iterations - begin)
 
@@ -67,7 +67,7 @@ class Levels:
         return self.coarsest >> sum(begin <= iteration for begin in self._begins[1:])
 
     def begin_below(self, blocks: int) -> int:
-        """First iteration with smaller blocks than these; 0 if all are."""
+        """First iteration whose images are averaged over smaller blocks than these; 0 if all are."""
         return next(begin for k, begin in enumerate(self._begins) if self.coarsest >> k < blocks)
 
     def grows(self, iteration: int) -> bool:

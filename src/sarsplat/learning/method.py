@@ -1,4 +1,4 @@
-"""What a method has to offer to be trained, rendered and scored."""
+"""The interface of a reconstruction method: settings, trainer, and what was learned."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Inputs:
 
 
 class Trainable(Protocol):
-    """A training of any method, as the loop sees it."""
+    """Interface of a trainer, as the training loop uses it."""
 
     iteration: int
 
@@ -157,7 +157,7 @@ DrawsSamples = Callable[[View, int], Complex64[np.ndarray, "rows columns"]]
 
 
 class Reconstruction(ABC):
-    """What was learned of a target, on a device; arrays come back in any case."""
+    """Interface of a learned target: it renders and has points; results are numpy arrays, whatever the device."""
 
     gaussians: Gaussians | None = None
     """The target's Gaussians, of methods that learn any."""
@@ -224,7 +224,7 @@ class Reconstruction(ABC):
     @property
     @abstractmethod
     def facts(self) -> dict[str, str]:
-        """How it was made, for readers, besides the number of steps: names and values."""
+        """Facts for reports besides the number of steps: names and values."""
 
     def write(self, folder: Path) -> None:  # noqa: B027
         """Write what other programs read, besides the points, if there is anything."""

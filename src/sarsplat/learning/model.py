@@ -1,4 +1,4 @@
-"""What is learned: a list of parts, and the tensors by which they make a scene and its images."""
+"""The scene model: the list of its parts, their parameters, and how they make a scene and its images."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _REGION = ("normals", "offsets", "low", "high")
 
 
 class SceneModel:
-    """Learned tensors and how they make a scene.
+    """The parameters of a scene, and how its parts render images with them.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class SceneModel:
         self.learned = self._learned()
 
     def look_through(self, windows: Windows) -> None:
-        """Be learned from parts of the images, which say nothing new of what all images share: `learned` follows."""
+        """Fit windows of the images from now on; parameters that all images share are frozen: `learned` follows."""
         self.windows, self.learned = windows, self._learned()
 
     def _learned(self) -> dict[str, Learned]:
@@ -280,7 +280,7 @@ class SceneModel:
     def developed(
         self, images: Float[Tensor, "v c h w"], shot: Shot, estimated: bool = True
     ) -> Float[Tensor, "v c h w"]:
-        """What was rendered, with what the parts do to images, and its unit."""
+        """Rendered images after every part has altered them (texture, noise floor, …), in the dataset's unit."""
         for part in self.parts:
             if estimated or not part.estimated:
                 images = part.images(images, shot, self.parameters)
@@ -291,10 +291,10 @@ class SceneModel:
         views: Sequence[View],
         grid: ImageGrid,
         numbers: Int64[Tensor, " v"] | None = None,
-        chance: np.random.Generator | None = None,
+        rng: np.random.Generator | None = None,
     ) -> Shot:
-        """How images are taken: see `render` and `Shot`."""
-        shot = Shot(views, grid, self.power_channel, numbers, chance)
+        """Imaging conditions of these views (shift, gain, …), as the parts state them: see `Shot`."""
+        shot = Shot(views, grid, self.power_channel, numbers, rng)
         for part in self.parts:
             shot = part.shot(shot, self.parameters)
         return shot
@@ -306,7 +306,7 @@ class SceneModel:
         return grid
 
     def penalty(self) -> Float[Tensor, ""] | None:
-        """How unlikely the parameters were before the images were seen, nats per independent sample of those."""
+        """Negative log prior of the parameters, nats per independent sample of the images; None without priors."""
         terms = [term for part in self.parts for term in part.nats(self.parameters)]
         return torch.stack(terms).sum() / self.setting.samples if terms else None
 
@@ -315,7 +315,7 @@ class SceneModel:
         return dict(term for part in self.parts for term in part.penalties(self.parameters))
 
     def scene_bounds(self) -> Bounds:
-        """What the Gaussians keep as long as parameters are brought into their ranges, and when training begins."""
+        """Bounds that hold for all Gaussians as long as parameters stay in their ranges."""
         reaches = [reach for part in self.parts if (reach := part.reach()) is not None]
         low, high = (
             (pick(x), pick(y), pick(z))

@@ -58,7 +58,7 @@ class Optimiser:
         return adam.Stepped(tensor, mean, square, rates, low, high, learned.logarithmic)
 
     def relearn(self, learned: Mapping[str, Learned]) -> None:
-        """Go on with other rates and ranges."""
+        """Replace rates and ranges of the parameters."""
         self._learned, self._adam = learned, None
 
     def rates(self, iteration: int) -> dict[str, float]:
@@ -90,7 +90,7 @@ class Optimiser:
             tensor.clamp_(self._columns(name, self._learned[name].low), self._columns(name, self._learned[name].high))
 
     def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
-        """Take over from row `source`[k] what belongs to the new row k if that is still the same Gaussian: `kept`."""
+        """Re-index the moments: row k takes those of row `source`[k], or zeros unless `kept`[k] (a new Gaussian)."""
         for name in self.rows:
             self.state[name] = {moment: followed(value, source, kept) for moment, value in self.state[name].items()}
         inherited = torch.where(kept, source, -1)
@@ -104,12 +104,12 @@ class Optimiser:
         return source
 
     def tensors(self) -> dict[str, Tensor]:
-        """Moments by `parameter/moment`, and how many steps they are of."""
+        """Adam's moments as `parameter/moment`, and the number of steps, to be saved."""
         moments = {f"{name}/{moment}": value for name, of in self.state.items() for moment, value in of.items()}
         return moments | {"step": torch.tensor(float(self._steps), device="cpu")}
 
     def load(self, tensors: dict[str, Tensor]) -> None:
-        """Undo `tensors`."""
+        """Restore what `tensors` returned."""
         self._steps = int(tensors["step"])
         if self._steps < 0:
             raise ValueError(f"the optimiser made {self._steps} steps")
@@ -122,5 +122,5 @@ class Optimiser:
 
 
 def followed(rows: Tensor, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> Tensor:
-    """Rows of what belongs to Gaussians, in a new order; 0 for those that are not `kept`."""
+    """Rows of a per-Gaussian tensor in a new order; 0 where not `kept`."""
     return torch.where(kept.view(-1, *[1] * (rows.ndim - 1)), rows[source], 0.0)

@@ -1,4 +1,4 @@
-"""How a part of a scene returns several polarisations together."""
+"""Polarimetric covariance of a part of the scene."""
 
 from __future__ import annotations
 

@@ -117,29 +117,29 @@ class Sampler:
 
     def __call__(self, view: View, seed: int) -> Complex64[np.ndarray, "rows columns"]:
         """Complex amplitudes √β⁰·e^jψ."""
-        chance = np.random.default_rng(seed)
-        shot = self._model.shot([view], self._grid, chance=chance)
+        rng = np.random.default_rng(seed)
+        shot = self._model.shot([view], self._grid, rng=rng)
         if self._speckle == "response":
-            return self._through_the_response(shot, chance)
-        amplitude = np.sqrt(self._powers(shot, shot.grid, chance)[0])
+            return self._through_the_response(shot, rng)
+        amplitude = np.sqrt(self._powers(shot, shot.grid, rng)[0])
         if self._speckle == "none":
             return amplitude.astype(np.complex64)
-        return amplitude * white_speckle(amplitude.shape, chance)
+        return amplitude * white_speckle(amplitude.shape, rng)
 
-    def _through_the_response(self, shot: Shot, chance: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
+    def _through_the_response(self, shot: Shot, rng: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
         """Scatterers with phases of their own, imaged; of a target they are few, and some are much the brightest.
 
         Applied by FFT, the response goes on across opposite edges; between them lies a margin in which what is at each
         is mirrored, so that the image neither darkens there nor shows what is at the other side.
         """
         sharp = (_SHARP * shot.grid.spacing_m[0], _SHARP * shot.grid.spacing_m[1])
-        inside = self._powers(shot, replace(shot.grid, resolution_m=sharp), chance)
+        inside = self._powers(shot, replace(shot.grid, resolution_m=sharp), rng)
         power, share = (np.pad(some, self._margins, mode="symmetric") for some in inside)
         target = share > _NO_TARGET
         if math.isfinite(self._shape):
-            drawn = chance.standard_gamma(self._shape, int(target.sum()), np.float32) / np.float32(self._shape)
+            drawn = rng.standard_gamma(self._shape, int(target.sum()), np.float32) / np.float32(self._shape)
             power[target] *= 1 + share[target] * (drawn - 1)
-        imaged = self._response.seen(np.sqrt(power) * white_speckle(power.shape, chance))
+        imaged = self._response.seen(np.sqrt(power) * white_speckle(power.shape, rng))
         (top, _), (left, _) = self._margins
         rows, columns = self._grid.rows, self._grid.columns
         middle = slice(self._parts // 2, None, self._parts)
@@ -147,7 +147,7 @@ class Sampler:
 
     @torch.no_grad()
     def _powers(
-        self, shot: Shot, grid: ImageGrid, chance: np.random.Generator
+        self, shot: Shot, grid: ImageGrid, rng: np.random.Generator
     ) -> tuple[Float32[np.ndarray, "rows columns"], Float32[np.ndarray, "rows columns"]]:
         """Expected power of the image with the drawn shift and gain, β⁰, and which share of it is the target's.
 
@@ -163,16 +163,16 @@ class Sampler:
         if self._backdrop is None:
             developed = [self._model.developed(some, shot) for some in (images, without)]
         else:
-            part = self._part_of(self._backdrop, chance)
+            part = self._part_of(self._backdrop, rng)
             developed = [self._before(some, without[:, channel], part, shot) for some in (images, without)]
         power, rest = (some[0, channel].clamp(min=0) for some in developed)
         share = (1 - rest / power.clamp(min=torch.finfo(power.dtype).tiny)).clamp(min=0)
         return power.cpu().numpy(), share.cpu().numpy()
 
-    def _part_of(self, backdrop: Tensor, chance: np.random.Generator) -> Tensor:
+    def _part_of(self, backdrop: Tensor, rng: np.random.Generator) -> Tensor:
         rows, columns = self._grid.rows, self._grid.columns
         top, left = (
-            self._parts * int(chance.integers((had - needed) // self._parts + 1))
+            self._parts * int(rng.integers((had - needed) // self._parts + 1))
             for had, needed in zip(backdrop.shape, (rows, columns), strict=True)
         )
         return backdrop[top : top + rows, left : left + columns]
@@ -194,7 +194,7 @@ class Sampler:
 
 
 def _divided(grid: ImageGrid, scene: Gaussians) -> int:
-    """Into how many a pixel is divided along each side, so that Gaussians are larger than its parts; an odd number."""
+    """Oversampling factor of the pixels, so that they are smaller than the Gaussians; odd."""
     smallest = scene.scales.amin(1).double().quantile(_SMALL).item()
     needed = math.ceil(max(grid.spacing_m) / (_FINE_ENOUGH * smallest))
     return min(needed + 1 - needed % 2, _FINEST)
@@ -223,7 +223,7 @@ def _widened(grid: ImageGrid) -> tuple[list[tuple[int, int]], ImageGrid]:
 
 
 def seed_of(seed: int, *place: int) -> int:
-    """A seed of its own for each place in a set, the same whatever else is drawn; below 2⁶³.
+    """Derive a seed for each item of a set, independent of what else is drawn; below 2⁶³.
 
     Raises
     ------

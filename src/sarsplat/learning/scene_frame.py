@@ -1,4 +1,4 @@
-"""What the training images fix about a learned scene."""
+"""Quantities that the training images fix for a learned scene: region, unit, views, grid, terrain, stacks."""
 
 from __future__ import annotations
 

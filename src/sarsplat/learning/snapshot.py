@@ -1,4 +1,4 @@
-"""All that a training is after some iterations, in one file: what resumes it needs nothing else but the images."""
+"""The complete state of a training after some iterations, in one file; only the images are needed besides to resume."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _Power = Annotated[float, msgspec.Meta(gt=0, le=1e18)]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A training's state, and what its results are made with."""
+    """The state of a training, and the views, grid and scale that its results refer to."""
 
     iteration: int
     """Steps done."""
@@ -50,7 +50,7 @@ class Snapshot:
         return {name.removeprefix(f"{prefix}/"): t for name, t in self.tensors.items() if name.startswith(f"{prefix}/")}
 
     def digest(self) -> str:
-        """Of what was learned, hexadecimal: another one has another."""
+        """Hash of the training's tensors, hexadecimal."""
         digest = hashlib.blake2b(digest_size=16)
         for name, tensor in sorted(self.tensors.items()):
             digest.update(name.encode())

@@ -1,4 +1,4 @@
-"""How surprising the signals of stacks are: the likelihood of speckle, of all channels together."""
+"""Likelihood of the complex signals of stacks: circular Gaussian speckle of all channels together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The images that a training learns from, on its device, and the order in which its steps look at them."""
+"""Training images on the device, and the random order in which steps use them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class TrainingImages:
         self.numbers = torch.arange(len(self.views), device=device)
 
     def through(self, windows: Windows) -> TrainingImages:
-        """What windows show of them."""
+        """The images cut to windows."""
         looked = copy(self)
         looked.truth, looked.grid = windows.of(self.truth), windows.stack
         return looked
@@ -67,7 +67,7 @@ class TrainingImages:
 
 
 class ViewQueue:
-    """Numbers of the training views in a random order, then in another, `per_step` or all of them at a time.
+    """Batches of view indices: the training views shuffled anew for each epoch, `per_step` of them at a time.
 
     `generator` is one of the CPU, so that the order is the same on every device.
     """
@@ -77,7 +77,7 @@ class ViewQueue:
         self._views, self._count, self._generator = views, min(per_step, views), generator
 
     def next(self) -> list[int]:
-        """Numbers of the views of the next step."""
+        """View indices of the next step."""
         while len(self.waiting) < self._count:
             self.waiting += torch.randperm(self._views, generator=self._generator, device="cpu").tolist()
         chosen, self.waiting = self.waiting[: self._count], self.waiting[self._count :]

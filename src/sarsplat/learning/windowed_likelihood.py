@@ -1,4 +1,4 @@
-"""The likelihood of stacks as a training takes it: averaged around each pixel, by the engine where it can."""
+"""Training loss of stacks: likelihood of covariances averaged around each pixel, by the engine if it can."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ExpectedStacks:
 def windowed(
     covariances: Complex[Tensor, "v p p rows columns"], level: Float[Tensor, "v p rows columns"], window: int
 ) -> Complex[Tensor, "v p p rows columns"]:
-    """With the phases of level ground taken out, rad, and averaged around each pixel, at edges over what there is."""
+    """Covariances deramped by the phases of level ground, rad, and averaged over the window around each pixel."""
     turned = torch.polar(torch.ones_like(level), -level)
     deramped = covariances * (turned[:, :, None] * turned[:, None].conj())
     parts = torch.view_as_real(deramped).movedim(-1, 3).flatten(0, 3)
@@ -59,7 +59,7 @@ def packed(covariances: Complex[Tensor, "v p p rows columns"]) -> Float[Tensor, 
 
 
 def unpacked(parts: Float[Tensor, "v q rows columns"], count: int) -> Complex[Tensor, "v {count} {count} rows columns"]:
-    """Undo `packed`."""
+    """Matrices from what `packed` returned."""
     first, second = np.triu_indices(count, 1)
     v, _, *size = parts.shape
     result = parts.new_zeros((v, count, count, *size), dtype=parts.dtype.to_complex())

@@ -1,4 +1,4 @@
-"""Where the power of one pixel may come from: the line of one azimuth and one range, and the Gaussians on it."""
+"""Contributors to a pixel: the line of its azimuth and range, and the Gaussians on it."""
 
 from __future__ import annotations
 

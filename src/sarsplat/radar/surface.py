@@ -1,4 +1,4 @@
-"""A target's surface as opaque Gaussians that know their normals: what radar maps are made from."""
+"""A target's surface as opaque Gaussians with normals, from which radar maps are made."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Where a target is: its box, the region searched for it, what stands out in images. Needs no model."""
+"""Location of the target from the images alone: its box, its outlines, the region to place Gaussians in."""

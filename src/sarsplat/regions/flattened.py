@@ -1,4 +1,4 @@
-"""Images of terrain as if the same stood on level ground: to find a target, and how bright its ground is."""
+"""Images of terrain warped to level ground, to find a target and the brightness of its ground."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DIMMEST = 0.1
 
 
 def levelled(dataset: Dataset) -> Dataset:
-    """Each place of the ground is where level ground has it, as bright as level ground is; without terrain, the same.
+    """Warp images to level ground, with its brightness; unchanged without terrain.
 
     What stands h above the ground is displaced towards the radar, and throws a shadow, nearly as on level ground.
     """

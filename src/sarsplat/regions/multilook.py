@@ -1,4 +1,4 @@
-"""Images of fewer, larger pixels."""
+"""Multilooking of images."""
 
 from __future__ import annotations
 

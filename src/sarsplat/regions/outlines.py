@@ -1,4 +1,4 @@
-"""Where target and shadow are in an image, told from the image alone: nothing is assumed of its direction."""
+"""Outlines of target and shadow in an image, from its decibels alone, whichever side is near range."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _REACH = 1.0
 
 @dataclass(frozen=True)
 class Outline:
-    """What stands out in one image.
+    """Outlines of target and shadow in one image.
 
     Attributes
     ----------

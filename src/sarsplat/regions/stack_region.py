@@ -1,4 +1,4 @@
-"""Where scatterers of stacks are looked for: where they would be imaged, within one ambiguity of elevation."""
+"""Region in which scatterers of stacks are placed: what the images show, within one ambiguity of elevation."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def imaged_sample(
 
 
 def enough_gaussians(region: Region, views: Sequence[View], grid: ImageGrid, stacks: Sequence[Stack]) -> int:
-    """How many Gaussians stacks need: so many for each cell of azimuth, range and elevation that images show."""
+    """Number of Gaussians for stacks: a fixed number for each cell of azimuth, range and elevation that images show."""
     size, points = region.high - region.low, _tried(region)
     inside = (points @ region.normals.T <= region.offsets).all(axis=1) & _in_any(points, views, grid)
     volume, span = float(np.prod(size)) * float(inside.mean()), size[2] / math.cos(math.radians(views[0].grazing_deg))
@@ -98,7 +98,7 @@ def enough_gaussians(region: Region, views: Sequence[View], grid: ImageGrid, sta
 
 
 def _tried(region: Region) -> Float64[np.ndarray, "k 3"]:
-    """Places in the box around a region, always the same."""
+    """Uniform trial points in the box around a region, from a fixed seed."""
     return region.low + (region.high - region.low) * np.random.default_rng(0).random((_TRIED, 3))
 
 

@@ -1,4 +1,4 @@
-"""The box around what stands out from the ground in images of it, as high as its shadow is long."""
+"""The target's bounding box: what is brighter than the ground, and as high as its shadow tells."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def _on_the_ground(
 
 
 def _weights_across(views: Sequence[View], i: int) -> Float64[np.ndarray, " v"]:
-    """How much each view says about the extent along axis i."""
+    """Weight of each view for the extent along axis i: views across that axis count most."""
     aways = [radar_frame(view)[2] for view in views]
     leans = np.array([away[i] * away[2] / (1 - away[2] ** 2) for away in aways])  # along the axis, per metre of height
     return 1 / (1 + (_UPRIGHT * leans) ** 2)

@@ -1,4 +1,4 @@
-"""Where the target is looked for, and what of the images lies beyond it."""
+"""The region in which Gaussians may lie, and warnings of what it cuts off."""
 
 from __future__ import annotations
 

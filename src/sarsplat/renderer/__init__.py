@@ -119,7 +119,7 @@ def render(
 
     Notes
     -----
-    Source: SAR-GS, eqs. (4)–(13), as amended in docs/paper-map.md.
+    Source: SAR-GS, eqs. (4)–(13), as amended in docs/concepts/paper-map.md.
 
     The CPU engine borrows torch's threads (`torch.set_num_threads`); its results do not depend on their number. As with
     all of torch, a forked process must begin with `torch.set_num_threads(1)`; torch's data loaders do that.

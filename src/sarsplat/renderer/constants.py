@@ -1,4 +1,4 @@
-"""The renderer's numerical constants (docs/conventions.md §3), one place for every engine."""
+"""The renderer's numerical constants (docs/concepts/image-model.md §3), one place for every engine."""
 
 CELL_WIDENING = 1.0 / 12.0
 """c: a ray's cell widens a footprint by c·δ² per axis (variance of a uniform cell)."""

@@ -1,7 +1,7 @@
 """The reference renderer: plain torch, any dtype, equation by equation. It is the judge, not the engine.
 
 The three steps one by one, and their composition. Dense: every Gaussian meets every ray and every pixel, so it is meant
-for small scenes. Numbers in comments are sections of the model (docs/conventions.md).
+for small scenes. Numbers in comments are sections of the model (docs/concepts/image-model.md).
 """
 
 from __future__ import annotations

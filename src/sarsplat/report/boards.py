@@ -70,12 +70,12 @@ def point_boards(
 
 
 def _at_most(points: Points, most: int) -> Float[np.ndarray, "fewer 3"]:
-    """A random choice of points where there are more."""
+    """A random subset of the points where there are too many."""
     return points if len(points) <= most else points[np.random.default_rng(0).choice(len(points), most, replace=False)]
 
 
 def _tree(points: Points) -> cKDTree:
-    """Made faster than it would be for very many questions."""
+    """A k-d tree that is quick to build (its queries are slower)."""
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 

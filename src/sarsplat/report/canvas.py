@@ -1,4 +1,4 @@
-"""The look that all figures share: dark panels, which sit well on light and on dark pages."""
+"""Shared style of matplotlib figures: dark panels that suit light and dark pages."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def new_sheet(size: tuple[float, float], lines: int, columns: int, **margins: fl
 
 
 def dress(axes: Axes) -> None:
-    """Colours of one set of axes."""
+    """Apply the style to one set of axes."""
     axes.set_facecolor(DARK.card)
     axes.tick_params(which="both", colors=DARK.muted, labelsize=8, length=3)
     for spine in axes.spines.values():

@@ -1,4 +1,4 @@
-"""What a training did: loss, number of Gaussians, and corrections of azimuths."""
+"""Training curves: loss, number of Gaussians, and corrections of azimuths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two passes of a stack, pixel by pixel: the phase that is not that of level ground, and the coherence."""
+"""Interferograms of two passes: deramped phase and coherence of each pixel."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Pair:
     def of_signals(
         self, signals: Complex[np.ndarray, "p rows columns"], level: Float[np.ndarray, "p rows columns"]
     ) -> Float64[np.ndarray, "4 rows columns"]:
-        """What `Interferogram` is made of, from the signals of all passes and the phases of level ground, rad."""
+        """The interferogram of the pair, from the signals of all passes and the phases of level ground, rad."""
         first, second = signals[self.first], signals[self.second]
         return self._parts(abs(first) ** 2, abs(second) ** 2, first * second.conj(), level)
 

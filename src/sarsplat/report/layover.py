@@ -1,4 +1,4 @@
-"""Where a stack shows several heights in one pixel: the slice that is worth looking at."""
+"""The vertical slice through the brightest layover of a stack, for the report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers as pictures inside a page: 8-bit PNGs with a palette, as addresses that hold them."""
+"""Arrays as 8-bit palette PNGs, embedded in a page as data URIs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Three sides of a target, as on a drawing board, from pictures of what the world holds."""
+"""Orthographic views of points from three sides."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Unseen views: truth, reconstruction and what lies between them."""
+"""Unseen views: truth, reconstruction and error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What turns on a page: the points, and beside them the SAR image from where the radar then is.
+"""The report's interactive widget: points that turn, and the SAR image of the nearest rendered direction beside them.
 
 Images are rendered beforehand, at the views of some of the dataset's images and on a raster over the directions that
 these span; as many as a number of bytes allows, whatever the size of an image.

@@ -1,4 +1,4 @@
-"""Which part of an image is worth showing."""
+"""Crop of an image around the target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A training's log: one line of JSON now and then."""
+"""The training log, `metrics.jsonl`: one JSON object a line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a set of chips was made: what its folder says, and by which a stopped one is gone on with."""
+"""Record of how a set of chips was made (`chips.json`), with which a stopped one can be continued."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
 
     @classmethod
     def of(cls, chips: Chips, shard: int | None) -> Self:
-        """Of a set that is written in shards of so many chips, or chip by chip."""
+        """The record of a set, written in shards of so many chips or chip by chip."""
         how, grid = chips.encoding, chips.runs[0].grid
         return cls(
             schema=SCHEMA,

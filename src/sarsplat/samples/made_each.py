@@ -1,4 +1,4 @@
-"""Work on one chip after another, shared among processes: threads would wait for each other more than they work."""
+"""Parallel map over chips by processes; threads would mostly wait for each other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From point deposits of cross-section to β⁰ at the pixel centres, seen through the system's power response."""
+"""Deposits point cross-sections on a fine grid, and convolves them with the power response to β⁰ at pixel centres."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flat patches of a mesh: where their outlines do not pass, one ray tells what many would."""
+"""Flat patches of a mesh; where their outlines do not pass, one ray stands for many."""
 
 from __future__ import annotations
 

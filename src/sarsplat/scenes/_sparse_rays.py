@@ -1,4 +1,4 @@
-"""Rays as dense as outlines need, and as sparse as flat patches allow."""
+"""Adaptive ray sampling: dense near outlines, sparse within flat patches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Terrain as triangles below a target, for ray casting: what hides what follows by itself."""
+"""Terrain as triangles below a target, so that ray casting handles occlusion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Speckle as a radar delivers it: complex noise through the response of the system, so that neighbours are alike."""
+"""Correlated speckle: complex white noise filtered by the system's response."""
 
 from __future__ import annotations
 

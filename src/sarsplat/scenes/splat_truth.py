@@ -20,8 +20,8 @@ from sarsplat.scenes.scattering import ScatteringLaw
 if TYPE_CHECKING:
     import trimesh
 
-# Measured against the ray caster (docs/forward-model.md): wider or denser discs bulge over edges and appear nearer than
-# the surface, narrower or thinner ones leak.
+# Measured against the ray caster (docs/reference/forward-model.md): wider or denser discs bulge over edges and appear
+# nearer than the surface, narrower or thinner ones leak.
 _WIDENING = 1.2  # standard deviations of a Gaussian, in those of a uniform density on its piece
 _SHEET_DEPTH = 7.0  # mean two-way optical depth of the surface
 _THICKNESS = 0.01  # standard deviation along the normal, in sizes of a piece

@@ -16,28 +16,28 @@ _MOST_STARTS = 1 << 20
 
 
 def surface_samples(
-    mesh: trimesh.Trimesh, count: int, chance: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
+    mesh: trimesh.Trimesh, count: int, rng: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
 ) -> Float64[np.ndarray, "{count} 3"]:
     """Points spread by area, or as often on each face as it weighs; the same bits as trimesh's with that generator."""
     places = np.empty((count, 3))
-    for first, some, _ in blocks_of_samples(mesh, count, chance, weight):
+    for first, some, _ in blocks_of_samples(mesh, count, rng, weight):
         places[first : first + some.shape[1]] = some.T
     return places
 
 
 def blocks_of_samples(
-    mesh: trimesh.Trimesh, count: int, chance: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
+    mesh: trimesh.Trimesh, count: int, rng: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
 ) -> Iterator[tuple[int, Float64[np.ndarray, "3 s"], Int64[np.ndarray, " s"]]]:
     """Number of the first point, coordinates and faces of some of these points at a time."""
     ends = np.cumsum(mesh.area_faces if weight is None else weight)
-    shares = chance.random(count)
+    shares = rng.random(count)
     starts = _starts(ends)
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
     origin = vertices[faces[:, 0]].T.copy()
     one, other = (vertices[faces[:, k]].T - origin for k in (1, 2))
     for first in range(0, count, _AT_ONCE):
         face = _faces_at(shares[first : first + _AT_ONCE], ends, starts)
-        along = chance.random((len(face), 2)).T.copy()
+        along = rng.random((len(face), 2)).T.copy()
         beyond = along[0] + along[1] > 1.0  # in the other half of a parallelogram
         np.subtract(1.0, along, out=along, where=beyond)
         places = np.empty((3, len(face)))

@@ -232,7 +232,7 @@ class FlatGround(Record):
 
 @dataclass(frozen=True)
 class Surroundings(Record):
-    """What else is modelled in measured images of a target on the ground; docs/measured-data.md has its worth.
+    """What else is modelled in measured images of a target on the ground (docs/concepts/measured-chips.md).
 
     Standard deviations say how far something is expected to be from its usual value, before the images are seen; with 0
     it keeps that value.

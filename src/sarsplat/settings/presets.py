@@ -47,7 +47,7 @@ PRESETS: dict[str, Config] = {
         rates=Rates(means=0.33),
         points=PointExtraction(optical_depth=0.5, behind=0.25),
     ),
-    # the paper's training, as far as it is stated (docs/paper-map.md)
+    # the paper's training, as far as it is stated (docs/concepts/paper-map.md)
     "paper": Config(
         preset="paper",
         iterations=30_000,

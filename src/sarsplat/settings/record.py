@@ -41,7 +41,7 @@ class Record:
         return msgspec.to_builtins(self)
 
     def changes(self, other: Self) -> Iterator[tuple[str, Any, Any]]:
-        """What differs: dotted names, such as ``rates.means``, with its own value and the other's."""
+        """Settings that differ from another record's: dotted names, such as ``rates.means``, with both values."""
         for name in _hints(type(self)):
             own, others = getattr(self, name), getattr(other, name)
             if isinstance(own, Record) and isinstance(others, Record):
@@ -77,7 +77,7 @@ class Record:
 
     @classmethod
     def from_dict(cls, data: object, source: str = "the configuration") -> Self:
-        """Undo `as_dict`; errors name the `source`, e.g. the path of a file.
+        """The record that `as_dict` described; errors name the `source`, e.g. the path of a file.
 
         Absent fields take their defaults, as in files from before there were these settings.
 

@@ -25,7 +25,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.progress import stage
 from sarsplat.radiometry import shade
 from sarsplat.surface.visibility import Seen
-from sarsplat.unbroken import unbroken
+from sarsplat.uninterruptible import uninterruptible
 
 if TYPE_CHECKING:
     import trimesh
@@ -88,7 +88,7 @@ def surface_mesh(
             vertices, faces = _zero_surface(planes, marching_cubes, lambda share: shown.update(_SEARCH * share))
             near = np.empty(len(vertices), bool)
             for part in _some_at_a_time(len(vertices)):
-                near[part] = unbroken(planes.tree.query, vertices[part], workers=-1)[0] <= _REACH * planes.unit_m
+                near[part] = uninterruptible(planes.tree.query, vertices[part], workers=-1)[0] <= _REACH * planes.unit_m
                 shown.update(_SEARCH + (_NEAR - _SEARCH) * part.stop / len(vertices))
             vertices, faces = _without_crumbs(vertices, faces[near[faces].all(axis=1)], planes.unit_m)
             if len(faces):
@@ -133,7 +133,7 @@ class _Planes:
         distance, normal = np.empty(len(places)), np.empty((len(places), 3))
         count = np.arange(1, min(_NEIGHBOURS, len(self.oriented)) + 1)
         for part in _some_at_a_time(len(places)):
-            apart, index = unbroken(self.tree.query, places[part], k=count, workers=-1)
+            apart, index = uninterruptible(self.tree.query, places[part], k=count, workers=-1)
             for few in range(0, len(apart), _SUMMED):
                 some = slice(few, few + _SUMMED)
                 place, plane = self._means(apart[some], index[some])
@@ -155,7 +155,7 @@ class _Planes:
 
 
 def _some_at_a_time(count: int) -> Iterator[slice]:
-    """Parts of so many places."""
+    """Chunks of the places, to bound memory."""
     return (slice(first, min(first + _AT_ONCE, count)) for first in range(0, count, _AT_ONCE))
 
 
@@ -202,13 +202,13 @@ def _zero_surface(
 
 
 def _distinct(voxels: Int64[np.ndarray, "v 3"]) -> Int64[np.ndarray, "o 3"]:
-    """Each once, in order."""
+    """Unique rows, sorted."""
     order, first = _sorted(voxels)
     return voxels[order[first]]
 
 
 def _sorted(voxels: Int64[np.ndarray, "v 3"]) -> tuple[Int64[np.ndarray, " v"], Int64[np.ndarray, " d"]]:
-    """What sorts them, and where among the sorted ones others begin: `numpy.unique` of rows takes ten times as long."""
+    """Sorting permutation of rows, and where runs of equal rows begin; ten times as fast as `numpy.unique` of rows."""
     order = np.lexsort(voxels.T[::-1])
     ranked = voxels[order]
     return order, np.flatnonzero(np.append(True, (ranked[1:] != ranked[:-1]).any(axis=1)))

@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from sarsplat.progress import stage
-from sarsplat.unbroken import unbroken
+from sarsplat.uninterruptible import uninterruptible
 
 _AT_ONCE = 4096  # cubes
 _CUBES = 4  # to a radius: a dense cloud has hundreds of neighbours for each point, which count by the cube
@@ -38,7 +38,7 @@ def surface_normals(
             0, len(table), _AT_ONCE
         ):  # points of a cube share their plane: a cube is small to the radius
             part = slice(first, first + _AT_ONCE)
-            near = unbroken(tree.query_ball_point, means[part], radius, workers=-1)
+            near = uninterruptible(tree.query_ball_point, means[part], radius, workers=-1)
             ends = np.cumsum([0, *map(len, near)])
             neighbours = csr_array(
                 (np.ones(ends[-1]), np.concatenate(near).astype(np.int64), ends), (len(near), len(table))

@@ -163,7 +163,7 @@ def _seen_points(
 
 
 def _bytes(gaussians: Gaussians, grid: ImageGrid, rays: float, views: int) -> float:
-    """What points, normals and mesh take at most, where the views have so many rays."""
+    """Upper bound of the memory that points, normals and mesh need for so many rays, bytes."""
     of_a_view = memory_bytes(
         len(gaussians), gaussians.scattering.parameters.shape[1], rays / views, grid.rows * grid.columns
     )
@@ -188,7 +188,7 @@ def _mixed(count: int) -> Int64[np.ndarray, " n"]:
 
 
 def spread(views: Sequence[View], most: int) -> list[View]:
-    """At most so many views, in their order: each the farthest from those chosen before it, the first one included."""
+    """At most so many views by farthest-point sampling, in their order, the first one included."""
     if len(views) <= most:
         return list(views)
     directions = np.array([view.direction for view in views])
@@ -300,7 +300,7 @@ class _Voxels:
 
 
 def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Float64[np.ndarray, "fewer 3"]:
-    """The largest of DBSCAN's clusters: what floats apart from the target is left out."""
+    """Keep the largest DBSCAN cluster: what floats apart from the target is left out."""
     try:
         from sklearn.cluster import DBSCAN
     except ImportError as error:

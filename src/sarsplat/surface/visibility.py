@@ -1,4 +1,4 @@
-"""What the radar saw of the Gaussians: from where, over which area, and how bright."""
+"""Per-Gaussian visibility summed over views: lit area, mean γ⁰ and mean direction to the radar."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.progress import stage
 from sarsplat.renderer import render
-from sarsplat.unbroken import unbroken
+from sarsplat.uninterruptible import uninterruptible
 
 _RAYS_PER_PIXEL = 4.0
 _AT_ONCE = 1 << 18  # places
@@ -67,7 +67,7 @@ class Seen:
         tree = cKDTree(self.means)
         for first in range(0, len(points) if len(count) else 0, _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
-            distance, index = unbroken(tree.query, points[part], k=count, workers=-1)
+            distance, index = uninterruptible(tree.query, points[part], k=count, workers=-1)
             # relative to the nearest: far from every Gaussian, the nearest still speaks
             weight = np.exp(-0.5 * (distance**2 - distance[:, :1] ** 2) / self.radius_m**2)
             area = (weight * self.lit_area[index]).sum(1)

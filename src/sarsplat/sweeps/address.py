@@ -1,4 +1,4 @@
-"""What a run is known by: its data, its settings and the source of the modules that made it."""
+"""Content address of a run: hash of its data, its settings and the source code that makes it."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _file(name: str) -> Path | None:
 
 @cache
 def _nodes(path: Path) -> Sequence[ast.AST]:
-    """Of a file's tree, its root first."""
+    """All nodes of a file's syntax tree, the root first."""
     return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
 
 
@@ -170,6 +170,6 @@ def _is_text(node: ast.AST) -> bool:
 
 
 def forget() -> None:
-    """Read everything again from now on."""
+    """Clear the caches of source files."""
     for cached in (code, _file, _nodes, _imports, _statements, _lazy):
         cached.cache_clear()

@@ -1,4 +1,4 @@
-"""One run of a sweep: what is done, and the address it has for that."""
+"""One run of a sweep: its dataset, method, settings and seed, and its content address."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is shown while runs are under way: which one has ended, and how far the others are."""
+"""Progress display of a sweep: which runs have ended, and how far the others are."""
 
 from __future__ import annotations
 

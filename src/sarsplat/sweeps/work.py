@@ -27,7 +27,7 @@ ROWS, RUNS = "rows", "runs"
 
 
 class Row(msgspec.Struct):
-    """What came of a run.
+    """The result row of a run.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Row(msgspec.Struct):
 
 
 def row_path(cell: Cell, out: Path) -> Path:
-    """Where the row of a run is."""
+    """Path of the result row of a run."""
     return out / ROWS / f"{cell.address}.json"
 
 

@@ -1,4 +1,4 @@
-"""Which tiles an image is cut into: halves of halves, until each with all that it needs fits into memory.
+"""Plan of tiles for an image: halved recursively until each tile and all that it needs fits into memory.
 
 A tile needs the Gaussians that reach its pixels, and those that cross the same rays: they shade it. On flat ground
 these rays are those of the tile; what stands h above it is seen, at the grazing angle ψ, h·tan ψ nearer to the radar

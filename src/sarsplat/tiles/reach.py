@@ -1,4 +1,4 @@
-"""How far Gaussians reach on the two planes of a view: boxes by which a tile finds those that it needs."""
+"""Bounding boxes of footprints on the two planes of a view, by which a tile finds the Gaussians that it needs."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Boxes:
         return inside.nonzero()[:, 0]
 
     def of(self, index: Int64[Tensor, " k"]) -> Boxes:
-        """Some of them."""
+        """A subset of the boxes."""
         return Boxes(self.low[:, index], self.high[:, index])
 
     @property
@@ -82,14 +82,14 @@ class Reach:
     in_image: Boxes
 
     def some(self, index: Int64[Tensor, " k"]) -> Reach:
-        """That of some Gaussians."""
+        """The reach of a subset of the Gaussians."""
         return Reach(self.on_rays.of(index), self.in_image.of(index))
 
     @classmethod
     def of(
         cls, gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, shift: Float[Tensor, "1 2"] | None
     ) -> Reach:
-        """Of all Gaussians, some at a time."""
+        """The reach of all Gaussians of a scene, computed in chunks."""
         count = len(gaussians)
         sides = torch.empty(2, 4, count, device=gaussians.means.device)
         with stage("where Gaussians reach", count) as reporter:
@@ -106,7 +106,7 @@ class Reach:
 
 
 def rows_of(gaussians: Gaussians, rows: slice | Int64[Tensor, " k"]) -> Gaussians:
-    """As `gaussians[rows]`, in a time that has nothing to do with how many there are."""
+    """`gaussians[rows]`, in time that depends on the number of rows alone."""
     return gaussians.with_tensors(**{name: tensor[rows] for name, tensor in gaussians.tensors().items()})
 
 

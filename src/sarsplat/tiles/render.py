@@ -112,7 +112,7 @@ def _in_sight(
 
 
 def _said_of(ground: Ground | None) -> Iterator[object]:
-    """All that a ground is, as tensors and things whose `repr` says all of them."""
+    """Everything that identifies a ground, as tensors and values with a complete `repr`."""
     for value in () if ground is None else vars(ground).values():
         if isinstance(value, Terrain):
             yield from (torch.from_numpy(value.heights_m), value.pitch_m)

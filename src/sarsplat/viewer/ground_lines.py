@@ -1,4 +1,4 @@
-"""Lines on the ground, left out where an image below the ground is seen through it: nothing crosses a SAR image."""
+"""Grid lines on the ground, clipped where they would cross the SAR image that is shown below the ground."""
 
 from __future__ import annotations
 

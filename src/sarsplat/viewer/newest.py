@@ -1,4 +1,4 @@
-"""Work that follows the mouse: only the newest position is worth drawing."""
+"""A worker thread that only does the newest request, such as rendering while the mouse moves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page's subject: a run, a dataset or a training behind one interface."""
+"""Interface of what the viewer shows: a run, a dataset or a training."""
 
 from __future__ import annotations
 

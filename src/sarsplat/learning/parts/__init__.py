@@ -1,4 +1,4 @@
-"""What a model is made of: each part is one file of this folder, and `parts_of` finds it there."""
+"""Parts of the scene model: each is one file of this folder, and `parts_of` finds it there."""
 
 from __future__ import annotations
 

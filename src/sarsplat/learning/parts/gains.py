@@ -1,4 +1,4 @@
-"""Gains: measured images differ in brightness."""
+"""Gains: a brightness factor for each measured image."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class Gains(Nuisance):
         return {"log_gain": torch.zeros(len(train), device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """They are near 1."""
+        """Prior: gains are near 1."""
         if self.settings.gain_std:
             yield normal_nats(p["log_gain"], self.settings.gain_std)
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
         if shot.numbers is not None:
             return shot
-        if shot.chance is not None:
-            return replace(shot, gain=drawn_like(gains(p).log(), len(shot.views), shot.chance).exp())
+        if shot.rng is not None:
+            return replace(shot, gain=drawn_like(gains(p).log(), len(shot.views), shot.rng).exp())
         return replace(shot, additive=gains(p).reciprocal().mean())
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
@@ -52,5 +52,5 @@ class Gains(Nuisance):
 
 
 def gains(p: Parameters) -> Float[Tensor, " v"]:
-    """Of the training images' power; of mean 1."""
+    """Factors on the power of the training images, normalised to mean 1."""
     return torch.softmax(p["log_gain"], dim=0) * len(p["log_gain"])

@@ -62,7 +62,7 @@ class FlatGroundPart(Part):
         } | places
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """Its places are similar."""
+        """Prior: neighbouring places have similar γ⁰."""
         if self._side:
             yield normal_nats(p["ground_texture"], self._settings.std)
 

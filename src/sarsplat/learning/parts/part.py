@@ -62,8 +62,8 @@ class Shot:
     """The channel of the images that is β⁰."""
     numbers: Int64[Tensor, " v"] | None
     """Which training images they are. None for unseen ones: of what belongs to single images (shift, gain), only the
-    distribution is known, and their expectation is rendered, unless `chance` draws from it."""
-    chance: np.random.Generator | None = None
+    distribution is known, and their expectation is rendered, unless `rng` draws from it."""
+    rng: np.random.Generator | None = None
     """Draws what belongs to single unseen images."""
     shift: Float[Tensor, "v 2"] | None = None
     """Displacement (azimuth, range) of each image, m."""
@@ -126,7 +126,7 @@ class Part(ABC):
     def scene(
         self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
     ) -> Gaussians | None:
-        """The scene with this part in it; harmonics up to `degree`, without the Gaussians of the target `dropped`."""
+        """Add this part to the scene: harmonics up to `degree`, without the target's Gaussians that are `dropped`."""
         return scene
 
     def ground(self, p: Parameters) -> Ground | None:
@@ -138,11 +138,11 @@ class Part(ABC):
         return None
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
-        """How images are taken, as far as it says so."""
+        """The imaging conditions with this part's share filled in (shift, gain, grid)."""
         return shot
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
-        """Images [V, C, rows, columns], in the model's unit, with what it does to them."""
+        """Apply this part to images [V, C, rows, columns] in the model's unit."""
         return images
 
     def noise(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p"] | None:
@@ -159,7 +159,7 @@ class Part(ABC):
 
     # ---- what else is saved -----------------------------------------------------------------------------------------
     def state(self) -> Parameters:
-        """What it knows besides its parameters."""
+        """State besides the parameters, to be saved."""
         return {}
 
     def load(self, state: Parameters) -> None:
@@ -168,7 +168,7 @@ class Part(ABC):
 
 
 class Nuisance(Part):
-    """Base of what only measured images show, besides the target."""
+    """Base of the nuisance parts, which only measured images need: shifts, gains, texture, …"""
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
@@ -180,15 +180,15 @@ class Nuisance(Part):
         self.settings = config.surroundings
 
 
-def drawn_like(values: Float[Tensor, "n ..."], count: int, chance: np.random.Generator) -> Float[Tensor, "{count} ..."]:
-    """So many more of them, normally distributed with their mean and their standard deviation."""
+def drawn_like(values: Float[Tensor, "n ..."], count: int, rng: np.random.Generator) -> Float[Tensor, "{count} ..."]:
+    """Random values for unseen images, normal with the mean and standard deviation of the learned ones."""
     mean, std = values.detach().mean(0), values.detach().std(0, correction=0)
-    normal = torch.from_numpy(chance.standard_normal((count, *values.shape[1:]), np.float32))
+    normal = torch.from_numpy(rng.standard_normal((count, *values.shape[1:]), np.float32))
     return mean + std * normal.to(values.device)
 
 
 def normal_nats(values: Float[Tensor, "n ..."], std: float) -> Float[Tensor, ""]:
-    """How unlikely values are that are expected near zero, nats; normal, with this standard deviation."""
+    """Negative log prior of values that are normal around zero with this standard deviation, nats."""
     deviations = values.reshape(len(values), -1) / std
     return len(deviations) * column_means(deviations**2).sum() / 2
 

@@ -34,7 +34,7 @@ class PassNoise(Part):
         return dict.fromkeys(self.learned, start)
 
     def of_passes(self, p: Parameters) -> Float[Tensor, "v passes"]:
-        """Of each training image, in the model's unit."""
+        """Noise power of the passes of each training image, in the model's unit."""
         return p["pass_noise"].exp() if self._known is None else self._known
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:

@@ -46,7 +46,7 @@ class PhaseScreen(Part):
         return {"phase_screen": start.flatten(1)}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """They are small."""
+        """Prior: phases are small."""
         assert self.config.passes is not None  # `wanted`
         yield normal_nats(p["phase_screen"], self.config.passes.screen_std)
 

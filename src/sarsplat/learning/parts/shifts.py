@@ -1,4 +1,4 @@
-"""Shifts: measured images are cut out around their targets, by eye."""
+"""Shifts: a displacement of each measured image, since chips are cut out around their targets by eye."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class Shifts(Nuisance):
         return {"shift": torch.zeros(len(train), 2, device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """They are small."""
+        """Prior: shifts are small."""
         if self.settings.shift_std:
             yield normal_nats(p["shift"], self.settings.shift_std * self.setting.cell_m)
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
         if shot.numbers is not None:
             return replace(shot, shift=p["shift"][shot.numbers])
-        if shot.chance is not None:
-            return replace(shot, shift=drawn_like(p["shift"], len(shot.views), shot.chance))
+        if shot.rng is not None:
+            return replace(shot, shift=drawn_like(p["shift"], len(shot.views), shot.rng))
         widened = shot.grid.widened(*p["shift"].detach().var(dim=0, correction=0).tolist())
         return replace(shot, grid=widened, shift=p["shift"].mean(0).expand(len(shot.views), 2))
 

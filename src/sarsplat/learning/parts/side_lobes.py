@@ -52,7 +52,7 @@ def with_side_lobes(
 
 @lru_cache(maxsize=16)
 def _matrices(grid: ImageGrid, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """What a pixel gives to the others of its row, and of its column; symmetric. Copied to a device only once."""
+    """Side-lobe matrices along rows and columns; symmetric, and copied to a device only once."""
     response = grid.response if math.isfinite(grid.response.main_lobe) else TAYLOR
     sizes = zip((grid.columns, grid.rows), grid.spacing_m, grid.resolution_m, strict=True)
     return tuple(_matrix(response, *size).to(device, dtype) for size in sizes)  # type: ignore[return-value]

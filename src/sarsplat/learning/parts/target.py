@@ -50,7 +50,7 @@ class Target(Part):
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
-        """Always."""
+        """Every model has a target."""
         return True
 
     def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
@@ -115,7 +115,7 @@ class Target(Part):
         } | ({"law": self._law.parameters[:, self._own :].clone()} if self._common else {})
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """Gaussians are empty rather than not, and scatter in all directions rather than in some."""
+        """Priors: most Gaussians are empty (sparsity), and scattering varies little with direction."""
         config, scattering = self.config, p["scattering"]
         if config.sparsity:
             filled = torch.log1p(p["optical_depth"] / _FAINT)
@@ -127,7 +127,7 @@ class Target(Part):
             yield normal_nats(scattering[:, 1:] / (config.directional_std * level[:, None].detach()), 1.0)
 
     def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
-        """How much the Gaussians' scattering differs, and how far from the usual one the law is that they share.
+        """Penalties: differences of scattering between Gaussians, and how far the shared exponent is from its start.
 
         Of small differences the variance counts, of large ones little more: the negative logarithm of Student's
         t-distribution, up to factors. Most Gaussians scatter the same.

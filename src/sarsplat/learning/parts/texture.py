@@ -50,7 +50,7 @@ class Texture(Nuisance):
         if shot.numbers is not None:
             factor = self.maps.among_images[shot.numbers]
         else:
-            factor = self.maps.factor(shot.views, shot.grid, None if shot.chance is None else shot.shift)
+            factor = self.maps.factor(shot.views, shot.grid, None if shot.rng is None else shot.shift)
         return images * factor[:, None]
 
     def state(self) -> Parameters:
@@ -111,7 +111,7 @@ class Maps:
         grid: ImageGrid,
         settings: Surroundings,
     ) -> Maps:
-        """From ratios that are not smoothed yet."""
+        """Maps estimated from the ratios of measured to rendered power, which are smoothed here."""
         sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
@@ -136,7 +136,7 @@ class Maps:
 
     @cached_property
     def among_images(self) -> Float32[Tensor, "k rows columns"]:
-        """For each training image, from all others: it must not explain its own speckle."""
+        """Texture of each training image from all others (leave-one-out): it must not explain its own speckle."""
         return torch.stack([self._factor(view, self._shifts_m[k], k, self._grid) for k, view in enumerate(self._views)])
 
     def _image_at(

@@ -1,4 +1,4 @@
-"""What changes a model otherwise than by steps of Adam: each strategy is one file of this folder, found there."""
+"""Strategies: changes of a model between steps of Adam, such as density control; each is one file of this folder."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class AzimuthRefinement(Configured):
         return cls(train, config.surroundings, config.iterations) if config.surroundings and uncertain else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        """What is added to the labels, degrees."""
+        """Azimuth corrections, zero at first, degrees."""
         return State(whole={"offset_deg": torch.zeros(len(self._labelled), dtype=torch.float64, device="cpu")})
 
     def due(self, step: int) -> bool:
@@ -71,7 +71,7 @@ class AzimuthRefinement(Configured):
         info.images.views = self.views(offset_deg)
 
     def views(self, offset_deg: Float64[np.ndarray, " k"]) -> tuple[View, ...]:
-        """The views with this added to their labels, degrees; one that is known exactly is the dataset's own."""
+        """The training views with these corrections, degrees; a view whose azimuth is known exactly stays as it is."""
         each = zip(self._labelled, offset_deg.tolist(), self._std_deg.tolist(), strict=True)
         return tuple(_turned(view, offset) if std else view for view, offset, std in each)
 

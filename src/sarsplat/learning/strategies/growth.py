@@ -37,7 +37,7 @@ class Growing(Configured):
 
 
 def holding(errors: Float[Tensor, " n"], share: float) -> Bool[Tensor, " n"]:
-    """The fewest that together hold at least this share of all."""
+    """The smallest set of items whose values sum to at least this share of the total."""
     largest, order = errors.double().cpu().sort(descending=True, stable=True)
     held = largest.cumsum(0)
     chosen = torch.zeros(len(errors), dtype=torch.bool, device="cpu")

@@ -1,4 +1,4 @@
-"""Row operations: Gaussians come and go in every parameter, with the optimiser's state and a strategy's.
+"""Row operations: remove, duplicate, split and move Gaussians in parameters, optimiser state and strategy state.
 
 They work on any dictionary of parameters; the optimiser says which of them have a row for each Gaussian. New Gaussians
 start from rest. Each function returns the row that each row was made from, so that what is kept elsewhere can follow.
@@ -20,7 +20,7 @@ _SPLIT_SHRINK = 1.6
 """A split Gaussian's two parts are this much smaller."""
 
 _OWN_PART = 0.6
-"""Of the optical depth, for each of the two: with 0.5 and 0.7 reconstructions were worse (docs/reconstruction.md)."""
+"""Of the optical depth, for each of the two; 0.5 and 0.7 were worse (docs/lab/2026-11-clean-surfaces.md)."""
 
 
 def rearrange(
@@ -37,21 +37,21 @@ def rearrange(
 
 
 def remove(params: Params, optimizers: Optimiser, state: State, gone: Bool[Tensor, " n"]) -> Int64[Tensor, " m"]:
-    """Without these Gaussians."""
+    """Remove these Gaussians."""
     source = (~gone).nonzero()[:, 0]
     rearrange(params, optimizers, state, source, torch.ones_like(source, dtype=torch.bool))
     return source
 
 
 def duplicate(params: Params, optimizers: Optimiser, state: State, which: Bool[Tensor, " n"]) -> Int64[Tensor, " m"]:
-    """With a copy of these Gaussians after all others."""
+    """Append a copy of these Gaussians."""
     return _append(params, optimizers, state, torch.ones_like(which).nonzero()[:, 0], which.nonzero()[:, 0])
 
 
 def split(
     params: Params, optimizers: Optimiser, state: State, which: Bool[Tensor, " n"], generator: torch.Generator
 ) -> Int64[Tensor, " m"]:
-    """With two smaller Gaussians for each of these, at random places inside it, after all others.
+    """Replace each of these Gaussians by two smaller ones at random places inside it, appended at the end.
 
     The parameters must have `means`, `quaternions` and `scales`.
     """
@@ -98,7 +98,7 @@ def _append(
 
 
 def _inside(params: Params, rows: Int64[Tensor, " m"], generator: torch.Generator) -> Float[Tensor, "m 3"]:
-    """From the centres of Gaussians to random places in them, m."""
+    """Random offsets from the centres of Gaussians, distributed as the Gaussians, m."""
     scales, quaternions = params["scales"].detach()[rows], params["quaternions"].detach()[rows]
     along = torch.randn(len(rows), 3, generator=generator, device="cpu").to(scales) * scales
     return rotated(quaternions, along)

@@ -45,7 +45,7 @@ class Relocating(Configured):
 def pairs(
     cross_sections: Float[Tensor, " n"], idle_share: float, generator: torch.Generator
 ) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
-    """Numbers of the idle Gaussians, and of the strong one that each joins; on the CPU, no number in both.
+    """Indices of the idle Gaussians, and of the strong one that each joins; on the CPU, no index in both.
 
     Idle are the weakest that together have at most `idle_share` of all radar cross-sections σ, m². The probability to
     be joined is proportional to σ.

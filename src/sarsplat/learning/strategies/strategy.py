@@ -1,4 +1,4 @@
-"""A strategy: what changes a model otherwise than by steps of Adam, now and then."""
+"""Interface of a strategy, which changes a model between steps of Adam."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class State:
     """Tensors of any other shape, which stays."""
 
     def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
-        """Take over from row `source`[k] what belongs to the new row k if that is still the same Gaussian: `kept`."""
+        """Re-index per-Gaussian state: row k takes that of row `source`[k], or zeros unless `kept`[k] (it is new)."""
         self.rows = {name: followed(rows, source, kept) for name, rows in self.rows.items()}
 
     def tensors(self) -> dict[str, Tensor]:
-        """All of them by name."""
+        """All state tensors by name, to be saved."""
         return self.rows | self.whole
 
     def load(self, tensors: dict[str, Tensor]) -> None:
@@ -54,7 +54,7 @@ class State:
 
 @dataclass(frozen=True)
 class Info:
-    """What a strategy is shown of a step."""
+    """What a strategy can see of a step: model, images, rendering, source of random numbers."""
 
     model: SceneModel
     images: TrainingImages
@@ -154,7 +154,7 @@ class Info:
 
 
 def of_rows(rendering: Rendering, pick: Callable[[Tensor], Tensor]) -> Rendering:
-    """A rendering with others of its Gaussians: `pick` makes their [V, M, …] from what is [V, N, …]."""
+    """A rendering with its per-Gaussian results re-indexed: `pick` maps [V, N, …] to [V, M, …]."""
     gradients = rendering.plane_gradients
     return replace(
         rendering,
@@ -181,7 +181,7 @@ class Strategy(ABC):
         return
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        """What it remembers when a training begins."""
+        """The state at the beginning of a training."""
         return State()
 
     def wants_plane_gradients(self, step: int) -> bool:
