@@ -40,7 +40,7 @@ def one(path: str, preset_name: str, tiles: int) -> dict[str, Any]:
     from sarsplat.evaluation.images import psnr_db
     from sarsplat.evaluation.points import surface_distance, thin
     from sarsplat.evaluation.surface import read_truth_mesh
-    from sarsplat.settings.config import FlatGround
+    from sarsplat.settings.sections import FlatGround
 
     torch.set_num_threads(1)
     dataset, config = read_dataset(path), replace(preset(preset_name), tiles=tiles, checkpoint_every=25)

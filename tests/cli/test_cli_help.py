@@ -15,7 +15,8 @@ from sarsplat.cli.commands import COMMANDS
 from sarsplat.cli.importers import IMPORTERS
 from sarsplat.names import TargetName
 from sarsplat.scenes import TARGETS
-from sarsplat.settings.config import Config, Densification, FlatGround, Surroundings
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import Densification, FlatGround, Surroundings
 
 
 def test_the_overview_says_of_every_command_what_its_own_help_says_first(

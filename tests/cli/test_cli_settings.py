@@ -10,8 +10,8 @@ import pytest
 
 from sarsplat import Config, Run
 from sarsplat.cli import main
-from sarsplat.settings.config import Densification, FlatGround, Surroundings
 from sarsplat.settings.presets import PRESETS
+from sarsplat.settings.sections import Densification, FlatGround, Surroundings
 
 FEW = "--points.voxel 0.3 --points.rays-per-pixel 2"
 

@@ -17,7 +17,7 @@ from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct, simulat
 from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS, AzimuthRefinement, lowest
-from sarsplat.settings.config import Surroundings
+from sarsplat.settings.sections import Surroundings
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

@@ -10,7 +10,7 @@ import torch
 from sarsplat import Gaussians, Harmonics, ImageGrid, SarsplatError
 from sarsplat.learning.strategies import State
 from sarsplat.learning.strategies.density import DensityControl
-from sarsplat.settings.config import Densification
+from sarsplat.settings.sections import Densification
 
 CONTROL = Densification(
     start=10, stop=100, every=10, gradient=1.0, split_above=0.1, max_extent=0.3, min_scattering=0.01, max_gaussians=10

@@ -14,7 +14,7 @@ from sarsplat import Dataset, Ground, Trainer, preset, reconstruct
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import render
-from sarsplat.settings.config import FlatGround
+from sarsplat.settings.sections import FlatGround
 
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.3, 0.3))
 SHORT = replace(preset("default"), iterations=150, gaussians=150, ground=FlatGround())

@@ -13,7 +13,7 @@ from sarsplat.geometry import radar_frame
 from sarsplat.learning import Trainer
 from sarsplat.learning.strategies import State, ops
 from sarsplat.learning.strategies.relocation import Relocating, pairs
-from sarsplat.settings.config import Relocation
+from sarsplat.settings.sections import Relocation
 
 
 def generator() -> torch.Generator:

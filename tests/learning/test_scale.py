@@ -12,7 +12,7 @@ from sarsplat import Config, Dataset, ImageGrid, Run, SarsplatError, preset, rec
 from sarsplat.gaussians import MIN_SCALE
 from sarsplat.learning.method_sar_gs import lengths
 from sarsplat.learning.parts.target import scales_m
-from sarsplat.settings.config import Densification, Rates
+from sarsplat.settings.sections import Densification, Rates
 
 SHORT = {"iterations": 30, "gaussians": 600, "harmonics_every": 10, "views_per_step": 4}
 DENSITY = Densification(start=5, every=10, gradient=3e-5, max_gaussians=900)

@@ -32,8 +32,8 @@ from sarsplat.learning import Inputs
 from sarsplat.learning.observations.stacks import Stacks
 from sarsplat.processes import Processes
 from sarsplat.regions.stack_region import stack_region
-from sarsplat.settings.config import FlatGround, Surroundings
 from sarsplat.settings.presets import PRESETS, preset
+from sarsplat.settings.sections import FlatGround, Surroundings
 
 GRID = ImageGrid(28, 20, (0.5, 0.5), (0.6, 0.6))
 VIEW = View(0.0, 45.0)

@@ -17,7 +17,7 @@ from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, State, Strategy, ops
-from sarsplat.settings.config import Densification
+from sarsplat.settings.sections import Densification
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_strategy.py"
 CONFIG = replace(

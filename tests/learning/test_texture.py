@@ -12,7 +12,7 @@ from sarsplat import ImageGrid, View, preset
 from sarsplat.geometry import radar_frame
 from sarsplat.learning.parts.texture import Maps
 from sarsplat.learning.strategies.texture import TextureEstimation
-from sarsplat.settings.config import Surroundings
+from sarsplat.settings.sections import Surroundings
 
 GRID = ImageGrid(48, 60, (0.4, 0.5), (0.6, 0.7), (1.0, -2.0))
 SETTINGS = Surroundings(texture_looks=0.01, texture_reach_deg=20.0)

@@ -25,7 +25,7 @@ from sarsplat.learning.dropout import dropped, share_dropped
 from sarsplat.renderer import Rendering
 from sarsplat.runs import Step
 from sarsplat.settings import Config
-from sarsplat.settings.config import Densification, Relocation
+from sarsplat.settings.sections import Densification, Relocation
 from sarsplat.surface import extract_points, points
 
 DENSITY = Densification(

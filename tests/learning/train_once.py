@@ -17,7 +17,7 @@ import torch
 from sarsplat import preset, reconstruct
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.settings import Config
-from sarsplat.settings.config import Densification
+from sarsplat.settings.sections import Densification
 
 DENSITY = Densification(
     start=10,

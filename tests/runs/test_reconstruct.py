@@ -19,7 +19,7 @@ from sarsplat.learning.scene_frame import Setting
 from sarsplat.regions.target_box import target_box
 from sarsplat.runs import Step
 from sarsplat.settings import Config
-from sarsplat.settings.config import FlatGround, Surroundings
+from sarsplat.settings.sections import FlatGround, Surroundings
 from sarsplat.surface import extract_points
 
 BOX = (3.0, 2.0, 1.2)

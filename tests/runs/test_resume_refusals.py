@@ -17,7 +17,7 @@ from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_tiff
 from sarsplat.runs.log import LogLine
 from sarsplat.settings import Config
-from sarsplat.settings.config import Densification, PointExtraction, Rates
+from sarsplat.settings.sections import Densification, PointExtraction, Rates
 
 CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
 

@@ -17,7 +17,7 @@ from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.scene_tiles import Tile, tiles_of
 from sarsplat.renderer import render
-from sarsplat.settings.config import Densification, Surroundings
+from sarsplat.settings.sections import Densification, Surroundings
 
 GRID = ImageGrid(48, 56, (0.3, 0.3), (0.45, 0.45))
 VIEWS = [View(azimuth, grazing) for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]

@@ -12,13 +12,8 @@ import pytest
 
 from sarsplat import Config, SarsplatError
 from sarsplat.gaussians import SCATTERINGS
-from sarsplat.settings.config import (
-    Densification,
-    PointExtraction,
-    Rates,
-    Surroundings,
-)
 from sarsplat.settings.presets import PRESETS, preset
+from sarsplat.settings.sections import Densification, PointExtraction, Rates, Surroundings
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -17,7 +17,7 @@ from sarsplat import Gaussians, Harmonics, ImageGrid, SarsplatError, View, extra
 from sarsplat.data import write_mesh
 from sarsplat.gaussians.harmonics import CONSTANTS
 from sarsplat.scenes.mesh_files import read_mesh
-from sarsplat.settings.config import PointExtraction
+from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.visibility import Seen

@@ -14,7 +14,7 @@ from sarsplat import Gaussians, Harmonics, ImageGrid, View, memory
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
 from sarsplat.progress import Reporter
-from sarsplat.settings.config import PointExtraction
+from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import extract_points
 from sarsplat.surface import points as of_points
 from sarsplat.surface.points import _cluster, _FirstReturns, _Voxels, between, spread

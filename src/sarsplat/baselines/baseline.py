@@ -14,7 +14,8 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.settings.config import AnyConfig, Count, Seed
+from sarsplat.settings.config import AnyConfig
+from sarsplat.settings.kinds import Count, Seed
 
 
 @dataclass(frozen=True)

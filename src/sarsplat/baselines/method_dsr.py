@@ -25,7 +25,7 @@ from sarsplat.baselines.template import sphere
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW, TARGET, View
 from sarsplat.radiometry import beta0_of_gamma0
-from sarsplat.settings.config import Count, NotNegative, Positive
+from sarsplat.settings.kinds import Count, NotNegative, Positive
 
 _HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
 """What σ and γ refer to, in longest sides of the target: as in soft rasterisation's usual scenes, where an object of

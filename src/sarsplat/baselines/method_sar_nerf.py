@@ -26,7 +26,7 @@ from sarsplat.baselines.rays import Rays
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.geometry.shown import ground_radius_m
-from sarsplat.settings.config import Count, Positive
+from sarsplat.settings.kinds import Count, Positive
 
 _CLEAR = -4.0
 """Added to the attenuation before its activation: e⁻⁴ per resolution cell lets light through at first."""

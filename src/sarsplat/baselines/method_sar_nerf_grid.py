@@ -13,7 +13,7 @@ from torch import Tensor
 from sarsplat.baselines.fields import VoxelGrid
 from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.method_sar_nerf import LOSS, SarNerf, SarNerfConfig
-from sarsplat.settings.config import Count, Degree, NotNegative, Positive
+from sarsplat.settings.kinds import Count, Degree, NotNegative, Positive
 
 _VIEWS_PER_HARMONIC = 2
 """Of speckled images, at least."""

@@ -32,8 +32,9 @@ from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
 from sarsplat.renderer import channel_of
 from sarsplat.renderer.covariances import stacks_of
-from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, Config, FlatGround
+from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, Config
 from sarsplat.settings.presets import preset
+from sarsplat.settings.sections import FlatGround
 from sarsplat.surface.masks import scene_masks, without_imitated_ground
 from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.normals import surface_normals

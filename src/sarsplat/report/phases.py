@@ -15,7 +15,7 @@ from sarsplat.report.layover import Slice
 from sarsplat.report.raster import data_uri, indexed, png
 from sarsplat.report.window import target_window
 from sarsplat.runs import Run
-from sarsplat.settings.config import Passes
+from sarsplat.settings.sections import Passes
 
 _LARGEST = 256
 _TURNS = ((0.0, "−π"), (0.25, "−π/2"), (0.5, "0"), (0.75, "π/2"), (1.0, "π"))

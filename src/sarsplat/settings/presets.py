@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, advised, shown
-from sarsplat.settings.config import (
-    Config,
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import (
     Densification,
     FlatGround,
     Passes,

@@ -25,7 +25,7 @@ from sarsplat.geometry.terrain import heights_of
 from sarsplat.memory import required
 from sarsplat.progress import stage
 from sarsplat.renderer import render
-from sarsplat.settings.config import PointExtraction
+from sarsplat.settings.sections import PointExtraction
 from sarsplat.tiles.plan import memory_bytes
 
 _MOST_VIEWS = 96

@@ -11,7 +11,8 @@ from typing import Any, Literal, Self
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.settings.config import DEFAULT_METHOD, Seed
+from sarsplat.settings.config import DEFAULT_METHOD
+from sarsplat.settings.kinds import Seed
 from sarsplat.settings.record import Record
 
 _MARK = "dataset.json"

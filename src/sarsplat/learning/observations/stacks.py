@@ -18,7 +18,8 @@ from sarsplat.learning.training_images import TrainingImages
 from sarsplat.learning.windowed_likelihood import packed, windowed, windowed_nats
 from sarsplat.memory import required
 from sarsplat.renderer import Rendering
-from sarsplat.settings.config import Config, Passes
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import Passes
 
 _OF_ONE, _OF_EACH = 11, 4
 """Numbers of a pixel for each pair of channels: of one stack while it is averaged, as measured, and of each that a step

@@ -17,7 +17,8 @@ from sarsplat.geometry import Terrain
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.learning.parts.part import Learned, Parameters, Part, normal_nats
 from sarsplat.radiometry import beta0_of_gamma0
-from sarsplat.settings.config import Config, FlatGround
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import FlatGround
 
 _FAINTEST = 0.01
 """Its level at the start at least, of the images' mean: where most of an image is black, a logarithm could not rise."""

@@ -77,7 +77,7 @@ class Part(ABC):
     """Base of the parts; each does only what it has methods for.
 
     To add a part, put a file with a class derived from this one into this folder. Its settings are a `Record` in
-    `settings/config.py` and a field of `Config` that is None where the part is absent.
+    `settings/sections.py` and a field of `Config` that is None where the part is absent.
     """
 
     order: ClassVar[int]

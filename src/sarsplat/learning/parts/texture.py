@@ -17,7 +17,8 @@ from sarsplat.errors import counted
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.learning.parts.part import Nuisance, Parameters, Shot
-from sarsplat.settings.config import Config, Surroundings
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import Surroundings
 
 _NEGLIGIBLE = 0.02
 """Weight below which an image is dropped: most are far away."""

@@ -15,7 +15,8 @@ from sarsplat.geometry import View
 from sarsplat.learning.losses import speckle_nats
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
-from sarsplat.settings.config import Config, Surroundings
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import Surroundings
 
 _REACH = 2.5
 """How far from its label an azimuth is looked for, standard deviations."""

@@ -16,7 +16,8 @@ from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
 from sarsplat.learning.strategies.strategy import Configured, Info, State
 from sarsplat.renderer import Rendering
-from sarsplat.settings.config import Config, Densification
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import Densification
 
 
 class DensityControl(Configured):

@@ -12,7 +12,8 @@ from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
 from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
-from sarsplat.settings.config import Config, Relocation
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import Relocation
 
 
 class Relocating(Configured):

@@ -12,7 +12,8 @@ from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.texture import Maps, Texture
 from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
-from sarsplat.settings.config import Config, Surroundings
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import Surroundings
 
 
 class TextureEstimation(Configured):
