@@ -16,7 +16,7 @@ from sarsplat.geometry import RayGrid
 from sarsplat.learning import Trainer
 from sarsplat.learning.levels import Levels
 from sarsplat.learning.parts.target import scales_m
-from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.learning.strategies import Info
 from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.training_images import TrainingImages
@@ -52,8 +52,8 @@ def config() -> Config:
 
 def levels(side_m: float, iterations: int = 100, coarsest: int = 8, pixels: int = 640) -> Levels:
     grid = ImageGrid(pixels, pixels, (0.3, 0.3), (0.3, 0.3))
-    setting = Setting(Region.box((0.0, 0.0, 0.0), (side_m, side_m, 5.0)), 1.0, tuple(VIEWS), grid)
-    return Levels.of(replace(preset("default"), iterations=iterations, coarsest=coarsest), setting)
+    frame = SceneFrame(Region.box((0.0, 0.0, 0.0), (side_m, side_m, 5.0)), 1.0, tuple(VIEWS), grid)
+    return Levels.of(replace(preset("default"), iterations=iterations, coarsest=coarsest), frame)
 
 
 @pytest.mark.parametrize(
@@ -68,8 +68,8 @@ def test_the_first_images_are_as_coarse_as_the_target_is_large(side_m: float, co
 
 def test_images_of_one_row_are_looked_at_as_they_are() -> None:
     grid = ImageGrid(1, 640, (0.3, 300.0), (0.3, 300.0))
-    setting = Setting(Region.box((0.0, 0.0, 0.0), (9e4, 9e4, 5.0)), 1.0, tuple(VIEWS), grid)
-    assert Levels.of(preset("default"), setting).coarsest == 1
+    frame = SceneFrame(Region.box((0.0, 0.0, 0.0), (9e4, 9e4, 5.0)), 1.0, tuple(VIEWS), grid)
+    assert Levels.of(preset("default"), frame).coarsest == 1
 
 
 def test_levels_follow_each_other_and_the_last_has_the_least_time() -> None:

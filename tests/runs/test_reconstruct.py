@@ -15,7 +15,7 @@ from sarsplat.errors import SarsplatWarning
 from sarsplat.learning import Trainer
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.gains import gains
-from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.regions.target_box import target_box
 from sarsplat.runs import Step
 from sarsplat.settings import Config
@@ -131,7 +131,7 @@ def test_the_floor_of_an_unseen_chip_is_the_mean_over_gains(dataset: Dataset) ->
     parameters["optical_depth"][:] = 1e-3
     parameters["ground"][0] = -60  # black
     config = replace(trainer.config, p_min=0)
-    uneven = SceneModel(config, trainer.model.setting, parameters)
+    uneven = SceneModel(config, trainer.model.frame, parameters)
     factors = gains(uneven.parameters).numpy(force=True)
     assert factors.mean() == pytest.approx(1)
     with torch.no_grad():
@@ -157,7 +157,7 @@ def test_unseen_chips_are_displaced_as_the_others_on_average(dataset: Dataset) -
 @pytest.mark.parametrize(("views", "degree"), [(1, 0), (8, 0), (9, 1), (18, 1), (19, 2), (32, 2), (33, 3), (200, 3)])
 def test_directions_need_more_than_two_views_for_each_coefficient(dataset: Dataset, views: int, degree: int) -> None:
     model = Trainer(dataset, replace(preset("measured"), gaussians=20)).model
-    model.setting = replace(model.setting, views=(View(0.0, 30.0),) * views)
+    model.frame = replace(model.frame, views=(View(0.0, 30.0),) * views)
     assert model.degree(800) == degree
     model.config = replace(model.config, views_per_coefficient=0)
     assert model.degree(800) == 3
@@ -237,8 +237,8 @@ def test_a_given_box_is_where_a_target_is_looked_for(dataset: Dataset) -> None:
     config = replace(preset("measured"), gaussians=20)
     assert dataset.target_box_m is None
     train = dataset.select("train")
-    region, (low, high) = Setting.of(config, dataset).region, target_box(train.power, train.views, train.grid)
+    region, (low, high) = SceneFrame.of(config, dataset).region, target_box(train.power, train.views, train.grid)
     assert (region.low.tolist(), region.high.tolist()) == (low.tolist(), high.tolist())
     given = replace(dataset, target_box_m=((-1.0, -2.0, 0.0), (3.0, 4.0, 5.0)))
-    assert Setting.of(config, given).region.high.tolist() == [3.0, 4.0, 5.0]
-    assert Setting.of(preset("default"), given).region.high.tolist() == [3.0, 4.0, 5.0]
+    assert SceneFrame.of(config, given).region.high.tolist() == [3.0, 4.0, 5.0]
+    assert SceneFrame.of(preset("default"), given).region.high.tolist() == [3.0, 4.0, 5.0]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from sarsplat.geometry import ImageGrid
-from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.settings.config import Config
 
 _ACROSS = 20
@@ -41,9 +41,9 @@ class Levels:
     iterations: int
 
     @classmethod
-    def of(cls, config: Config, setting: Setting) -> Levels:
+    def of(cls, config: Config, frame: SceneFrame) -> Levels:
         """The levels that a configuration asks for, given the target's size and its images."""
-        grid, (width_m, depth_m, _) = setting.grid, setting.region.high - setting.region.low
+        grid, (width_m, depth_m, _) = frame.grid, frame.region.high - frame.region.low
         shown_m = (grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1])  # a box may be given, of any size
         across_m, factor = min(math.sqrt(width_m * depth_m), *shown_m), 1
         coarsest = min(config.coarsest, grid.rows, grid.columns)

@@ -200,7 +200,7 @@ class GaussianReconstruction(Reconstruction):
     def points(self) -> Float32[np.ndarray, "p 3"]:
         """First returns of rays, or centres, as configured."""
         points = extract_points(
-            self.gaussians, self.snapshot.views, self.grid, self.config.points, self.model.setting.terrain
+            self.gaussians, self.snapshot.views, self.grid, self.config.points, self.model.frame.terrain
         )
         return points.astype(np.float32)  # as the file has them
 

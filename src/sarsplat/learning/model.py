@@ -22,7 +22,7 @@ from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.levels import Levels
 from sarsplat.learning.parts import parts_of
 from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot
-from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.windowed_likelihood import ExpectedStacks
 from sarsplat.processes import Processes
@@ -44,7 +44,7 @@ class SceneModel:
     ----------
     config : Config
         The reconstruction's configuration, which says what parts there are.
-    setting : Setting
+    frame : SceneFrame
         What the dataset fixes.
     parameters : dict of str to Tensor
         Those that the parts declare; copied to leaves, some of which row operations replace.
@@ -58,14 +58,14 @@ class SceneModel:
     """
 
     def __init__(
-        self, config: Config, setting: Setting, parameters: Parameters, device: torch.device | str = "cpu"
+        self, config: Config, frame: SceneFrame, parameters: Parameters, device: torch.device | str = "cpu"
     ) -> None:
         self.config = config
-        self.setting = setting
-        self.unit = setting.unit
+        self.frame = frame
+        self.unit = frame.unit
         self.device = torch.device(device)
-        self.parts = parts_of(config, setting, self.device)
-        self.levels = Levels.of(config, setting)
+        self.parts = parts_of(config, frame, self.device)
+        self.levels = Levels.of(config, frame)
         self.windows: Windows | None = None
         self.learned = self._learned()
         self.parameters: Parameters = {}
@@ -85,13 +85,13 @@ class SceneModel:
 
         `generator` is one of the CPU: a seed starts the same on every device.
         """
-        setting, train = Setting.of(config, dataset), levelled(dataset.select("train"))
+        frame, train = SceneFrame.of(config, dataset), levelled(dataset.select("train"))
         parameters: Parameters = {}
         if config.ground or config.surroundings or config.target_box or dataset.target_box_m:
-            warn(cut_off(setting.region, config.margin * setting.cell_m, dataset))
-        for part in parts_of(config, setting, torch.device("cpu")):
+            warn(cut_off(frame.region, config.margin * frame.cell_m, dataset))
+        for part in parts_of(config, frame, torch.device("cpu")):
             parameters |= part.initial(train, generator)
-        return cls(config, setting, parameters, device)
+        return cls(config, frame, parameters, device)
 
     @classmethod
     def saved(cls, snapshot: Snapshot, config: Config, device: torch.device | str = "cpu") -> SceneModel:
@@ -107,9 +107,9 @@ class SceneModel:
             raise ValueError(f"a region of {[array.shape for array in arrays]}")
         kept = snapshot.part("terrain")
         terrain = Terrain(kept["heights_m"].numpy(), tuple(kept["pitch_m"].tolist())) if kept else None
-        setting = Setting(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid, terrain, snapshot.stacks)
+        frame = SceneFrame(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid, terrain, snapshot.stacks)
         learned, state = snapshot.part("model"), snapshot.part("part")
-        model = cls(config, setting, learned, device)
+        model = cls(config, frame, learned, device)
         others = [learned[name] for name, how in model.learned.items() if not how.per_gaussian]
         if not all(tensor.isfinite().all() for tensor in (*others, *state.values())):
             raise ValueError("numbers that are not finite")
@@ -123,10 +123,10 @@ class SceneModel:
 
     def tensors(self) -> dict[str, Tensor]:
         """The model as a snapshot keeps it."""
-        region = {f"region/{name}": torch.from_numpy(getattr(self.setting.region, name)) for name in _REGION}
+        region = {f"region/{name}": torch.from_numpy(getattr(self.frame.region, name)) for name in _REGION}
         learned = {f"model/{name}": tensor.detach() for name, tensor in self.parameters.items()}
         state = {f"part/{part.name}/{name}": tensor for part in self.parts for name, tensor in part.state().items()}
-        terrain = self.setting.terrain
+        terrain = self.frame.terrain
         heights = (
             {}
             if terrain is None
@@ -165,7 +165,7 @@ class SceneModel:
 
     def copy(self, *, ground: bool = True) -> SceneModel:
         """The same scene in tensors of its own, with or without what surrounds the target."""
-        copied = SceneModel(self.config, self.setting, self.parameters, self.device)
+        copied = SceneModel(self.config, self.frame, self.parameters, self.device)
         copied.parts = [copy(part) for part in self.parts if ground or not part.surrounds]
         return copied
 
@@ -173,7 +173,7 @@ class SceneModel:
         """Degree of the harmonics in use at an iteration."""
         config = self.config
         degree = min(config.harmonics_degree, iteration // config.harmonics_every)
-        while degree and config.views_per_coefficient * (degree + 1) ** 2 >= len(self.setting.views):
+        while degree and config.views_per_coefficient * (degree + 1) ** 2 >= len(self.frame.views):
             degree -= 1
         return degree
 
@@ -308,7 +308,7 @@ class SceneModel:
     def penalty(self) -> Float[Tensor, ""] | None:
         """Negative log prior of the parameters, nats per independent sample of the images; None without priors."""
         terms = [term for part in self.parts for term in part.nats(self.parameters)]
-        return torch.stack(terms).sum() / self.setting.samples if terms else None
+        return torch.stack(terms).sum() / self.frame.samples if terms else None
 
     def penalties(self) -> dict[str, Float[Tensor, ""]]:
         """What else is minimised, by name, in units of the loss of black images, or in nats per pixel."""

@@ -15,8 +15,8 @@ from sarsplat.settings.config import Config
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What the training images fix about the learned scene."""
+class SceneFrame:
+    """Where a learned scene lies, what its power is measured in, and from where it is seen."""
 
     region: Region
     """The space the target may occupy."""
@@ -32,8 +32,8 @@ class Setting:
     """Of each view, if the images are stacks and learned from as such."""
 
     @classmethod
-    def of(cls, config: Config, dataset: Dataset) -> Setting:
-        """The setting of a configuration on a dataset."""
+    def of(cls, config: Config, dataset: Dataset) -> SceneFrame:
+        """That of a configuration on a dataset."""
         train = dataset.select("train")
         terrain = dataset.terrain if config.ground else None
         stacks = train.stacks if config.passes else ()

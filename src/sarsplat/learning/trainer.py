@@ -163,7 +163,7 @@ class Trainer:
     @property
     def grid(self) -> ImageGrid:
         """Of the dataset's images; steps may look at coarser ones, `images`."""
-        return self.model.setting.grid
+        return self.model.frame.grid
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -223,7 +223,7 @@ class Trainer:
             self.views,
             self.model.unit,
             self.images.brightest,
-            stacks=self.model.setting.stacks,
+            stacks=self.model.frame.stacks,
             tensors={name: tensor.cpu().clone() for name, tensor in tensors.items()},
         )
 

@@ -14,7 +14,7 @@ from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.target import law
-from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.renderer import channel_of
 from sarsplat.settings.config import OWN_LOOP, Config
@@ -89,8 +89,8 @@ def own_scene(
     config = configs[fits.index(True)]
     tensors: dict[str, Tensor] = {name: tensor.contiguous() for name, tensor in own.tensors().items()}
     region = Region.box(own.means.amin(0).tolist(), own.means.amax(0).tolist())
-    setting = Setting(region, 1.0, views, grid)
-    model = SceneModel(config, setting, tensors)
+    frame = SceneFrame(region, 1.0, views, grid)
+    model = SceneModel(config, frame, tensors)
     if brightest is None:
         rays = RayGrid.for_image(grid)
         few = views if at_once(own, views[:1], grid, rays) else views[:1]  # of a scene that is rendered by tiles

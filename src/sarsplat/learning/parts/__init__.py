@@ -5,12 +5,12 @@ from __future__ import annotations
 import torch
 
 from sarsplat.learning.parts.part import Part
-from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.plugins import classes_in
 from sarsplat.settings.config import Config
 
 
-def parts_of(config: Config, setting: Setting, device: torch.device) -> list[Part]:
+def parts_of(config: Config, frame: SceneFrame, device: torch.device) -> list[Part]:
     """The parts of a configuration's model, in the order in which they make a scene and its images."""
     kinds = classes_in(__name__, Part)  # type: ignore[type-abstract]
-    return [kind(config, setting, device) for kind in kinds if kind.wanted(config)]
+    return [kind(config, frame, device) for kind in kinds if kind.wanted(config)]

@@ -24,7 +24,7 @@ class Gains(Nuisance):
     @property
     def learned(self) -> dict[str, Learned]:
         rate = self.config.rates.nuisance if self.settings.gain_std else 0.0
-        return {"log_gain": Learned((len(self.setting.views),), (rate,))}
+        return {"log_gain": Learned((len(self.frame.views),), (rate,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         return {"log_gain": torch.zeros(len(train), device="cpu")}

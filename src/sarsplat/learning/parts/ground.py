@@ -55,7 +55,7 @@ class FlatGroundPart(Part):
         level, brightness = float(np.median(train.power)), float(train.power.mean(dtype=np.float64))
         if train.looks is not None:
             level /= (1 - 1 / (9 * train.looks)) ** 3  # the median of gamma-distributed power, in means
-        level = max(level, _FAINTEST * brightness) / self.setting.unit / mean_tangent
+        level = max(level, _FAINTEST * brightness) / self.frame.unit / mean_tangent
         places = {"ground_texture": torch.zeros(self._side**2, 1, device="cpu")} if self._side else {}
         return {
             "ground": torch.full((1,), math.log(level), device="cpu"),
@@ -77,7 +77,7 @@ class FlatGroundPart(Part):
 
     @property
     def _height_m(self) -> float | Terrain:
-        return 0.0 if self.setting.terrain is None else self.setting.terrain
+        return 0.0 if self.frame.terrain is None else self.frame.terrain
 
     @property
     def _settings(self) -> FlatGround:
@@ -87,12 +87,12 @@ class FlatGroundPart(Part):
     @cached_property
     def _sines(self) -> np.ndarray:
         """Logarithms of sin θ of the training views."""
-        return np.log(np.sin(np.radians([view.grazing_deg for view in self.setting.views])))
+        return np.log(np.sin(np.radians([view.grazing_deg for view in self.frame.views])))
 
     @cached_property
     def _pitch_m(self) -> float:
         """Distance of the places; of large scenes more than set, so that there are not too many."""
-        return max(self._settings.pitch * self.setting.cell_m, 2 * self._radius_m / _MOST)
+        return max(self._settings.pitch * self.frame.cell_m, 2 * self._radius_m / _MOST)
 
     @cached_property
     def _side(self) -> int:
@@ -101,4 +101,4 @@ class FlatGroundPart(Part):
 
     @property
     def _radius_m(self) -> float:
-        return ground_radius_m(self.setting.views, self.setting.grid)
+        return ground_radius_m(self.frame.views, self.frame.grid)

@@ -16,7 +16,7 @@ from sarsplat.data import Dataset
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.renderer import Bounds
 from sarsplat.settings.config import Config
 
@@ -92,8 +92,8 @@ class Part(ABC):
     estimated: ClassVar[bool] = False
     """Whether it is what images show beyond all that is learned, and therefore estimated without it."""
 
-    def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
-        self.config, self.setting, self.device = config, setting, device
+    def __init__(self, config: Config, frame: SceneFrame, device: torch.device) -> None:
+        self.config, self.frame, self.device = config, frame, device
 
     @classmethod
     @abstractmethod
@@ -174,8 +174,8 @@ class Nuisance(Part):
     def wanted(cls, config: Config) -> bool:
         return config.surroundings is not None
 
-    def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
-        super().__init__(config, setting, device)
+    def __init__(self, config: Config, frame: SceneFrame, device: torch.device) -> None:
+        super().__init__(config, frame, device)
         assert config.surroundings is not None  # `wanted`
         self.settings = config.surroundings
 

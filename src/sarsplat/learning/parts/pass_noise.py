@@ -48,11 +48,11 @@ class PassNoise(Part):
 
     @property
     def _shape(self) -> tuple[int, int]:
-        return len(self.setting.stacks), len(self.setting.stacks[0])
+        return len(self.frame.stacks), len(self.frame.stacks[0])
 
     @property
     def _known(self) -> Float[Tensor, "v passes"] | None:
-        noise = [stack.noise for stack in self.setting.stacks]
+        noise = [stack.noise for stack in self.frame.stacks]
         if None in noise:
             return None
-        return torch.tensor(noise, dtype=torch.float64).div(self.setting.unit).float().to(self.device)
+        return torch.tensor(noise, dtype=torch.float64).div(self.frame.unit).float().to(self.device)

@@ -33,7 +33,7 @@ class PhaseScreen(Part):
 
     @property
     def learned(self) -> dict[str, Learned]:
-        stacks = self.setting.stacks
+        stacks = self.frame.stacks
         return {"phase_screen": Learned((len(stacks), 3 * len(stacks[0])), (self.config.rates.nuisance,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:

@@ -24,8 +24,8 @@ class Shifts(Nuisance):
 
     @property
     def learned(self) -> dict[str, Learned]:
-        rate = self.config.rates.shift * self.setting.cell_m if self.settings.shift_std else 0.0
-        return {"shift": Learned((len(self.setting.views), 2), (rate,))}
+        rate = self.config.rates.shift * self.frame.cell_m if self.settings.shift_std else 0.0
+        return {"shift": Learned((len(self.frame.views), 2), (rate,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         return {"shift": torch.zeros(len(train), 2, device="cpu")}
@@ -33,7 +33,7 @@ class Shifts(Nuisance):
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         """Prior: shifts are small."""
         if self.settings.shift_std:
-            yield normal_nats(p["shift"], self.settings.shift_std * self.setting.cell_m)
+            yield normal_nats(p["shift"], self.settings.shift_std * self.frame.cell_m)
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
         if shot.numbers is not None:

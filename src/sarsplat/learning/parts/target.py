@@ -21,7 +21,7 @@ from sarsplat.geometry import Stack
 from sarsplat.learning.dropout import share_dropped
 from sarsplat.learning.levels import Levels
 from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, in_rows, late, normal_nats
-from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.radiometry import brighter
 from sarsplat.regions.outlines import levels_db, outline
 from sarsplat.regions.stack_region import enough_gaussians, imaged_sample
@@ -53,10 +53,10 @@ class Target(Part):
         """Every model has a target."""
         return True
 
-    def __init__(self, config: Config, setting: Setting, device: torch.device) -> None:
-        super().__init__(config, setting, device)
-        self._cell_m = setting.cell_m
-        self._levels = Levels.of(config, setting)
+    def __init__(self, config: Config, frame: SceneFrame, device: torch.device) -> None:
+        super().__init__(config, frame, device)
+        self._cell_m = frame.cell_m
+        self._levels = Levels.of(config, frame)
 
     def look_at(self, cell_m: float) -> None:
         self._cell_m = cell_m
@@ -95,9 +95,9 @@ class Target(Part):
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         config = self.config
         sample = hemisphere_shell if config.initialisation == "hemisphere" else Region.sample
-        region, views, grid = self.setting.region, train.views, train.grid
-        if self.setting.stacks:
-            needed = enough_gaussians(region, views, grid, self.setting.stacks)
+        region, views, grid = self.frame.region, train.views, train.grid
+        if self.frame.stacks:
+            needed = enough_gaussians(region, views, grid, self.frame.stacks)
             n = config.gaussians or max(config.fewest_gaussians, needed)
             means = torch.from_numpy(imaged_sample(region, views, grid, n, generator)).float()
         else:
@@ -105,7 +105,7 @@ class Target(Part):
                 config.fewest_gaussians, round(config.gaussians_per_cell * _cells(train) / self._levels.coarsest**1.5)
             )
             means = torch.from_numpy(sample(region, n, generator)).float()
-        scattering = law(config, n, config.initial_scattering, self.setting.stacks).parameters
+        scattering = law(config, n, config.initial_scattering, self.frame.stacks).parameters
         return {
             "means": means,
             "quaternions": random_quaternions(n, generator),
@@ -143,7 +143,7 @@ class Target(Part):
         """The Gaussians that are left compensate for the optical depth of those `dropped`."""
         depth = p["optical_depth"]
         if dropped is not None:
-            left = 1 - share_dropped(self.config, len(self.setting.views))
+            left = 1 - share_dropped(self.config, len(self.frame.views))
             more = (depth / left).clamp(max=self.config.max_optical_depth)
             depth = torch.where(dropped, 0.0, more)
         target = Gaussians(self._lifted(p["means"]), p["quaternions"], p["scales"], depth, self._scattering(p, degree))
@@ -153,8 +153,8 @@ class Target(Part):
         """Bounds of every scene, the first included."""
         config, (low, high) = self.config, self._box
         depth = max(config.max_optical_depth, config.initial_optical_depth)
-        if self.setting.terrain is not None:
-            below, above = self.setting.terrain.span_m
+        if self.frame.terrain is not None:
+            below, above = self.frame.terrain.span_m
             low, high = low + low.new_tensor([0, 0, below]), high + high.new_tensor([0, 0, above])
         largest = max(scales_m(config, self._coarsest_m, self._levels.coarsest))
         return Bounds((*low.tolist(),), (*high.tolist(),), largest, depth, "cpu")
@@ -176,7 +176,7 @@ class Target(Part):
     @cached_property
     def _heights(self) -> tuple[Float[Tensor, "ny nx"], tuple[float, float]] | None:
         """Of the terrain, and how far apart they are, m."""
-        terrain = self.setting.terrain
+        terrain = self.frame.terrain
         if terrain is None:
             return None
         return torch.from_numpy(terrain.heights_m).float().to(self.device), terrain.pitch_m
@@ -188,7 +188,7 @@ class Target(Part):
 
     @cached_property
     def _law(self) -> Scattering:
-        return law(self.config, 1, 0.0, self.setting.stacks)
+        return law(self.config, 1, 0.0, self.frame.stacks)
 
     @property
     def _common(self) -> tuple[tuple[float, float], ...]:
@@ -208,13 +208,13 @@ class Target(Part):
     @cached_property
     def _box(self) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
         """Corners of where the target's centres may be, m, on the CPU."""
-        region = self.setting.region
+        region = self.frame.region
         low, high = (torch.from_numpy(corner).float() for corner in (region.low, region.high))
         if self.config.initialisation == "hemisphere":  # the shell reaches beyond the region
             half = (high - low).norm() / 2
             centre = (low + high) / 2
             low, high = torch.minimum(low, centre - half), torch.maximum(high, centre + half)
-        margin = self.config.margin * self.setting.cell_m
+        margin = self.config.margin * self.frame.cell_m
         low, high = low - margin, high + margin
         if self.config.ground is not None:
             low[2] = low[2].clamp(min=0.0)  # what is below is not seen

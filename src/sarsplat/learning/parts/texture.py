@@ -58,11 +58,9 @@ class Texture(Nuisance):
         return {} if self.maps is None else self.maps.tensors
 
     def load(self, state: Parameters) -> None:
-        self.maps = Maps(state, self.setting.grid, self.settings) if state else None
-        if self.maps is not None and len(state["ratio"]) != len(self.setting.views):
-            raise ValueError(
-                f"a texture of {len(state['ratio'])} images for {counted(len(self.setting.views), 'view')}"
-            )
+        self.maps = Maps(state, self.frame.grid, self.settings) if state else None
+        if self.maps is not None and len(state["ratio"]) != len(self.frame.views):
+            raise ValueError(f"a texture of {len(state['ratio'])} images for {counted(len(self.frame.views), 'view')}")
 
 
 class Maps:
