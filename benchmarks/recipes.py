@@ -10,7 +10,7 @@ from scene import Scene
 
 from sarsplat.gaussians.initialise import Region, random_quaternions
 from sarsplat.learning.model import SceneModel
-from sarsplat.learning.scene_frame import Setting
+from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.scenes import paper_grid, paper_views
 from sarsplat.settings.presets import preset
 
@@ -38,7 +38,9 @@ def halfway(count: int = COUNT) -> SceneModel:
         ),
     }
     config = replace(preset("default"), scattering="harmonics")
-    return SceneModel(config, Setting(region, 1.0, tuple(view for view, _ in paper_views()), paper_grid()), parameters)
+    return SceneModel(
+        config, SceneFrame(region, 1.0, tuple(view for view, _ in paper_views()), paper_grid()), parameters
+    )
 
 
 def training_view(count: int = COUNT) -> Scene:
