@@ -20,7 +20,7 @@ from torch.nn.functional import logsigmoid
 
 from sarsplat.baselines.regularity import face_normals, gathered
 from sarsplat.baselines.soft_raster import Coverage, Lattice, grouped_softmax, picked, soft_coverage
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, View
 
 _GRAZED = 0.1
 """Cosine of incidence from which a face counts fully in the mask."""
@@ -71,7 +71,7 @@ class MeshRenderer:
         per area projected along the line of sight. Differentiable in `points` and `gamma0`, with the share of each face
         that the radar sees held fixed.
         """
-        frame = torch.as_tensor(radar_frame(view), dtype=points.dtype, device=points.device)
+        frame = torch.as_tensor(view.look.frame, dtype=points.dtype, device=points.device)
         seen = points @ frame.T
         across, up, away = seen.unbind(1)
         normals = face_normals(seen, faces)
@@ -88,8 +88,7 @@ class MeshRenderer:
         cosine = picked(2 * areas / (normals.square().sum(1) + 1e-20).sqrt(), facing)
         lit = self._averaged(mapped.union(visible * (cosine / _GRAZED).clamp(max=1)))
 
-        # along its ray, a point's shadow reaches the ground at the range y_r / tan θ
-        fallen = up / math.tan(math.radians(view.grazing_deg))
+        fallen = view.look.range_on_ground(across, up)  # along its ray, where a point's shadow ends
         shaded = soft_coverage(_corners(across, fallen, faces[facing]), lattice, self.softness_m)
         hidden = self._averaged(shaded.union())
         return Layers(target, lit, hidden, torch.zeros_like(areas).index_add(0, facing, sections))

@@ -17,7 +17,7 @@ from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.baselines.trainer import BaselineTrainer, saved_scene, scene_of
 from sarsplat.data import Dataset, read_masks, write_mesh
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.learning.method import Inputs, Method, Reconstruction
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.runs.run_folder import MESH
@@ -163,11 +163,11 @@ def _seen_points(mesh: trimesh.Trimesh, views: Sequence[View], spacing_m: float)
     """Where parallel rays of any view first meet a mesh, m, one in each cube of the spacing, and unit normals there."""
     points, normals = np.empty((0, 3), np.float32), np.empty((0, 3), np.float32)
     for view in views if len(mesh.faces) else ():
-        frame, facets = radar_frame(view), Facets.of(mesh, view)
+        frame, facets = view.look.frame, Facets.of(mesh, view)
         for position, face in first_hits(facets, (-np.inf, np.inf), spacing_m, (0.5, 0.5)):
             hit = np.column_stack([position, facets.depth(face, position)]) @ frame
             normal = mesh.face_normals[face]
-            normal = normal * np.sign(normal @ view.direction)[:, None]
+            normal = normal * np.sign(normal @ view.look.way_in)[:, None]
             points = np.concatenate([points, hit.astype(np.float32)])
             normals = np.concatenate([normals, normal.astype(np.float32)])
         kept = np.unique(np.floor(points / spacing_m).astype(np.int64), axis=0, return_index=True)[1]

@@ -24,7 +24,6 @@ from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss
 from sarsplat.baselines.template import sphere
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW, TARGET, View
-from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.settings.kinds import Count, NotNegative, Positive
 
 _HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
@@ -170,7 +169,7 @@ class Dsr(Baseline):
     def _whole(self, layers: Layers, view: View) -> Float[Tensor, "rows columns"]:
         if self.log_ground is None or self.log_floor is None:
             return layers.target
-        ground = beta0_of_gamma0(self.log_ground.exp(), view.grazing_deg)
+        ground = view.look.beta0_of_gamma0(self.log_ground.exp())
         return layers.target + ground * (1 - layers.hidden) + self.log_floor.exp()
 
 

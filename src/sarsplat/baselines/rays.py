@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, View
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Rays:
         whole: bool,
     ) -> Rays:
         """Rays through a box; of the `whole` image, or only of the pixels in which the box appears."""
-        turn = radar_frame(view)
+        turn = view.look.frame
         middle, half = turn @ (low_m + high_m) / 2, np.abs(turn) @ (high_m - low_m) / 2
         columns = slice(0, grid.columns) if whole else _within(grid.azimuth_m, grid.spacing_m[0], middle[0], half[0])
         rows = slice(0, grid.rows) if whole else _within(grid.range_m, grid.spacing_m[1], middle[2], half[2])

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.geometry import View, radar_frame
+from sarsplat.geometry import View
 
 _SIDES = 72
 _HARDLY, _WEAKLY = 10.0, 3.0
@@ -63,7 +63,7 @@ class WeakestDirection:
 
 def weakest_direction(views: Sequence[View]) -> WeakestDirection:
     """The direction along which positions are determined least, for sides of a target that face all azimuths."""
-    frames = np.array([radar_frame(view) for view in views])
+    frames = np.array([view.look.frame for view in views])
     azimuths = np.arange(_SIDES) * (2 * math.pi / _SIDES)
     normals = np.stack([np.cos(azimuths), -np.sin(azimuths), np.zeros(_SIDES)], axis=1)
     seen = np.maximum(normals @ -frames[:, 2].T, 0.0)  # [sides, views]

@@ -175,7 +175,7 @@ def _ambiguity(train: Dataset) -> list[str]:
         return []
     (_, _, low), (_, _, high) = train.target_box_m
     repeats_m = min(
-        stack.ambiguous_elevation_m * math.cos(math.radians(view.grazing_deg))
+        stack.ambiguous_elevation_m * view.look.height_per_elevation
         for stack, view in zip(train.stacks, train.views, strict=True)
     )
     if repeats_m >= high - low:

@@ -112,10 +112,10 @@ def _turned(
 ) -> Float64[np.ndarray, "{grid.rows} {grid.columns}"]:
     """A chip seen from `source` as it would look from `wanted` if it lay flat on the ground."""
     slant, across = np.meshgrid(grid.range_m, grid.azimuth_m, indexing="ij")
-    ground = slant / np.cos(np.radians(wanted.grazing_deg))
+    ground = wanted.look.ground_range(slant)
     cosine, sine = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
     across_source = cosine * across + sine * ground
-    slant_source = (cosine * ground - sine * across) * np.cos(np.radians(source.grazing_deg))
+    slant_source = source.look.slant_range(cosine * ground - sine * across)
     row = (slant_source - grid.range_m[0]) / grid.spacing_m[1]
     column = (across_source - grid.azimuth_m[0]) / grid.spacing_m[0]
     return map_coordinates(power, [row, column], order=1, mode="nearest")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy.ndimage import uniform_filter
@@ -11,7 +9,7 @@ from scipy.ndimage import uniform_filter
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
+from sarsplat.geometry import ImageGrid, Stack, View
 
 _WINDOW = 3
 """Pixels along each side over which covariances are averaged, as reconstructions do."""
@@ -64,7 +62,7 @@ def capon_points(dataset: Dataset, low_m: float, high_m: float) -> Float64[np.nd
 def _of_stack(
     signal: np.ndarray, view: View, grid: ImageGrid, stack: Stack, low_m: float, high_m: float
 ) -> Float64[np.ndarray, "p 3"]:
-    cosine, sine = math.cos(math.radians(view.grazing_deg)), math.sin(math.radians(view.grazing_deg))
+    look = view.look
     deramped = np.moveaxis(signal * np.exp(-1j * stack.plane_phases(view, grid)), 0, -1)
     sample: Complex128[np.ndarray, "rows columns p p"] = _averaged(
         deramped[..., :, None] * deramped[..., None, :].conj()
@@ -72,7 +70,8 @@ def _of_stack(
     power = np.trace(sample, axis1=2, axis2=3).real / len(stack)
     loaded = sample + (_LOADING * power + 1e-9 * power.max())[..., None, None] * np.eye(len(stack))
     step = stack.resolution_m / _STEPS
-    above = np.arange(low_m / cosine, high_m / cosine + step, step)  # elevation above the level plane
+    lowest, highest = low_m / look.height_per_elevation, high_m / look.height_per_elevation
+    above = np.arange(lowest, highest + step, step)  # elevation above the level plane
     steering = np.exp(1j * stack.elevation_numbers(view)[:, None] * above)
     inverse = np.linalg.inv(loaded)
     spectrum = 1 / np.einsum("ps,rcpq,qs->rcs", steering.conj(), inverse, steering, optimize=True).real
@@ -83,10 +82,9 @@ def _of_stack(
     row, column, at = np.nonzero(peaks)
     before, here, after = (np.log(spectrum[row, column, at + k]) for k in (0, 1, 2))
     shift = 0.5 * (before - after) / (before - 2 * here + after)
-    slant = grid.range_m[row]
-    elevation = slant * sine / cosine + above[at + 1] + step * shift
-    local = np.column_stack([grid.azimuth_m[column], elevation, slant])
-    return local @ radar_frame(view)
+    slant, across = grid.range_m[row], grid.azimuth_m[column]
+    elevation = look.elevation_at(across, slant, 0.0) + above[at + 1] + step * shift
+    return np.column_stack([across, elevation, slant]) @ look.frame
 
 
 def _averaged(matrices: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float32, Float64
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import order_in_space
-from sarsplat.geometry import View, radar_frame
+from sarsplat.geometry import View
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.scenes.mesh_files import read_mesh
 from sarsplat.scenes.surface_samples import surface_samples
@@ -183,7 +183,7 @@ def _first_hits(scene: EmbreeScene, mesh: trimesh.Trimesh, view: View, spacing: 
     """Which triangles the rays of a view hit first."""
     hit = np.zeros(len(mesh.faces), dtype=bool)
     for origins in _lattice(np.asarray(mesh.vertices), view, spacing):
-        numbers = scene.run(origins, _towards(-view.direction))
+        numbers = scene.run(origins, _towards(-view.look.way_in))
         hit[numbers[numbers >= 0]] = True
     return hit
 
@@ -192,7 +192,7 @@ def _lattice(
     vertices: Float64[np.ndarray, "n 3"], view: View, spacing: float
 ) -> Iterator[Float32[np.ndarray, "rays 3"]]:
     """Batches of ray origins, float32 [≤ batch, 3]: a lattice on the computation plane, just before the mesh begins."""
-    frame = radar_frame(view)
+    frame = view.look.frame
     low, high = (vertices @ frame.T).min(axis=0), (vertices @ frame.T).max(axis=0)
     spacing = max(spacing, math.sqrt((high[0] - low[0]) * (high[1] - low[1]) / _MOST_RAYS))
     x, y = ((np.arange(np.floor(low[k] / spacing), np.ceil(high[k] / spacing)) + 0.5) * spacing for k in (0, 1))
@@ -220,8 +220,11 @@ def _seen(
 ) -> Bool[np.ndarray, " p"]:
     hidden = np.arange(len(points))
     for view in views:
-        origins = (points[hidden] + lift * view.direction).astype(np.float32)
-        hidden = hidden[scene.run(origins, _towards(view.direction), query="OCCLUDED") >= 0]
+        blocked = np.zeros(len(hidden), dtype=bool)
+        for way in view.look.ways:
+            origins = (points[hidden] + lift * way).astype(np.float32)
+            blocked |= scene.run(origins, _towards(way), query="OCCLUDED") >= 0
+        hidden = hidden[blocked]
         if len(hidden) == 0:
             break
     return np.bincount(hidden, minlength=len(points)) == 0

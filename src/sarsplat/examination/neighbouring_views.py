@@ -8,7 +8,7 @@ those on the ground; between two grazing angles they only match with the right o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,7 +82,6 @@ def match(
     pairs: Sequence[tuple[int, int]],
     *,
     sense: int = 1,
-    to_range: Callable[[float], float] = math.cos,
     within: float = 1.0,
 ) -> Matches:
     """Correlate pairs of images on the ground.
@@ -97,8 +96,6 @@ def match(
         Which are compared.
     sense : int
         1 if azimuths run as given, −1 if they run the other way.
-    to_range : function of float
-        Lengths in range over those on the ground, by the grazing angle in radians.
     within : float
         Radius of the ground that is compared, of the largest that every image shows.
     """
@@ -113,7 +110,7 @@ def match(
         k: _at(
             uniform_filter(bright[k], coarse),
             (across - grid.azimuth_m[0]) / grid.spacing_m[0],
-            (along * to_range(math.radians(views[k].grazing_deg)) - grid.range_m[0]) / grid.spacing_m[1],
+            (views[k].look.slant_range(along) - grid.range_m[0]) / grid.spacing_m[1],
         )
         for k in used
     }
@@ -141,11 +138,11 @@ def as_grazing_and_incidence(
 
     As many pixels are compared either way: the more ground is around a target, the lower is the correlation.
     """
-    angles = np.radians([view.grazing_deg for view in views])
-    scales = np.cos(angles).mean(), np.sin(angles).mean()
+    meant = views, [View(view.azimuth_deg, view.incidence_deg) for view in views]
+    scales = [float(np.mean([view.look.slant_range(1.0) for view in views])) for views in meant]
     given, swapped = (
-        match(bright, views, grid, pairs, sense=sense, to_range=to_range, within=math.sqrt(min(scales) / scale)).best()
-        for to_range, scale in zip((math.cos, math.sin), scales, strict=True)
+        match(bright, views, grid, pairs, sense=sense, within=math.sqrt(min(scales) / scale)).best()
+        for views, scale in zip(meant, scales, strict=True)
     )
     return given, swapped
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32, Float64
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import brighter
 
 BRIGHT_DB = -30.0
@@ -79,9 +79,9 @@ def bounded_region(
                 f"the image at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° is dark everywhere "
                 f"({threshold_db:g} dB below the brightest pixel of the set); leave it out or check the simulation"
             )
-        frame = radar_frame(view)
+        azimuth, slant_range = view.look.gradients
         columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
-        normals += [frame[0], -frame[0], -frame[2]]
+        normals += [azimuth, -azimuth, -slant_range]
         offsets += [
             grid.azimuth_m[columns[-1]] + half_a,
             half_a - grid.azimuth_m[columns[0]],

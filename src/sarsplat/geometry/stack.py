@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.grids import ImageGrid
-from sarsplat.geometry.view import View, radar_frame
+from sarsplat.geometry.view import View
 
 _LEAST_WAVELENGTH, _LARGEST_WAVELENGTH = 1e-4, 100.0
 _WIDEST = 0.2
@@ -168,7 +168,7 @@ class Stack:
 
         Its scalar product with the place x is that phase, for y_i ∝ exp(−jkR_i) and R_i = R − u_i · x.
         """
-        frame = radar_frame(view)
+        frame = view.look.frame
         towards = -frame[2] + np.array(self.offsets_rad)[:, None] * frame[1]
         vectors: Float64[np.ndarray, "p 3"] = self.wavenumber * (
             towards / np.linalg.norm(towards, axis=1, keepdims=True) + frame[2]
@@ -177,11 +177,11 @@ class Stack:
 
     @checks_arguments
     def elevation_numbers(self, view: View) -> Float64[np.ndarray, " p"]:
-        """Phase per elevation of each pass, rad/m; elevation is across the line of sight, upwards (`radar_frame`).
+        """Phase per elevation of each pass, rad/m; elevation is across the line of sight, upwards (`Look.frame`).
 
         Of a pair, the difference κ is 2π per ambiguous elevation, and k_z = κ / cos(grazing) the phase per height.
         """
-        numbers: Float64[np.ndarray, " p"] = self.phase_vectors(view) @ radar_frame(view)[1]
+        numbers: Float64[np.ndarray, " p"] = self.phase_vectors(view) @ view.look.frame[1]
         return numbers
 
     @checks_arguments
@@ -202,8 +202,8 @@ class Stack:
         numpy.ndarray, float64 [P, rows, columns]
             A stack is deramped by exp(−j · phases), and what lies above the plane has the sign of its pass's offset.
         """
-        sine, cosine = math.sin(math.radians(view.grazing_deg)), math.cos(math.radians(view.grazing_deg))
+        look = view.look
         slant, across = np.meshgrid(grid.range_m, grid.azimuth_m, indexing="ij")
-        places = np.stack([across, (height_m + slant * sine) / cosine, slant], axis=-1) @ radar_frame(view)
+        places = np.stack([across, look.elevation_at(across, slant, height_m), slant], axis=-1) @ look.frame
         phases: Float64[np.ndarray, "p rows columns"] = np.moveaxis(places @ self.phase_vectors(view).T, -1, 0)
         return phases

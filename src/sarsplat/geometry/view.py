@@ -13,6 +13,7 @@ from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments, described
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry.look import Look
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
 _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
@@ -71,9 +72,14 @@ class View:
         return 90.0 - self.grazing_deg
 
     @property
+    def look(self) -> Look:
+        """How the radar sees places from there."""
+        return Look.of(self.azimuth_deg, self.grazing_deg)
+
+    @property
     def direction(self) -> Float64[np.ndarray, " 3"]:
         """Unit vector u from the scene to the radar, world frame, float64 [3]."""
-        return -radar_frame(self)[2]
+        return self.look.way_in
 
 
 @checks_arguments
@@ -89,6 +95,4 @@ def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
     -----
     Source: SAR-GS, eq. (5); a proper rotation.
     """
-    phi, theta = math.radians(view.azimuth_deg), math.radians(view.grazing_deg)
-    sp, cp, st, ct = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)
-    return np.array([[-sp, -cp, 0.0], [-st * cp, st * sp, ct], [-ct * cp, ct * sp, -st]])
+    return view.look.frame

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View, radar_frame
+from sarsplat.geometry import View
 from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
@@ -33,7 +33,7 @@ class Aperture:
     @property
     def cross(self) -> Float64[np.ndarray, " pulses"]:
         """Direction to the antenna along the image's columns: the sine of the angle from the middle."""
-        return self._directions() @ radar_frame(self.view)[0]
+        return self._directions() @ self.view.look.gradients[0]
 
     @property
     def looks_left(self) -> bool:
@@ -43,7 +43,7 @@ class Aperture:
     @property
     def tilt_deg(self) -> float:
         """Turn of the slant plane about the line of sight: what stands up is displaced across by its tangent."""
-        across, up, _ = radar_frame(self.view) @ (self._directions()[-1] - self._directions()[0])
+        across, up, _ = self.view.look.frame @ (self._directions()[-1] - self._directions()[0])
         return math.degrees(math.atan2(math.copysign(1, across) * up, abs(across)))
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Complex64, Float64
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, radar_frame
+from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.apertures import Aperture
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
@@ -27,7 +27,7 @@ def focus(
     """The complex image of an aperture, row 0 near range, columns along the view's x_r.
 
     A scatterer of amplitude A on the ground has A as its peak. Pixels are focused on the places of the ground, at the
-    height of the aperture's place, that the radar frame maps to them, so that what stands there is where `radar_frame`
+    height of the aperture's place, that the radar frame maps to them, so that what stands there is where `View.look`
     says, without wavefront curvature. The carrier's phase, 4π f/c times slant range, is taken out, so that the spectrum
     is around zero.
 
@@ -66,11 +66,9 @@ def focus(
 
 def ground_points(aperture: Aperture, grid: ImageGrid) -> Float64[np.ndarray, "pixels 3"]:
     """Where each pixel is on the ground, row by row, world frame, m."""
-    azimuth, _, away = radar_frame(aperture.view)
-    grazing = math.radians(aperture.view.grazing_deg)
-    ahead = np.array([away[0], away[1], 0.0]) / math.cos(grazing) ** 2  # per metre of slant range
-    rows = grid.range_m[:, None, None] * ahead
-    return (aperture.around_m + rows + grid.azimuth_m[None, :, None] * azimuth).reshape(-1, 3)
+    across, away = np.pad(aperture.view.look.onto_ground, ((0, 0), (0, 1)))
+    rows = grid.range_m[:, None, None] * away
+    return (aperture.around_m + rows + grid.azimuth_m[None, :, None] * across).reshape(-1, 3)
 
 
 def _check_extent(aperture: Aperture, grid: ImageGrid) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -153,7 +152,7 @@ def import_folder(
         )
         turn = -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
         view = _view(listed.path, picture, azimuth_offset_deg + turn, grazing_deg)
-        slant = math.cos(math.radians(view.grazing_deg)) if ground_range else 1.0
+        slant = view.look.slant_range(1.0) if ground_range else 1.0
         spacing = _lengths(listed.path, picture, "spacing", spacing_m, slant)
         stated = resolution_m is not None or any(picture.resolution_m)
         resolution = _lengths(listed.path, picture, "resolution", resolution_m, slant) if stated else spacing

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View, radar_frame
+from sarsplat.geometry import View
 from sarsplat.importers.nitf import sarkit_errors
 from sarsplat.importers.sicd_file import Sicd
 
@@ -156,7 +156,7 @@ def layout_around(sicd: Sicd, spot: Spot, extent_m: float) -> Layout:
             raise SarsplatError(f"the radar of {sicd.path} is below the horizon of the spot; {middle_of(sicd)}")
         exact = View.towards(toward)
         view = View(round(exact.azimuth_deg, _DIGITS) % 360, round(exact.grazing_deg, _DIGITS))
-        frame = radar_frame(view)
+        frame = view.look.frame
         across = frame @ (velocity - (velocity @ toward) * toward)  # range component 0
         tilt = math.degrees(math.atan2(across[1], abs(across[0])))
         tilt = math.copysign(tilt, tilt * across[0])
@@ -204,7 +204,7 @@ def _radar(
 
 def on_ground(view: View, azimuth_m: np.ndarray, range_m: np.ndarray) -> Float64[np.ndarray, "n 3"]:
     """The places on level ground that a view has at these azimuths and ranges."""
-    across, elevation, away = radar_frame(view)
+    across, elevation, away = view.look.frame
     rise = -away[2] / elevation[2]  # along the elevation axis for each metre of range
     return np.outer(azimuth_m, across) + np.outer(range_m, away + rise * elevation)
 
@@ -233,5 +233,5 @@ def _leaning(sicd: Sicd, spot: Spot, layout: Layout) -> tuple[float, float]:
     height = max(1.0, layout.extent_m / 16)
     top = np.array([[0.0, 0.0, height]])
     seen = np.linalg.solve(layout.slopes, (_locate(sicd, spot, top) - _locate(sicd, spot, 0 * top))[0])
-    azimuth, _, away = radar_frame(layout.view) @ top[0]
+    azimuth, away = layout.view.look.gradients @ top[0]
     return float((seen[0] - azimuth) / height), float((seen[1] - away) / height)

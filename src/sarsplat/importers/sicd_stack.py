@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid, Stack, radar_frame
+from sarsplat.geometry import ImageGrid, Stack
 from sarsplat.geometry.stack import POLARISATIONS
 from sarsplat.importers.images import MeasuredImage
 from sarsplat.importers.nitf import sarkit_errors
@@ -68,7 +68,7 @@ def stack_image(
     first = sicds[0]
     for sicd in sicds[1:]:
         _refuse_other_grid(first, sicd)
-    frame = radar_frame(layout.view)
+    frame = layout.view.look.frame
     here = layout.place_of(np.zeros(1), np.zeros(1))
     lines = [spot.axes @ (_antenna_at(sicd, here)[0] - spot.ecef) for sicd in sicds]
     seen = np.array(lines) @ frame.T

@@ -19,7 +19,7 @@ from torch.nn.functional import pad
 
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import Rendering, render
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
 
@@ -127,7 +127,7 @@ def _filled(image: Float[Tensor, "*c rows columns"], grid: ImageGrid) -> Float[T
 def _pixels(gaussians: Gaussians, view: View, grid: ImageGrid, margin_m: float, multiple: int) -> tuple[slice, slice]:
     """Columns and rows that show any of the Gaussians, in whole blocks; one block where the image shows none."""
     means, widths = gaussians.means.detach(), gaussians.scales.detach().amax(1)
-    x, _, z = means.new_tensor(radar_frame(view)) @ means.T
+    x, z = means.new_tensor(view.look.gradients) @ means.T
     sides, (left, _, _, near) = [], grid.extent_m
     for axis, (places, first, count) in enumerate(((x, left, grid.columns), (z, near, grid.rows))):
         low, high = _extent(places, widths, _IN_IMAGE, grid.response_variance_m2[axis], margin_m)
@@ -151,7 +151,7 @@ def _needed(
 ) -> Bool[Tensor, " n"]:
     """Which Gaussians an image shows, and which may shade these or the ground that it shows."""
     means, widths = gaussians.means.detach(), gaussians.scales.detach().amax(1)
-    x, y, z = means.new_tensor(radar_frame(view)) @ means.T
+    x, y, z = means.new_tensor(view.look.frame) @ means.T
     variances, cells = grid.response_variance_m2, [CELL_WIDENING * spacing**2 for spacing in rays.spacing_m]
     begins, ends = _extent(x, widths, _IN_IMAGE, variances[0], margin_m)
     nearest, farthest = _extent(z, widths, _IN_IMAGE, variances[1], margin_m)
@@ -171,9 +171,6 @@ def _on_ground(view: View, grid: ImageGrid, ground: Ground) -> tuple[tuple[float
     """Which rays, x_r and y_r from and to, end on the ground that an image shows, m."""
     left, right, far, near = grid.extent_m
     azimuth, slant_range = (_IN_IMAGE * variance**0.5 for variance in grid.response_variance_m2)
-    theta = math.radians(view.grazing_deg)
-    low, high = (  # r = (y cos θ − z) / sin θ
-        (r * math.sin(theta) + z) / math.cos(theta)
-        for r, z in zip((near - slant_range, far + slant_range), ground.span_m, strict=True)
+    return view.look.rays_to_ground(
+        (left - azimuth, right + azimuth), (near - slant_range, far + slant_range), ground.span_m
     )
-    return (left - azimuth, right + azimuth), (low, high)

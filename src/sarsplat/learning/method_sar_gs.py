@@ -239,7 +239,7 @@ class GaussianReconstruction(Reconstruction):
             return {}
         gamma0 = float(ground.gamma0.detach().log().mean())
         if ground.exponent is not None:
-            sines = np.sin(np.radians([view.grazing_deg for view in self.snapshot.views]))
+            sines = [view.look.sine for view in self.snapshot.views]
             gamma0 += float(ground.exponent.detach()) * float(np.log(sines).mean())
         return {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
 

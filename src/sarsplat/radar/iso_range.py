@@ -12,7 +12,7 @@ from jaxtyping import Float, Float64, Real
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import attenuate, project
 from sarsplat.renderer.constants import IMAGE_CUT
 
@@ -79,7 +79,7 @@ def iso_range_line(
         If the grid has no such pixel.
     """
     azimuth, slant_range = pixel.place_m(grid)
-    frame = radar_frame(view)
+    frame = view.look.frame
     origin, direction = azimuth * frame[0] + slant_range * frame[2], frame[1]
     first, last = -math.inf, math.inf
     for start, step, a, b in zip(origin, direction, low, high, strict=True):

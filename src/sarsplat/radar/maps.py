@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +11,8 @@ from scipy.ndimage import map_coordinates
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.radar.surface import Surface, above_ground
-from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.renderer import RayMap, attenuate, project, splat
 
 _SHARE = 0.5
@@ -99,7 +97,7 @@ def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid |
     weighted = lit[:, None] * torch.from_numpy(_columns(surface, view)).to(lit)
     sums = splat(projection.pixels, weighted[None], sharp)[0].double().numpy()
     area = sums[_AREA]
-    shown = (area >= beta0_of_gamma0(_SHARE, view.grazing_deg)) | (sums[_COVER] >= _SHARE)
+    shown = (area >= view.look.beta0_of_gamma0(_SHARE)) | (sums[_COVER] >= _SHARE)
     means = np.divide(sums, area, out=np.full_like(sums, np.nan), where=shown)
     spread = 2 * np.sqrt(_unexplained(means, grid))
     with np.errstate(invalid="ignore"):
@@ -121,7 +119,7 @@ _PAIRS = np.triu_indices(3)
 
 def _columns(surface: Surface, view: View) -> Float64[np.ndarray, "n 13"]:
     """Per-Gaussian terms of the weighted sums of a pixel, per unit of area across the line of sight."""
-    means, frame = surface.gaussians.means.double().numpy(), radar_frame(view)
+    means, frame = surface.gaussians.means.double().numpy(), view.look.frame
     azimuth, elevation, slant_range = frame @ means.T
     place = np.stack([azimuth, slant_range, elevation - elevation.mean()], axis=1)  # float32 sums lose few digits
     _, across, towards = np.abs(frame @ surface.normals.T).clip(_GRAZED, 1)
@@ -146,25 +144,26 @@ def _hidden_ground(
 ) -> Bool[np.ndarray, "{grid.rows} {grid.columns}"]:
     """Whether Gaussians above the ground take the light of the ground that each pixel would show.
 
-    The ground at slant range r is met by the ray with the elevation r·tan θ, and whatever is above it, before it.
+    The ray that ends there meets whatever is above the ground before it.
     """
     if len(gaussians) == 0:
         return np.zeros((grid.rows, grid.columns), bool)
     projection = project(gaussians, [view], grid, rays=rays)
     (ray_map,) = attenuate(projection, rays, first_return_depth=1.0).ray_maps or ()
     inside = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
-    azimuth = (grid.azimuth_m[:, None] + inside * grid.spacing_m[0]).ravel()
-    slant_range = (grid.range_m[:, None] + inside * grid.spacing_m[1]).ravel()
-    through = _transmittance(ray_map, rays, azimuth, slant_range * math.tan(math.radians(view.grazing_deg)))
+    azimuth, slant_range = np.meshgrid(
+        (grid.azimuth_m[:, None] + inside * grid.spacing_m[0]).ravel(),
+        (grid.range_m[:, None] + inside * grid.spacing_m[1]).ravel(),
+    )
+    through = _transmittance(ray_map, rays, azimuth, view.look.elevation_on_ground(azimuth, slant_range))
     means = through.reshape(grid.rows, _SAMPLES, grid.columns, _SAMPLES).mean(axis=(1, 3))
     return means < 1 - _HIDDEN
 
 
 def _transmittance(
-    ray_map: RayMap, rays: RayGrid, azimuth: Float64[np.ndarray, " c"], elevation: Float64[np.ndarray, " r"]
+    ray_map: RayMap, rays: RayGrid, azimuth: Float64[np.ndarray, "r c"], elevation: Float64[np.ndarray, "r c"]
 ) -> Float64[np.ndarray, "r c"]:
-    """Two-way, at every pair of places on the computation plane; 1 where no ray was needed."""
+    """Two-way, at places on the computation plane; 1 where no ray was needed."""
     row = (elevation - ray_map.origin[1]) / rays.spacing_m[1]
     column = (azimuth - ray_map.origin[0]) / rays.spacing_m[0]
-    places = np.meshgrid(row, column, indexing="ij")
-    return map_coordinates(ray_map.transmittance.double().numpy(), places, order=1, mode="constant", cval=1.0)
+    return map_coordinates(ray_map.transmittance.double().numpy(), [row, column], order=1, mode="constant", cval=1.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from jaxtyping import Float32
 from scipy.ndimage import map_coordinates
 
 from sarsplat.data import Dataset
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.renderer.lit_terrain import lit_terrain
 
@@ -35,15 +34,16 @@ def levelled(dataset: Dataset) -> Dataset:
 def _levelled(
     power: Float32[np.ndarray, "rows columns"], view: View, grid: ImageGrid, terrain: Terrain
 ) -> Float32[np.ndarray, "rows columns"]:
-    frame, theta = radar_frame(view), math.radians(view.grazing_deg)
+    look = view.look
     bare = RayEnds(torch.empty(0), [(0, 0)], [(0.0, 0.0)])
     free = lit_terrain(bare, [view], grid, RayGrid.for_image(grid), terrain, torch.ones(1, 1, 1), 1.0, None)[0].numpy()
-    share = free / math.tan(theta)
+    share = look.gamma0_of_beta0(free)
     known = share > _DIMMEST
     flat = np.where(known, power / np.where(known, share, 1.0), np.median(power[known]) if known.any() else 0.0)
     x, r = grid.azimuth_m[None, :], grid.range_m[:, None]
-    place = x[..., None] * frame[0, :2] + r[..., None] * (frame[2, :2] / math.cos(theta) ** 2)
-    nearer = terrain.height_m(place[..., 0], place[..., 1]) * math.sin(theta)
+    across, away = look.onto_ground
+    place = x[..., None] * across + r[..., None] * away
+    nearer = terrain.height_m(place[..., 0], place[..., 1]) * look.sine
     row = (r - nearer - grid.range_m[0]) / grid.spacing_m[1]
     column = np.broadcast_to(np.arange(grid.columns), row.shape)
     return map_coordinates(flat, [row, column], order=1, mode="nearest").astype(np.float32)

@@ -13,7 +13,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import Region
-from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
+from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.regions.target_region import target_region
 from sarsplat.surface.points import imaged, spread
 
@@ -46,8 +46,8 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
     if box is None:
         heights = [
             min(
-                stack.ambiguous_elevation_m * math.cos(math.radians(view.grazing_deg)),
-                2 * half_range / math.sin(math.radians(view.grazing_deg)),
+                stack.ambiguous_elevation_m * view.look.height_per_elevation,
+                2 * half_range / view.look.sine,
             )
             for stack, view in zip(train.stacks, train.views, strict=True)
         ]
@@ -62,8 +62,8 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
         )
     if not of_one_direction(train.views):
         return region
-    frame = radar_frame(train.views[0])
-    normals, middle = np.array([frame[0], -frame[0], frame[2], -frame[2]]), np.array(grid.center_m)
+    azimuth, slant = train.views[0].look.gradients
+    normals, middle = np.array([azimuth, -azimuth, slant, -slant]), np.array(grid.center_m)
     offsets = np.array([half_azimuth, half_azimuth, half_range, half_range])
     offsets += np.array([middle[0], -middle[0], middle[1], -middle[1]])
     return Region(
@@ -92,7 +92,7 @@ def enough_gaussians(region: Region, views: Sequence[View], grid: ImageGrid, sta
     """Number of Gaussians for stacks: a fixed number for each cell of azimuth, range and elevation that images show."""
     size, points = region.high - region.low, _tried(region)
     inside = (points @ region.normals.T <= region.offsets).all(axis=1) & _in_any(points, views, grid)
-    volume, span = float(np.prod(size)) * float(inside.mean()), size[2] / math.cos(math.radians(views[0].grazing_deg))
+    volume, span = float(np.prod(size)) * float(inside.mean()), size[2] / views[0].look.height_per_elevation
     elevation = min(min(stack.resolution_m for stack in stacks), float(span) / _FEWEST_CELLS)
     return max(1, round(_PER_CELL * volume / (grid.cell_m**2 * elevation)))
 
@@ -108,6 +108,5 @@ def _in_any(points: Float64[np.ndarray, "p 3"], views: Sequence[View], grid: Ima
 
 def _reach_m(view: View, grid: ImageGrid, height: float) -> float:
     """Farthest from the origin that something is imaged, along the ground, m."""
-    sine, cosine = math.sin(math.radians(view.grazing_deg)), math.cos(math.radians(view.grazing_deg))
     azimuth, slant = (np.abs(edges).max() for edges in (grid.extent_m[:2], grid.extent_m[2:]))
-    return math.hypot(azimuth, (slant + height * sine) / cosine)
+    return math.hypot(azimuth, view.look.ground_range(slant, height))

@@ -10,7 +10,7 @@ from jaxtyping import Float, Float64
 from scipy.ndimage import affine_transform, gaussian_filter, label
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import to_db
 from sarsplat.regions.multilook import multilooked
 
@@ -170,7 +170,7 @@ def _height(
     high: Float64[np.ndarray, " 2"],
 ) -> float:
     """A little more than the greatest height in the box above which nothing casts a shadow, m."""
-    tangents = np.tan(np.radians([view.grazing_deg for view in views]))
+    tangents = np.array([view.look.slope for view in views])
     weights = tangents**-2.0  # an error along the ground is one in height times the tangent
     clipped_db = np.clip(level_db, *_SHADOW_DB)
     noise_db = _typical(_on_the_ground(clipped_db, views, grid, axis, weights))[1]
@@ -201,9 +201,9 @@ def _height(
 
 def seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
     """Radius of the largest disc of ground around the origin that lies in every image, m; ≤ 0 if there is none."""
-    flattest = math.cos(math.radians(min(view.grazing_deg for view in views)))
+    flattest = min(views, key=lambda view: view.grazing_deg).look
     across = grid.columns * grid.spacing_m[0] / 2 - abs(grid.center_m[0])
-    along = (grid.rows * grid.spacing_m[1] / 2 - abs(grid.center_m[1])) / flattest
+    along = flattest.ground_range(grid.rows * grid.spacing_m[1] / 2 - abs(grid.center_m[1]))
     return min(across, along)
 
 
@@ -232,7 +232,7 @@ def _on_the_ground(
 
 def _weights_across(views: Sequence[View], i: int) -> Float64[np.ndarray, " v"]:
     """Weight of each view for the extent along axis i: views across that axis count most."""
-    aways = [radar_frame(view)[2] for view in views]
+    aways = [view.look.gradients[1] for view in views]
     leans = np.array([away[i] * away[2] / (1 - away[2] ** 2) for away in aways])  # along the axis, per metre of height
     return 1 / (1 + (_UPRIGHT * leans) ** 2)
 
@@ -254,9 +254,9 @@ def _mean(
     pixel_m, first_m = np.array(grid.spacing_m[::-1]), np.array([grid.range_m[0], grid.azimuth_m[0]])
     total, weight_seen, seen = np.zeros((3, len(y), len(x)))
     for image, view, weight in zip(level_db, views, weights, strict=True):
-        frame = radar_frame(view)[[2, 0]]  # away and across, as rows and columns are
+        frame = view.look.gradients[[1, 0]]  # away and across, as rows and columns are
         # on through the first place, down to the ground
-        first = frame @ (x[0], y[0], z) + (z / math.sin(math.radians(view.grazing_deg)), 0.0)
+        first = frame @ (x[0], y[0], z) + (z / view.look.sine, 0.0)
         step = frame[:, [1, 0]] * (y[1] - y[0], x[1] - x[0]) / pixel_m[:, None]
         level = affine_transform(
             image, step, (first - first_m) / pixel_m, total.shape, order=1, mode="constant", cval=np.nan

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import ALLOWED, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
 from sarsplat.renderer.cpu import FAULTS
@@ -144,7 +144,7 @@ def _lattice(
     view: View, rays: RayGrid, low_m: Corner, high_m: Corner, reach: tuple[float, float]
 ) -> tuple[int, int, int, int]:
     """(k0x, k0y, rows, columns) of rays that hold a box and so much around it, in rays; one more on every side."""
-    axes = radar_frame(view)[:2]
+    axes = view.look.frame[:2]
     centre, half = axes @ (np.add(low_m, high_m) / 2), abs(axes) @ (np.subtract(high_m, low_m) / 2)
     low = np.floor((centre - half * _MARGIN) / rays.spacing_m - reach) - 1
     high = np.ceil((centre + half * _MARGIN) / rays.spacing_m + reach) + 1

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import rotation_matrix
-from sarsplat.geometry import View, radar_frame
+from sarsplat.geometry import View
 from sarsplat.renderer import cpu
 from sarsplat.renderer.engines import chosen_engine
 from sarsplat.renderer.footprints import Footprints
@@ -53,7 +53,7 @@ def elevated(
         Real and imaginary parts in turn, m²; and m per m.
     """
     means, roots = gaussians.means, pixels.roots
-    frames = torch.from_numpy(np.stack([radar_frame(view) for view in views])).to(means)  # [V, 3, 3]
+    frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(means)  # [V, 3, 3]
     kappa = torch.from_numpy(numbers).to(means)
     assert real.shape[2] in (1, kappa.shape[1])
     if chosen_engine(engine, means) == "cpu":

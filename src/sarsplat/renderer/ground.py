@@ -14,7 +14,7 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from sarsplat.renderer.lit_terrain import lit_terrain
 from sarsplat.renderer.places import at_places
@@ -158,11 +158,9 @@ def _numbers(ground: Ground, views: Sequence[View]) -> Float[Tensor, "k v 1 1"]:
 @lru_cache(maxsize=4096)
 def _of_view(view: View, device: torch.device) -> Float64[Tensor, " 7"]:
     """Of θ: tan, ln sin and sin; and how x and y on the ground grow with azimuth and with slant range."""
-    frame, theta = radar_frame(view), math.radians(view.grazing_deg)
-    numbers = [math.tan(theta), math.log(math.sin(theta)), math.sin(theta)]
-    return torch.tensor(
-        [*numbers, *frame[0, :2], *(frame[2, :2] / math.cos(theta) ** 2)], dtype=torch.float64, device=device
-    )
+    look = view.look
+    numbers = look.slope, math.log(look.sine), look.sine, *look.onto_ground.ravel()
+    return torch.tensor(numbers, dtype=torch.float64, device=device)
 
 
 @lru_cache(maxsize=16)

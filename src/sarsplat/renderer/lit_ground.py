@@ -76,9 +76,8 @@ def lit_ground(
     """Share of each pixel's ground that the radar sees, through the response; differentiable by T_end and shift."""
     (dx, dy), patches = rays.spacing_m, []
     for view, (rows, columns), (x, y) in zip(views, ends.sizes, ends.origins, strict=True):
-        theta = math.radians(view.grazing_deg)
-        near = ((y - dy / 2) * math.cos(theta) - height_m) / math.sin(theta)  # on the plane r = (y cos θ − z) / sin θ
-        patches.append((Axis(near, dy / math.tan(theta), rows), Axis(x - dx / 2, dx, columns)))
+        down = Axis(*view.look.rows_on_ground(y - dy / 2, dy, height_m), rows)
+        patches.append((down, Axis(x - dx / 2, dx, columns)))
     left = ends.transmittance
     if not plain and left.dtype == torch.float32 and left.device.type == "cpu":
         return _Engine.apply(left, shift, patches, grid)

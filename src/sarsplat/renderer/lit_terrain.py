@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer import cpu, structs
 from sarsplat.renderer.lit_ground import Axis, RayEnds, pixel_axes, seen, stds
 from sarsplat.renderer.once import differentiable_once
@@ -60,7 +60,7 @@ class _Patches:
     def of(
         cls, cells: Cells, view: View, rays: RayGrid, size: tuple[int, int], origin: tuple[float, float]
     ) -> _Patches:
-        (dx, dy), frame = rays.spacing_m, radar_frame(view)
+        (dx, dy), frame = rays.spacing_m, view.look.frame
         x, y = ((first + 0.5) * step for first, step in zip(cells.first, rays.spacing_m))
         column, row = (
             round(at / step - 0.5) - first for at, step, first in zip(origin, rays.spacing_m, cells.first, strict=True)

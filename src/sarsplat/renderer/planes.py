@@ -14,7 +14,7 @@ from torch import Tensor
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
 from sarsplat.gaussians.law_polarimetric import Polarimetric, covariances_between
 from sarsplat.gaussians.scattering import Scattering
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.stack import Stack
 from sarsplat.renderer.constants import MIN_RAY_DEPTH
 from sarsplat.renderer.elevations import elevated
@@ -124,7 +124,7 @@ class _Plan:
     @classmethod
     @lru_cache(maxsize=256)
     def of(cls, stacks: tuple[Stack, ...]) -> _Plan:
-        names, frame = stacks[0].of_channels, radar_frame(_ANY)
+        names, frame = stacks[0].of_channels, _ANY.look.frame
         vectors = np.stack([stack.phase_vectors(_ANY) @ frame.T for stack in stacks])
         elevation = vectors[..., 1]
         same = _SAME * np.ptp(elevation)

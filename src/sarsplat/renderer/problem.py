@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE
 from sarsplat.gaussians.harmonics import harmonic_basis
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import structs
 from sarsplat.renderer.checks import FARTHEST, FLATTEST, MAX_SCALE, STEEPEST, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
@@ -42,14 +42,14 @@ def directions_to(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
 @lru_cache(maxsize=4096)
 def _direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " 3"]:
     """The unit vector towards the radar."""
-    return torch.from_numpy(view.direction).to(device, dtype)
+    return torch.from_numpy(view.look.way_out).to(device, dtype)
 
 
 @lru_cache(maxsize=4096)
 def _frame_and_basis(view: View, degree: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """Radar frame [3, 3] and harmonics towards the radar, float32."""
-    frame = torch.from_numpy(radar_frame(view))
-    basis = harmonic_basis(-frame[2], degree)
+    look = view.look
+    frame, basis = torch.from_numpy(look.frame), harmonic_basis(torch.from_numpy(look.way_out), degree)
     return frame.float().to(device), basis.float().to(device)
 
 

@@ -19,7 +19,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import covariance
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves, deviations
 from sarsplat.renderer.ground import gamma0_by_view, in_sight, lit, returned, with_ground
@@ -93,7 +93,7 @@ def project_reference(
     spacing = means.new_tensor((rays or RayGrid.for_image(grid)).spacing_m)
     response = means.new_tensor(grid.response_variance_m2)
     with torch.autocast(means.device.type, enabled=False):  # a judge does not round to 16 bits
-        frames = torch.from_numpy(np.stack([radar_frame(view) for view in views])).to(means)[:, None]
+        frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(means)[:, None]
         mean = (frames @ means[..., None])[..., 0]  # §1: x_r = R_r x_w, [V, N, 3]
         cov = frames @ covariance(gaussians.quaternions, gaussians.scales) @ frames.mT  # [V, N, 3, 3]
         cov_c, cov_i = cov[..., :2, :2], cov[..., ::2, ::2]  # §3: the (x, y) and the (x, z) block

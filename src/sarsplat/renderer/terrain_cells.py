@@ -19,7 +19,7 @@ from jaxtyping import Float, Float32, Float64
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.geometry import ImageGrid, Look, RayGrid, Terrain, View
 from sarsplat.renderer.places import at_places
 
 RESPONSE_END = 6.0
@@ -103,7 +103,7 @@ def before_terrain(
     ground = at_places(heights, means[:, 0] / terrain.pitch_m[0], means[:, 1] / terrain.pitch_m[1], 1.0)
     above, seen = means[:, 2] >= ground, []
     for view, cells in zip(views, ends, strict=True):
-        x, y, z = (means @ torch.from_numpy(radar_frame(view)).to(means).T).unbind(1)
+        x, y, z = (means @ torch.from_numpy(view.look.frame).to(means).T).unbind(1)
         column, row = (
             (at / step).floor().long() - first for at, step, first in zip((x, y), rays.spacing_m, cells.first)
         )
@@ -123,14 +123,12 @@ def _with_margin(grid: ImageGrid, pixels: int) -> ImageGrid:
 
 
 def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:
-    (dx, dy), (lowest, highest) = rays.spacing_m, terrain.span_m
-    theta = math.radians(view.grazing_deg)
+    (dx, dy), (lowest, highest), look = rays.spacing_m, terrain.span_m, view.look
     azimuth_end, range_end = (RESPONSE_END * math.sqrt(variance) for variance in grid.response_variance_m2)
     left, right = grid.azimuth_m[0] - azimuth_end, grid.azimuth_m[-1] + azimuth_end
     near, far = grid.range_m[0] - range_end, grid.range_m[-1] + range_end
-    # of a plane, r = (y cos θ − z) / sin θ
-    bottom, top = ((r * math.sin(theta) + z) / math.cos(theta) / dy for r, z in ((near, lowest), (far, highest)))
-    first, end = (math.floor(left / dx), math.floor(bottom)), (math.ceil(right / dx), math.ceil(top))
+    (left, right), (bottom, top) = look.rays_to_ground((left, right), (near, far), (lowest, highest))
+    first, end = (math.floor(left / dx), math.floor(bottom / dy)), (math.ceil(right / dx), math.ceil(top / dy))
     columns, rows = end[0] - first[0], end[1] - first[1]
     if columns * rows > _MOST:
         raise SarsplatError(
@@ -138,15 +136,15 @@ def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cell
             f"for terrain {highest - lowest:.4g} m high; cut it to what the images show, or use coarser rays"
         )
     # before, the terrain lies lower than all of these rays, and behind, higher
-    begin = (first[1] * dy - highest * math.cos(theta)) / math.sin(theta)
-    step = min(*terrain.pitch_m, dy / math.sin(theta))
-    length = (rows * dy + (highest - lowest) * math.cos(theta)) / math.sin(theta)
+    begin = look.along_ray(first[1] * dy, highest)
+    step = min(*terrain.pitch_m, look.along_ray(dy, 0.0))
+    length = look.along_ray(rows * dy, lowest - highest)
     before = math.floor(begin / step)  # the same steps for every part of an image
     along = step * np.arange(before, before + math.ceil(length / step) + 3)
     together, parts = max(1, _AT_A_TIME // len(along)), []
     for column in range(0, columns, together):
         some = np.arange(column, min(column + together, columns))
-        parts.append(_ends(terrain, view, (first[0] + some + 0.5) * dx, along, (first[1] * dy, dy, rows)))
+        parts.append(_ends(terrain, look, (first[0] + some + 0.5) * dx, along, (first[1] * dy, dy, rows)))
     low, high = (np.concatenate(edges) for edges in zip(*parts))  # [columns, rows]
     shown = np.flatnonzero(((np.maximum(low, high) >= near) & (np.minimum(low, high) <= far)).any(axis=0))
     kept = slice(int(shown[0]), int(shown[-1]) + 1) if len(shown) else slice(0, 0)
@@ -156,7 +154,7 @@ def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cell
 
 def _ends(
     terrain: Terrain,
-    view: View,
+    look: Look,
     x: Float64[np.ndarray, " c"],
     along: Float64[np.ndarray, " g"],
     elevation: tuple[float, float, int],
@@ -165,11 +163,9 @@ def _ends(
 
     Terrain is looked at in steps along the ground range. A cell that looks past a summit lies where its centre does.
     """
-    frame, theta = radar_frame(view), math.radians(view.grazing_deg)
-    sine, cosine = math.sin(theta), math.cos(theta)
-    place = x[:, None, None] * frame[0, :2] + along[None, :, None] * (frame[2, :2] / cosine)
+    place = x[:, None, None] * look.onto_ground[0] + along[None, :, None] * look.ahead
     height = terrain.height_m(place[..., 0], place[..., 1])  # [c, g]
-    y, z = along * sine + height * cosine, along * cosine - height * sine
+    y, z = look.in_section(along, height)
     reached = np.maximum.accumulate(y, axis=1)
     first, step, rows = elevation
     halves = 2 * rows + 1  # edges, and centres between them

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float64
 from sarsplat.colours import DARK, SHADOW, TARGET
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import bright_level
 from sarsplat.regions.outlines import levels_db, outline
 from sarsplat.report.canvas import decibel_bar, draw_image, new_sheet, to_png
@@ -112,7 +112,7 @@ def _contour(axes: Axes, mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid
 def _nose(axes: Axes, view: View, grid: ImageGrid) -> None:
     """Where the nose points, from the middle."""
     left, right, bottom, top = grid.extent_m
-    nose: Float64[np.ndarray, " 3"] = radar_frame(view)[:, 0] * _NOSE * min(right - left, bottom - top)
+    nose: Float64[np.ndarray, " 2"] = view.look.gradients[:, 0] * _NOSE * min(right - left, bottom - top)
     middle = grid.center_m
-    end = (middle[0] + float(nose[0]), middle[1] + float(nose[2]))
+    end = (middle[0] + float(nose[0]), middle[1] + float(nose[1]))
     arrow(axes, middle, end, ":")

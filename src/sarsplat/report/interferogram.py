@@ -31,7 +31,7 @@ class Pair:
 
         If there is none, the pair whose phase turns least.
         """
-        per_height = stack.elevation_numbers(view) / math.cos(math.radians(view.grazing_deg))
+        per_height = stack.elevation_numbers(view) / view.look.height_per_elevation
         pairs = [
             cls(
                 i, j, float(f"{2 * math.pi / (per_height[i] - per_height[j]):.6g}")

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 
-from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
+from sarsplat.geometry import ImageGrid, Stack, View
 
 if TYPE_CHECKING:
     import trimesh
@@ -29,18 +29,17 @@ class Slice:
 
     def axes(self, points: Points) -> tuple[np.ndarray, np.ndarray]:
         """Ground range, growing away from the radar, and height of points, m."""
-        away = np.array([-self.view.direction[0], -self.view.direction[1]])
-        return points[:, :2] @ (away / np.linalg.norm(away)), points[:, 2]
+        return points[:, :2] @ self.view.look.ahead, points[:, 2]
 
     def within(self, points: Points) -> Bool[np.ndarray, " p"]:
         """Which points are in the slice."""
-        return np.abs(points @ radar_frame(self.view)[0] - self.azimuth_m) <= self.thickness_m / 2
+        return np.abs(points @ self.view.look.gradients[0] - self.azimuth_m) <= self.thickness_m / 2
 
     def through(self, mesh: trimesh.Trimesh) -> Float[np.ndarray, "lines 2 3"]:
         """Where its middle cuts a mesh: pieces of lines, m."""
         from trimesh.intersections import mesh_plane
 
-        across = radar_frame(self.view)[0]
+        across = self.view.look.gradients[0]
         return np.asarray(mesh_plane(mesh, across, self.azimuth_m * across), dtype=np.float64).reshape(-1, 2, 3)
 
 
@@ -66,7 +65,7 @@ def _several_heights(
     points: Points, view: View, stack: Stack, grid: ImageGrid
 ) -> Bool[np.ndarray, "{grid.rows} {grid.columns}"]:
     """Pixels that hold points whose elevations differ by more than the stack resolves."""
-    across, elevation, slant = radar_frame(view) @ points.T
+    across, elevation, slant = view.look.frame @ points.T
     column, row = (
         np.rint((places - centres[0]) / spacing).astype(int)
         for places, centres, spacing in zip(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Int32
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View, radar_frame
+from sarsplat.geometry import View
 
 if TYPE_CHECKING:
     import trimesh
@@ -62,7 +62,7 @@ class Facets:
 
     @classmethod
     def of(cls, mesh: trimesh.Trimesh, view: View) -> Facets:
-        vertices = np.asarray(mesh.vertices, dtype=np.float64) @ radar_frame(view).T
+        vertices = np.asarray(mesh.vertices, dtype=np.float64) @ view.look.frame.T
         faces = np.asarray(mesh.faces, dtype=np.int32)
         a, b, c = (vertices[faces[:, k]] for k in range(3))
         normal = np.cross(b - a, c - a)

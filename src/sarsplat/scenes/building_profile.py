@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Real
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.geometry import ImageGrid
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.scenes.buildings import Building, Gamma0, Region
 
 _CLEAR = 2.0  # 3 dB widths from every edge to where levels are measured: there the response has settled to 10⁻⁶
@@ -69,7 +69,7 @@ def building_profile(
     -------
     BuildingProfile
     """
-    cos = math.cos(math.radians(grazing_deg))
+    slant = View(0.0, grazing_deg).look.slant_range
     regions = building.regions(grazing_deg, gamma0)
     inner = np.abs(grid.azimuth_m) <= building.length / 2 - _CLEAR * grid.resolution_m[0]
     along, resolution = grid.range_m, grid.resolution_m[1]
@@ -77,13 +77,13 @@ def building_profile(
     analytic = building.profile(along, grazing_deg, gamma0, resolution)
     edges = []
     for region in regions[1:]:
-        edge = region.start * cos
+        edge = slant(region.start)
         level = float(building.profile(np.array([edge]), grazing_deg, gamma0, resolution)[0])
         crossing, expected = (_crossing(along, profile, level, edge) for profile in (measured, analytic))
         edges.append(MeasuredEdge(region.start, crossing - expected))
     levels = []
     for region in regions:
-        near, far = region.start * cos + _CLEAR * resolution, region.stop * cos - _CLEAR * resolution
+        near, far = slant(region.start) + _CLEAR * resolution, slant(region.stop) - _CLEAR * resolution
         clear = measured[(along >= near) & (along <= far)]
         levels.append(MeasuredRegion(region, float(clear.mean()) if len(clear) else None))
     return BuildingProfile(along, measured, analytic, edges, levels)

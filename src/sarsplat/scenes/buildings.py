@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 from scipy.special import ndtr
 
+from sarsplat.geometry import View
 from sarsplat.geometry.responses import variance_of
 
 if TYPE_CHECKING:
@@ -69,13 +70,14 @@ class Building:
 
     def regions(self, grazing_deg: float, gamma0: Gamma0) -> list[Region]:
         """Every region from near to far, including the free ground on both sides."""
-        tan = math.tan(math.radians(grazing_deg))
+        look = View(0.0, grazing_deg).look
+        tan = look.slope
         top = -self.height * tan
         lit = [
             ("roof", top, top + self.depth, gamma0.roof * tan),
             ("wall", top, 0.0, gamma0.wall / tan),
             ("ground", -math.inf, 0.0, gamma0.ground * tan),
-            ("ground", self.depth + self.height / tan, math.inf, gamma0.ground * tan),
+            ("ground", self.depth + look.shadow_m(self.height), math.inf, gamma0.ground * tan),
         ]
         edges = sorted({edge for _, start, stop, _ in lit for edge in (start, stop)})
         edges = [b for a, b in pairwise([-math.nan, *edges]) if not b - a < 1e-9]  # at 45° some differ by rounding
@@ -93,11 +95,11 @@ class Building:
 
         `resolution` is the 3 dB width of that response in range, m.
         """
-        cos = math.cos(math.radians(grazing_deg))
+        slant = View(0.0, grazing_deg).look.slant_range
         std_m = math.sqrt(variance_of(resolution))
         profile = np.zeros(len(slant_range))
         for region in self.regions(grazing_deg, gamma0):
-            start, stop = (ndtr((slant_range - edge * cos) / std_m) for edge in (region.start, region.stop))
+            start, stop = (ndtr((slant_range - slant(edge)) / std_m) for edge in (region.start, region.stop))
             profile += region.beta0 * (start - stop)
         return profile
 

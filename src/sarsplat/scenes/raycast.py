@@ -17,8 +17,8 @@ from jaxtyping import Float, Float64, Int32, Real
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, Terrain, View
-from sarsplat.radiometry import beta0_of_gamma0, to_db
+from sarsplat.geometry import ImageGrid, Look, Terrain, View
+from sarsplat.radiometry import to_db
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._patches import Patches
@@ -138,11 +138,10 @@ class RayCaster:
         facets = Facets.of(self._mesh, view)
         gamma0 = self._reflectivity * self._law.gamma0(facets.cos_incidence)
         gamma0[len(gamma0) - len(self._terrain_gamma0) :] = self._terrain_gamma0
-        tan = math.tan(math.radians(view.grazing_deg))
-        ground = self._ground_gamma0
+        look, ground = view.look, self._ground_gamma0
         trace = tracer(facets)
         if ground is not None:
-            trace = _above_ground(facets, trace, tan)
+            trace = _above_ground(facets, trace, look)
         deposit = Deposit(self._nodes)
         region = self._region(facets, view)
         hits = sparse_hits(
@@ -153,7 +152,7 @@ class RayCaster:
             self._spacing,
             self._offset,
             self._grid.resolution_m,
-            0.0 if ground is None else 1 / tan,
+            0.0 if ground is None else 1 / look.slope,
             progress,
         )
         for hit in hits if not region.empty else ():
@@ -162,35 +161,29 @@ class RayCaster:
             if ground is not None:
                 # Free ground has a closed form, without moiré; a ray that the target stops subtracts what it would
                 # have contributed there.
-                deposit.add(x, y / tan, np.full(x.shape, -ground) * hit.area)
-        image = deposit.image + (0.0 if ground is None else beta0_of_gamma0(ground, view.grazing_deg))
+                deposit.add(x, look.range_on_ground(x, y), np.full(x.shape, -ground) * hit.area)
+        image = deposit.image + (0.0 if ground is None else look.beta0_of_gamma0(ground))
         return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
 
     def _region(self, facets: Facets, view: View) -> Region:
         """Where rays can meet the mesh, or shade the ground, within the image."""
         lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
-        # height above the ground is y_r·cosθ − z_r·sinθ
-        theta = math.radians(view.grazing_deg)
         heights = self._mesh.vertices[:, 2].min(), self._mesh.vertices[:, 2].max()
         if self._ground_gamma0 is not None:
             heights = min(heights[0], 0.0), max(heights[1], 0.0)
-        seen = [
-            (height + slant_range * math.sin(theta)) / math.cos(theta)
-            for height, slant_range in zip(heights, self._nodes.rows.reach)
-        ]
-        reach = self._nodes.columns.reach
+        reach, seen = view.look.rays_to_ground(self._nodes.columns.reach, self._nodes.rows.reach, heights)
         return Region(
             (max(lower[0], reach[0]), min(upper[0], reach[1])), (max(lower[1], seen[0]), min(upper[1], seen[1]))
         )
 
 
-def _above_ground(facets: Facets, trace: Trace, tan: float) -> Trace:
-    """Rays that end on flat ground at z = 0, which they reach at z_r = y_r / tan θ."""
+def _above_ground(facets: Facets, trace: Trace, look: Look) -> Trace:
+    """Rays that end on flat ground at z = 0."""
 
     def above(position: Float64[np.ndarray, "k 2"]) -> Int32[np.ndarray, " k"]:
         face = trace(position)
         hit = np.flatnonzero(face >= 0)
-        below = facets.depth(face[hit], position[hit]) >= position[hit, 1] / tan + 1e-6
+        below = facets.depth(face[hit], position[hit]) >= look.range_on_ground(*position[hit].T) + 1e-6
         face[hit[below]] = -1
         return face
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -44,7 +43,7 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     """
     spacing = min(grid.spacing_m) / _PARTS / _RAYS
     check_rays(mesh, None, spacing, _OFFSET)
-    slope_of_ground = 1 / math.tan(math.radians(view.grazing_deg))
+    slope_of_ground = 1 / view.look.slope
     width, depth = grid.spacing_m
     left, near = grid.azimuth_m[0] - width / 2, grid.range_m[0] - depth / 2
     rows, columns = grid.rows * _PARTS, grid.columns * _PARTS

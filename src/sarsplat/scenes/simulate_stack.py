@@ -16,7 +16,7 @@ from jaxtyping import Complex64, Complex128, Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid, Stack, View, radar_frame
+from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.geometry.responses import Response
 from sarsplat.geometry.stack import LOUDEST
 from sarsplat.scenes._random import generator
@@ -91,17 +91,16 @@ def simulate_stack(
     if not 0 <= noise <= LOUDEST:  # also catches NaN
         raise SarsplatError(f"noise is {shown(noise)}; give a power from 0 to {LOUDEST:g}")
     rng = generator(seed, "scatterers")
-    facets, frame = Facets.of(mesh, view), radar_frame(view)
+    facets, look = Facets.of(mesh, view), view.look
     gamma0 = np.append(law.gamma0(facets.cos_incidence), ground_gamma0 or 0.0)  # the last is the ground's
-    trace, across = tracer(facets), math.tan(math.radians(view.grazing_deg))
-    vectors = stack.phase_vectors(view) @ frame.T  # in the radar frame
+    trace, vectors = tracer(facets), stack.phase_vectors(view) @ look.frame.T  # in the radar frame
     axes = _Axis(grid, 0), _Axis(grid, 1)
     nodes = np.zeros((len(stack), axes[1].count, axes[0].count), np.complex128)
     for position in _scattered(_region(facets, grid, axes, ground_gamma0, view), spacing, rng):
         face = trace(position)
         depth = np.where(face >= 0, facets.depth(face.clip(0), position), np.inf)
         if ground_gamma0 is not None:
-            of_ground = position[:, 1] / across  # z_r of z = 0
+            of_ground = look.range_on_ground(*position.T)
             face, depth = np.where(depth < of_ground, face, -1), np.minimum(depth, of_ground)
         met = np.isfinite(depth)
         place, face = np.column_stack([position, depth])[met], face[met]
@@ -177,9 +176,9 @@ def _region(
     lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
     low, high = [lower[0], lower[1]], [upper[0], upper[1]]
     if ground_gamma0 is not None:
-        across = math.tan(math.radians(view.grazing_deg))
-        low = [axes[0].reach[0], min(low[1], axes[1].reach[0] * across)]
-        high = [axes[0].reach[1], max(high[1], axes[1].reach[1] * across)]
+        azimuths, ranges = axes[0].reach, axes[1].reach
+        ground = [view.look.elevation_on_ground(x, r) for x in azimuths for r in ranges]
+        low, high = [azimuths[0], min(low[1], *ground)], [azimuths[1], max(high[1], *ground)]
     return Region((max(low[0], axes[0].reach[0]), min(high[0], axes[0].reach[1])), (float(low[1]), float(high[1])))
 
 

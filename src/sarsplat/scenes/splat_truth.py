@@ -124,5 +124,5 @@ def law_scattering(
     numpy.ndarray, float64 [V, N]
         γ⁰, linear: the amplitudes to pass to the renderer.
     """
-    towards_radar = np.array([view.direction for view in views]).reshape(-1, 3)
+    towards_radar = np.array([view.look.way_out for view in views]).reshape(-1, 3)
     return law.gamma0(towards_radar @ np.asarray(normals, dtype=np.float64).T)

@@ -14,7 +14,6 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
-from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.renderer import render
 
 _SHARE = 0.5
@@ -66,7 +65,7 @@ def scene_masks(
         rendering = render(target, [view], sharp, rays=rays, amplitudes=uniform, ground=ground)
         images = rendering.channel(channel)
         if ground is None or rendering.ground is None:
-            free = torch.full_like(images, beta0_of_gamma0(1.0, view.grazing_deg))
+            free = torch.full_like(images, view.look.beta0_of_gamma0(1.0))
         else:
             free = render(target[:0], [view], sharp, rays=rays, ground=ground).channel(channel)
             images = images - rendering.ground

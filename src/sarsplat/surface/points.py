@@ -20,7 +20,7 @@ from torch import Tensor
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
 from sarsplat.memory import required
 from sarsplat.progress import stage
@@ -118,9 +118,9 @@ def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, sha
 
 def imaged(points: Float64[np.ndarray, "p 3"], view: View, grid: ImageGrid) -> Bool[np.ndarray, " p"]:
     """Which points lie within the edges of an image."""
-    local = points @ radar_frame(view).T
+    azimuth, slant_range = view.look.gradients @ points.T
     left, right, far, near = grid.extent_m
-    return (left <= local[:, 0]) & (local[:, 0] <= right) & (near <= local[:, 2]) & (local[:, 2] <= far)
+    return (left <= azimuth) & (azimuth <= right) & (near <= slant_range) & (slant_range <= far)
 
 
 def _seen_points(
@@ -177,7 +177,7 @@ def _rays(gaussians: Gaussians, views: Sequence[View], rays: RayGrid) -> float:
     means, reach = gaussians.means.double().cpu().numpy(), 3 * float(gaussians.scales.max()) if len(gaussians) else 0
     total = 0.0
     for view in views if len(means) else ():
-        sides = np.ptp(radar_frame(view)[:2] @ means.T, axis=1) + 2 * reach
+        sides = np.ptp(view.look.frame[:2] @ means.T, axis=1) + 2 * reach
         total += math.prod(sides / rays.spacing_m)
     return total
 
@@ -237,7 +237,7 @@ class _FirstReturns:
         (ray_map,) = traced.ray_maps or ()
         ranges = np.nan_to_num(ray_map.first_return.cpu().numpy(), nan=np.inf)
         origin, spacing_m = np.array(ray_map.origin), np.array(rays.spacing_m)
-        return cls(radar_frame(view), np.pad(ranges, 1, constant_values=np.inf), origin - spacing_m, spacing_m)
+        return cls(view.look.frame, np.pad(ranges, 1, constant_values=np.inf), origin - spacing_m, spacing_m)
 
     def points(self) -> Float64[np.ndarray, "p 3"]:
         """The returns in the world frame, [P, 3]."""

@@ -51,7 +51,7 @@ class Seen:
                 done = render(gaussians, [view], grid, rays=rays)
                 area = done.lit_area[0].double().cpu().numpy()
                 lit_area += area
-                towards += area[:, None] * view.direction
+                towards += area[:, None] * view.look.way_out
                 cross_section += done.cross_sections[0, :, gaussians.scattering.power_channel].double().cpu().numpy()
                 shown.advance(1)
         return cls(gaussians.means.double().cpu().numpy(), cross_section, lit_area, towards, _RADIUS * grid.cell_m)

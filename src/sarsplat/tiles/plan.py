@@ -19,7 +19,7 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.constants import MIN_RAY_DEPTH
 from sarsplat.tiles.reach import NOWHERE, Reach, Window
 
@@ -42,7 +42,7 @@ def at_once(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: 
     means, widest = gaussians.means.detach(), float(gaussians.scales.detach().max())
     low, high = (means.amin(0).cpu().numpy(), means.amax(0).cpu().numpy())
     reach = widest * math.sqrt(2 * math.log(MAX_OPTICAL_DEPTH / MIN_RAY_DEPTH))
-    spans = [abs(radar_frame(view)[:2]) @ (high - low) + 2 * reach for view in views]
+    spans = [abs(view.look.frame[:2]) @ (high - low) + 2 * reach for view in views]
     most = max(map(math.prod, spans), default=0.0) / rays.cell_area
     parameters = gaussians.scattering.parameters.shape[1]
     each = memory_bytes(len(gaussians), parameters, most, grid.rows * grid.columns)
@@ -118,12 +118,10 @@ class Plan:
     def _rays_to_ground(self, grid: ImageGrid, lowest_m: float, highest_m: float) -> Window:
         left, right, far, near = grid.extent_m
         azimuth, slant_range = (_RESPONSE_END * math.sqrt(variance) for variance in grid.response_variance_m2)
-        theta = math.radians(self.view.grazing_deg)
-        low, high = (  # of the plane r = (y cos θ − z) / sin θ
-            (r * math.sin(theta) + z) / math.cos(theta)
-            for r, z in ((near - slant_range, lowest_m), (far + slant_range, highest_m))
+        x, y = self.view.look.rays_to_ground(
+            (left - azimuth, right + azimuth), (near - slant_range, far + slant_range), (lowest_m, highest_m)
         )
-        return Window((left - azimuth, low), (right + azimuth, high))
+        return Window((x[0], y[0]), (x[1], y[1]))
 
 
 def _halved(rows: slice, columns: slice) -> list[tuple[slice, slice]]:

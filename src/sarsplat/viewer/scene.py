@@ -47,7 +47,7 @@ class OfScene(Subject):
         """See `Subject`: of the Gaussian nearest to each place."""
         if cloud.name not in self._nearest:
             self._nearest[cloud.name] = cKDTree(self.target.means.double().cpu().numpy()).query(cloud.places_m)[1]
-        towards = self.target.means.new_tensor(view.direction)[None]
+        towards = self.target.means.new_tensor(view.look.way_out)[None]
         gamma0: Float[np.ndarray, " n"] = self.target.gamma0(towards)[0].cpu().numpy()[self._nearest[cloud.name]]
         return gamma0
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from sarsplat.colours import LIGHT, PICKED, RADAR, Page, rgb
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.viewer.ground_lines import ground_lines, seen_through
 from sarsplat.viewer.subject import Cloud, Contributors
 
@@ -232,7 +232,7 @@ class Stage:
     def _elevations(self, view: View) -> tuple[float, float]:
         """The lowest and the highest elevation y_r of the target's box, m."""
         corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
-        elevations = corners @ radar_frame(view)[1]
+        elevations = corners @ view.look.frame[1]
         return float(elevations.min()), float(elevations.max())
 
     def iso_range_line(self, view: View, place_m: tuple[float, float]) -> Float[np.ndarray, "2 3"]:
@@ -242,11 +242,11 @@ class Stage:
         """
         azimuth, slant_range = place_m
         ends = self.plane_depth(view), self._elevations(view)[1] + _REACH * self._radius
-        return np.array([[azimuth, elevation, slant_range] for elevation in ends]) @ radar_frame(view)
+        return np.array([[azimuth, elevation, slant_range] for elevation in ends]) @ view.look.frame
 
     def lay_image(self, rgb: UInt8[np.ndarray, "rows columns 3"], view: View, part: ImageGrid, visible: bool) -> None:
         """Lay an image on its plane, azimuth × slant range, which the lines of one range cross at right angles."""
-        frame = radar_frame(view)
+        frame = view.look.frame
         place = np.array([part.center_m[0], self.plane_depth(view), part.center_m[1]]) @ frame
         turn = Rotation.from_matrix(np.stack([frame[0], frame[2], -frame[1]], axis=1)).as_quat(scalar_first=True)
         size = part.columns * part.spacing_m[0], part.rows * part.spacing_m[1]

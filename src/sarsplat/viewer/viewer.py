@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 from sarsplat.arguments import checks_arguments
 from sarsplat.colours import DARK, ERROR, HEIGHT, STRENGTH, rgb
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.radar import Pixel
 from sarsplat.radiometry import to_db
 from sarsplat.viewer.controls import BY_ERROR, BY_GAMMA0, Choices, Controls
@@ -241,7 +241,7 @@ class Viewer:
     def _window(self, view: View, zoom: bool) -> tuple[ImageGrid, tuple[slice, slice]]:
         """The part of an image that shows the target, of the same size from everywhere; its grid and its indices."""
         grid, radius = self._subject.grid, _MARGIN * self._stage.size_m
-        azimuth, _, slant_range = radar_frame(view) @ self._stage.centre
+        azimuth, slant_range = view.look.gradients @ self._stage.centre
         window = []
         sides = ((slant_range, grid.range_m, grid.spacing_m[1]), (azimuth, grid.azimuth_m, grid.spacing_m[0]))
         for middle, places, spacing in sides:
@@ -270,7 +270,7 @@ class Viewer:
         self.pick(self._of_part(self._strip.pixel_at(x, y)))
 
     def _pick_on_plane(self, origin: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]) -> None:
-        frame, part = radar_frame(self._view), self._part
+        frame, part = self._view.look.frame, self._part
         down = (self._stage.plane_depth(self._view) - float(origin @ frame[1])) / float(direction @ frame[1])
         azimuth, _, slant_range = frame @ (origin + down * direction)
         column = round((azimuth - part.azimuth_m[0]) / part.spacing_m[0])

@@ -16,7 +16,6 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import Terrain
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.learning.parts.part import Learned, Parameters, Part, normal_nats
-from sarsplat.radiometry import beta0_of_gamma0
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import FlatGround
 
@@ -51,7 +50,7 @@ class FlatGroundPart(Part):
         return own | places
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        mean_tangent = float(np.mean([beta0_of_gamma0(1.0, view.grazing_deg) for view in train.views]))
+        mean_tangent = float(np.mean([view.look.beta0_of_gamma0(1.0) for view in train.views]))
         level, brightness = float(np.median(train.power)), float(train.power.mean(dtype=np.float64))
         if train.looks is not None:
             level /= (1 - 1 / (9 * train.looks)) ** 3  # the median of gamma-distributed power, in means
@@ -87,7 +86,7 @@ class FlatGroundPart(Part):
     @cached_property
     def _sines(self) -> np.ndarray:
         """Logarithms of sin θ of the training views."""
-        return np.log(np.sin(np.radians([view.grazing_deg for view in self.frame.views])))
+        return np.log([view.look.sine for view in self.frame.views])
 
     @cached_property
     def _pitch_m(self) -> float:

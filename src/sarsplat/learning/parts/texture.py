@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from sarsplat.errors import counted
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.learning.parts.part import Nuisance, Parameters, Shot
 from sarsplat.settings.config import Config
@@ -177,7 +177,7 @@ def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
 
 def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:
     """From x, y on the ground to azimuth, slant range."""
-    return radar_frame(view)[[0, 2], :2]
+    return view.look.gradients[:, :2]
 
 
 def _sampled(layers: Float32[Tensor, "2 h w"], where: Float64[np.ndarray, "rows columns 2"]) -> Tensor:

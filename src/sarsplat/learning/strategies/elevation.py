@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.geometry import radar_frame
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import Configured, Info, State
 from sarsplat.regions.stack_region import of_one_direction
@@ -29,7 +28,7 @@ class ElevationOnly(Configured):
     def of(cls, config: Config, train: Dataset) -> Self | None:
         if config.passes is None or not of_one_direction(train.views):
             return None
-        return cls(radar_frame(train.views[0])[1], round(config.passes.elevation_only * config.iterations))
+        return cls(train.views[0].look.frame[1], round(config.passes.elevation_only * config.iterations))
 
     def step_pre_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info

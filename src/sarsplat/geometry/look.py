@@ -1,0 +1,149 @@
+"""How a radar sees the scene: where its image shows a place, how its waves come and go, and how the ground lies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from jaxtyping import Float64
+
+Lengths = TypeVar("Lengths", bound=Any)
+"""A number, an array or a tensor; m."""
+
+Power = TypeVar("Power", bound=Any)
+"""A number, an array or a tensor; linear."""
+
+Ends = tuple[float, float]
+"""The lower and the upper one, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """How a far-away, monostatic radar with a level azimuth axis sees places: all geometry that a view's angles imply.
+
+    A place is x_r = R_r x_w in the radar frame: its azimuth and range are where the image shows it, its azimuth and
+    elevation are on which ray it lies. Ground is level, at z = 0 unless a height is given; θ is the grazing angle.
+
+    Parameters
+    ----------
+    frame : numpy.ndarray, float64 [3, 3]
+        R_r, a proper rotation from the world. Rows: azimuth (direction of flight), elevation (⟂ to the line of sight,
+        upwards), range (away from the radar).
+    slope : float
+        tan θ: elevation for each metre of slant range on the ground, and so β⁰ over γ⁰ of the ground.
+    """
+
+    frame: Float64[np.ndarray, "3 3"]
+    slope: float
+
+    @classmethod
+    def of(cls, azimuth_deg: float, grazing_deg: float) -> Self:
+        """From the angles of a view; source: SAR-GS, eq. (5)."""
+        phi, theta = math.radians(azimuth_deg), math.radians(grazing_deg)
+        sp, cp, st, ct = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)
+        frame = np.array([[-sp, -cp, 0.0], [-st * cp, st * sp, ct], [-ct * cp, ct * sp, -st]])
+        return cls(frame, math.tan(theta))
+
+    # ---- ways and images ---------------------------------------------------------------------------------------------
+    @property
+    def way_in(self) -> Float64[np.ndarray, " 3"]:
+        """Unit vector from the scene to the transmitter, world frame."""
+        return -self.frame[2]
+
+    @property
+    def way_out(self) -> Float64[np.ndarray, " 3"]:
+        """Unit vector from the scene to the receiver, world frame: the way in, backwards."""
+        return -self.frame[2]
+
+    @property
+    def ways(self) -> tuple[Float64[np.ndarray, " 3"], ...]:
+        """Directions in all of which nothing may lie before a place that is in sight: in and out, once if the same."""
+        return (self.way_in,)
+
+    @property
+    def gradients(self) -> Float64[np.ndarray, "2 3"]:
+        """How a place's azimuth and slant range in the image grow along x, y and z: one row each."""
+        return self.frame[[0, 2]]
+
+    @property
+    def sine(self) -> float:
+        """Slant range by which each metre of height is nearer; cosine of the ground's incidence angle: sin θ."""
+        return float(-self.frame[2, 2])
+
+    @property
+    def height_per_elevation(self) -> float:
+        """By how much higher each metre of elevation is, where azimuth and slant range stay: cos θ."""
+        return float(self.frame[1, 2])
+
+    # ---- places on the ground ----------------------------------------------------------------------------------------
+    @property
+    def ahead(self) -> Float64[np.ndarray, " 2"]:
+        """(x, y) of the level unit vector away from the radar, in which shadows fall and ground range grows."""
+        return self.frame[2, :2] / self._cosine
+
+    @property
+    def onto_ground(self) -> Float64[np.ndarray, "2 2"]:
+        """(x, y) on the ground for each metre of azimuth, and for each of slant range."""
+        return np.stack([self.frame[0, :2], self.frame[2, :2] / self._cosine**2])
+
+    def ground_range(self, slant_range: Lengths, height: Any = 0.0) -> Lengths:
+        """How far `ahead` of the origin what is imaged at a slant range lies, m."""
+        return (slant_range + height * self.sine) / self._cosine
+
+    def slant_range(self, ground_range: Lengths, height: Any = 0.0) -> Lengths:
+        """Where in the image what lies so far `ahead` is, m."""
+        return ground_range * self._cosine - height * self.sine
+
+    def shadow_m(self, height: Lengths) -> Lengths:
+        """How far `ahead` of its foot the shadow of what is so high ends on the ground, m."""
+        return height / self.slope
+
+    # ---- rays and the ground -----------------------------------------------------------------------------------------
+    def elevation_on_ground(self, azimuth: Any, slant_range: Lengths) -> Lengths:
+        """Elevation of the ground that the image shows at a place, m; the same at every azimuth (the axis is level)."""
+        return slant_range * self.slope
+
+    def range_on_ground(self, azimuth: Any, elevation: Lengths) -> Lengths:
+        """Slant range at which a ray ends on the ground, m; the same at every azimuth."""
+        return elevation / self.slope
+
+    def elevation_at(self, azimuth: Any, slant_range: Lengths, height: Any) -> Lengths:
+        """Elevation of what is so high, where the image shows it, m; the same at every azimuth."""
+        return (slant_range * self.sine + height) / self._cosine
+
+    def rays_to_ground(self, azimuths: Ends, ranges: Ends, heights: Ends) -> tuple[Ends, Ends]:
+        """Azimuths and elevations of all rays that end on ground between two heights that a part of an image shows."""
+        ends = [self.elevation_at(x, *ends) for x in azimuths for ends in zip(ranges, heights, strict=True)]
+        return azimuths, (min(ends), max(ends))
+
+    def rows_on_ground(self, first: float, step: float, height: float) -> tuple[float, float]:
+        """Slant range at which a ray at a first elevation ends on the ground, and how much farther each next one, m.
+
+        Rays of all columns end there: only under a level azimuth axis are rays and pixels on the ground both in rows.
+        """
+        return (first * self._cosine - height) / self.sine, step / self.slope
+
+    # ---- the vertical plane in which all rays of a column lie (the azimuth axis is level) ----------------------------
+    def in_section(self, ground_range: Lengths, height: Any) -> tuple[Lengths, Lengths]:
+        """Elevation and slant range of places, m."""
+        return ground_range * self.sine + height * self._cosine, self.slant_range(ground_range, height)
+
+    def along_ray(self, elevation: Lengths, height: Any) -> Lengths:
+        """Ground range at which a ray at an elevation is so high, m."""
+        return (elevation - height * self._cosine) / self.sine
+
+    # ---- power of the ground ----------------------------------------------------------------------------------------
+    def beta0_of_gamma0(self, gamma0: Power) -> Power:
+        """β⁰ of ground with this γ⁰."""
+        return gamma0 * self.slope
+
+    def gamma0_of_beta0(self, beta0: Power) -> Power:
+        """γ⁰ of ground with this β⁰."""
+        return beta0 / self.slope
+
+    @property
+    def _cosine(self) -> float:
+        """Slant range for each metre `ahead`: cos θ."""
+        return float(self.frame[1, 2])
