@@ -120,7 +120,7 @@ _PAIRS = np.triu_indices(3)
 
 
 def _columns(surface: Surface, view: View) -> Float64[np.ndarray, "n 13"]:
-    """Per-Gaussian terms of the weighted sums of a pixel, per unit of area across the line of sight."""
+    """What each Gaussian adds to the sums of a pixel, for each unit of area across the line of sight."""
     means, frame = surface.gaussians.means.double().numpy(), radar_frame(view)
     azimuth, elevation, slant_range = frame @ means.T
     place = np.stack([azimuth, slant_range, elevation - elevation.mean()], axis=1)  # float32 sums lose few digits

@@ -231,7 +231,7 @@ def _on_the_ground(
 
 
 def _weights_across(views: Sequence[View], i: int) -> Float64[np.ndarray, " v"]:
-    """Weight of each view for the extent along axis i: views across that axis count most."""
+    """How much each view says about the extent along axis i."""
     aways = [radar_frame(view)[2] for view in views]
     leans = np.array([away[i] * away[2] / (1 - away[2] ** 2) for away in aways])  # along the axis, per metre of height
     return 1 / (1 + (_UPRIGHT * leans) ** 2)

@@ -90,14 +90,14 @@ def simulate_stack(
     check_rays(mesh, ground_gamma0, spacing, (0.5, 0.5))
     if not 0 <= noise <= LOUDEST:  # also catches NaN
         raise SarsplatError(f"noise is {shown(noise)}; give a power from 0 to {LOUDEST:g}")
-    rng = generator(seed, "scatterers")
+    chance = generator(seed, "scatterers")
     facets, frame = Facets.of(mesh, view), radar_frame(view)
     gamma0 = np.append(law.gamma0(facets.cos_incidence), ground_gamma0 or 0.0)  # the last is the ground's
     trace, across = tracer(facets), math.tan(math.radians(view.grazing_deg))
     vectors = stack.phase_vectors(view) @ frame.T  # in the radar frame
     axes = _Axis(grid, 0), _Axis(grid, 1)
     nodes = np.zeros((len(stack), axes[1].count, axes[0].count), np.complex128)
-    for position in _scattered(_region(facets, grid, axes, ground_gamma0, view), spacing, rng):
+    for position in _scattered(_region(facets, grid, axes, ground_gamma0, view), spacing, chance):
         face = trace(position)
         depth = np.where(face >= 0, facets.depth(face.clip(0), position), np.inf)
         if ground_gamma0 is not None:
@@ -105,7 +105,7 @@ def simulate_stack(
             face, depth = np.where(depth < of_ground, face, -1), np.minimum(depth, of_ground)
         met = np.isfinite(depth)
         place, face = np.column_stack([position, depth])[met], face[met]
-        amplitude = np.sqrt(gamma0[face] * spacing**2 / 2)[:, None] * _drawn(roots, face, rng)
+        amplitude = np.sqrt(gamma0[face] * spacing**2 / 2)[:, None] * _drawn(roots, face, chance)
         node = axes[1].of(place[:, 2]), axes[0].of(place[:, 0])
         inside = (node[0] >= 0) & (node[0] < axes[1].count) & (node[1] >= 0) & (node[1] < axes[0].count)
         at = (node[0] * axes[0].count + node[1])[inside]
@@ -113,7 +113,7 @@ def simulate_stack(
             signal = (amplitude[:, own] * np.exp(1j * place @ vector))[inside]
             total += _summed(at, signal, total.size).reshape(total.shape)
     images = axes[1].response @ nodes @ axes[0].response.T
-    images += math.sqrt(noise / 2) * (rng.standard_normal((*images.shape, 2)) @ [1, 1j])
+    images += math.sqrt(noise / 2) * (chance.standard_normal((*images.shape, 2)) @ [1, 1j])
     return images.astype(np.complex64)
 
 
@@ -138,10 +138,10 @@ def _roots(mechanisms: Mechanisms | None, stack: Stack, faces: int) -> Complex12
 
 
 def _drawn(
-    roots: Complex128[np.ndarray, "f p p"], face: np.ndarray, rng: np.random.Generator
+    roots: Complex128[np.ndarray, "f p p"], face: np.ndarray, chance: np.random.Generator
 ) -> Complex128[np.ndarray, "k p"]:
     """Circular amplitudes of facets with E[a aᴴ] = 2 L Lᴴ."""
-    own = rng.standard_normal((2, len(face) * roots.shape[1])).T @ [1, 1j]
+    own = chance.standard_normal((2, len(face) * roots.shape[1])).T @ [1, 1j]
     drawn: Complex128[np.ndarray, "k p"] = np.einsum("kij,kj->ki", roots[face], own.reshape(len(face), -1))
     return drawn
 
@@ -183,7 +183,7 @@ def _region(
     return Region((max(low[0], axes[0].reach[0]), min(high[0], axes[0].reach[1])), (float(low[1]), float(high[1])))
 
 
-def _scattered(region: Region, spacing: float, rng: np.random.Generator) -> Iterator[Float64[np.ndarray, "k 2"]]:
+def _scattered(region: Region, spacing: float, chance: np.random.Generator) -> Iterator[Float64[np.ndarray, "k 2"]]:
     """One point at random in each square of the region, some at a time."""
     if region.empty:
         return
@@ -192,8 +192,8 @@ def _scattered(region: Region, spacing: float, rng: np.random.Generator) -> Iter
     together = max(1, _AT_A_TIME // columns)
     for first in range(0, rows, together):
         some = min(together, rows - first)
-        u = np.arange(columns) + rng.random((some, columns))
-        v = first + np.arange(some)[:, None] + rng.random((some, columns))
+        u = np.arange(columns) + chance.random((some, columns))
+        v = first + np.arange(some)[:, None] + chance.random((some, columns))
         yield np.column_stack([region.x[0] + spacing * u.ravel(), region.y[0] + spacing * v.ravel()])
 
 
