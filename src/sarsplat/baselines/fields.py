@@ -148,7 +148,7 @@ def _linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
 
 
 def encoded(values: Float[Tensor, "p n"], octaves: int) -> Float[Tensor, "p {(2*octaves+1)*values.shape[1]}"]:
-    """The values, and sine and cosine of them times 1, 2, 4 …"""
+    """Positional encoding: the values, and sine and cosine of them times 1, 2, 4 …"""
     angles = values[:, None, :] * (2.0 ** torch.arange(octaves)).to(values)[:, None]
     waves = torch.stack([angles.sin(), angles.cos()], dim=2).reshape(len(values), 2 * octaves * values.shape[1])
     return torch.cat([values, waves], dim=1)

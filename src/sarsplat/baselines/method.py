@@ -1,4 +1,4 @@
-"""What all baselines share as methods: training by `BaselineTrainer`, and points where rays meet a surface."""
+"""Base of the baseline methods: training by `BaselineTrainer`, and points where rays meet the learned surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where SAR-NeRF samples space: azimuth columns × rays in elevation × range cells.
+"""Sampling of space by SAR-NeRF: azimuth columns × rays in elevation × range cells.
 
 The published rays start at a platform at a finite distance D. In the plane of one azimuth column they lie at elevation
 angles θ_k, linear in 1/θ between the near and the far edge of the scene, and range is measured along them. sarsplat's

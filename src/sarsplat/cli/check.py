@@ -76,7 +76,7 @@ def check(
 
 
 def _show(orientations: list[tuple[str, ...]]) -> None:
-    """The table of the eight, and how to read it."""
+    """Print the table of the eight orientations, and how to read it."""
     from rich.table import Table
 
     from sarsplat.examination.contradictions import TWINS

@@ -1,4 +1,4 @@
-"""`sarsplat chips`: runs in, chips to train a classifier on out."""
+"""`sarsplat chips`: make chips from runs, to train a classifier on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which commands there are and what each is for: to say it, none of them is imported."""
+"""The list of commands and their summaries, which are read without importing any command."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def command(name: str) -> Callable[..., int | None]:
 
 
 def summary(name: str) -> str:
-    """What a command is for: the first paragraph of its function's docstring, read from the source."""
+    """Summary of a command: the first paragraph of its function's docstring, read from the source."""
     if name == "import":
         return IMPORT_SUMMARY
     source = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`sarsplat compare`: evaluated runs in, one table and one page out."""
+"""`sarsplat compare`: a table and a page that put evaluated runs side by side."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`sarsplat export`: a run in, one file for other programs out."""
+"""`sarsplat export`: write a run as one file for other programs."""
 
 from __future__ import annotations
 

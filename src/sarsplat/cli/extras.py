@@ -1,4 +1,4 @@
-"""Which optional parts there are, and how to get them."""
+"""Optional dependencies (extras): which there are, and how to install them."""
 
 from __future__ import annotations
 

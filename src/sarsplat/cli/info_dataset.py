@@ -96,7 +96,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
 
 
 def _passes(stack: Stack) -> dict[str, str]:
-    """Of the first image."""
+    """The passes of the first image."""
     count = len(set(stack.offsets_rad))
     each = f", {stack.transmit} transmits" if count > 1 else ""
     rows = {"passes": f"{count}, wavelength {stack.wavelength_m:g} m{each}"}

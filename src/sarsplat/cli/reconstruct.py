@@ -1,4 +1,4 @@
-"""`sarsplat reconstruct`: a dataset in, a run out; every setting is a flag."""
+"""`sarsplat reconstruct`: reconstruct a dataset into a run; every setting is a flag."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def _announce(dataset: Path) -> None:
 
 
 def _next(images: Dataset, run: str, learns_speckle: bool) -> str:
-    """What to type: scores, if there is anything to score."""
+    """The next command to type: `evaluate` if there is anything to score."""
     if len(images.splits()) > 1 or images.truth_mesh is not None:
         return f"sarsplat evaluate {run}"
     if images.looks is None or not learns_speckle:
@@ -232,7 +232,7 @@ def _warn_of_contradictions(dataset: Path, images: Dataset) -> None:
 
 
 def _base(method: Method, options: Options, images: Dataset) -> Any:
-    """What the flags of settings override: a file's, the run's or the preset's."""
+    """The settings that flags override: those of a file, of the run to resume, or of the preset."""
     from sarsplat.data import read_json
     from sarsplat.runs import Run
 

@@ -1,4 +1,4 @@
-"""`sarsplat render`: a run and directions in; images, or an animation, out."""
+"""`sarsplat render`: render images or an animation of a run from given directions."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def render(
 
 
 def _refuse_too_large(views: int, rows: int, columns: int) -> None:
-    """See that so many images, all of which are kept until they are written, fit into memory; say so if it is much."""
+    """Refuse more images than fit into memory, where all are kept until they are written; announce large amounts."""
     needed = rows * columns * (_BYTES_KEPT * (views + min(views, _AT_A_TIME)) + _BYTES_SHOWN)
     what = f"rendering {counted(views, 'image')} of {rows:,} × {columns:,} pixels"
     if (much := required(what, needed, "ask for fewer or smaller images")) is not None:

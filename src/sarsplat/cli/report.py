@@ -1,4 +1,4 @@
-"""`sarsplat report`: a run in, a page to look at out."""
+"""`sarsplat report`: write the report of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`sarsplat simulate`: a mesh in, a dataset out."""
+"""`sarsplat simulate`: simulate a dataset of SAR images from a mesh."""
 
 from __future__ import annotations
 
@@ -298,7 +298,7 @@ def _entries(views: list[tuple[View, str]], stack: Stack | None = None) -> tuple
 
 
 def _finish(out: Path, dataset: Dataset, surface: trimesh.Trimesh, masks: np.ndarray | None, overwrite: bool) -> None:
-    """Write it, and say what is odd about it, what it is and what is next."""
+    """Write the dataset, and print warnings, a summary and the next command."""
     from sarsplat.data import write_dataset
     from sarsplat.data.plausible import suspicions, warn
     from sarsplat.regions.target_region import box_misses

@@ -1,4 +1,4 @@
-"""`sarsplat sweep`: a plan in, many runs and one table out."""
+"""`sarsplat sweep`: do many runs by a plan, and tabulate their scores."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A table of text (CSV) as others write it: any line ends, separators and quotes, with a byte-order mark or not."""
+"""Reader of CSV tables of any dialect: line ends, separators, quotes, byte-order mark."""
 
 from __future__ import annotations
 

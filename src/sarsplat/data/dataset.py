@@ -409,6 +409,6 @@ def passes_of(entries: Sequence[DatasetEntry]) -> int:
 
 
 def _part(indices: list[int]) -> slice | list[int]:
-    """The same for numpy; a slice where possible, which copies nothing."""
+    """Convert indices for numpy, to a slice where possible, which copies nothing."""
     together = bool(indices) and indices == [*range(indices[0], indices[0] + len(indices))]
     return slice(indices[0], indices[-1] + 1) if together else indices

@@ -168,7 +168,7 @@ def read_dataset(path: str | Path) -> Dataset:
 
 
 def read_header(path: Path) -> DatasetHeader:
-    """What a dataset's `dataset.json` holds; refused if there is no dataset, or one of another version."""
+    """Read the header, `dataset.json`; refused if there is no dataset, or one of another version."""
     _require_dataset(path)
     return read_versioned_json(
         path / HEADER, DatasetHeader, schema=SCHEMA, version=SCHEMA_VERSION, remedy="simulate or import it again"

@@ -1,4 +1,4 @@
-"""Training views that stand as evenly around the target as the images allow."""
+"""Selection of training views spread evenly in azimuth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Output folders that are whole or absent, replaced in one step, and written by one process at a time.
+"""Atomic output folders: whole or absent, replaced in one step, written by one process at a time.
 
 Nothing is replaced that is of another kind: neither a folder nor the file of an export.
 """
@@ -243,7 +243,7 @@ def _refuse_existing(path: Path, overwrite: bool, marker: str) -> None:
 
 
 def _foreign(path: Path, marker: str) -> Path | None:
-    """A file or link in the folder that does not belong to its kind, or None."""
+    """A file or link in the folder that this kind of folder does not contain, or None."""
     for folder, folders, files in os.walk(path):
         links = [name for name in folders if Path(folder, name).is_symlink()]
         for name in sorted(files + links):
@@ -254,6 +254,6 @@ def _foreign(path: Path, marker: str) -> Path | None:
 
 
 def _belongs(relative: Path, marker: str) -> bool:
-    """Whether a file is part of a kind of folder, perhaps under a temporary name that a killed process left."""
+    """Whether a kind of folder contains such a file, perhaps under a temporary name that a killed process left."""
     finished = relative.with_name(re.sub(r"^\.(.+)\.(tmp|lock)$", r"\1", relative.name))
     return re.fullmatch(_LAYOUTS[marker], finished.as_posix()) is not None

@@ -1,4 +1,4 @@
-"""True masks of target and shadow as files: a grey 8-bit PNG for each image of a dataset, named after it."""
+"""Files of true masks of target and shadow: a grey 8-bit PNG for each image, named after it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Turn pictures of any origin so that they lie as ours do: row 0 near, as seen from above."""
+"""Orientation of imported pictures: rotate and flip them so that row 0 is near range, as seen from above."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ class Layout:
 
     @classmethod
     def of(cls, source: Mapping[str, Any]) -> Self | None:
-        """That of a dataset, by its `source`; None if it does not say, for it was imported otherwise."""
+        """The layout that a dataset's `source` states; None if it was imported otherwise."""
         try:
             return msgspec.convert(source.get("layout"), cls)
         except msgspec.ValidationError:
             return None
 
     def corrected(self, near: Side, opposite: bool) -> Self:
-        """That of the same pictures, of whose dataset the side `near` is near; never mirrored.
+        """The corrected layout, given that the side `near` of the dataset's images is near range; never mirrored.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Layout:
 
     @property
     def twin(self) -> Self:
-        """The one that images cannot tell from it: mirrored, with azimuths in the opposite sense."""
+        """The layout that images cannot distinguish from this one: mirrored, with azimuths in the opposite sense."""
         return type(self)(self.near, not self.mirrored, not self.counter_clockwise, self.looks_left)
 
     def __str__(self) -> str:

@@ -172,7 +172,7 @@ def _check_gaussians(values: dict[str, np.ndarray], name: str) -> None:
 
 
 def _stated(law: Scattering) -> str:
-    """A law in JSON, from which `_law` makes the same one again."""
+    """Serialise a law of scattering to JSON for the header; `_law` reads it."""
     name = f"the scattering law {type(law).__name__}"
     if (kind := getattr(law, "kind", "")) not in SCATTERINGS or SCATTERINGS[kind] is not type(law):
         raise SarsplatError(

@@ -1,4 +1,4 @@
-"""A PLY file of scalars per vertex, binary little endian: columns in, columns out; meshes are read elsewhere.
+"""Reader and writer of PLY files with scalars per vertex, binary little endian; meshes are read elsewhere.
 
 The files come from strangers: the counts in a header are trusted only if the file is as long as they say.
 """

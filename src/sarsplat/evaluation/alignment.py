@@ -1,4 +1,4 @@
-"""A small rigid motion that brings reconstructed points onto a known surface.
+"""Rigid alignment of reconstructed points with a known surface, by a small motion.
 
 A measured target stands somewhere near the middle of its chips, with a heading as accurate as its label. That
 offset says nothing about the reconstruction, so points may be moved before they are scored, but only a little, so that

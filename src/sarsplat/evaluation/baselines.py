@@ -1,4 +1,4 @@
-"""Baselines without a third dimension for measured images: a reconstruction should do better than these."""
+"""2D baselines for measured images, which a reconstruction should beat: nearest chip and rotated average."""
 
 from __future__ import annotations
 

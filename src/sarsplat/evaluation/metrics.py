@@ -1,4 +1,4 @@
-"""Every metric, once: its name, unit, direction and definition, where it applies and how it is computed.
+"""The table of metrics: name, unit, direction and definition of each, where it applies and how it is computed.
 
 The evaluation, `metrics.json`, the table in the terminal, the report's page, the README and the documentation take what
 they say about a metric from here. To add one, write its function and add an entry.

@@ -1,4 +1,4 @@
-"""The part of the true surface that the radar saw: the standard for reconstructed points (protocol R)."""
+"""The visible part of the true surface, against which reconstructed points are scored (protocol R)."""
 
 from __future__ import annotations
 

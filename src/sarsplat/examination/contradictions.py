@@ -1,4 +1,4 @@
-"""Whether the images of a dataset contradict what it says of them."""
+"""`examine`: check the images of a dataset against its metadata."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether images are the way up that their metadata say: which side is near, and which way azimuths run.
+"""Orientation of images, from the images: which side is near range, and which way azimuths run.
 
 Eight orientations are told apart: each of the four sides may be near, and the images mirrored or not. Mirrored images
 with azimuths in the opposite sense are those of a mirrored target, and no image shows a target to be mirrored: so a

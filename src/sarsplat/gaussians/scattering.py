@@ -1,4 +1,4 @@
-"""How strongly Gaussians scatter towards the radar: the base of the laws, and how a law is registered."""
+"""Base class of the laws of scattering, and their registry."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class Scattering(ABC):
         return self
 
     def settings(self) -> dict[str, Any]:
-        """What is not learned, by name; with `kind` and the parameters it makes the same law again."""
+        """Settings that are not learned, by name; with `kind` and the parameters they define the law."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parameters"}
 
     @checks_arguments

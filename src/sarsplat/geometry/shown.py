@@ -1,4 +1,4 @@
-"""How much of the ground images show."""
+"""Extent of the ground that images show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stack: several passes over one scene, whose phases tell how high things are, or several polarisations."""
+"""Stacks: coregistered channels of one view, interferometric passes or polarisations, and their phases."""
 
 from __future__ import annotations
 

@@ -90,5 +90,5 @@ def _listed_file(
 
 
 def warn_caller(text: str) -> None:
-    """Warn of something in the files, at no place of ours."""
+    """Issue a warning about files that points at the caller's code, not at ours."""
     warnings.warn(text, SarsplatWarning, stacklevel=6)

@@ -1,4 +1,4 @@
-"""Rows of a table that are channels of one view: passes of an interferometric stack, or polarisations."""
+"""Groups the rows of a table into stacks: passes of one view, or polarisations."""
 
 from __future__ import annotations
 

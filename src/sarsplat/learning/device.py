@@ -1,4 +1,4 @@
-"""Where a model is trained and rendered."""
+"""Choice of the device for training and rendering."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ class SceneModel:
         self.windows, self.learned = windows, self._learned()
 
     def _learned(self) -> dict[str, Learned]:
-        """How each parameter is learned, by name."""
+        """How each parameter is learned (shape, rates, range), by name."""
         learned = {name: how for part in self.parts for name, how in part.learned.items()}
         if self.windows is None:
             return learned

@@ -56,7 +56,7 @@ def iso_range_line(
     low: Real[np.ndarray, " 3"],
     high: Real[np.ndarray, " 3"],
 ) -> Float64[np.ndarray, "2 3"] | None:
-    """All places in a box that appear in a pixel, whatever their height.
+    """The line of all places in a box that appear in a pixel, whatever their height.
 
     They lie on an arc around the radar. It is so far away that the arc is a straight line along elevation, at right
     angles to the line of sight.

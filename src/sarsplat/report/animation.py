@@ -1,4 +1,4 @@
-"""Frames as an animation that plays in browsers: GIF, WebP or MP4."""
+"""Writer of animations that play in browsers: GIF, WebP or MP4."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def _by_dataset(comparison: Comparison) -> list[Comparison]:
 
 
 def _across(parts: Sequence[Comparison]) -> int:
-    """How many views stand beside each other: the more rows there are, the smaller are their images.
+    """Number of views in a row: the more rows there are, the smaller are the images.
 
     So the page keeps its length. Datasets share its width in two columns, of which the longer counts.
     """

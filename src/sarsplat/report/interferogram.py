@@ -54,7 +54,7 @@ class Pair:
     def of_covariances(
         self, covariances: Complex[np.ndarray, "p p rows columns"], level: Float[np.ndarray, "p rows columns"]
     ) -> Float64[np.ndarray, "4 rows columns"]:
-        """The same from covariances."""
+        """The interferogram of the pair, from covariances."""
         i, j = self.first, self.second
         return self._parts(covariances[i, i].real, covariances[j, j].real, covariances[i, j], level)
 
@@ -65,14 +65,14 @@ class Pair:
 
 @dataclass(frozen=True)
 class Interferogram:
-    """As it is shown: phase, rad, and coherence, 0 to 1."""
+    """Phase, rad, and coherence, 0 to 1, of each pixel."""
 
     phase: Float64[np.ndarray, "rows columns"]
     coherence: Float64[np.ndarray, "rows columns"]
 
     @classmethod
     def of(cls, parts: Float64[np.ndarray, "4 rows columns"]) -> Interferogram:
-        """From both powers and the deramped product."""
+        """The interferogram from both powers and the deramped product of the two passes."""
         first, second, real, imaginary = parts
         least = np.finfo(np.float64).tiny
         coherence = np.hypot(real, imaginary) / np.sqrt(np.maximum(first * second, least))

@@ -1,4 +1,4 @@
-"""How power is shown: its black and white levels, and images of it pixel for pixel."""
+"""Display of power: black and white levels, colour map, and images pixel for pixel."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ROWS = 512  # of an image whose decibels are calculated at once
 
 @dataclass(frozen=True)
 class Look:
-    """How power is shown.
+    """Black and white levels and colour map of displayed power.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def _outlines(mask: Mask, whose: str) -> str:
 
 
 def _window(present: UInt8[np.ndarray, " n"]) -> slice:
-    """From the first to the last pixel present, with a margin; everything if none is."""
+    """Bounding rows and columns of the set pixels, with a margin; the whole image if none is set."""
     covered = np.flatnonzero(present)
     if len(covered) == 0:
         return slice(0, len(present))

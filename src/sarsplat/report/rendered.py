@@ -1,4 +1,4 @@
-"""Rendered images as files: a folder of them, a single one, or an animation."""
+"""Writes rendered images: a folder of them, a single one, or an animation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a rendered image is from the true one: in decibels, or where there is speckle in its standard deviations."""
+"""Residuals of rendered images: in decibels, or under speckle in its standard deviations."""
 
 from __future__ import annotations
 

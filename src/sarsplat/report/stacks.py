@@ -1,4 +1,4 @@
-"""What a report shows of runs that were learned from stacks."""
+"""The report's figures of runs that were learned from stacks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def stack_figures(run: Run, truth: Path | None) -> list[Figure]:
 
 
 def which_points(run: Run) -> str:
-    """What the points of a run are, for readers."""
+    """Description of how the points of a run were found, for captions."""
     if run.dataset.passes and run.model is not None and run.config.passes is not None:
         return f"The centres of the Gaussians that together return {run.config.points.power_share:.0%} of the power"
     return "The first returns of the training views' rays"

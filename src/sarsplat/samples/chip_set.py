@@ -45,7 +45,7 @@ _DECIMALS = 4
 
 @dataclass(frozen=True)
 class Label:
-    """What a chip shows; `Run.sample(view, seed)` draws it again.
+    """Label of a chip: class, run, view and seed; `Run.sample(view, seed)` draws it again.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From complex amplitudes to the pixels of a chip as others store them, and back out of their files."""
+"""Encoding of complex amplitudes as the pixels of a chip file, and decoding."""
 
 from __future__ import annotations
 

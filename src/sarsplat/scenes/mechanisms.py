@@ -1,4 +1,4 @@
-"""How a surface returns several polarisations: by one bounce, by two, or by a volume of thin dipoles."""
+"""Polarimetric scattering mechanisms of facets: one bounce, two bounces, or a volume of thin dipoles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images of a mesh from many views, from either source of truth, and the record of how they were made."""
+"""Simulated images of a mesh from many views, by ray casting or splatting, and the record of how they were made."""
 
 from __future__ import annotations
 

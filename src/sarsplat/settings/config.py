@@ -1,4 +1,4 @@
-"""How a reconstruction is done: one frozen record of settings; needs no torch.
+"""`Config`: all settings of a reconstruction, a frozen record; needs no torch.
 
 Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings suit a ship as they suit a tank.
 """

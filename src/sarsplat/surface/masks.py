@@ -1,4 +1,4 @@
-"""Which pixels show a target and which its shadow, by what each part of a scene returns."""
+"""Masks of target and shadow, by comparing what target and ground return in each pixel."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def scene_masks(
 def without_imitated_ground(
     target: Gaussians, points: Real[np.ndarray, "p 3"], cell_m: float, ground: Ground | None
 ) -> Gaussians:
-    """A target without those of its Gaussians that may stand for ground as well as the ground does.
+    """Drop the target's Gaussians that may only imitate ground: low ones, and those far from all points.
 
     They are those farther than 1.5 resolution cells of `cell_m` from all points that are higher than one cell and, if
     it stands on `ground`, those lower than one cell themselves.

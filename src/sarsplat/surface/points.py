@@ -130,7 +130,7 @@ def _seen_points(
     how: PointExtraction,
     terrain: Terrain | None,
 ) -> Float64[np.ndarray, "p 3"]:
-    """Mean returns in each voxel, but for those that too many views look through, or too few see."""
+    """Mean first return in each voxel, without those that too many views look through or too few see."""
     cell, rays, chosen = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel), spread(views, _MOST_VIEWS)
     said = "the views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views"
     views, count = chosen, _rays(gaussians, chosen, rays)
@@ -183,7 +183,7 @@ def _rays(gaussians: Gaussians, views: Sequence[View], rays: RayGrid) -> float:
 
 
 def _mixed(count: int) -> Int64[np.ndarray, " n"]:
-    """0 … count − 1 in an order in which neighbours are far apart."""
+    """Indices 0 … count − 1 in an order in which consecutive ones are far apart."""
     return np.argsort(np.arange(count) * (5**0.5 - 1) / 2 % 1, kind="stable")
 
 

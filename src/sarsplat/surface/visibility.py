@@ -24,7 +24,7 @@ _NEIGHBOURS = 16  # Gaussians that count around a place; those farther away weig
 
 @dataclass(frozen=True)
 class Seen:
-    """Sums over views, for each of N Gaussians."""
+    """Visibility of each of N Gaussians, summed over views."""
 
     means: Float64[np.ndarray, "n 3"]
     """Centres, world frame, m."""

@@ -1,4 +1,4 @@
-"""Where the runs of a sweep are done: modules `executor_NAME.py` here, and entry points. Needs no torch."""
+"""Executors, which run a sweep's runs somewhere: modules `executor_NAME.py` here, and entry points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A process that does runs: one line of JSON in, one line out; it ends with the process that started it."""
+"""Worker process of a sweep: one JSON line per job in, one per result out; it ends with its parent process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The image of one tile.
+"""Rendering of one tile.
 
 Rays are those of the whole scene's one lattice, and a Gaussian has the same footprints at the same places in every
 tile: so neighbours show the same of it, to the order of sums.

@@ -31,7 +31,7 @@ _HINT = (
 
 @dataclass(frozen=True)
 class Choices:
-    """The settings of all controls."""
+    """Current values of all controls."""
 
     cloud: str
     coloured_by: str

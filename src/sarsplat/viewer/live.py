@@ -1,4 +1,4 @@
-"""A training shown while it runs."""
+"""The viewer during a training."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The subject in a folder: a dataset, a run of Gaussians, or a run of a method that learns something else."""
+"""Viewer subjects from a folder: a dataset, a run of Gaussians, or a run of another method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scene of the page: the target, a dome with all views, the radar, and the image on its own plane below."""
+"""The 3D scene of the page: the target, a dome with all views, the radar, and the image on its plane below."""
 
 from __future__ import annotations
 

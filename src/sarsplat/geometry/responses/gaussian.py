@@ -20,14 +20,14 @@ class Gaussian(Response):
     kind = "gaussian"
 
     def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """In standard deviations."""
+        """Distances in standard deviations, and the power there."""
         distance = np.linspace(0.0, _SIGMAS, 513)
         return distance, np.exp(-(distance**2) / 2)
 
     def density(
         self, distance: Float64[np.ndarray, "*n"], variance: float = variance_of(1.0)
     ) -> Float64[np.ndarray, "*n"]:
-        """In closed form."""
+        """|h|² in closed form."""
         return np.exp(-(distance**2) / (2 * variance)) / math.sqrt(2 * math.pi * variance)
 
 

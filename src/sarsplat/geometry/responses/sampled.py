@@ -50,5 +50,5 @@ class Sampled(Response):
         object.__setattr__(self, "powers", tuple(power.tolist()))
 
     def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """As given."""
+        """The samples as given."""
         return np.array(self.distances), np.array(self.powers)

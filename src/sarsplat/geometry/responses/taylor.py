@@ -60,7 +60,7 @@ class Taylor(Response):
         return weights
 
     def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """In 1/_FINE of 1/extent."""
+        """Distances in steps of 1/_FINE of 1/extent, and the power there."""
         power = self._power(_FINE)
         return np.arange(len(power), dtype=np.float64), power
 

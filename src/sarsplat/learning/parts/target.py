@@ -192,17 +192,17 @@ class Target(Part):
 
     @property
     def _common(self) -> tuple[tuple[float, float], ...]:
-        """Ranges of the columns that all Gaussians have in common."""
+        """Ranges of the scattering parameters that all Gaussians share."""
         return self._law.common if self.config.common_law else ()
 
     @cached_property
     def _usual(self) -> Float[Tensor, "1 k"]:
-        """What all Gaussians have in common at the start."""
+        """Initial values of the scattering parameters that all Gaussians share."""
         return self._law.parameters[:, self._own :].to(self.device)
 
     @property
     def _own(self) -> int:
-        """Columns of the scattering in which Gaussians differ: all but the last ones, which they have in common."""
+        """Columns of the scattering parameters that are per Gaussian: all but the last ones, which are shared."""
         return self._law.parameters.shape[1] - len(self._common)
 
     @cached_property

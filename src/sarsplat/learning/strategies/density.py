@@ -61,7 +61,7 @@ class DensityControl(Configured):
             state.rows = {name: torch.zeros_like(rows) for name, rows in state.rows.items()}
 
     def decide(self, gaussians: Gaussians, grid: ImageGrid, state: State) -> tuple[Tensor, Tensor, Tensor]:
-        """Which of the present Gaussians are pruned, cloned and split, each bool [N]; refused if none would be left.
+        """Masks, bool [N], of the Gaussians to prune, to clone and to split; refused if none would be left.
 
         Their sizes are compared with the grid's resolution cell and its extent in range.
         """

@@ -1,4 +1,4 @@
-"""Texture estimation: now and then, what images show beyond the learned scene becomes a map."""
+"""Texture estimation: at intervals, ratios of measured to rendered power become maps on the ground."""
 
 from __future__ import annotations
 
