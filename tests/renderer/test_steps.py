@@ -261,8 +261,10 @@ NAN, INF = float("nan"), float("inf")
 def by(request: pytest.FixtureRequest) -> SimpleNamespace:
     """The steps with an engine; that of CUDA is emulated."""
     if request.param != "cuda":
-        steps = {"project": project, "attenuate": attenuate, "splat": splat}
-        return SimpleNamespace(**{name: partial(step, engine=request.param) for name, step in steps.items()})
+        own = {"engine": request.param}
+        return SimpleNamespace(
+            project=partial(project, **own), attenuate=partial(attenuate, **own), splat=partial(splat, **own)
+        )
     new_pass = partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
     return SimpleNamespace(
         project=partial(project_with, new_pass, rays=RAYS, shift=None),
