@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -261,10 +263,8 @@ NAN, INF = float("nan"), float("inf")
 def by(request: pytest.FixtureRequest) -> SimpleNamespace:
     """The steps with an engine; that of CUDA is emulated."""
     if request.param != "cuda":
-        own = {"engine": request.param}
-        return SimpleNamespace(
-            project=partial(project, **own), attenuate=partial(attenuate, **own), splat=partial(splat, **own)
-        )
+        steps: dict[str, Callable[..., Any]] = {"project": project, "attenuate": attenuate, "splat": splat}
+        return SimpleNamespace(**{name: partial(step, engine=request.param) for name, step in steps.items()})
     new_pass = partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
     return SimpleNamespace(
         project=partial(project_with, new_pass, rays=RAYS, shift=None),
