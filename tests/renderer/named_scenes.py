@@ -13,7 +13,6 @@ from torch import Tensor
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
-from upright import upright
 
 GRID = ImageGrid(20, 24, spacing_m=(0.2, 0.2), resolution_m=(0.3, 0.3))
 VIEWS = (View(20.0, 40.0), View(200.0, 15.0), View(77.0, 75.0))
@@ -108,8 +107,14 @@ def wall(height_m: float, foot_m: float = 0.0) -> Gaussians:
     y, z = (
         axis.ravel() for axis in np.meshgrid(np.arange(-3, 3, pitch), np.arange(foot_m + pitch / 2, height_m, pitch))
     )
-    sizes, black = [0.002, 0.6 * pitch, 0.6 * pitch], Harmonics(torch.full((len(y), 1), -90.0), 0.0)
-    return upright(np.column_stack([np.zeros(len(y)), y, z]), sizes, 4.0, black)
+    n = len(y)
+    return Gaussians(
+        torch.from_numpy(np.column_stack([np.zeros(n), y, z])).float(),
+        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
+        torch.tensor([0.002, 0.6 * pitch, 0.6 * pitch]).repeat(n, 1),
+        torch.full((n,), 4.0),
+        Harmonics(torch.full((n, 1), -90.0), 0.0),
+    )
 
 
 def facing(view: View, offsets: Tensor) -> Tensor:
