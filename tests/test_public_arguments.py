@@ -39,6 +39,7 @@ from sarsplat import (
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import read_points_ply, write_mesh, write_points_ply
 from sarsplat.scenes import ScatteringLaw, law_scattering
+from upright import upright
 
 if TYPE_CHECKING:
     import trimesh
@@ -49,13 +50,7 @@ DATA = small_dataset()
 
 
 def scene(count: int = 3) -> Gaussians:
-    return Gaussians(
-        torch.zeros(count, 3),
-        torch.ones(count, 4),
-        torch.full((count, 3), 0.3),
-        torch.ones(count),
-        Harmonics(torch.ones(count, 1)),
-    )
+    return upright(torch.zeros(count, 3), 0.3)
 
 
 @checks_arguments

@@ -19,13 +19,14 @@ from PIL import Image
 
 from datasets import FEW_POINTS
 from elsewhere import elsewhere
-from sarsplat import scenes
+from sarsplat import scenes, write_gaussians_ply
 from sarsplat.cli import main
 from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply
 from sarsplat.data.folders import only_writer
 from sarsplat.exports import FORMATS
 from sarsplat.runs import Run, own_gaussians
 from sarsplat.settings import Config
+from upright import upright
 
 
 @pytest.fixture(scope="module")
@@ -145,12 +146,8 @@ def test_gaussians_in_a_file_are_taken_like_a_run(tmp_path: Path, quick_own, sai
 
 
 def test_gaussians_in_a_file_are_scored_against_a_mesh_alone(tmp_path: Path, quick_own, said) -> None:
-    from sarsplat import Gaussians, Harmonics, write_gaussians_ply
-
     place = torch.cartesian_prod(torch.linspace(-1.2, 1.2, 9), torch.linspace(-0.6, 0.6, 5), torch.linspace(0, 1, 4))
-    turn = torch.tensor([1.0, 0, 0, 0]).expand(len(place), 4)
-    size, depth = torch.full((len(place), 3), 0.2), torch.full((len(place),), 3.0)
-    write_gaussians_ply(tmp_path / "own.ply", Gaussians(place, turn, size, depth, Harmonics(torch.ones(len(place), 1))))
+    write_gaussians_ply(tmp_path / "own.ply", upright(place, 0.2, 3.0))
     told = said(f"evaluate {tmp_path}/own.ply --mesh box.obj")
     assert "CD m" in told
     assert sorted(path.name for path in tmp_path.iterdir()) == ["own.ply"]

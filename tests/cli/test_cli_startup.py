@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import torch
 
 from datasets import SMALL, small_dataset
 from programs import python
-from sarsplat import Gaussians, Harmonics, Run, View
+from sarsplat import Run, View
 from sarsplat.data import write_dataset
+from upright import upright
 
 COMMANDS = """
 import contextlib, io, json, sys, time
@@ -65,8 +65,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a dataset, a finished run, an image, and a file of no known kind."""
     folder = tmp_path_factory.mktemp("places")
     write_dataset(folder / "dataset", small_dataset())
-    one = Gaussians(torch.ones(1, 3), torch.ones(1, 4), torch.ones(1, 3), torch.ones(1), Harmonics(torch.ones(1, 1)))
-    Run.from_gaussians(one, SMALL, [View(0, 30)]).save(folder / "run")
+    Run.from_gaussians(upright([1.0, 1.0, 1.0]), SMALL, [View(0, 30)]).save(folder / "run")
     (folder / "image.tif").write_bytes((folder / "dataset" / "images" / "000.tif").read_bytes())
     (folder / "file.unknown").write_text("?")
     return folder

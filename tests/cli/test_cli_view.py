@@ -14,9 +14,10 @@ import pytest
 import torch
 
 from datasets import small_dataset
-from sarsplat import Gaussians, Harmonics, write_gaussians_ply
+from sarsplat import write_gaussians_ply
 from sarsplat.cli import main
 from sarsplat.data import write_dataset
+from upright import upright
 
 pytest.importorskip("viser")
 
@@ -68,10 +69,7 @@ def test_a_port_in_use_is_one_sentence(folder, refused):
 
 
 def test_gaussians_in_a_file_are_shown(tmp_path, said, monkeypatch):
-    gaussians = Gaussians(
-        *(torch.ones(2, k) for k in (3, 4, 3)), optical_depth=torch.ones(2), scattering=Harmonics(torch.ones(2, 1))
-    )
-    write_gaussians_ply(tmp_path / "g.ply", gaussians)
+    write_gaussians_ply(tmp_path / "g.ply", upright(torch.ones(2, 3)))
 
     def interrupt(_: float) -> None:
         raise KeyboardInterrupt

@@ -37,6 +37,7 @@ from sarsplat.data.files import write_bytes
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from terrains import hill, write_geotiff
+from upright import upright
 
 # ---- files, checkpoints, tables ----
 
@@ -413,13 +414,8 @@ TERRAIN: Refusals = [
 
 # ---- PLY ----
 
-SCENE = Gaussians(
-    torch.randn(7, 3, generator=torch.Generator().manual_seed(0)),
-    torch.ones(7, 4),
-    torch.full((7, 3), 0.1),
-    torch.ones(7),
-    Harmonics(torch.ones(7, 4), 0.05),
-)
+PLACES = torch.randn(7, 3, generator=torch.Generator().manual_seed(0))
+SCENE = upright(PLACES, 0.1, 1.0, Harmonics(torch.ones(7, 4), 0.05))
 
 
 def points(places: np.ndarray, **columns: np.ndarray) -> Do:

@@ -7,10 +7,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from sarsplat import Gaussians, Harmonics, ImageGrid, SarsplatError
+from sarsplat import Gaussians, ImageGrid, SarsplatError
 from sarsplat.learning.strategies import State
 from sarsplat.learning.strategies.density import DensityControl
 from sarsplat.settings.sections import Densification
+from upright import upright
 
 CONTROL = Densification(
     start=10, stop=100, every=10, gradient=1.0, split_above=0.1, max_extent=0.3, min_scattering=0.01, max_gaussians=10
@@ -21,14 +22,8 @@ GRID = ImageGrid(10, 8, (0.5, 1.0), (1.0, 1.0))  # cells of 1 m, 10 m in range
 
 def five() -> Gaussians:
     """Steep and small, steep and large, flat, black, far too large."""
-    scales = torch.tensor([0.05, 0.2, 0.05, 0.05, 5.0])[:, None].expand(5, 3)
-    return Gaussians(
-        means=torch.arange(15.0).view(5, 3),
-        quaternions=torch.tensor([1.0, 0, 0, 0]).expand(5, 4),
-        scales=scales,
-        optical_depth=torch.tensor([1.0, 1.0, 1.0, 1e-4, 1.0]),
-        scattering=Harmonics(torch.ones(5, 1)),
-    )
+    scales = torch.tensor([[0.05], [0.2], [0.05], [0.05], [5.0]])
+    return upright(torch.arange(15.0), scales, [1.0, 1.0, 1.0, 1e-4, 1.0])
 
 
 def gathered(*gradient: float) -> State:

@@ -15,6 +15,7 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import render
 from sarsplat.settings.sections import FlatGround
+from upright import upright
 
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.3, 0.3))
 SHORT = replace(preset("default"), iterations=150, gaussians=150, ground=FlatGround())
@@ -23,10 +24,8 @@ SHORT = replace(preset("default"), iterations=150, gaussians=150, ground=FlatGro
 def block() -> Gaussians:
     """Something opaque of 2 × 1 × 1 m."""
     steps = [np.arange(low, high, 0.2) + 0.1 for low, high in ((-1, 1), (-0.5, 0.5), (0, 1))]
-    means = torch.from_numpy(np.stack(np.meshgrid(*steps), -1).reshape(-1, 3)).float()
-    n = len(means)
-    whole = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1), torch.full((n, 3), 0.1), torch.full((n,), 2.0)
-    return Gaussians(means, *whole, Harmonics(torch.zeros(n, 1), 0.3))
+    means = np.stack(np.meshgrid(*steps), -1).reshape(-1, 3)
+    return upright(means, 0.1, 2.0, Harmonics(torch.zeros(len(means), 1), 0.3))
 
 
 def seen(views: list[View], ground: Ground) -> Dataset:

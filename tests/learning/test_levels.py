@@ -22,6 +22,7 @@ from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.training_images import TrainingImages
 from sarsplat.renderer import render
 from sarsplat.settings import Config
+from upright import upright
 
 GRID = ImageGrid(90, 91, (0.5, 0.5), (0.6, 0.5))
 VIEWS = [View(azimuth, grazing) for azimuth, grazing in ((0, 35), (90, 50), (180, 35), (270, 50))]
@@ -33,10 +34,7 @@ def plates() -> Gaussians:
     small = torch.rand(60, 3, generator=generator) * torch.tensor([9.0, 9.0, 1.0]) + torch.tensor([-14.0, -4.5, 0.5])
     means = torch.cat([torch.tensor([[-10.0, 0.0, 0.3], [10.0, 0.0, 0.3]]), small])
     scales = torch.cat([torch.tensor([[3.0, 3.0, 0.05]] * 2), torch.full((len(small), 3), 0.15)])
-    quaternions = torch.tensor([[1.0, 0, 0, 0]]).repeat(len(means), 1)
-    return Gaussians(
-        means, quaternions, scales, torch.full((len(means),), 3.0), NormalLobes.initial(len(means), 0.5, 0.0)
-    )
+    return upright(means, scales, 3.0, NormalLobes.initial(len(means), 0.5, 0.0))
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.radar import RadarMaps, Surface, radar_maps, surface_of_mesh
 from sarsplat.radar.maps import _unexplained
+from upright import upright
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -113,10 +113,7 @@ def test_a_pixel_shows_what_has_half_the_area_of_flat_ground(part, shown):
     lit = 2.187  # of optical depth 5 at its middle, in 2πs²: ∫ (1 − exp(−5 e^{−x})) dx
     s = math.sqrt(wanted * response / (lit - wanted))  # lit·s² / (response + s²) is what the pixel's middle has
     middle = np.array([GRID.azimuth_m[20], 3.0, GRID.range_m[20]]) @ radar_frame(VIEW)
-    ball = Gaussians(
-        torch.from_numpy(middle[None]).float(), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), s),
-        torch.tensor([5.0]), Harmonics(torch.zeros(1, 1)),
-    )  # fmt: skip
+    ball = upright(middle, s, 5.0, 0.0)
     maps = radar_maps(Surface(ball, VIEW.direction[None]), VIEW, GRID, rays=RayGrid((0.01, 0.01)))
     assert (~np.isnan(maps.height_m)).sum() == shown
 
@@ -132,27 +129,18 @@ def test_what_a_slope_spreads_over_a_pixel_is_explained_whatever_its_direction()
 
 @pytest.mark.parametrize(("depth", "hidden"), [(0.95 * math.log(2), False), (1.05 * math.log(2), True)])
 def test_ground_is_in_shadow_if_half_of_its_light_is_taken(depth, hidden):
-    haze = Gaussians(
-        torch.tensor([[0.0, 0.0, 4.0]]),
-        torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-        torch.tensor([[1.5, 1.5, 0.01]]),
-        torch.tensor([depth]),
-        Harmonics(torch.zeros(1, 1)),
-    )
+    haze = upright([0.0, 0.0, 4.0], [1.5, 1.5, 0.01], depth, 0.0)
     maps = radar_maps(Surface(haze, np.array([[0.0, 0.0, 1.0]])), VIEW, GRID)
     assert maps.shadow.any() == hidden
 
 
 def test_the_maps_of_nothing_are_empty():
-    nothing = Gaussians(
-        *(torch.zeros(0, k) for k in (3, 4, 3)), optical_depth=torch.zeros(0), scattering=Harmonics(torch.zeros(0, 1))
-    )
-    maps = radar_maps(Surface(nothing, np.zeros((0, 3))), VIEW, GRID)
+    maps = radar_maps(Surface(upright([]), np.zeros((0, 3))), VIEW, GRID)
     assert np.isnan(maps.height_m).all()
     assert not maps.shadow.any()
 
 
 def test_every_gaussian_needs_a_normal():
-    one = Gaussians(torch.zeros(1, 3), torch.ones(1, 4), torch.ones(1, 3), torch.ones(1), Harmonics(torch.zeros(1, 1)))
+    one = upright(torch.zeros(1, 3))
     with pytest.raises(SarsplatError, match=r"normals has shape \(2, 3\); for 1 Gaussians it must be \(1, 3\)"):
         Surface(one, np.zeros((2, 3)))

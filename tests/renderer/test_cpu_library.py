@@ -7,14 +7,12 @@ import torch
 
 from sarsplat.cli import main
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import cpu, render
 from sarsplat.renderer.structs import AdamStep
+from upright import upright
 
-GAUSSIANS = Gaussians(
-    *(torch.ones(1, k) for k in (3, 4, 3)), optical_depth=torch.ones(1), scattering=Harmonics(torch.ones(1, 1))
-)
+GAUSSIANS = upright([1.0, 1.0, 1.0])
 VIEWS = [View(azimuth, 40.0) for azimuth in range(0, 360, 15)]
 GRID = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Config, Dataset, Gaussians, Harmonics, Run, SarsplatError, View, evaluate_run, reconstruct
+from sarsplat import Config, Dataset, Harmonics, Run, SarsplatError, View, evaluate_run, reconstruct
 from sarsplat.exports import export
 from sarsplat.report import write_report
+from upright import upright
 
 VIEWS = [View(10.0, 30.0), View(200.0, 50.0)]
 
@@ -99,13 +100,9 @@ def test_without_images_they_are_shown_whole_from_all_sides(finished: Run, datas
 def test_harmonics_of_every_degree_and_p_min_are_kept(degree: int, tmp_path: Path) -> None:
     generator = torch.Generator().manual_seed(0)
     count = 20
-    own = Gaussians(
-        torch.rand(count, 3, generator=generator),
-        torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
-        torch.full((count, 3), 0.1),
-        torch.full((count,), 30.0),
-        Harmonics(torch.randn(count, (degree + 1) ** 2, generator=generator), p_min=0.25),
-    )
+    places = torch.rand(count, 3, generator=generator)
+    law = Harmonics(torch.randn(count, (degree + 1) ** 2, generator=generator), p_min=0.25)
+    own = upright(places, 0.1, 30.0, law)
     saved = Run.load(Run.from_gaussians(own, views=VIEWS).save(tmp_path / "run").folder).gaussians
     assert saved.scattering.settings() == own.scattering.settings()
     for name, tensor in own.tensors().items():

@@ -11,13 +11,14 @@ import pytest
 import torch
 
 from datasets import FEW_POINTS, dataset_of
-from sarsplat import Config, Dataset, Gaussians, Harmonics, ImageGrid, Run, SarsplatError, View, preset, reconstruct
+from sarsplat import Config, Dataset, Gaussians, ImageGrid, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.scene_tiles import Tile, tiles_of
 from sarsplat.renderer import render
 from sarsplat.settings.sections import Densification, Surroundings
+from upright import upright
 
 GRID = ImageGrid(48, 56, (0.3, 0.3), (0.45, 0.45))
 VIEWS = [View(azimuth, grazing) for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]
@@ -137,9 +138,8 @@ def some(count: int, seed: int = 0) -> Gaussians:
     draw = torch.Generator().manual_seed(seed)
     places = (torch.rand(count, 3, generator=draw) - 0.5) * torch.tensor([16.0, 16.0, 0.0])
     places[:, 2] = 3 * torch.rand(count, generator=draw)
-    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1)
     depth, gamma0 = 3 * torch.rand(count, generator=draw), torch.rand(count, 1, generator=draw)
-    return Gaussians(places, upright, 0.1 + 0.2 * torch.rand(count, 3, generator=draw), depth, Harmonics(gamma0))
+    return upright(places, 0.1 + 0.2 * torch.rand(count, 3, generator=draw), depth, gamma0)
 
 
 @pytest.mark.parametrize("ground", [None, Ground(torch.tensor(0.1))])

@@ -10,9 +10,9 @@ import torch
 import trimesh
 
 from sarsplat import Ground, ImageGrid, ScatteringLaw, Terrain, View, render
-from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.scenes.raycast import simulate_raycast
 from terrains import hill, slope
+from upright import upright
 
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.45, 0.45))
 LAW = ScatteringLaw(0.5, 0.0)
@@ -41,12 +41,7 @@ def test_a_hill_looks_as_the_renderer_shows_it(view):
     """Of which the squares of terrain are curved, and here two triangles each."""
     ground = hill(2.0)
     cast = simulate_raycast(BURIED, view, GRID, LAW, ground_gamma0=0.2, terrain=ground, ray_spacing=0.08)
-    empty = Gaussians(
-        *(torch.zeros(0, n) for n in (3, 4, 3)),
-        optical_depth=torch.zeros(0),
-        scattering=Harmonics(torch.zeros(0, 1), 0.0),
-    )
-    rendered = render(empty, [view], GRID, ground=Ground(torch.tensor(0.2), height_m=ground)).images[0, 0].numpy()
+    rendered = render(upright([]), [view], GRID, ground=Ground(torch.tensor(0.2), height_m=ground)).images[0, 0].numpy()
     level = 0.2 * math.tan(math.radians(view.grazing_deg))
     assert rendered.max() > 1.5 * level  # its front, and in one of them its shadow
     assert rendered.min() < 0.5 * level

@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 
-from sarsplat import Gaussians, Harmonics, View, render_covariances
+from sarsplat import View, render_covariances
 from sarsplat.geometry import ImageGrid, Stack, radar_frame
 from sarsplat.geometry.responses import TAYLOR
 from sarsplat.scenes import Mechanisms, ScatteringLaw, simulate_raycast, simulate_stack
 from sarsplat.scenes.mechanisms import MATRICES
+from upright import upright
 
 VIEW, GRID = View(0.0, 45.0), ImageGrid(40, 36, (0.5, 0.5), (0.7, 0.7))
 STACK, LAW = Stack(0.031, (0.0, 0.0004, 0.001)), ScatteringLaw(1.0, 0.0, 1.0)
@@ -79,11 +79,7 @@ def test_signs_are_those_of_distances_from_the_antennas(view: View, transmit: st
         plate = trimesh.creation.box((3.0, 3.0, 0.01))
         plate.apply_translation(place)
         signals = simulate_stack(plate, view, GRID, stack, LAW)
-        flat = Gaussians(
-            *(torch.tensor([row]) for row in ([0.0, 0.0, height], [1.0, 0.0, 0.0, 0.0], [0.8, 0.8, 0.01])),
-            optical_depth=torch.tensor([4.0]),
-            scattering=Harmonics(torch.tensor([[1.0]])),
-        )
+        flat = upright(place, [0.8, 0.8, 0.01], 4.0)
         for pair in (signals[1] * signals[0].conj(), render_covariances(flat, [view], GRID, stack)[0, 1, 0].numpy()):
             deramped = (pair * np.exp(-1j * (level[1] - level[0]))).sum()
             assert np.angle(deramped) == pytest.approx(expected, abs=0.03)

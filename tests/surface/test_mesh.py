@@ -21,6 +21,7 @@ from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.visibility import Seen
+from upright import upright
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("skimage")
@@ -117,13 +118,7 @@ def test_gamma0_counts_only_views_that_see_the_place() -> None:
     towards_x = 2.0 / np.sqrt(3 / (4 * np.pi))  # degree 1, order 1: −√(3/4π)·x
     parameters = np.zeros((2 * count, 4))
     parameters[:, 3] = -towards_x
-    wall = Gaussians(
-        torch.tensor(means, dtype=torch.float32),
-        torch.tensor([1.0, 0, 0, 0]).repeat(2 * count, 1),
-        torch.tensor([0.02, 0.07, 0.07]).repeat(2 * count, 1),
-        torch.full((2 * count,), 10.0),
-        Harmonics(torch.tensor(parameters, dtype=torch.float32)),
-    )
+    wall = upright(means, [0.02, 0.07, 0.07], 10.0, parameters)
     there, behind = View(0.0, 10.0), View(180.0, 10.0)
     gamma0, towards = Seen.of(wall, [there, behind], GRID).around(np.array([[0.3, 0, 1], [-0.3, 0, 1]]))
     directions = torch.tensor(np.stack([there.direction, behind.direction]), dtype=torch.float32)

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
-from sarsplat import Gaussians, Harmonics, ImageGrid, View, memory
+from sarsplat import Gaussians, ImageGrid, View, memory
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
 from sarsplat.progress import Reporter
@@ -18,6 +17,7 @@ from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import extract_points
 from sarsplat.surface import points as of_points
 from sarsplat.surface.points import _cluster, _FirstReturns, _Voxels, between, spread
+from upright import upright
 
 GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))
 VIEWS = [View(45.0 * k, 30.0) for k in range(8)]
@@ -35,14 +35,7 @@ def ball_with_a_hole() -> Gaussians:
     shell = RADIUS * outwards[outwards @ VIEWS[0].direction < np.cos(np.radians(15))]
     means = np.concatenate([shell, np.zeros((1, 3))])
     means[:, 2] += HEIGHT
-    count = len(means)
-    return Gaussians(
-        torch.tensor(means, dtype=torch.float32),
-        torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
-        torch.full((count, 3), 0.06),
-        torch.full((count,), 6.0),
-        Harmonics(torch.ones(count, 1)),
-    )
+    return upright(means, 0.06, 6.0)
 
 
 def near_centre(points: np.ndarray) -> int:

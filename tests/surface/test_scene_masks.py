@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.learning.method_sar_gs import GaussianReconstruction
 from sarsplat.scenes.raycast_masks import raycast_mask
 from sarsplat.surface.masks import scene_masks
+from upright import upright
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -84,13 +85,7 @@ def masks_of(target: Gaussians, ground: Ground | None, points: np.ndarray, views
 def haze(count: int) -> Gaussians:
     """Low Gaussians all around, as opaque as the ground."""
     means = torch.rand(count, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([12, 12, 0.1])
-    return Gaussians(
-        means - torch.tensor([6, 6, 0]),
-        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
-        torch.full((count, 3), 0.2),
-        torch.full((count,), 3.0),
-        Harmonics(torch.zeros(count, 1)),
-    )
+    return upright(means - torch.tensor([6, 6, 0]), 0.2, 3.0, 0.0)
 
 
 def test_what_lies_around_the_points_is_not_the_target() -> None:

@@ -22,6 +22,7 @@ from sarsplat.renderer import render
 from sarsplat.tiles import at_once, render_tiled, tiles_kept_in
 from sarsplat.tiles import render as module
 from terrains import hill
+from upright import upright
 
 GRID = ImageGrid(90, 130, spacing_m=(0.3, 0.25), resolution_m=(0.4, 0.3), center_m=(900.0, -700.0))
 RAYS = RayGrid((0.2, 0.2))
@@ -87,10 +88,7 @@ def test_what_stands_in_one_tile_shades_another(after):
     view, grid, tiles = View(0.0, 15.0), ImageGrid(256, 32, (0.5, 0.5), (0.5, 0.5)), after(1000)  # the radar is at +x
     wall = torch.cartesian_prod(torch.tensor([40.0]), torch.arange(-10.0, 10.25, 0.25), torch.arange(0.25, 20.0, 0.5))
     floor = torch.cartesian_prod(torch.arange(-60.0, 60.0, 0.5), torch.arange(-8.0, 8.0, 0.5), torch.zeros(1))
-    means = torch.cat([wall, floor])
-    n = len(means)
-    upright, opaque = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(n, 4), torch.full((n,), 5.0)
-    scene = Gaussians(means, upright, torch.full((n, 3), 0.4), opaque, Harmonics(torch.zeros(n, 1)))
+    scene = upright(torch.cat([wall, floor]), 0.4, 5.0, 0.0)
     behind = render_tiled(scene, view, grid, memory_gib=0.004)[0, :, 16]
     alone = render_tiled(scene[len(wall) :], view, grid, memory_gib=0.004)[0, :, 16]
     assert len(tiles) > 2
