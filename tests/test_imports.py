@@ -213,6 +213,36 @@ def test_everything_imports_without_what_windows_lacks(fresh):
     assert fresh.code == 0
 
 
+# ---- the geometry of views ------------------------------------------------------------------------------------------
+ANGLES = {"azimuth_deg", "grazing_deg", "incidence_deg"}
+TRIGONOMETRY = {"sin", "cos", "tan", "radians", "deg2rad"}
+WITHOUT_A_LOOK = {"radiometry.py", "cli/sky.py", "report/sky.py", "examination/neighbouring_views.py"}
+"""Converts for an angle that users give; draw angles on a round map; asks in which sense azimuths run."""
+
+
+def computed_with(tree: ast.AST) -> list[int]:
+    """Lines that compute with an angle of a view."""
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    return [
+        call.lineno
+        for call in calls
+        if getattr(call.func, "attr", getattr(call.func, "id", None)) in TRIGONOMETRY
+        and ANGLES & {getattr(node, "attr", getattr(node, "id", None)) for node in ast.walk(call)}
+    ]
+
+
+def test_only_the_look_computes_with_angles_of_views():
+    """Another kind of look is then one file: all others ask `View.look`."""
+    assert computed_with(ast.parse("a = 1\nnp.tan(np.radians([view.grazing_deg for view in views]))")) == [2, 2]
+    found = {
+        path.relative_to(PACKAGE).as_posix(): lines
+        for path in PACKAGE.rglob("*.py")
+        if (lines := computed_with(ast.parse(text := path.read_text(encoding="utf-8"))))
+        or ("radar_frame" in text and path.parent.name != "geometry")
+    }
+    assert found.keys() == {"geometry/look.py"} | WITHOUT_A_LOOK, found
+
+
 # ---- public names ----------------------------------------------------------------------------------------------------
 def test_every_public_name_is_what_its_folder_offers():
     stub = ast.parse(Path(sarsplat.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))

@@ -1,0 +1,134 @@
+"""What follows from the direction of a view, by numerical checks that know only the frame's definition."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sarsplat.geometry import Look, View, radar_frame
+
+CHANCE = np.random.default_rng(0)
+VIEWS = [View(azimuth, grazing) for azimuth in (0.0, 90.0, 180.0, 270.0) for grazing in (0.5, 45.0, 89.5)]
+VIEWS += [View(*angles) for angles in CHANCE.uniform((0, 2), (360, 88), (30, 2))]
+LOOKS = pytest.mark.parametrize("look", [view.look for view in VIEWS], ids=map(str, range(len(VIEWS))))
+
+
+def to_radar(azimuth_deg: float, grazing_deg: float) -> np.ndarray:
+    """Azimuths run clockwise seen from above, from +x."""
+    phi, theta = math.radians(azimuth_deg), math.radians(grazing_deg)
+    return np.array([math.cos(theta) * math.cos(phi), -math.cos(theta) * math.sin(phi), math.sin(theta)])
+
+
+def seen(look: Look, place: np.ndarray) -> np.ndarray:
+    """Azimuth, elevation and slant range of a place."""
+    return look.frame @ place
+
+
+def ground_at(look: Look, azimuth: float, slant_range: float, height: float) -> np.ndarray:
+    """The place of a height that an image shows there, found by solving for it."""
+    matrix = np.stack([look.frame[0], look.frame[2], [0.0, 0.0, 1.0]])
+    return np.linalg.solve(matrix, [azimuth, slant_range, height])
+
+
+@LOOKS
+def test_the_frame_is_a_proper_rotation_with_a_level_azimuth_axis(look):
+    assert look.frame @ look.frame.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(look.frame) == pytest.approx(1.0)
+    assert look.frame[0, 2] == 0.0
+    assert look.frame[1, 2] > 0.0
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_the_ways_in_and_out_lead_to_the_radar(view):
+    towards = to_radar(view.azimuth_deg, view.grazing_deg)
+    for way in (view.look.way_in, view.look.way_out, *view.look.ways, view.direction):
+        assert way == pytest.approx(towards, abs=1e-12)
+    assert len(view.look.ways) == 1  # one radar
+    assert (radar_frame(view) == view.look.frame).all()
+
+
+def test_gradients_are_those_of_the_distance_and_of_the_place_along_the_flight():
+    """By finite differences of what a radar far away measures, not of the frame."""
+    far, step, view = 1e9, 50.0, View(35.0, 40.0)
+    towards, flight = to_radar(35.0, 40.0), to_radar(35.0 + 90.0, 1e-9)  # clockwise: the scene is on its right
+    antenna = far * towards
+
+    def measured(place: np.ndarray) -> np.ndarray:
+        return np.array([place @ flight, np.linalg.norm(antenna - place) - far])
+
+    steps = np.concatenate([step * np.eye(3), -step * np.eye(3)])
+    values = np.array([measured(place) for place in steps])
+    numerical = (values[:3] - values[3:]).T / (2 * step)
+    assert view.look.gradients == pytest.approx(numerical, abs=1e-6)
+    assert (view.look.gradients == view.look.frame[[0, 2]]).all()
+
+
+@LOOKS
+def test_height_is_nearer_and_elevation_is_high(look):
+    assert seen(look, np.array([0, 0, 2.0]))[2] == pytest.approx(-2 * look.sine)
+    assert (look.frame.T @ [0, 3.0, 0])[2] == pytest.approx(3 * look.height_per_elevation)
+
+
+@LOOKS
+def test_ground_is_where_the_image_shows_it(look):
+    for azimuth, slant_range, height in CHANCE.uniform(-9, 9, (5, 3)):
+        ground = ground_at(look, azimuth, slant_range, 0.0)
+        assert azimuth * look.onto_ground[0] + slant_range * look.onto_ground[1] == pytest.approx(ground[:2])
+        assert look.elevation_on_ground(azimuth, slant_range) == pytest.approx(seen(look, ground)[1])
+        assert look.range_on_ground(azimuth, seen(look, ground)[1]) == pytest.approx(slant_range)
+        place = ground_at(look, azimuth, slant_range, height)
+        assert look.elevation_at(azimuth, slant_range, height) == pytest.approx(seen(look, place)[1])
+        assert look.ground_range(slant_range, height) == pytest.approx(place[:2] @ look.ahead)
+        assert look.slant_range(place[:2] @ look.ahead, height) == pytest.approx(slant_range)
+
+
+@LOOKS
+def test_rays_of_a_column_end_on_the_ground_in_even_steps(look):
+    first, step = look.rows_on_ground(-2.0, 0.3, 0.7)
+    for row in range(4):
+        place = ground_at(look, 1.0, first + row * step, 0.7)
+        assert seen(look, place)[1] == pytest.approx(-2.0 + row * 0.3)
+
+
+@LOOKS
+def test_in_the_vertical_plane_along_the_line_of_sight(look):
+    along, height = 4.0, 1.5
+    place = np.append(along * look.ahead, height)
+    elevation, slant_range = look.in_section(along, height)
+    assert seen(look, place) == pytest.approx([0.0, elevation, slant_range], abs=1e-9)
+    assert look.along_ray(elevation, height) == pytest.approx(along)
+
+
+@LOOKS
+def test_a_shadow_ends_where_the_ray_over_the_top_meets_the_ground(look):
+    top = np.array([1.0, -2.0, 1.3])
+    end = top + top[2] / look.way_in[2] * -look.way_in
+    assert end[2] == pytest.approx(0.0, abs=1e-9)
+    assert top[:2] + look.shadow_m(1.3) * look.ahead == pytest.approx(end[:2])
+    assert np.linalg.norm(look.ahead) == pytest.approx(1.0)
+    assert look.ahead @ look.way_in[:2] < 0  # away from the radar
+
+
+@LOOKS
+def test_rays_to_the_ground_are_all_and_no_more(look):
+    azimuths, ranges, heights = (-3.0, 2.0), (-1.0, 4.0), (-0.5, 2.5)
+    (left, right), (low, high) = look.rays_to_ground(azimuths, ranges, heights)
+    shown = [
+        seen(look, ground_at(look, a, r, z))[:2]
+        for a in np.linspace(*azimuths, 3)
+        for r in np.linspace(*ranges, 5)
+        for z in np.linspace(*heights, 5)
+    ]
+    assert np.min(shown, axis=0) == pytest.approx([left, low])
+    assert np.max(shown, axis=0) == pytest.approx([right, high])
+
+
+@LOOKS
+def test_level_ground_keeps_its_power_from_the_ground_to_the_image(look):
+    """γ⁰ is for each area across the line of sight, β⁰ for each area of the image: of a patch, both give its power."""
+    patch = np.stack([np.append(axis, 0.0) for axis in look.onto_ground])  # of 1 m² of the image
+    across = abs(np.cross(*patch) @ look.way_in)
+    assert look.beta0_of_gamma0(0.2) == pytest.approx(0.2 * across)
+    assert look.gamma0_of_beta0(look.beta0_of_gamma0(0.2)) == pytest.approx(0.2)
