@@ -32,7 +32,7 @@ MAGIC = {
 IMPORT_EVERYTHING = """
 import importlib, pkgutil, pathlib, sys
 import torch, sarsplat
-from sarsplat.renderer import nvrtc
+from sarsplat.renderer.engines import nvrtc
 assert pathlib.Path(sarsplat.__file__).is_relative_to(sys.prefix), sarsplat.__file__
 for info in pkgutil.walk_packages(sarsplat.__path__, "sarsplat."):
     if not info.name.endswith("._engine"):

@@ -20,7 +20,7 @@ from sarsplat.learning.losses import (
     speckle_loss,
     structural_similarity,
 )
-from sarsplat.renderer import cpu
+from sarsplat.renderer.engines import cpu
 from sarsplat.settings import preset
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))

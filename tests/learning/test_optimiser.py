@@ -17,7 +17,7 @@ from sarsplat.gaussians import SCATTERINGS, Scattering, register_scattering
 from sarsplat.learning import Trainer, adam
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
-from sarsplat.renderer import cpu, cuda
+from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.settings import Config
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "renderer"))

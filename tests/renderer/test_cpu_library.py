@@ -9,8 +9,9 @@ from sarsplat.cli import main
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.renderer import cpu, render
-from sarsplat.renderer.structs import AdamStep
+from sarsplat.renderer import render
+from sarsplat.renderer.engines import cpu
+from sarsplat.renderer.engines.structs import AdamStep
 
 GAUSSIANS = Gaussians(
     *(torch.ones(1, k) for k in (3, 4, 3)), optical_depth=torch.ones(1), scattering=Harmonics(torch.ones(1, 1))

@@ -17,8 +17,9 @@ from test_cpu_engine import check, judged, loss_of, outputs_of, relative
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
-from sarsplat.renderer import Bounds, cuda, cuda_device, nvrtc, project, render
+from sarsplat.renderer import Bounds, project, render
 from sarsplat.renderer.checks import check_for_cuda
+from sarsplat.renderer.engines import cuda, cuda_device, nvrtc
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 
 

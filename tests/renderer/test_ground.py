@@ -15,7 +15,8 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.geometry.shown import ground_radius_m
-from sarsplat.renderer import cpu, render
+from sarsplat.renderer import render
+from sarsplat.renderer.engines import cpu
 from sarsplat.renderer.ground import free_plane
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from terrains import slope

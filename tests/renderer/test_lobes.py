@@ -11,8 +11,9 @@ import torch
 from emulated_cuda import Emulator
 
 from sarsplat import Gaussians, NormalLobes, SarsplatError, View
-from sarsplat.renderer import cpu, cuda, lobes
-from sarsplat.renderer.problem import directions_to
+from sarsplat.renderer import lobes
+from sarsplat.renderer.engines import cpu, cuda
+from sarsplat.renderer.engines.problem import directions_to
 
 VIEWS = [View(20.0 * k, 5.0 + 9.0 * k) for k in range(9)]
 

@@ -17,7 +17,8 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid
-from sarsplat.renderer import Footprints, Waves, attenuate, cpu, project, render, splat, structs
+from sarsplat.renderer import Footprints, Waves, attenuate, project, render, splat
+from sarsplat.renderer.engines import cpu, structs
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
 RAYS = RayGrid.for_image(GRID)

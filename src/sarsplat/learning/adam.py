@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sarsplat.renderer import cpu, cuda, structs
-from sarsplat.renderer.cuda_device import gpu_of
+from sarsplat.renderer.engines import cpu, cuda, structs
+from sarsplat.renderer.engines.cuda_device import gpu_of
 
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
 

@@ -18,8 +18,8 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError, advised, shown
 from sarsplat.learning import adam
-from sarsplat.renderer import cpu, cuda, structs
-from sarsplat.renderer.cuda_device import gpu_of
+from sarsplat.renderer.engines import cpu, cuda, structs
+from sarsplat.renderer.engines.cuda_device import gpu_of
 from sarsplat.renderer.once import differentiable_once
 from sarsplat.settings.config import Config
 

@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool2d
 
 from sarsplat.learning import adam
 from sarsplat.learning.stack_loss import covariance_nats, refuse_failed
-from sarsplat.renderer import cpu, structs
+from sarsplat.renderer.engines import cpu, structs
 from sarsplat.renderer.once import differentiable_once
 from sarsplat.renderer.planes import Planes
 

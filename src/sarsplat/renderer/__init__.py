@@ -15,10 +15,10 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
-from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances
-from sarsplat.renderer.engines import ENGINES, chosen_engine
+from sarsplat.renderer.engines.bounds import Bounds
+from sarsplat.renderer.engines.choice import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.ground import above, check_ground, ground_values
 from sarsplat.renderer.operations import render_with

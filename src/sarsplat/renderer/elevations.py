@@ -14,11 +14,11 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.geometry import View, radar_frame
-from sarsplat.renderer import cpu
-from sarsplat.renderer.engines import chosen_engine
+from sarsplat.renderer.engines import cpu
+from sarsplat.renderer.engines.choice import chosen_engine
+from sarsplat.renderer.engines.structs import Sections
 from sarsplat.renderer.footprints import Footprints
 from sarsplat.renderer.once import differentiable_once
-from sarsplat.renderer.structs import Sections
 
 
 def elevated(

@@ -18,7 +18,7 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import cpu, structs
+from sarsplat.renderer.engines import cpu, structs
 from sarsplat.renderer.once import differentiable_once
 
 

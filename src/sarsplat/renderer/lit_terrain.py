@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
-from sarsplat.renderer import cpu, structs
+from sarsplat.renderer.engines import cpu, structs
 from sarsplat.renderer.lit_ground import Axis, RayEnds, pixel_axes, seen, stds
 from sarsplat.renderer.once import differentiable_once
 from sarsplat.renderer.places import at_places

@@ -12,10 +12,10 @@ from torch import Tensor
 
 from sarsplat.gaussians import Gaussians, NormalLobes
 from sarsplat.geometry import View
+from sarsplat.renderer.engines.passes import Pass
+from sarsplat.renderer.engines.problem import directions_to
+from sarsplat.renderer.engines.structs import Lobes
 from sarsplat.renderer.once import differentiable_once
-from sarsplat.renderer.passes import Pass
-from sarsplat.renderer.problem import directions_to
-from sarsplat.renderer.structs import Lobes
 
 
 def amplitudes_towards(

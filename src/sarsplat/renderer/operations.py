@@ -15,17 +15,17 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
-from sarsplat.renderer import structs
-from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_values, complaint, complaint_by_view
-from sarsplat.renderer.cpu import FAULTS
+from sarsplat.renderer.engines import structs
+from sarsplat.renderer.engines.bounds import Bounds
+from sarsplat.renderer.engines.cpu import FAULTS
+from sarsplat.renderer.engines.operation import Operation, Tensors
+from sarsplat.renderer.engines.passes import Pass
+from sarsplat.renderer.engines.problem import ARRAYS, new_problem, point_at, pointer, problem_of
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves, deviations
 from sarsplat.renderer.ground import gamma0_by_view, ground_values, in_sight, lit, returned, with_ground
 from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.renderer.lobes import amplitudes_towards
-from sarsplat.renderer.operation import Operation, Tensors
-from sarsplat.renderer.passes import Pass
-from sarsplat.renderer.problem import ARRAYS, new_problem, point_at, pointer, problem_of
 from sarsplat.renderer.rendering import RayMap, Rendering
 from sarsplat.renderer.shared import Branch, shared
 

@@ -19,7 +19,7 @@ from sarsplat.renderer.checks import (
     check_step_values,
     check_values,
 )
-from sarsplat.renderer.engines import ENGINES, chosen_engine
+from sarsplat.renderer.engines.choice import ENGINES, chosen_engine
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference

@@ -14,9 +14,9 @@ from torch import Tensor
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.renderer import structs
 from sarsplat.renderer.checks import FARTHEST, FLATTEST, MAX_SCALE, STEEPEST, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+from sarsplat.renderer.engines import structs
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")
 """Inputs by their names in a problem."""

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer.nvrtc import Nvrtc, machine_code
+from sarsplat.renderer.engines.nvrtc import Nvrtc, machine_code
 
 _DRIVER = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 

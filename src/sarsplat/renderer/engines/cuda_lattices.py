@@ -8,8 +8,8 @@ import struct
 from collections.abc import Sequence
 from ctypes import c_float, c_int32, c_int64
 
-from sarsplat.renderer.bounds import TILE
-from sarsplat.renderer.structs import structure
+from sarsplat.renderer.engines.bounds import TILE
+from sarsplat.renderer.engines.structs import structure
 
 ViewLattice = structure(
     "ViewLattice",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import cache, partial
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -12,10 +13,10 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import cpu, cuda, kept, nvrtc
-from sarsplat.renderer.cuda_device import device, require_cuda
+from sarsplat.renderer.engines import cpu, cuda, disk_cache, nvrtc
+from sarsplat.renderer.engines.cuda_device import device, require_cuda
+from sarsplat.renderer.engines.passes import Pass
 from sarsplat.renderer.operations import render_with
-from sarsplat.renderer.passes import Pass
 
 _LARGEST_ERROR = 2e-5
 """Relative, in the Euclidean norm; the emulated engine has 6e-7."""
@@ -37,18 +38,18 @@ def objection(where: torch.device) -> str:
     except SarsplatError as error:
         return str(error)
     name = f"trial-{hashlib.sha256(repr((gpu.description, _sources())).encode()).hexdigest()[:32]}"
-    if (verdict := kept.read(name)) is None:
+    if (verdict := disk_cache.read(name)) is None:
         try:
             verdict = _disagreement(gpu).encode()
         except (SarsplatError, torch.OutOfMemoryError) as error:  # another program may be using the GPU's memory
             return f"it could not be tried ({_first_line(error)})"
-        kept.write(name, verdict)
+        disk_cache.write(name, verdict)
     return verdict.decode()
 
 
 def _sources() -> list[str]:
     """All that the engine is made of."""
-    plan = sorted(nvrtc.SOURCES.parent.glob("cuda*.py"))
+    plan = sorted(Path(__file__).parent.glob("cuda*.py"))
     return [*nvrtc.sources().values(), *(path.read_text(encoding="utf-8") for path in plan)]
 
 

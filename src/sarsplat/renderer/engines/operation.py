@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
+from sarsplat.renderer.engines.passes import Pass
 from sarsplat.renderer.once import differentiable_once
-from sarsplat.renderer.passes import Pass
 
 Tensors = Sequence[Tensor | None]
 

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer.bounds import LEFT_BOUNDS, Capacity
-from sarsplat.renderer.cpu import FAULTS
-from sarsplat.renderer.cuda_lattices import cut_into_tiles, smallest_lattice, tiles_of, total
-from sarsplat.renderer.structs import Channels, Lattice, Outputs, Projection, structure
+from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, Capacity
+from sarsplat.renderer.engines.cpu import FAULTS
+from sarsplat.renderer.engines.cuda_lattices import cut_into_tiles, smallest_lattice, tiles_of, total
+from sarsplat.renderer.engines.structs import Channels, Lattice, Outputs, Projection, structure
 
 # of csrc/cuda_state.cuh
 _THREADS, _WARPS = 256, 8

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
-from sarsplat.renderer import cpu, cuda
 from sarsplat.renderer.checks import check_for_cpu, check_for_cuda
-from sarsplat.renderer.cuda_device import device, require_cuda
-from sarsplat.renderer.passes import Pass
-from sarsplat.renderer.trial import objection
+from sarsplat.renderer.engines import cpu, cuda
+from sarsplat.renderer.engines.cuda_device import device, require_cuda
+from sarsplat.renderer.engines.passes import Pass
+from sarsplat.renderer.engines.trial import objection
 
 Tensors = dict[str, Tensor | None]
 """What is to be rendered, by the names that errors use."""

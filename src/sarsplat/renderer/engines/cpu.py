@@ -14,7 +14,7 @@ import torch
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.renderer.checks import INSTRUCTION_SETS
-from sarsplat.renderer.structs import (
+from sarsplat.renderer.engines.structs import (
     AdamStep,
     Channels,
     Gradients,
@@ -32,7 +32,7 @@ from sarsplat.renderer.structs import (
     check_layouts,
 )
 
-LIBRARY = Path(__file__).with_name("_engine.dll" if sys.platform == "win32" else "_engine.so")
+LIBRARY = Path(__file__).parents[1] / ("_engine.dll" if sys.platform == "win32" else "_engine.so")
 """The compiled engine."""
 
 _TORCH = {"win32": "torch_cpu.dll", "darwin": "libtorch_cpu.dylib"}.get(sys.platform, "libtorch_cpu.so")

@@ -15,9 +15,9 @@ from typing import Protocol
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer import kept
+from sarsplat.renderer.engines import disk_cache
 
-SOURCES = Path(__file__).with_name("csrc")
+SOURCES = Path(__file__).parents[1] / "csrc"
 """The folder of the engine's source."""
 
 MAIN = "kernels.cu"
@@ -71,9 +71,9 @@ def machine_code(architecture: str, compiler: Compiler) -> bytes:
     text = sources()
     key = hashlib.sha256(repr((sorted(text.items()), architecture, compiler.version, _OPTIONS)).encode()).hexdigest()
     name = f"{architecture}-{key[:32]}.cubin"
-    if (code := kept.read(name)) is None:
+    if (code := disk_cache.read(name)) is None:
         code = compiler.compile(text, architecture)
-        kept.write(name, code)
+        disk_cache.write(name, code)
     return code
 
 
