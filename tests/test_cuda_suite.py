@@ -19,7 +19,6 @@ import pytest
 import torch
 
 from programs import ROOT
-from sarsplat.learning import adam, losses
 from sarsplat.renderer.engines import choice, cuda
 from sarsplat.scenes.targets import TARGETS
 from sarsplat.settings.presets import PRESETS
@@ -44,9 +43,6 @@ def emulator(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     engine = choice.Engine("cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True)
     monkeypatch.setitem(choice.ENGINES, "cuda", engine)
     monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))  # so "auto" is not
-    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
-    for used in (adam, losses):
-        monkeypatch.setattr(used, "gpu_of", lambda tensors: emulator)
     choice._fitting.cache_clear()
     yield emulator
     choice._fitting.cache_clear()

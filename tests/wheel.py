@@ -75,7 +75,7 @@ def look_into(wheel: Path) -> None:
     }
     assert engine.startswith(begins), wheel
     assert engine[offset:].startswith(processor), wheel
-    assert {b"sg_render", b"sg_use_torch"} <= set(re.findall(rb"sg_\w+", engine)), wheel
+    assert {b"sg_engine_for", b"sg_use_torch"} <= set(re.findall(rb"sg_\w+", engine)), wheel
     for path in (str(ROOT), tempfile.gettempdir(), str(Path.home())):
         assert path.encode() + os.sep.encode() not in engine, f"{wheel} names {path}"
 

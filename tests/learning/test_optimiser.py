@@ -14,7 +14,7 @@ import torch
 
 from sarsplat import Dataset, Run, preset, reconstruct
 from sarsplat.gaussians import SCATTERINGS, Scattering, register_scattering
-from sarsplat.learning import Trainer, adam
+from sarsplat.learning import Trainer, optimiser
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
 from sarsplat.renderer.engines import cpu, cuda
@@ -116,14 +116,14 @@ def test_no_step_leaves_the_positive_numbers(how: str) -> None:
 def how(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The CPU engine with each instruction set that this processor has, the CUDA engine emulated, and neither."""
     if request.param == "plain":
-        engine = None
+        new_pass = None
     elif request.param == "cuda":
         pytest.importorskip("ziglang", reason="the emulator is compiled with ziglang")
         library = compile_emulator(Path(request.config.cache.mkdir("cuda-emulator")))
-        engine = partial(cuda.adam, Emulator(library))
+        new_pass = partial(cuda.Pass, Emulator(library))
     else:
-        engine = partial(cpu.adam, instruction_set=request.param)
-    monkeypatch.setattr(adam, "engine_for", lambda tensors: engine)
+        new_pass = partial(cpu.Pass, request.param)
+    monkeypatch.setattr(optimiser, "passes_for", lambda *_: new_pass)
     return request.param
 
 
@@ -178,8 +178,9 @@ def test_state_comes_back(how: str) -> None:
 
 
 def test_tables_of_more_columns_than_the_engine_steps_are_left_to_plain_torch() -> None:
-    assert adam.engine_takes([torch.zeros(5, 16), torch.zeros(40), torch.zeros(2, 40, 48)])
-    assert not adam.engine_takes([torch.zeros(5, 3), torch.zeros(5, 48)])
+    for new_pass in (cpu.Pass, partial(cuda.Pass, None)):
+        assert new_pass().has("adam", {"columns": 16})
+        assert not new_pass().has("adam", {"columns": 48})
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from test_cuda_emulated import everything, same_bits
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.learning import device as training_device
-from sarsplat.renderer.engines import choice, cuda, cuda_device, disk_cache, nvrtc, structs, trial
+from sarsplat.renderer.engines import choice, cuda, cuda_device, disk_cache, nvrtc, trial
+from sarsplat.renderer.engines.abi import api
 
 CPU = torch.device("cpu")
 
@@ -111,7 +112,7 @@ def test_a_kernel_runs_on_its_gpu_whichever_is_current(gpu, monkeypatch):
     asked = []
     monkeypatch.setattr(torch.cuda, "device", lambda device: asked.append(device) or nullcontext())
     sums = torch.ones(2)
-    arguments = structs.Loss(1, 1, 2, loss=sums[1:].data_ptr()), ctypes.c_void_p(sums.data_ptr()), ctypes.c_int64(1)
+    arguments = api.loss(1, 1, 2, loss=sums[1:].data_ptr()), ctypes.c_void_p(sums.data_ptr()), ctypes.c_int64(1)
     gpu.launch("sum_loss", 1, 256, *arguments)
     assert asked == []
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 1)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import sys
 import warnings
-from ctypes import POINTER, c_float, c_int32, c_int64, c_void_p
+from collections.abc import Mapping
+from ctypes import byref, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,23 +16,8 @@ import torch
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.renderer.checks import INSTRUCTION_SETS
-from sarsplat.renderer.engines.structs import (
-    AdamStep,
-    Channels,
-    Gradients,
-    Ground,
-    Lattice,
-    Likelihood,
-    Lobes,
-    Loss,
-    Outputs,
-    Problem,
-    Projection,
-    Sections,
-    Statistics,
-    Terrain,
-    check_layouts,
-)
+from sarsplat.renderer.engines.abi import HEADER, api
+from sarsplat.renderer.engines.passes import within
 
 LIBRARY = Path(__file__).parents[1] / ("_engine.dll" if sys.platform == "win32" else "_engine.so")
 """The compiled engine."""
@@ -42,35 +29,8 @@ _FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "cross_se
 FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
 """What a pass can reject, by status code."""
 
-_PROBLEM = (c_void_p, POINTER(Problem))
-_PROJECTION, _CHANNELS, _INDEX = POINTER(Projection), POINTER(Channels), POINTER(c_int64)
-_ARGUMENTS: dict[str, tuple[Any, ...]] = {
-    "create": (c_int32,),
-    "destroy": (c_void_p,),
-    "render": (*_PROBLEM, POINTER(Outputs), _INDEX),
-    "render_backward": (*_PROBLEM, POINTER(Gradients)),
-    "project": (*_PROBLEM, _PROJECTION, _INDEX),
-    "project_backward": (*_PROBLEM, _PROJECTION, POINTER(Gradients)),
-    "attenuate": (*_PROBLEM, _PROJECTION, c_void_p, _INDEX),
-    "attenuate_backward": (*_PROBLEM, c_void_p, c_void_p, _PROJECTION),
-    "splat": (*_PROBLEM, _PROJECTION, _CHANNELS, c_void_p, _INDEX),
-    "splat_backward": (*_PROBLEM, _CHANNELS, c_void_p, _PROJECTION, c_void_p, c_void_p),
-    "get_lattice": (c_void_p, c_int32, POINTER(Lattice)),
-    "trace": (*_PROBLEM, c_int32, c_float, c_void_p, c_void_p),
-    "get_statistics": (*_PROBLEM, POINTER(Statistics)),
-    "amplitude_loss": (c_void_p, POINTER(Loss)),
-    "stack_likelihood": (c_void_p, POINTER(Likelihood)),
-    "pair_sections": (c_void_p, POINTER(Sections)),
-    "pair_sections_backward": (c_void_p, POINTER(Sections)),
-    "normal_lobes": (c_void_p, POINTER(Lobes)),
-    "normal_lobes_backward": (c_void_p, POINTER(Lobes)),
-    "lit_ground": (c_void_p, POINTER(Ground)),
-    "lit_terrain": (c_void_p, POINTER(Terrain)),
-    "adam": (c_int32, POINTER(AdamStep)),
-    "use_torch": (c_void_p,),
-    "supported_isa": (),
-}
-"""Argument types of the engine's functions (csrc/dispatch.cpp), by their names without sg_."""
+LIMITS: dict[str, dict[str, float]] = {"adam": {"columns": 16}, "stack_likelihood": {"passes": 16}}
+"""The largest of some numbers that an operation takes."""
 
 _NO_MEMORY = "there is not enough memory for the rendering; render fewer views at a time or use coarser rays"
 
@@ -82,7 +42,7 @@ def library() -> ctypes.CDLL:
     Raises
     ------
     SarsplatError
-        If it was never built, or does not fit this machine.
+        If it was never built, does not fit this machine, or was built from another csrc/api.h.
     """
     try:
         lib = ctypes.CDLL(str(LIBRARY))
@@ -90,15 +50,12 @@ def library() -> ctypes.CDLL:
         raise SarsplatError(
             f"the CPU engine cannot be loaded ({error}); reinstall with `pip install .`, or use engine='reference'"
         ) from error
-    check_layouts(lib)
-    lib.sg_create.restype, lib.sg_isa_name.restype = c_void_p, ctypes.c_char_p
-    for name, arguments in _ARGUMENTS.items():
-        if not hasattr(lib, f"sg_{name}"):
-            raise SarsplatError(
-                f"the compiled CPU engine has no sg_{name}, which this version of sarsplat calls; reinstall with "
-                "`pip install .`"
-            )
-        getattr(lib, f"sg_{name}").argtypes = arguments
+    if _compiled_with(lib) != hashlib.sha256(HEADER.read_bytes()).hexdigest():
+        raise SarsplatError(
+            "the compiled CPU engine has other structures or functions than this version of sarsplat; reinstall with "
+            "`pip install .`"
+        )
+    lib.sg_engine_for.restype, lib.sg_use_torch.argtypes = ctypes.POINTER(api.engine), [c_void_p]
     pool = torch_pool()
     if pool is None:
         warnings.warn(
@@ -109,6 +66,15 @@ def library() -> ctypes.CDLL:
         )
     lib.sg_use_torch(pool)
     return lib
+
+
+def _compiled_with(lib: ctypes.CDLL) -> str:
+    """The digest of the header that a library was compiled with; "" for one of a time before there were any."""
+    try:
+        lib.sg_api.restype = ctypes.c_char_p
+    except AttributeError:
+        return ""
+    return lib.sg_api().decode()  # type: ignore[no-any-return]
 
 
 def torch_pool() -> c_void_p | None:
@@ -123,7 +89,7 @@ def torch_pool() -> c_void_p | None:
 def instruction_sets() -> list[str]:
     """Those that this processor can run and that were compiled, the widest last."""
     lib = library()
-    return [INSTRUCTION_SETS[isa] for isa in range(1, lib.sg_supported_isa() + 1) if lib.sg_isa_name(isa)]
+    return [INSTRUCTION_SETS[isa] for isa in range(1, lib.sg_supported_isa() + 1) if lib.sg_engine_for(isa)]
 
 
 def best_instruction_set() -> str:
@@ -148,113 +114,80 @@ def _isa(instruction_set: str) -> int:
     )
 
 
-def adam(step: ctypes.Structure, instruction_set: str = "auto") -> None:
-    """One step of Adam on every group, and its values back into their bounds."""
-    library().sg_set_threads(torch.get_num_threads())
-    library().sg_adam(_isa(instruction_set), step)
-
-
-def _require_memory(status: int) -> None:
-    if FAULTS[status] == "memory":
-        raise SarsplatError(_NO_MEMORY)
+@cache
+def _functions(instruction_set: int) -> dict[str, Any]:
+    """What the engine does, by the names in csrc/api.h."""
+    table = library().sg_engine_for(instruction_set).contents
+    return {name: getattr(table, name) for name, _ in table._fields_}
 
 
 class Pass:
     """One forward pass and what its backward pass needs. Memory goes back to a small pool for the next one."""
 
-    _idle: dict[int, list[int]] = {}  # noqa: RUF012 - shared on purpose: handles waiting for reuse, per instruction set
+    _idle: dict[int, list[int]] = {}  # noqa: RUF012 - shared on purpose: memory waiting for reuse, per instruction set
     _keep = 3  # as many as there are steps
 
     def __init__(self, instruction_set: str = "auto") -> None:
         self._isa = _isa(instruction_set)
-        self._library = library()
+        self._library, self._functions = library(), _functions(self._isa)
         idle = self._idle.setdefault(self._isa, [])
-        self._handle = idle.pop() if idle else self._library.sg_create(self._isa)
+        self._context = idle.pop() if idle else self._functions["create"]()
 
     def __del__(self) -> None:
-        handle = getattr(self, "_handle", None)
-        if handle is None:
+        context = getattr(self, "_context", None)
+        if context is None:
             return
         idle = self._idle.setdefault(self._isa, [])
         if len(idle) < self._keep:
-            idle.append(handle)
+            idle.append(context)
         else:
-            self._library.sg_destroy(handle)
+            self._functions["destroy"](context)
 
-    def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
-        """Run; returns what was rejected ("" for nothing) and at which index.
+    def _call(self, function: str, *arguments: object) -> int:
+        """The status of a function of csrc/api.h, on as many threads as torch has.
 
         Raises
         ------
         SarsplatError
             If there is not enough memory, here and below.
         """
-        culprit = c_int64(-1)
         self._library.sg_set_threads(torch.get_num_threads())
-        status = getattr(self._library, f"sg_{step}")(self._handle, problem, *arguments, culprit)
-        _require_memory(status)
-        return FAULTS[status], culprit.value
+        status: int = self._functions[function](self._context, *arguments)
+        if FAULTS[status] == "memory":
+            raise SarsplatError(_NO_MEMORY)
+        return status
+
+    def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
+        """Run; returns what was rejected ("" for nothing) and at which index."""
+        culprit = c_int64(-1)
+        return FAULTS[self._call(step, problem, *arguments, byref(culprit))], culprit.value
 
     def backward(self, step: str, problem: ctypes.Structure, *arguments: object) -> None:
         """Run the adjoint of the last forward call."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        _require_memory(getattr(self._library, f"sg_{step}_backward")(self._handle, problem, *arguments))
+        self._call(f"{step}_backward", problem, *arguments)
 
-    def amplitude_loss(self, loss: ctypes.Structure) -> None:
-        """Fill in the loss and its gradient."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        _require_memory(self._library.sg_amplitude_loss(self._handle, loss))
+    def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
+        """Whether it does an operation of one structure, given the numbers in that."""
+        return operation in self._functions and within(LIMITS.get(operation, {}), numbers)
 
-    def stack_likelihood(self, likelihood: ctypes.Structure) -> None:
-        """Fill in the likelihood and its gradients."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        _require_memory(self._library.sg_stack_likelihood(self._handle, likelihood))
-
-    def pair_sections(self, sections: ctypes.Structure) -> None:
-        """Fill in the cross-sections of pairs, and their slopes."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        self._library.sg_pair_sections(self._handle, sections)
-
-    def pair_sections_backward(self, sections: ctypes.Structure) -> None:
-        """Fill in the gradients."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        self._library.sg_pair_sections_backward(self._handle, sections)
-
-    def normal_lobes(self, lobes: ctypes.Structure) -> None:
-        """Fill in γ⁰ of a law of lobes."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        self._library.sg_normal_lobes(self._handle, lobes)
-
-    def normal_lobes_backward(self, lobes: ctypes.Structure) -> None:
-        """Fill in the gradients."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        self._library.sg_normal_lobes_backward(self._handle, lobes)
-
-    def lit_ground(self, ground: ctypes.Structure) -> None:
-        """Fill in what is lit, or the gradients."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        _require_memory(self._library.sg_lit_ground(self._handle, ground))
-
-    def lit_terrain(self, terrain: ctypes.Structure) -> None:
-        """Fill in what the terrain returns, or the gradients."""
-        self._library.sg_set_threads(torch.get_num_threads())
-        _require_memory(self._library.sg_lit_terrain(self._handle, terrain))
+    def run(self, operation: str, call: ctypes.Structure) -> None:
+        """Fill in what such an operation gives."""
+        self._call(operation, call)
 
     def lattice(self, view: int) -> ctypes.Structure:
         """Where the rays of a view stand."""
-        lattice = Lattice()
-        self._library.sg_get_lattice(self._handle, view, lattice)
-        return lattice
+        lattice = api.lattice()
+        self._functions["lattice"](self._context, view, lattice)
+        return lattice  # type: ignore[no-any-return]
 
     def trace(
         self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
     ) -> None:
         """Fill T_end and, unless None, the first-return range of a view's rays."""
-        status = self._library.sg_trace(self._handle, problem, view, depth, transmittance, first_return)
-        _require_memory(status)
+        self._call("trace", problem, view, depth, transmittance, first_return)
 
     def statistics(self, problem: ctypes.Structure) -> ctypes.Structure:
         """Visited blocks and live lanes of the last forward pass."""
-        statistics = Statistics()
-        self._library.sg_get_statistics(self._handle, problem, statistics)
-        return statistics
+        statistics = api.statistics()
+        self._functions["statistics"](self._context, problem, statistics)
+        return statistics  # type: ignore[no-any-return]

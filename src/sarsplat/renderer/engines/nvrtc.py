@@ -16,9 +16,7 @@ import torch
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines import disk_cache
-
-SOURCES = Path(__file__).parents[1] / "csrc"
-"""The folder of the engine's source."""
+from sarsplat.renderer.engines.abi import SOURCES
 
 MAIN = "kernels.cu"
 """The source that includes all others."""
