@@ -7,6 +7,7 @@ builds the engine of this machine into the source tree; with `--here`, only for 
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import os
 import platform
 import shutil
@@ -118,8 +119,11 @@ def compile_engine(target: Target, library: Path, isas: Iterable[int]) -> None:
             name, width, flags = target.levels[isa - 1]
             jobs.append((name, "engine.cpp", [*flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}"]))
             sets += f"SET({isa}, {name}) "
-        jobs += [("dispatch", "dispatch.cpp", [f"-DSG_SETS={sets}"])]
-        jobs += [(name, f"{name}.cpp", []) for name in ("layout", "parallel")]
+        api = hashlib.sha256((RENDERER / "csrc" / "api.h").read_bytes()).hexdigest()
+        jobs += [
+            ("dispatch", "dispatch.cpp", [f"-DSG_SETS={sets}", f"-DSG_API={api}"]),
+            ("parallel", "parallel.cpp", []),
+        ]
 
         def compile_one(job: tuple[str, str, list[str]]) -> subprocess.CompletedProcess[str]:
             name, source, flags = job

@@ -33,8 +33,8 @@ from rich.console import Console
 from rich.table import Table
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer import cpu
-from sarsplat.renderer.cuda_device import require_cuda
+from sarsplat.renderer.engines import cpu
+from sarsplat.renderer.engines.cuda_device import require_cuda
 
 PARTS: dict[str, tuple[ModuleType, str]] = {
     "determinism": (determinism, "1 s"),

@@ -35,7 +35,7 @@ from work import FLOPS
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
-from sarsplat.renderer.cuda_device import require_cuda
+from sarsplat.renderer.engines.cuda_device import require_cuda
 
 Found = Iterator[tuple[str, Any]]
 
@@ -43,7 +43,7 @@ BUDGET_S = 480.0
 WARM_UP = 20  # steps
 TOOL_S = 60  # of compute-sanitizer
 TINY = (
-    "from sarsplat.renderer import cuda_device, trial; "
+    "from sarsplat.renderer.engines import cuda_device, trial; "
     "raise SystemExit(trial._disagreement(cuda_device.device(0)) or None)"
 )
 

@@ -22,9 +22,10 @@ from scene import Scene
 from torch.profiler import DeviceType, profile
 
 from sarsplat.geometry import ImageGrid, Terrain, View
-from sarsplat.renderer import cuda, render
-from sarsplat.renderer.cuda_device import Device, device
-from sarsplat.renderer.nvrtc import Nvrtc
+from sarsplat.renderer import render
+from sarsplat.renderer.engines import cuda
+from sarsplat.renderer.engines.cuda_device import Device, device
+from sarsplat.renderer.engines.nvrtc import Nvrtc
 
 sys.path.insert(0, str(REPOSITORY / "tests" / "renderer"))  # whose modules need pytest, and are imported when used
 

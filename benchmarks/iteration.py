@@ -16,7 +16,8 @@ from recipes import COUNT, halfway
 
 from sarsplat.learning.losses import amplitude_loss
 from sarsplat.learning.optimiser import Optimiser
-from sarsplat.renderer import channel_of, cpu
+from sarsplat.renderer import channel_of
+from sarsplat.renderer.engines import cpu
 from sarsplat.scenes import paper_grid, paper_views
 from sarsplat.settings.presets import preset
 

@@ -9,7 +9,7 @@ from clock import in_turn, ratio, spread
 from recipes import COUNT, halfway
 from torch import Tensor
 
-from sarsplat.learning.losses import amplitude_loss, plain_amplitude_loss
+from sarsplat.learning.losses import AmplitudeLoss, amplitude_loss
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.settings.presets import preset
 
@@ -22,12 +22,12 @@ def losses(views: int, ssim_weight: float) -> dict[str, Any]:
     power = (torch.rand(views, 128, 128, generator=generator) ** 2).requires_grad_()
     truth = torch.rand(views, 128, 128, generator=generator)
 
-    def gradient(loss: Any) -> Tensor:
-        return torch.autograd.grad(loss(power, truth, 1.0, ssim_weight), power)[0]
+    def gradient(loss: Tensor) -> Tensor:
+        return torch.autograd.grad(loss, power)[0]
 
     programs = {
-        "torch": lambda: gradient(plain_amplitude_loss),
-        "engine": lambda: gradient(amplitude_loss),
+        "torch": lambda: gradient(AmplitudeLoss(1.0, ssim_weight).plain(power, truth)),
+        "engine": lambda: gradient(amplitude_loss(power, truth, 1.0, ssim_weight)),
     }
     theirs, mine = (program() for program in programs.values())
     if not float((mine - theirs).norm() / theirs.norm()) < 1e-4:

@@ -11,7 +11,7 @@ import torch
 from clock import in_turn
 from scene import Scene
 
-from sarsplat.renderer import cpu
+from sarsplat.renderer.engines import cpu
 
 FLOPS = {"attenuation": 25 + 40 + 2 * 15, "imaging": 12 + 25 + 2 * 15}
 """Per lane: forward, backward, and an exponential in each."""

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from fill_block import fill_block
 
-from sarsplat.renderer import nvrtc
-from sarsplat.renderer.nvrtc import Nvrtc, sources
+from sarsplat.renderer.engines import nvrtc
+from sarsplat.renderer.engines.nvrtc import Nvrtc, sources
 
 PAGE = Path(__file__).parent / "concepts" / "engines.md"
 ARCHITECTURES = ("sm_75", "sm_80", "sm_90", "sm_120")

@@ -24,7 +24,7 @@ from programs import ROOT
 
 def pytest_collection() -> None:
     """Before any test is imported; not in a process that only hands them out to others."""
-    from sarsplat.renderer import cpu
+    from sarsplat.renderer.engines import cpu
 
     shapes.watch()
     # `make sanitize` runs the renderer's tests on an engine of its own making

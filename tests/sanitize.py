@@ -6,6 +6,7 @@ wheel, which builds the engine otherwise, has no AddressSanitizer runtime.) Argu
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import shutil
@@ -44,8 +45,11 @@ def main() -> int:
         objects = []
         jobs = [(isa, "engine.cpp", [*more, f"-DSG_ISA={isa}", f"-DSG_WIDTH={n}"]) for isa, (n, more) in LEVELS.items()]
         sets = "".join(f"SET({i}, {isa}) " for i, isa in enumerate(LEVELS, 1))
-        jobs += [("dispatch", "dispatch.cpp", [f"-DSG_SETS={sets}"])]
-        jobs += [(name, f"{name}.cpp", []) for name in ("layout", "parallel")]
+        digest = hashlib.sha256((SOURCES / "api.h").read_bytes()).hexdigest()
+        jobs += [
+            ("dispatch", "dispatch.cpp", [f"-DSG_SETS={sets}", f"-DSG_API={digest}"]),
+            ("parallel", "parallel.cpp", []),
+        ]
         for name, source, more in jobs:
             print(f"compiling {name} under the sanitizers", flush=True)
             objects.append(f"{folder}/{name}.o")

@@ -22,8 +22,7 @@ from emulated_cuda import Emulator
 from torch.profiler import DeviceType
 
 from programs import ROOT
-from sarsplat.learning import adam, losses
-from sarsplat.renderer import cuda, engines
+from sarsplat.renderer.engines import choice, cuda
 from sarsplat.scenes.targets import TARGETS
 from sarsplat.settings.presets import PRESETS
 
@@ -40,15 +39,12 @@ def suite(module: Callable[[str], ModuleType]) -> ModuleType:
 def emulator(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulator]:
     """On the CPU, all that a GPU would do is emulated."""
     emulator = Emulator(library)
-    engine = engines.Engine("cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True)
-    monkeypatch.setitem(engines.ENGINES, "cuda", engine)
-    monkeypatch.setitem(engines.ENGINES, "cpu", replace(engines.ENGINES["cpu"], device_type="none"))  # so "auto" is not
-    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
-    for used in (adam, losses):
-        monkeypatch.setattr(used, "gpu_of", lambda tensors: emulator)
-    engines._fitting.cache_clear()
+    engine = choice.Engine("cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True)
+    monkeypatch.setitem(choice.ENGINES, "cuda", engine)
+    monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))  # so "auto" is not
+    choice._fitting.cache_clear()
     yield emulator
-    engines._fitting.cache_clear()
+    choice._fitting.cache_clear()
 
 
 @pytest.fixture

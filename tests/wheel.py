@@ -32,7 +32,7 @@ MAGIC = {
 IMPORT_EVERYTHING = """
 import importlib, pkgutil, pathlib, sys
 import torch, sarsplat
-from sarsplat.renderer import nvrtc
+from sarsplat.renderer.engines import nvrtc
 assert pathlib.Path(sarsplat.__file__).is_relative_to(sys.prefix), sarsplat.__file__
 for info in pkgutil.walk_packages(sarsplat.__path__, "sarsplat."):
     if not info.name.endswith("._engine"):
@@ -75,7 +75,7 @@ def look_into(wheel: Path) -> None:
     }
     assert engine.startswith(begins), wheel
     assert engine[offset:].startswith(processor), wheel
-    assert {b"sg_render", b"sg_use_torch"} <= set(re.findall(rb"sg_\w+", engine)), wheel
+    assert {b"sg_engine_for", b"sg_use_torch"} <= set(re.findall(rb"sg_\w+", engine)), wheel
     for path in (str(ROOT), tempfile.gettempdir(), str(Path.home())):
         assert path.encode() + os.sep.encode() not in engine, f"{wheel} names {path}"
 

@@ -7,7 +7,6 @@ import re
 import shutil
 import signal
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -424,10 +423,10 @@ def test_info_points_from_a_part_to_the_whole(workshop: Path, part: str, refused
     [("", "agrees with the CPU engine"), ("its images differ", "not used unless asked for by name: its images differ")],
 )
 def test_doctor_names_the_gpu(reason: str, verdict: str, monkeypatch, said) -> None:
-    monkeypatch.setattr("sarsplat.renderer.trial.objection", lambda device: reason)
-    monkeypatch.setattr(import_module("sarsplat.renderer.cuda_device"), "require_cuda", lambda: None)
+    monkeypatch.setattr("sarsplat.renderer.engines.trial.objection", lambda device: reason)
+    monkeypatch.setattr("sarsplat.renderer.engines.cuda_device.require_cuda", lambda: None)
     monkeypatch.setattr("torch.cuda.get_device_name", lambda: "Some GPU")
-    monkeypatch.setattr(import_module("sarsplat.renderer.nvrtc"), "Nvrtc", lambda: SimpleNamespace(version="12.8"))
+    monkeypatch.setattr("sarsplat.renderer.engines.nvrtc.Nvrtc", lambda: SimpleNamespace(version="12.8"))
     told = " ".join(said("doctor").split())
     assert f"Some GPU, compiled at first use by NVRTC 12.8; {verdict}" in told
 

@@ -10,16 +10,15 @@ import torch
 from emulated_cuda import Emulator
 
 from sarsplat.errors import SarsplatError
-from sarsplat.learning import adam, losses
+from sarsplat.learning import losses
 from sarsplat.learning.losses import (
     ImageScale,
     amplitude_loss,
     named_loss,
-    plain_amplitude_loss,
     speckle_loss,
     structural_similarity,
 )
-from sarsplat.renderer import cpu
+from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.settings import preset
 
 AVAILABLE = cpu.instruction_sets()
@@ -41,17 +40,14 @@ def pair(views: int, rows: int, columns: int) -> tuple[torch.Tensor, torch.Tenso
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
 @pytest.mark.parametrize("how", [*AVAILABLE, "cuda", "plain"])
 def test_amplitude_loss_and_its_gradient_are_those_of_float64(shape, weight, how, request, monkeypatch) -> None:
-    if how in ("cuda", "plain"):
-        monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
-        if how == "cuda":
-            emulator = Emulator(request.getfixturevalue("library"))
-            monkeypatch.setattr(losses, "gpu_of", lambda tensors: emulator)
-    else:
-        monkeypatch.setattr(adam.cpu, "Pass", partial(cpu.Pass, how))
+    new_pass = None if how == "plain" else partial(cpu.Pass, how)
+    if how == "cuda":
+        new_pass = partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
+    monkeypatch.setattr(losses, "passes_for", lambda *_: new_pass)
     power, truth = pair(*shape)
     mine, theirs = power.clone().requires_grad_(), power.double().requires_grad_()
     actual = amplitude_loss(mine, truth, 2.0, weight)
-    expected = plain_amplitude_loss(theirs, truth.double(), 2.0, weight)
+    expected = losses.AmplitudeLoss(2.0, weight).plain(theirs, truth.double())
     assert float(actual.detach()) == pytest.approx(float(expected.detach()), rel=1e-5)
     (3.0 * actual).backward()
     (3.0 * expected).backward()

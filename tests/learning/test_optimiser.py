@@ -14,10 +14,10 @@ from emulated_cuda import Emulator
 
 from sarsplat import Dataset, Run, preset, reconstruct
 from sarsplat.gaussians import SCATTERINGS, Scattering, register_scattering
-from sarsplat.learning import Trainer, adam
+from sarsplat.learning import Trainer, optimiser
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
-from sarsplat.renderer import cpu, cuda
+from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.settings import Config
 
 AVAILABLE = cpu.instruction_sets()
@@ -113,12 +113,12 @@ def test_no_step_leaves_the_positive_numbers(how: str) -> None:
 def how(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The CPU engine with each instruction set that this processor has, the CUDA engine emulated, and neither."""
     if request.param == "plain":
-        engine = None
+        new_pass = None
     elif request.param == "cuda":
-        engine = partial(cuda.adam, Emulator(request.getfixturevalue("library")))
+        new_pass = partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
     else:
-        engine = partial(cpu.adam, instruction_set=request.param)
-    monkeypatch.setattr(adam, "engine_for", lambda tensors: engine)
+        new_pass = partial(cpu.Pass, request.param)
+    monkeypatch.setattr(optimiser, "passes_for", lambda *_: new_pass)
     return request.param
 
 
@@ -173,8 +173,9 @@ def test_state_comes_back(how: str) -> None:
 
 
 def test_tables_of_more_columns_than_the_engine_steps_are_left_to_plain_torch() -> None:
-    assert adam.engine_takes([torch.zeros(5, 16), torch.zeros(40), torch.zeros(2, 40, 48)])
-    assert not adam.engine_takes([torch.zeros(5, 3), torch.zeros(5, 48)])
+    for new_pass in (cpu.Pass, partial(cuda.Pass, None)):
+        assert new_pass().has("adam", {"columns": 16})
+        assert not new_pass().has("adam", {"columns": 48})
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.learning import Trainer, adam, losses, model
+from sarsplat.learning import Trainer, losses, model, optimiser
 from sarsplat.learning.dropout import dropped, share_dropped
 from sarsplat.renderer import Rendering
+from sarsplat.renderer.engines import cuda
 from sarsplat.runs import Step
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, Relocation
@@ -164,9 +165,8 @@ def use_emulated(library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Train as on a GPU, whose kernels are emulated."""
     emulator = Emulator(library)
     monkeypatch.setattr(model, "render", partial(render_on, emulator))
-    monkeypatch.setattr(adam, "engine_takes", lambda tensors: False)
-    for module in (adam, losses):
-        monkeypatch.setattr(module, "gpu_of", lambda tensors: emulator)
+    for module in (losses, optimiser):
+        monkeypatch.setattr(module, "passes_for", lambda *_: partial(cuda.Pass, emulator))
 
 
 def train(dataset: Dataset, config: Config, steps: int) -> tuple[Tensor, Trainer]:

@@ -19,7 +19,8 @@ import torch
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import Bounds, Rendering, cuda, nvrtc
+from sarsplat.renderer import Bounds, Rendering
+from sarsplat.renderer.engines import cuda, nvrtc
 from sarsplat.renderer.operations import render_with
 
 HERE = Path(__file__).with_name("emulator")
@@ -83,7 +84,7 @@ def without_barrier(library: Path, file: str, which: int) -> Iterator[None]:
 
 
 class Emulator:
-    """A launcher, as `sarsplat.renderer.cuda` wants it, whose device is the CPU."""
+    """A launcher, as `sarsplat.renderer.engines.cuda` wants it, whose device is the CPU."""
 
     device = torch.device("cpu")
 

@@ -13,7 +13,8 @@ from named_scenes import MATRIX, Scene, cloud, with_scales
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import radar_frame
-from sarsplat.renderer import cpu, reference, render
+from sarsplat.renderer import reference, render
+from sarsplat.renderer.engines import cpu
 from sarsplat.renderer.reference import render_reference
 
 AVAILABLE = cpu.instruction_sets()
@@ -108,7 +109,7 @@ def test_no_pair_lies_on_a_cut(name, monkeypatch):
 
 def test_forced_instruction_sets_differ_in_width():
     """Otherwise the matrix would test one build three times."""
-    named = [cpu.library().sg_isa_name(cpu.INSTRUCTION_SETS.index(name)).decode() for name in AVAILABLE]
+    named = [cpu._functions(cpu.INSTRUCTION_SETS.index(name))["name"].decode() for name in AVAILABLE]
     assert named == AVAILABLE
 
 

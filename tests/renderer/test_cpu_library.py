@@ -8,8 +8,8 @@ import torch
 from sarsplat.cli import main
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.renderer import cpu, render
-from sarsplat.renderer.structs import AdamStep
+from sarsplat.renderer import render
+from sarsplat.renderer.engines import cpu
 from upright import upright
 
 GAUSSIANS = upright([1.0, 1.0, 1.0])
@@ -52,9 +52,17 @@ def test_without_the_library_the_reference_still_renders(reload, tmp_path, capsy
     assert "the CPU engine cannot be loaded" in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_library_of_other_sources(reload):
-    reload.setitem(cpu._ARGUMENTS, "of_tomorrow", ())
-    with pytest.raises(SarsplatError, match=r"no sg_of_tomorrow, which this version .* reinstall with `pip"):
+def test_a_library_of_other_sources(reload, tmp_path):
+    other = tmp_path / "api.h"
+    other.write_bytes(cpu.HEADER.read_bytes() + b"\n")
+    reload.setattr(cpu, "HEADER", other)
+    with pytest.raises(SarsplatError, match=r"other structures or functions than this version .* reinstall with `pip"):
+        render(GAUSSIANS, VIEWS, GRID, engine="cpu")
+
+
+def test_a_library_of_a_time_before_there_was_a_digest(reload):
+    reload.setattr(cpu, "LIBRARY", cpu.torch.__file__.replace("__init__.py", "lib/libc10.so"))
+    with pytest.raises(SarsplatError, match="other structures or functions than this version"):
         render(GAUSSIANS, VIEWS, GRID, engine="cpu")
 
 
@@ -65,8 +73,8 @@ class Partial:
         self._engine, self._compiled = cpu.library(), compiled
         self.sg_supported_isa = lambda: supported
 
-    def sg_isa_name(self, isa: int) -> bytes | None:
-        return b"a name" if isa in self._compiled else None
+    def sg_engine_for(self, isa: int) -> object:
+        return isa in self._compiled
 
     def __getattr__(self, name: str):
         return getattr(self._engine, name)
@@ -93,7 +101,7 @@ def test_an_instruction_set_that_is_not_there(monkeypatch, supported, compiled, 
     with pytest.raises(SarsplatError, match=refused):
         render(GAUSSIANS, VIEWS, GRID, engine="cpu", instruction_set=asked)
     with pytest.raises(SarsplatError, match=refused):
-        cpu.adam(AdamStep(), asked)
+        cpu.Pass(asked)
 
 
 def test_the_widest_instruction_set_that_is_there_is_used(monkeypatch):

@@ -21,7 +21,8 @@ from test_cuda_emulated import everything, same_bits
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.learning import device as training_device
-from sarsplat.renderer import cuda, cuda_device, engines, kept, nvrtc, structs, trial
+from sarsplat.renderer.engines import choice, cuda, cuda_device, disk_cache, nvrtc, trial
+from sarsplat.renderer.engines.abi import api
 
 CPU = torch.device("cpu")
 
@@ -42,7 +43,7 @@ class FakeCompiler:
 @pytest.fixture
 def cache_folder(tmp_path, monkeypatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    kept._warn.cache_clear()
+    disk_cache._warn.cache_clear()
     return tmp_path / "sarsplat"
 
 
@@ -111,7 +112,7 @@ def test_a_kernel_runs_on_its_gpu_whichever_is_current(gpu, monkeypatch):
     asked = []
     monkeypatch.setattr(torch.cuda, "device", lambda device: asked.append(device) or nullcontext())
     sums = torch.ones(2)
-    arguments = structs.Loss(1, 1, 2, loss=sums[1:].data_ptr()), ctypes.c_void_p(sums.data_ptr()), ctypes.c_int64(1)
+    arguments = api.loss(1, 1, 2, loss=sums[1:].data_ptr()), ctypes.c_void_p(sums.data_ptr()), ctypes.c_int64(1)
     gpu.launch("sum_loss", 1, 256, *arguments)
     assert asked == []
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 1)
@@ -130,7 +131,7 @@ def test_the_driver_refuses(gpu, monkeypatch):
 
 # ---- what "auto" asks for -------------------------------------------------------------------------------------------
 def _forget() -> None:
-    for function in (trial.objection, engines._fitting, training_device._automatic):
+    for function in (trial.objection, choice._fitting, training_device._automatic):
         function.cache_clear()
 
 
@@ -175,13 +176,13 @@ ON_GPU = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 0))
 def test_auto_takes_a_gpu_that_agrees_and_says_so_once(passed, caplog):
     assert passed() == ""
     with caplog.at_level(logging.INFO, "sarsplat"):
-        assert [engines.chosen_engine("auto", ON_GPU) for _ in range(2)] == ["cuda", "cuda"]
+        assert [choice.chosen_engine("auto", ON_GPU) for _ in range(2)] == ["cuda", "cuda"]
     assert caplog.messages == ["engine='auto' is 'cuda' for torch.float32 on cuda:0"]
     assert training_device.device_named("auto") == ON_GPU.device
     elsewhere = SimpleNamespace(dtype=torch.float32, device=torch.device("mps"))
-    assert engines.chosen_engine("auto", elsewhere) == "reference"
+    assert choice.chosen_engine("auto", elsewhere) == "reference"
     double = SimpleNamespace(dtype=torch.float64, device=ON_GPU.device)
-    assert engines.chosen_engine("auto", double) == "reference"
+    assert choice.chosen_engine("auto", double) == "reference"
 
 
 def test_the_verdict_is_kept_until_something_changes(passed, monkeypatch, tmp_path):
@@ -219,10 +220,10 @@ def test_a_wrong_kernel_means_one_warning_and_the_cpu(trials, monkeypatch):
         assert [training_device.device_named("auto") for _ in range(3)] == [CPU] * 3
     assert len(told) == 1
     assert training_device.device_named("cuda") == ON_GPU.device
-    assert engines.chosen_engine("cuda", ON_GPU) == "cuda"
+    assert choice.chosen_engine("cuda", ON_GPU) == "cuda"
     message = r"engine='auto' does not use the cuda engine on cuda:0: its images .*; move the tensors to the CPU, or"
     with pytest.raises(SarsplatError, match=message):
-        engines.chosen_engine("auto", ON_GPU)
+        choice.chosen_engine("auto", ON_GPU)
 
 
 def test_a_gpu_that_fails_is_not_asked_again(trials, monkeypatch):

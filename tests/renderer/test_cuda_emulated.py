@@ -14,8 +14,9 @@ from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import check, judged, loss_of, outputs_of, relative
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer import Bounds, cuda, cuda_device, nvrtc, render
+from sarsplat.renderer import Bounds, render
 from sarsplat.renderer.checks import check_for_cuda
+from sarsplat.renderer.engines import cuda, cuda_device, nvrtc
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,8 @@ from named_scenes import MATRIX, Scene, cloud
 from test_cpu_engine import check, judged, loss_of, outputs_of
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer import nvrtc, render
+from sarsplat.renderer import render
+from sarsplat.renderer.engines import nvrtc
 
 HERE = Path(__file__).parent
 DOCS = HERE.parents[1] / "docs"

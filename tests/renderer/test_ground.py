@@ -15,7 +15,9 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.geometry.shown import ground_radius_m
-from sarsplat.renderer import cpu, render
+from sarsplat.renderer import render
+from sarsplat.renderer.engines import cpu
+from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.ground import free_plane
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from terrains import slope
@@ -44,7 +46,9 @@ def lit(
     height_m: float = 0.0,
     shift: torch.Tensor | None = None,
 ) -> torch.Tensor:
-    return lit_ground(replace(ends, transmittance=ends.transmittance.to(dtype)), [view], WIDE, rays, height_m, shift)[0]
+    ends = replace(ends, transmittance=ends.transmittance.to(dtype))
+    new_pass = passes_for("auto", {"transmittance": ends.transmittance})
+    return lit_ground(ends, [view], WIDE, rays, height_m, shift, new_pass)[0]
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

@@ -11,8 +11,9 @@ import torch
 from emulated_cuda import Emulator
 
 from sarsplat import Gaussians, NormalLobes, SarsplatError, View
-from sarsplat.renderer import cpu, cuda, lobes
-from sarsplat.renderer.problem import directions_to
+from sarsplat.renderer import lobes
+from sarsplat.renderer.engines import cpu, cuda
+from sarsplat.renderer.engines.problem import directions_to
 
 VIEWS = [View(20.0 * k, 5.0 + 9.0 * k) for k in range(9)]
 
@@ -95,7 +96,7 @@ def test_edge_on(amplitudes_towards: Towards) -> None:
 def test_the_engine_itself_does_it(amplitudes_towards: Towards) -> None:
     """Not the law, in torch, which takes several times as long."""
     made = amplitudes_towards(gaussians(5), VIEWS)
-    assert "_Engine" in type(made.grad_fn).__name__
+    assert "_Call" in type(made.grad_fn).__name__
     assert "_Engine" not in type(amplitudes_towards(double(gaussians(5)), VIEWS).grad_fn).__name__
 
 

@@ -12,7 +12,8 @@ from named_scenes import Scene, cloud
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE
-from sarsplat.renderer import cpu, render
+from sarsplat.renderer import render
+from sarsplat.renderer.engines import cpu
 
 ENGINES = [("cpu", name) for name in cpu.instruction_sets()] + [("reference", "auto")]
 TINY, MIN_NORMAL, LARGEST = 1e-45, 1.1754944e-38, 3.4028234e38

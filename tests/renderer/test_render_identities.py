@@ -14,8 +14,9 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import covariance, rotation_matrix
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.renderer import Rendering, cpu
+from sarsplat.renderer import Rendering
 from sarsplat.renderer import render as render_with
+from sarsplat.renderer.engines import cpu
 
 ENGINES = [f"cpu {name}" for name in cpu.instruction_sets()] + ["reference auto"]
 DTYPE = {name: torch.float64 if name == "reference auto" else torch.float32 for name in ENGINES}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -21,7 +20,8 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid
-from sarsplat.renderer import Footprints, Waves, attenuate, cpu, cuda, project, render, splat, structs
+from sarsplat.renderer import Footprints, Waves, attenuate, project, render, splat
+from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
@@ -383,31 +383,3 @@ def test_tensors_changed_before_backward():
         g.scales.mul_(2.0)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         p.rays.roots.sum().backward()
-
-
-# ---- the structures that Python and the engine share -----------------------------------------------------------------
-_LONG, _SHORT = ctypes.c_int64, ctypes.c_int32
-
-
-@pytest.mark.parametrize(
-    "fields",
-    [
-        [("k0x", _LONG), ("k0y", _LONG), ("rows", _SHORT), ("columns", _LONG)],
-        [("columns", _SHORT), ("rows", _SHORT), ("k0x", _LONG), ("k0y", _LONG)],
-        [("k0x", _LONG), ("k0y", _LONG), ("rows_and_columns", _LONG)],
-        [("k0x", _LONG), ("k0y", _LONG), ("rows", _SHORT), ("columns", _SHORT), ("more", _LONG)],
-    ],
-)
-def test_a_structure_that_is_not_the_engines(fields):
-    structs.check_layouts(cpu.library())
-    wrong = type("sg_lattice", (ctypes.Structure,), {"_fields_": fields})
-    with pytest.raises(
-        SarsplatError, match="has another layout of sg_lattice than this version of sarsplat; reinstall"
-    ):
-        structs.check_layouts(cpu.library(), [structs.Problem, wrong])
-
-
-def test_a_structure_that_the_engine_does_not_know():
-    unknown = type("sg_nothing", (ctypes.Structure,), {"_fields_": [("x", ctypes.c_int32)]})
-    with pytest.raises(SarsplatError, match="another layout of sg_nothing"):
-        structs.check_layouts(cpu.library(), [unknown])

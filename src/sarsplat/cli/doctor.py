@@ -32,7 +32,7 @@ def _core() -> dict[str, str]:
 def _cpu_engine() -> str:
     import torch
 
-    from sarsplat.renderer.cpu import best_instruction_set, torch_pool
+    from sarsplat.renderer.engines.cpu import best_instruction_set, torch_pool
 
     try:
         loaded = f"loaded, instruction set {best_instruction_set()}"
@@ -46,9 +46,9 @@ def _cpu_engine() -> str:
 def _cuda_engine() -> str:
     import torch
 
-    from sarsplat.renderer.cuda_device import require_cuda
-    from sarsplat.renderer.nvrtc import Nvrtc
-    from sarsplat.renderer.trial import objection
+    from sarsplat.renderer.engines.cuda_device import require_cuda
+    from sarsplat.renderer.engines.nvrtc import Nvrtc
+    from sarsplat.renderer.engines.trial import objection
 
     try:
         require_cuda()

@@ -3,44 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from ctypes import Structure
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sarsplat.renderer import cpu, cuda, structs
-from sarsplat.renderer.cuda_device import gpu_of
+from sarsplat.renderer.engines.abi import filled
+from sarsplat.renderer.engines.passes import NewPass
 
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
 
 _LARGEST_FACTOR = 2.0**99
 """By which one step may change a positive parameter: its bounds are reached, and float32 is not left."""
-
-
-_MAX_COLUMNS = len(structs.AdamGroup().rate)
-
-
-def engine_takes(tensors: Iterable[Tensor]) -> bool:
-    """Whether the CPU engine can step these parameters: float32 on the CPU, tables of at most 16 columns."""
-    own = list(tensors)
-    return _engines_compute(own) and all(tensor.is_cpu for tensor in own)
-
-
-def engine_for(tensors: Sequence[Tensor]) -> Callable[[Structure], None] | None:
-    """The engine that can step these parameters, or None for plain torch."""
-    if engine_takes(tensors):
-        return cpu.adam
-    gpu = gpu_of(tensors) if _engines_compute(tensors) else None
-    return None if gpu is None else partial(cuda.adam, gpu)
-
-
-def _engines_compute(tensors: Iterable[Tensor]) -> bool:
-    """Whether all are float32 and have at most 16 columns, as the engines require."""
-    return all(t.dtype == torch.float32 and (t.ndim != 2 or t.shape[1] <= _MAX_COLUMNS) for t in tensors)
 
 
 @dataclass(frozen=True)
@@ -75,26 +53,38 @@ def step(tensors: Sequence[Stepped], gradients: Sequence[Tensor], decays: Sequen
 
 
 class EngineAdam:
-    """`step` on parameters of at most 16 columns, whose memory an engine writes in place: `engine_for` theirs."""
+    """`step` on parameters whose memory an engine writes in place."""
 
-    def __init__(self, engine: Callable[[Structure], None], tensors: Sequence[Stepped]) -> None:
-        self._engine, self._tensors = engine, tensors  # kept alive: the engine has their addresses only
-        self._groups = (structs.AdamGroup * len(tensors))()
-        for group, tensor in zip(self._groups, tensors):
-            group.value, group.mean, group.square = (t.data_ptr() for t in (tensor.value, tensor.mean, tensor.square))
-            columns = len(tensor.rates)
-            group.rows, group.columns = len(tensor.value), columns
-            group.logarithmic = tensor.logarithmic
-            group.rate[:columns], group.low[:columns], group.high[:columns] = (
-                numbers.tolist() for numbers in (tensor.rates, tensor.low, tensor.high)
-            )
+    def __init__(self, new_pass: NewPass, tensors: Sequence[Stepped]) -> None:
+        self._new_pass, self._tensors = new_pass, tensors  # kept alive: the engine has their addresses only
+        constants = {"count": len(tensors), "beta1": BETA1, "beta2": BETA2, "epsilon": EPSILON}
+        self._call = filled("adam", constants | {"groups": [_group(tensor) for tensor in tensors]})
+        self._groups = self._call.groups[: len(tensors)]
 
     def step(self, gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
         """As the function `step`."""
         gradients = [gradient.contiguous() for gradient in gradients]  # kept alive until the call is over
         for group, gradient, decay in zip(self._groups, gradients, decays, strict=True):
             group.gradient, group.decay = gradient.data_ptr(), decay
-        powers = BETA1**count, BETA2**count
-        self._engine(structs.AdamStep(self._groups, len(self._groups), BETA1, BETA2, EPSILON, *powers))
+        self._call.beta1_power, self._call.beta2_power = BETA1**count, BETA2**count
+        self._new_pass().run("adam", self._call)
         # the engine wrote behind torch's back: whoever kept the old values for a backward pass is notified
         torch.autograd.graph.increment_version([tensor.value for tensor in self._tensors])
+
+
+def _group(tensor: Stepped) -> dict[str, Any]:
+    """A parameter for an engine."""
+    ranges = {"rate": tensor.rates, "low": tensor.low, "high": tensor.high}
+    return {
+        **{"value": tensor.value, "mean": tensor.mean, "square": tensor.square, "logarithmic": tensor.logarithmic},
+        **{"rows": len(tensor.value), "columns": len(tensor.rates)},
+        **{name: tuple(numbers.tolist()) for name, numbers in ranges.items()},
+    }
+
+
+def stepper(new_pass: NewPass | None, tensors: Sequence[Stepped]) -> Callable[..., None]:
+    """`step` of these parameters, by an engine's passes if it steps tables of as many columns."""
+    columns = max(len(tensor.rates) for tensor in tensors)
+    if new_pass is None or not new_pass().has("adam", {"columns": columns}):
+        return partial(step, tensors)
+    return EngineAdam(new_pass, tensors).step

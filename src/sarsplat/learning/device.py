@@ -8,8 +8,8 @@ from functools import cache
 import torch
 
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
-from sarsplat.renderer.cuda_device import require_cuda
-from sarsplat.renderer.trial import objection
+from sarsplat.renderer.engines.cuda_device import require_cuda
+from sarsplat.renderer.engines.trial import objection
 
 
 def device_named(name: str) -> torch.device:

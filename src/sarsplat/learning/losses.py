@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from ctypes import Structure
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -17,10 +16,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError, advised, shown
-from sarsplat.learning import adam
-from sarsplat.renderer import cpu, cuda, structs
-from sarsplat.renderer.cuda_device import gpu_of
-from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.engines.operation import Operation
 from sarsplat.settings.config import Config
 
 Loss = Callable[[Tensor, Tensor], Tensor]
@@ -39,6 +36,7 @@ C1, C2 = 0.01**2, 0.03**2
 
 _OFFSETS = torch.arange(SSIM_WINDOW, dtype=torch.float64, device="cpu") - SSIM_WINDOW // 2
 _WINDOW = torch.softmax(-(_OFFSETS**2) / (2 * SSIM_STD**2), dim=0)
+_WEIGHTS = _WINDOW.float()
 
 
 def amplitude_loss(
@@ -49,7 +47,7 @@ def amplitude_loss(
 ) -> Float[Tensor, ""]:
     """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude, √(power / reference² + ε²) − ε.
 
-    float32 on the CPU is one call of the engine, anything else plain torch.
+    float32 is one call of the device's engine where that has it, anything else plain torch.
 
     Parameters
     ----------
@@ -77,55 +75,37 @@ def amplitude_loss(
             f"SSIM needs images of at least {SSIM_WINDOW} × {SSIM_WINDOW} pixels, and these have "
             f"{power.shape[1]} × {power.shape[2]}; use larger ones or a preset without SSIM"
         )
-    numbers = reference, FLOOR, ssim_weight, C1, C2
-    if adam.engine_takes((power, truth)):
-        return EngineAmplitudeLoss.apply(cpu.Pass().amplitude_loss, power, truth, _WINDOW.float(), *numbers)
-    if ssim_weight == 0 and (gpu := gpu_of((power, truth))) is not None:
-        return EngineAmplitudeLoss.apply(partial(cuda.amplitude_loss, gpu), power, truth, None, *numbers)
-    return plain_amplitude_loss(power, truth, reference, ssim_weight)
+    new_pass = passes_for("auto", {"power": power, "truth": truth})
+    return AmplitudeLoss(reference, ssim_weight).on(new_pass, power, truth)
 
 
-class EngineAmplitudeLoss(torch.autograd.Function):
-    """`plain_amplitude_loss`, value and gradient in one go; differentiable once, with respect to `power`."""
+class AmplitudeLoss(Operation):
+    """`amplitude_loss`: on engines, value and gradient in one go; differentiable with respect to `power`."""
 
-    @staticmethod
-    def forward(
-        ctx: Any,
-        engine: Callable[[Structure], None],
-        power: Tensor,
-        truth: Tensor,
-        window: Tensor | None,
-        *numbers: float,
-    ) -> Tensor:
-        """Inputs: both images, SSIM's window, and the numbers reference, floor, λ, C1, C2."""
-        power, truth = power.contiguous(), truth.contiguous()
-        value, gradient = power.new_empty(()), torch.empty_like(power)
-        pointers = (None if tensor is None else tensor.data_ptr() for tensor in (power, truth, window))
-        engine(structs.Loss(*power.shape, *pointers, *numbers, value.data_ptr(), gradient.data_ptr()))
-        ctx.save_for_backward(gradient)
-        return value
+    operation = "amplitude_loss"
+    names = ("power", "truth")
+    at_once = True
 
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
-        """Only `power` has a gradient."""
-        (gradient,) = ctx.saved_tensors
-        return None, gradient * slope, *[None] * 7
+    def __init__(self, reference: float, ssim_weight: float) -> None:
+        self.reference, self.ssim_weight = reference, ssim_weight
 
+    def plain(
+        self, power: Float[Tensor, "v rows columns"], truth: Float[Tensor, "v rows columns"]
+    ) -> Float[Tensor, ""]:
+        rendered = (power / self.reference**2 + FLOOR**2).sqrt() - FLOOR
+        true = truth.sqrt() / self.reference
+        absolute = _mean((rendered - true).abs())
+        if self.ssim_weight == 0:
+            return absolute
+        return (1 - self.ssim_weight) * absolute + self.ssim_weight * (1 - structural_similarity(rendered, true))
 
-def plain_amplitude_loss(
-    power: Float[Tensor, "v rows columns"],
-    truth: Float[Tensor, "v rows columns"],
-    reference: float,
-    ssim_weight: float,
-) -> Float[Tensor, ""]:
-    """`amplitude_loss` in plain torch, for any device and floating dtype."""
-    rendered = (power / reference**2 + FLOOR**2).sqrt() - FLOOR
-    true = truth.sqrt() / reference
-    absolute = _mean((rendered - true).abs())
-    if ssim_weight == 0:
-        return absolute
-    return (1 - ssim_weight) * absolute + ssim_weight * (1 - structural_similarity(rendered, true))
+    def numbers(self, power: Tensor, truth: Tensor) -> dict[str, Any]:
+        sizes = dict(zip(("views", "rows", "columns"), power.shape, strict=True))
+        similarity = {"window": _WEIGHTS, "ssim_weight": self.ssim_weight, "c1": C1, "c2": C2}
+        return {**sizes, **similarity, "reference": self.reference, "floor": FLOOR}
+
+    def outputs(self, power: Tensor, truth: Tensor) -> dict[str, Tensor]:
+        return {"loss": power.new_empty(())}
 
 
 def structural_similarity(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -11,6 +10,7 @@ from torch import Tensor
 
 from sarsplat.learning import adam
 from sarsplat.learning.parts.part import Learned
+from sarsplat.renderer.engines.choice import passes_for
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
@@ -72,8 +72,7 @@ class Optimiser:
         """One update, with the rates of this iteration; gradients are cleared."""
         if self._adam is None:
             tensors = [self._stepped(name, tensor) for name, tensor in self._parameters.items()]
-            engine = adam.engine_for(list(self._parameters.values()))
-            self._adam = partial(adam.step, tensors) if engine is None else adam.EngineAdam(engine, tensors).step
+            self._adam = adam.stepper(passes_for("auto", self._parameters), tensors)
         self._steps += 1
         gradients = []
         for name, tensor in self._parameters.items():

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Complex, Float, Float32, Int64
+from jaxtyping import Complex, Float
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from sarsplat.learning import adam
 from sarsplat.learning.stack_loss import covariance_nats, refuse_failed
-from sarsplat.renderer import cpu, structs
-from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.planes import Planes
-
-_MOST_CHANNELS = 16
-"""That the engine takes."""
 
 
 @dataclass(frozen=True)
@@ -80,60 +75,41 @@ def windowed_nats(
 
     Noise is added afterwards. float32 on the CPU is one call of the engine, anything else plain torch.
     """
-    planes, count = expected.planes, level.shape[1]
+    planes = expected.planes
     assert expected.noise is not None
-    if count <= _MOST_CHANNELS and adam.engine_takes((planes.powers, samples)):
-        phases = level - planes.turns[..., None]
-        if expected.phases is not None:
-            phases = phases - expected.phases
-        nats: Float[Tensor, ""] = _EngineNats.apply(
-            planes.powers,
-            planes.pairs,
-            phases,
-            expected.noise,
-            samples,
-            torch.tensor(planes.of_channels, dtype=torch.int32),
-            torch.tensor(planes.of_pairs, dtype=torch.int32),
-            window // 2,
-        )
-        return nats
-    mean = windowed(planes.whole(expected.phases), level, window)
-    noise = torch.diag_embed(expected.noise).to(mean.dtype)[..., None, None]
-    return covariance_nats(mean + noise, unpacked(samples, count))
+    phases = level - planes.turns[..., None]
+    if expected.phases is not None:
+        phases = phases - expected.phases
+    of = (torch.tensor(own, dtype=torch.int32) for own in (planes.of_channels, planes.of_pairs))
+    inputs = planes.powers, planes.pairs, phases, expected.noise, samples, *of
+    new_pass = passes_for("auto", {"powers": planes.powers, "samples": samples})
+    nats, failed = StackNats(expected, level, window).on(new_pass, *inputs)
+    refuse_failed(int(failed))
+    return nats
 
 
-class _EngineNats(torch.autograd.Function):
-    """The likelihood and its gradients in one go; differentiable once, with respect to all but samples."""
+class StackNats(Operation):
+    """`windowed_nats` and how many covariances have none; on engines, value and gradients in one go."""
 
-    @staticmethod
-    def forward(
-        ctx: Any,
-        powers: Float32[Tensor, "v k rows columns"],
-        pairs: Float32[Tensor, "v d rows columns"],
-        phases: Float32[Tensor, "v p rows columns"],
-        noise: Float32[Tensor, "v p"],
-        samples: Float32[Tensor, "v q rows columns"],
-        of_channels: Tensor,
-        of_pairs: Tensor,
-        reach: int,
-    ) -> Float[Tensor, ""]:
-        inputs = [tensor.contiguous() for tensor in (powers, pairs, phases, noise)]
-        learned = [
-            torch.empty_like(tensor) if k != 2 or ctx.needs_input_grad[2] else None for k, tensor in enumerate(inputs)
-        ]
-        samples, value = samples.contiguous(), powers.new_empty(())
-        failed: Int64[Tensor, ""] = torch.zeros((), dtype=torch.int64)
-        (v, k, rows, columns), d, p = powers.shape, pairs.shape[1] // 2, phases.shape[1]
-        pointers = (
-            None if tensor is None else tensor.data_ptr()
-            for tensor in (*inputs[:2], of_channels, of_pairs, *inputs[2:], samples, value, *learned, failed)
-        )
-        cpu.Pass().stack_likelihood(structs.Likelihood(v, rows, columns, p, k, d, reach, *pointers))
-        refuse_failed(int(failed))
-        ctx.save_for_backward(*learned)
-        return value
+    operation = "stack_likelihood"
+    names = ("power", "pair", "phases", "noise", "truth", "of_channels", "of_pairs")
+    optional = ("phases",)
+    at_once = True
+    constant = (1,)
 
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
-        return *(None if of is None else of * slope for of in ctx.saved_tensors), None, None, None, None
+    def __init__(self, expected: ExpectedStacks, level: Float[Tensor, "v p rows columns"], window: int) -> None:
+        self.expected, self.level, self.window = expected, level, window
+
+    def plain(self, *inputs: Tensor) -> tuple[Float[Tensor, ""], int]:
+        (*_, noise, samples, _, _), expected = inputs, self.expected
+        mean = windowed(expected.planes.whole(expected.phases), self.level, self.window)
+        floor = torch.diag_embed(noise).to(mean.dtype)[..., None, None]
+        return covariance_nats(mean + floor, unpacked(samples, self.level.shape[1])), 0
+
+    def numbers(self, power: Tensor, pair: Tensor, phases: Tensor, *_: Tensor) -> dict[str, int]:
+        names = ("views", "powers", "rows", "columns")
+        sizes = dict(zip(names, power.shape, strict=True))
+        return sizes | {"passes": phases.shape[1], "pairs": pair.shape[1] // 2, "reach": self.window // 2}
+
+    def outputs(self, power: Tensor, *_: Tensor) -> dict[str, Tensor]:
+        return {"loss": power.new_empty(()), "failed": torch.zeros((), dtype=torch.int64)}

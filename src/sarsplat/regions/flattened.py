@@ -11,6 +11,7 @@ from scipy.ndimage import map_coordinates
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.renderer.lit_terrain import lit_terrain
 
@@ -36,7 +37,8 @@ def _levelled(
 ) -> Float32[np.ndarray, "rows columns"]:
     look = view.look
     bare = RayEnds(torch.empty(0), [(0, 0)], [(0.0, 0.0)])
-    free = lit_terrain(bare, [view], grid, RayGrid.for_image(grid), terrain, torch.ones(1, 1, 1), 1.0, None)[0].numpy()
+    rays, new_pass = RayGrid.for_image(grid), passes_for("auto", {"transmittance": bare.transmittance})
+    free = lit_terrain(bare, [view], grid, rays, terrain, torch.ones(1, 1, 1), 1.0, None, new_pass)[0].numpy()
     share = look.gamma0_of_beta0(free)
     known = share > _DIMMEST
     flat = np.where(known, power / np.where(known, share, 1.0), np.median(power[known]) if known.any() else 0.0)

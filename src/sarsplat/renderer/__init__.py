@@ -15,10 +15,10 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
-from sarsplat.renderer.bounds import Bounds
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances
-from sarsplat.renderer.engines import ENGINES, chosen_engine
+from sarsplat.renderer.engines.bounds import Bounds
+from sarsplat.renderer.engines.choice import ENGINES, chosen_engine, passes_for
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.ground import above, check_ground, ground_values
 from sarsplat.renderer.operations import render_with
@@ -152,8 +152,7 @@ def render(
         "ground": ground,
         "first_return_depth": first_return_depth,
     }
-    if engine in ENGINES:
-        new_pass = ENGINES[engine].prepare(tensors, grid, instruction_set)
+    if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
         if bounds is not None and ENGINES[engine].takes_bounds:
             if bounds.broken.device != gaussians.means.device:
                 raise SarsplatError(

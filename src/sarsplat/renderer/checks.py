@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -115,7 +115,7 @@ def check_options(
         raise SarsplatError(f"first_return_depth {first_return_depth} must be a positive two-way optical depth")
 
 
-def check_for_cpu(grid: ImageGrid | None, tensors: dict[str, Tensor | None]) -> None:
+def check_for_cpu(grid: ImageGrid | None, tensors: Mapping[str, Tensor | None]) -> None:
     """What the CPU engine does not take."""
     if grid is not None and max(grid.rows, grid.columns) > _MAX_PIXELS:
         raise SarsplatError(
@@ -130,7 +130,7 @@ def check_for_cpu(grid: ImageGrid | None, tensors: dict[str, Tensor | None]) -> 
             )
 
 
-def check_for_cuda(tensors: dict[str, Tensor | None]) -> int:
+def check_for_cuda(tensors: Mapping[str, Tensor | None]) -> int:
     """What the CUDA engine does not take; returns the number of the GPU."""
     first, where = next((name, tensor.device) for name, tensor in tensors.items() if tensor is not None)
     for name, tensor in tensors.items():

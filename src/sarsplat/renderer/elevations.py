@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from ctypes import Structure
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,9 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.geometry import View
-from sarsplat.renderer import cpu
-from sarsplat.renderer.engines import chosen_engine
+from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.footprints import Footprints
-from sarsplat.renderer.once import differentiable_once
-from sarsplat.renderer.structs import Sections
 
 
 def elevated(
@@ -56,60 +53,48 @@ def elevated(
     frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(means)  # [V, 3, 3]
     kappa = torch.from_numpy(numbers).to(means)
     assert real.shape[2] in (1, kappa.shape[1])
-    if chosen_engine(engine, means) == "cpu":
-        inputs = (means, gaussians.quaternions, gaussians.scales, roots, real, imaginary)
-        parts, slopes = _Engine.apply(frames, kappa, *inputs)
-        return parts, slopes
-    sides = frames[:, None] @ (rotation_matrix(gaussians.quaternions) * gaussians.scales[:, None])  # Σ is their square
-    yx, yy, yz = (sides[:, :, 1:2] * sides).sum(-1).unbind(-1)
-    a, b, c = roots.unbind(-1)
-    mixed = a * b
-    slopes = torch.stack([a * a * yx + mixed * yz, mixed * yx + (b * b + c * c) * yz], dim=-1)
-    variance = (yy - slopes[..., 0] * yx - slopes[..., 1] * yz).clamp(min=0)
-    phase = (frames[:, 1] @ means.T)[..., None] * kappa[:, None]
-    left = torch.exp(variance[..., None] * (-0.5 * kappa[:, None] ** 2))
-    cosine, sine = left * phase.cos(), left * phase.sin()
-    if imaginary is None:
-        turned = real * cosine, real * sine
-    else:
-        turned = real * cosine - imaginary * sine, real * sine + imaginary * cosine
-    return torch.stack(turned, dim=-1).flatten(2), slopes
+    inputs = (means, gaussians.quaternions, gaussians.scales, frames, roots, kappa, real, imaginary)
+    named = dict(zip(Sections.names, inputs, strict=True))
+    return Sections().on(passes_for(engine, named), *inputs)
 
 
-class _Engine(torch.autograd.Function):
-    """The same by the CPU engine; differentiable once."""
+class Sections(Operation):
+    """`elevated`, given the radar frames of the views."""
 
-    @staticmethod
-    def forward(ctx: Any, frames: Tensor, numbers: Tensor, *inputs: Tensor | None) -> tuple[Tensor, Tensor]:
-        kept = [None if tensor is None else tensor.contiguous() for tensor in (frames, numbers, *inputs)]
-        ctx.save_for_backward(*kept)
-        real = kept[6]
-        assert real is not None  # of each Gaussian
-        v, n, d = real.shape[0], real.shape[1], numbers.shape[1]
-        parts, slopes = real.new_empty(v, n, 2 * d), real.new_empty(v, n, 2)
-        cpu.Pass().pair_sections(_problem(kept, parts, slopes))
-        return parts, slopes
+    operation = "pair_sections"
+    names = ("means", "quaternions", "scales", "frames", "roots", "numbers", "real", "imaginary")
 
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *seeds: Tensor) -> tuple[Tensor | None, ...]:
-        kept = list(ctx.saved_tensors)
-        gradients = [None if tensor is None else torch.empty_like(tensor) for tensor in kept[2:]]
-        seeds = tuple(seed.contiguous() for seed in seeds)
-        cpu.Pass().pair_sections_backward(_problem(kept, None, None, *seeds, *gradients))
-        return None, None, *gradients
+    def plain(
+        self,
+        means: Float[Tensor, "n 3"],
+        quaternions: Float[Tensor, "n 4"],
+        scales: Float[Tensor, "n 3"],
+        frames: Float[Tensor, "v 3 3"],
+        roots: Float[Tensor, "v n 3"],
+        numbers: Float[Tensor, "v d"],
+        real: Float[Tensor, "v n d"] | Float[Tensor, "v n 1"],
+        imaginary: Float[Tensor, "v n d"] | None,
+    ) -> tuple[Float[Tensor, "v n k"], Float[Tensor, "v n 2"]]:
+        sides = frames[:, None] @ (rotation_matrix(quaternions) * scales[:, None])  # Σ is their square
+        yx, yy, yz = (sides[:, :, 1:2] * sides).sum(-1).unbind(-1)
+        a, b, c = roots.unbind(-1)
+        mixed = a * b
+        slopes = torch.stack([a * a * yx + mixed * yz, mixed * yx + (b * b + c * c) * yz], dim=-1)
+        variance = (yy - slopes[..., 0] * yx - slopes[..., 1] * yz).clamp(min=0)
+        phase = (frames[:, 1] @ means.T)[..., None] * numbers[:, None]
+        left = torch.exp(variance[..., None] * (-0.5 * numbers[:, None] ** 2))
+        cosine, sine = left * phase.cos(), left * phase.sin()
+        if imaginary is None:
+            turned = real * cosine, real * sine
+        else:
+            turned = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+        return torch.stack(turned, dim=-1).flatten(2), slopes
 
+    def numbers(self, *inputs: Tensor) -> dict[str, Any]:
+        pairs, (views, gaussians, parts) = inputs[5].shape[1], inputs[6].shape
+        return {"views": views, "pairs": pairs, "gaussians": gaussians, "shared": int(parts == 1)}
 
-def _problem(kept: Sequence[Tensor | None], *others: Tensor | None) -> Structure:
-    """Inputs as `forward` has them, then outputs, seeds and gradients."""
-    frames, numbers, means, quaternions, scales, roots, real, imaginary = kept
-    assert real is not None  # of each Gaussian
-    assert numbers is not None
-    pointers = [means, quaternions, scales, frames, roots, numbers, real, imaginary, *others]
-    return Sections(
-        real.shape[0],
-        numbers.shape[1],
-        real.shape[1],
-        int(real.shape[2] == 1),
-        *(None if tensor is None else tensor.data_ptr() for tensor in pointers),
-    )
+    def outputs(self, *inputs: Tensor) -> dict[str, Tensor]:
+        real, pairs = inputs[6], inputs[5].shape[1]
+        parts = real.new_empty(*real.shape[:2], 2 * pairs)
+        return {"parts": parts, "slopes": real.new_empty(*real.shape[:2], 2)}

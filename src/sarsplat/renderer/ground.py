@@ -15,6 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from sarsplat.renderer.lit_terrain import lit_terrain
 from sarsplat.renderer.places import at_places
@@ -86,17 +87,16 @@ def lit(
     grid: ImageGrid,
     rays: RayGrid,
     shift: Float[Tensor, "v 2"] | None,
-    *,
-    plain: bool = False,
+    new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """What rays make of the ground: of a plane, the share of it that a pixel sees; of terrain, γ⁰ and area as well.
 
-    `plain` is for the reference, which calls no engine.
+    By an engine's passes; None for the reference.
     """
     if isinstance(ground.height_m, Terrain):
         assert gamma0 is not None  # `gamma0_by_view`
-        return lit_terrain(ends, views, grid, rays, ground.height_m, gamma0, ground.pitch_m, shift, plain=plain)
-    return lit_ground(ends, views, grid, rays, ground.height_m, shift, plain=plain)
+        return lit_terrain(ends, views, grid, rays, ground.height_m, gamma0, ground.pitch_m, shift, new_pass)
+    return lit_ground(ends, views, grid, rays, ground.height_m, shift, new_pass)
 
 
 def returned(

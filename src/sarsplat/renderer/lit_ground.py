@@ -18,8 +18,8 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import cpu, structs
-from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.engines.operation import Operation
+from sarsplat.renderer.engines.passes import NewPass
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class Axis:
     count: int
 
     @property
-    def mirror(self) -> Any:
+    def numbers(self) -> tuple[float, float, int]:
         """For the engine."""
-        return structs.Axis(self.first, self.step, self.count)
+        return self.first, self.step, self.count
 
     def places(self, device: torch.device) -> Float64[Tensor, " {self.count}"]:
         """All of them."""
@@ -70,32 +70,46 @@ def lit_ground(
     rays: RayGrid,
     height_m: float,
     shift: Float[Tensor, "v 2"] | None,
-    *,
-    plain: bool = False,
+    new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """Share of each pixel's ground that the radar sees, through the response; differentiable by T_end and shift."""
     (dx, dy), patches = rays.spacing_m, []
     for view, (rows, columns), (x, y) in zip(views, ends.sizes, ends.origins, strict=True):
         down = Axis(*view.look.rows_on_ground(y - dy / 2, dy, height_m), rows)
         patches.append((down, Axis(x - dx / 2, dx, columns)))
-    left = ends.transmittance
-    if not plain and left.dtype == torch.float32 and left.device.type == "cpu":
-        return _Engine.apply(left, shift, patches, grid)
-    return plain_lit_ground(left, shift, patches, grid)
+    return LitGround(patches, grid).on(new_pass, ends.transmittance, shift)
 
 
-def plain_lit_ground(
-    transmittance: Float[Tensor, " rays"], shift: Float[Tensor, "v 2"] | None, patches: _Patches, grid: ImageGrid
-) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """`lit_ground` in plain torch, for any device and floating dtype."""
-    (rows, columns), (azimuth_std, range_std), images = pixel_axes(grid), stds(grid), []
-    parts = transmittance.split([down.count * across.count for down, across in patches])
-    for k, (part, (down, across)) in enumerate(zip(parts, patches, strict=True)):
-        azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
-        along_range = seen(rows, down, range_std, range_shift, part)
-        along_azimuth = seen(columns, across, azimuth_std, azimuth_shift, part)
-        images.append(1 - along_range @ (1 - part.view(down.count, across.count)) @ along_azimuth.T)
-    return torch.stack(images)
+class LitGround(Operation):
+    """`lit_ground` of rays that make such patches on the ground; on engines, sums do not depend on threads."""
+
+    operation = "lit_ground"
+    names = ("transmittance", "shift")
+    optional = ("shift",)
+
+    def __init__(self, patches: _Patches, grid: ImageGrid) -> None:
+        self.patches, self.grid = patches, grid
+
+    def plain(
+        self, transmittance: Float[Tensor, " rays"], shift: Float[Tensor, "v 2"] | None
+    ) -> Float[Tensor, "v {self.grid.rows} {self.grid.columns}"]:
+        (rows, columns), (azimuth_std, range_std), images = pixel_axes(self.grid), stds(self.grid), []
+        parts = transmittance.split([down.count * across.count for down, across in self.patches])
+        for k, (part, (down, across)) in enumerate(zip(parts, self.patches, strict=True)):
+            azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
+            along_range = seen(rows, down, range_std, range_shift, part)
+            along_azimuth = seen(columns, across, azimuth_std, azimuth_shift, part)
+            images.append(1 - along_range @ (1 - part.view(down.count, across.count)) @ along_azimuth.T)
+        return torch.stack(images)
+
+    def numbers(self, *inputs: Tensor | None) -> dict[str, Any]:
+        rows, columns = pixel_axes(self.grid)
+        patches = [{"rows": down.numbers, "columns": across.numbers} for down, across in self.patches]
+        sizes = {"views": len(patches), "rows": rows.numbers, "columns": columns.numbers}
+        return sizes | {"std": stds(self.grid), "patches": patches}
+
+    def outputs(self, transmittance: Tensor, shift: Tensor | None) -> dict[str, Tensor]:
+        return {"lit": transmittance.new_empty(len(self.patches), self.grid.rows, self.grid.columns)}
 
 
 def pixel_axes(grid: ImageGrid) -> tuple[Axis, Axis]:
@@ -117,36 +131,3 @@ def seen(pixels: Axis, cells: Axis, std: float, shift: Tensor | float, like: Ten
     centres, edges = (axis.places(like.device) for axis in (pixels, replace(cells, count=cells.count + 1)))
     below = torch.erf(((centres[:, None] - edges).to(like) - shift) / (math.sqrt(2) * std)) / 2
     return below[:, :-1] - below[:, 1:]
-
-
-class _Engine(torch.autograd.Function):
-    """`plain_lit_ground` by the CPU engine, whose sums do not depend on the number of threads; differentiable once."""
-
-    @staticmethod
-    def forward(ctx: Any, transmittance: Tensor, shift: Tensor | None, patches: _Patches, grid: ImageGrid) -> Tensor:
-        transmittance, shift = transmittance.contiguous(), None if shift is None else shift.contiguous()
-        lit = transmittance.new_empty(len(patches), grid.rows, grid.columns)
-        _run(transmittance, shift, patches, grid, lit=lit)
-        ctx.save_for_backward(transmittance, shift)
-        ctx.patches, ctx.grid = patches, grid
-        return lit
-
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, d_lit: Tensor) -> tuple[Tensor | None, ...]:
-        transmittance, shift = ctx.saved_tensors
-        d_transmittance = torch.empty_like(transmittance)
-        d_shift = torch.empty_like(shift) if ctx.needs_input_grad[1] else None
-        results = {"d_lit": d_lit.contiguous(), "d_transmittance": d_transmittance, "d_shift": d_shift}
-        _run(transmittance, shift, ctx.patches, ctx.grid, **results)
-        return d_transmittance, d_shift, None, None
-
-
-def _run(
-    transmittance: Tensor, shift: Tensor | None, patches: _Patches, grid: ImageGrid, **results: Tensor | None
-) -> None:
-    mirrors = (structs.Patches * len(patches))(*(structs.Patches(down.mirror, over.mirror) for down, over in patches))
-    call = structs.Ground(len(patches), *(axis.mirror for axis in pixel_axes(grid)), stds(grid), mirrors)
-    for name, tensor in {"transmittance": transmittance, "shift": shift, **results}.items():
-        setattr(call, name, None if tensor is None else tensor.data_ptr())
-    cpu.Pass().lit_ground(call)

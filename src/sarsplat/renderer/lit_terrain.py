@@ -20,9 +20,9 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.renderer import cpu, structs
+from sarsplat.renderer.engines.operation import Operation
+from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.lit_ground import Axis, RayEnds, pixel_axes, seen, stds
-from sarsplat.renderer.once import differentiable_once
 from sarsplat.renderer.places import at_places
 from sarsplat.renderer.terrain_cells import Cells, cells_of
 
@@ -81,8 +81,7 @@ def lit_terrain(
     gamma0: Float[Tensor, "v ny nx"],
     pitch_m: float,
     shift: Float[Tensor, "v 2"] | None,
-    *,
-    plain: bool = False,
+    new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """β⁰ of terrain with these γ⁰, which each view may have of its own; differentiable by T_end, γ⁰ and shift."""
     patches = [
@@ -91,41 +90,68 @@ def lit_terrain(
             cells_of(terrain, views, grid, rays, shift), views, ends.sizes, ends.origins, strict=True
         )
     ]
-    left = ends.transmittance
-    arguments = left, gamma0, shift, patches, pitch_m, grid, rays.spacing_m[1]
-    if not plain and left.dtype == torch.float32 and left.device.type == "cpu":
-        return _Engine.apply(*arguments)
-    return plain_lit_terrain(*arguments)
+    operation = LitTerrain(patches, pitch_m, grid, rays.spacing_m[1])
+    return operation.on(new_pass, ends.transmittance, gamma0, shift)
 
 
-def plain_lit_terrain(
-    transmittance: Float[Tensor, " rays"],
-    gamma0: Float[Tensor, "v ny nx"],
-    shift: Float[Tensor, "v 2"] | None,
-    patches: Sequence[_Patches],
-    pitch_m: float,
-    grid: ImageGrid,
-    height_m: float,
-) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """`lit_terrain` in plain torch, for any device and floating dtype."""
-    (rows, columns), (azimuth_std, range_std), images = pixel_axes(grid), stds(grid), []
-    parts = transmittance.split([math.prod(patch.traced[1]) for patch in patches])
-    kept = rows.count * sum(patch.cells.low_m.numel() for patch in patches) <= _AT_A_TIME
-    for k, (patch, part) in enumerate(zip(patches, parts, strict=True)):
-        azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
-        low, high = (edge.to(part) for edge in (patch.cells.low_m, patch.cells.high_m))
-        returned = height_m * _gamma0(patch, gamma0[k], pitch_m, (low + high) / 2) * _everywhere(patch, part)
-        pixels = rows.places(part.device).to(part) - range_shift
-        together = max(1, _AT_A_TIME // max(1, rows.count * len(low)))
-        ranged = [
-            _ranged(pixels, some, a, b, range_std)
-            if kept
-            else checkpoint(_ranged, pixels, some, a, b, range_std, use_reentrant=False)
-            for some, a, b in zip(*(table.split(together, dim=1) for table in (returned, low, high)), strict=True)
-        ]
-        across = seen(columns, patch.across, azimuth_std, azimuth_shift, part)
-        images.append(torch.cat(ranged, dim=1) @ across.T)
-    return torch.stack(images)
+class LitTerrain(Operation):
+    """`lit_terrain` of rays that make such patches on it; on engines, sums do not depend on threads."""
+
+    operation = "lit_terrain"
+    names = ("transmittance", "gamma0", "shift")
+    optional = ("shift",)
+
+    def __init__(self, patches: Sequence[_Patches], pitch_m: float, grid: ImageGrid, height_m: float) -> None:
+        self.patches, self.pitch_m, self.grid, self.height_m = patches, pitch_m, grid, height_m
+
+    def plain(
+        self,
+        transmittance: Float[Tensor, " rays"],
+        gamma0: Float[Tensor, "v ny nx"],
+        shift: Float[Tensor, "v 2"] | None,
+    ) -> Float[Tensor, "v {self.grid.rows} {self.grid.columns}"]:
+        (rows, columns), (azimuth_std, range_std), images = pixel_axes(self.grid), stds(self.grid), []
+        parts = transmittance.split([math.prod(patch.traced[1]) for patch in self.patches])
+        kept = rows.count * sum(patch.cells.low_m.numel() for patch in self.patches) <= _AT_A_TIME
+        for k, (patch, part) in enumerate(zip(self.patches, parts, strict=True)):
+            azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
+            low, high = (edge.to(part) for edge in (patch.cells.low_m, patch.cells.high_m))
+            returned = (
+                self.height_m * _gamma0(patch, gamma0[k], self.pitch_m, (low + high) / 2) * _everywhere(patch, part)
+            )
+            pixels = rows.places(part.device).to(part) - range_shift
+            together = max(1, _AT_A_TIME // max(1, rows.count * len(low)))
+            ranged = [
+                _ranged(pixels, some, a, b, range_std)
+                if kept
+                else checkpoint(_ranged, pixels, some, a, b, range_std, use_reentrant=False)
+                for some, a, b in zip(*(table.split(together, dim=1) for table in (returned, low, high)), strict=True)
+            ]
+            across = seen(columns, patch.across, azimuth_std, azimuth_shift, part)
+            images.append(torch.cat(ranged, dim=1) @ across.T)
+        return torch.stack(images)
+
+    def numbers(self, transmittance: Tensor, gamma0: Tensor, shift: Tensor | None) -> dict[str, Any]:
+        rows, columns = pixel_axes(self.grid)
+        return {
+            **{"views": len(self.patches), "rows": rows.numbers, "columns": columns.numbers, "std": stds(self.grid)},
+            **{"cell": self.height_m, "places": tuple(gamma0.shape[1:])},
+            "patches": [self._patch(patch, *gamma0.shape[1:]) for patch in self.patches],
+        }
+
+    def _patch(self, patch: _Patches, ny: int, nx: int) -> dict[str, Any]:
+        (first, traced), cells, pitch_m = patch.traced, patch.cells, self.pitch_m
+        return {
+            **{"rows": len(cells.low_m), "across": patch.across.numbers, "low": cells.low_m, "high": cells.high_m},
+            **{"traced_first": first, "traced": traced},
+            **{
+                name: (along[0] / pitch_m + (count - 1) / 2, *(slope / pitch_m for slope in along[1:]))
+                for name, along, count in (("x", patch.along_x, nx), ("y", patch.along_y, ny))
+            },
+        }
+
+    def outputs(self, transmittance: Tensor, gamma0: Tensor, shift: Tensor | None) -> dict[str, Tensor]:
+        return {"lit": transmittance.new_empty(len(self.patches), self.grid.rows, self.grid.columns)}
 
 
 def _everywhere(patch: _Patches, traced: Float[Tensor, " n"]) -> Float[Tensor, "rows columns"]:
@@ -171,54 +197,3 @@ def _ranged(
     )
     short_mean = sum(points) / (2 * math.sqrt(2 * math.pi) * std)
     return (torch.where(short, short_mean, long_mean) * returned).sum(1)
-
-
-class _Engine(torch.autograd.Function):
-    """`plain_lit_terrain` by the CPU engine, whose sums do not depend on the number of threads; differentiable once."""
-
-    @staticmethod
-    def forward(ctx: Any, left: Tensor, gamma0: Tensor, shift: Tensor | None, *rest: Any) -> Tensor:
-        left, gamma0, shift = left.contiguous(), gamma0.contiguous(), None if shift is None else shift.contiguous()
-        patches, _, grid, _ = rest
-        lit = left.new_empty(len(patches), grid.rows, grid.columns)
-        _run({"lit": lit}, left, gamma0, shift, *rest)
-        ctx.save_for_backward(left, gamma0, shift)
-        ctx.rest = rest
-        return lit
-
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, d_lit: Tensor) -> tuple[Tensor | None, ...]:
-        left, gamma0, shift = ctx.saved_tensors
-        found = [torch.empty_like(left), torch.empty_like(gamma0), None]
-        if ctx.needs_input_grad[2]:
-            found[2] = torch.empty_like(shift)
-        names = ("d_transmittance", "d_gamma0", "d_shift")
-        results = {"d_lit": d_lit.contiguous(), **dict(zip(names, found, strict=True))}
-        _run(results, left, gamma0, shift, *ctx.rest)
-        return (*found, None, None, None, None)
-
-
-def _run(
-    results: dict[str, Tensor | None],
-    transmittance: Tensor,
-    gamma0: Tensor,
-    shift: Tensor | None,
-    patches: Sequence[_Patches],
-    pitch_m: float,
-    grid: ImageGrid,
-    height_m: float,
-) -> None:
-    mirrors = (structs.TerrainPatches * len(patches))()
-    for mirror, patch in zip(mirrors, patches, strict=True):
-        mirror.rows, mirror.across = len(patch.cells.low_m), patch.across.mirror
-        mirror.low, mirror.high = patch.cells.low_m.data_ptr(), patch.cells.high_m.data_ptr()
-        mirror.traced_first, mirror.traced = patch.traced
-        for name, along, count in (("x", patch.along_x, gamma0.shape[2]), ("y", patch.along_y, gamma0.shape[1])):
-            setattr(mirror, name, (along[0] / pitch_m + (count - 1) / 2, *(slope / pitch_m for slope in along[1:])))
-    axes = (axis.mirror for axis in pixel_axes(grid))
-    call = structs.Terrain(len(patches), *axes, stds(grid), height_m, tuple(gamma0.shape[1:]), mirrors)
-    tensors = {"transmittance": transmittance, "gamma0": gamma0, "shift": shift, **results}
-    for name, tensor in tensors.items():
-        setattr(call, name, None if tensor is None else tensor.data_ptr())
-    cpu.Pass().lit_terrain(call)

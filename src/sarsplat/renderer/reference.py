@@ -68,7 +68,7 @@ def render_reference(
         left = torch.cat([ray_map.transmittance.flatten() for ray_map in maps])
         sizes = [(ray_map.transmittance.shape[0], ray_map.transmittance.shape[1]) for ray_map in maps]
         ends = RayEnds(left, sizes, [ray_map.origin for ray_map in maps])
-        of_rays = lit(ends, ground, gamma0_by_view(ground, len(views)), views, grid, rays, shift, plain=True)
+        of_rays = lit(ends, ground, gamma0_by_view(ground, len(views)), views, grid, rays, shift, None)
         of_ground = returned(ground, of_rays, views, grid, shift)
         images = with_ground(images, of_ground, gaussians.scattering.power_channel)
     return Rendering(

@@ -19,7 +19,7 @@ from sarsplat.renderer.checks import (
     check_step_values,
     check_values,
 )
-from sarsplat.renderer.engines import ENGINES, chosen_engine
+from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
@@ -77,8 +77,7 @@ def project(
     views = tuple(views)
     check_shapes(gaussians, views, None, shift, None)
     tensors = {**gaussians.tensors(), "shift": shift}
-    if (engine := chosen_engine(engine, gaussians.means)) in ENGINES:
-        new_pass = ENGINES[engine].prepare(tensors, grid, "auto")
+    if (new_pass := passes_for(engine, tensors, grid)) is not None:
         return project_with(new_pass, gaussians, views, grid, rays=rays, shift=shift)
     check_for_reference("means", gaussians.means.dtype)
     check_values(tensors)
@@ -125,8 +124,7 @@ def attenuate(
         "tilt": p.tilt,
     }
     _check_batch("rays.centers", p.rays.centers)
-    if (engine := chosen_engine(engine, p.optical_depth)) in ENGINES:
-        new_pass = ENGINES[engine].prepare(tensors, None, "auto")
+    if (new_pass := passes_for(engine, tensors)) is not None:
         return attenuate_with(new_pass, p, rays, first_return_depth=first_return_depth)
     check_for_reference("optical_depth", p.optical_depth.dtype)
     check_step_values(tensors)
@@ -214,8 +212,7 @@ def splat_parts(
         "waves.slopes": None if waves is None else waves.slopes,
     }
     _check_batch("footprints.centers", footprints.centers)
-    if (engine := chosen_engine(engine, cross_sections)) in ENGINES:
-        new_pass = ENGINES[engine].prepare(tensors, grid, "auto")
+    if (new_pass := passes_for(engine, tensors, grid)) is not None:
         return splat_with(new_pass, footprints, cross_sections, grid, waves=waves, imaging_weight=imaging_weight)
     check_for_reference("cross_sections", cross_sections.dtype)
     check_step_values(tensors)

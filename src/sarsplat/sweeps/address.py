@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sarsplat.renderer.cpu import LIBRARY
+from sarsplat.renderer.engines.cpu import LIBRARY
 from sarsplat.runs.methods import module_of
 
 TRAINING, SCORING = "sarsplat.runs.reconstruction", "sarsplat.evaluation.evaluate"

@@ -14,6 +14,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import Footprints, attenuate, project, splat
+from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.ground import gamma0_by_view, lit, returned, with_ground
 from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.tiles.plan import LARGEST, Tile
@@ -43,8 +44,9 @@ def tile_image(
     left = attenuation.ray_maps[0]
     rows, columns = left.transmittance.shape
     ends = RayEnds(left.transmittance.reshape(-1), [(rows, columns)], [left.origin])
-    of_rays = ends, ground, gamma0_by_view(ground, 1), [view], pixels, rays, shift
-    of_ground = returned(ground, lit(*of_rays), [view], pixels, shift)
+    new_pass = passes_for("auto", {"transmittance": ends.transmittance})
+    of_rays = lit(ends, ground, gamma0_by_view(ground, 1), [view], pixels, rays, shift, new_pass)
+    of_ground = returned(ground, of_rays, [view], pixels, shift)
     return with_ground(images, of_ground, gaussians.scattering.power_channel)[0]
 
 

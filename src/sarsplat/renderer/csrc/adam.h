@@ -13,7 +13,7 @@ constexpr int kMaxColumns = 16;
 
 int adam_tasks(const sg_adam_group& g) { return (int)((g.rows + kRows - 1) / kRows); }
 
-void adam(const sg_adam_step* adam) {
+int32_t adam(sg_context*, const sg_adam_step* adam) {
   const AdamShares shares = shares_of(*adam);
   int tasks = 0;
   for (int32_t n = 0; n < adam->count; n++) tasks += adam_tasks(adam->groups[n]);
@@ -36,6 +36,7 @@ void adam(const sg_adam_step* adam) {
       store_some(g.value + i, value, some);
     }
   });
+  return SG_OK;
 }
 
 }  // namespace

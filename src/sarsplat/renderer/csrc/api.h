@@ -1,5 +1,8 @@
-// api.h: the engine's C ABI. Kernels know arrays, not classes; Python mirrors these structs with ctypes (cpu.py).
-// All arrays are contiguous and row-major; float32 unless said otherwise; lengths in metres, angles nowhere.
+// api.h: the engine's C ABI. Kernels know arrays, not classes. All arrays are contiguous and row-major; float32 unless said
+// otherwise; lengths in metres, angles nowhere.
+//
+// Python reads its structures and functions from this file (engines/abi.py), so it has plain declarations only; and a library
+// that was compiled with another one is refused.
 #pragma once
 #include <cstdint>
 
@@ -82,10 +85,10 @@ struct sg_loss {          // of V images; see loss.h
   const float* window;    // 11 weights
   float reference, floor, ssim_weight, c1, c2;
   float* loss;            // out: one number, the mean over the images
-  float* gradient;        // out [V, rows, columns]
+  float* d_power;         // out [V, rows, columns]
 };
 
-struct sg_sections {      // of D pairs of channels, in V views of N Gaussians; see sections.h
+struct sg_sections {      // of D pairs of channels, in V views of N Gaussians; see sections.h; forward, or with d_parts backward
   int32_t views, pairs;
   int64_t gaussians;
   int32_t shared;         // 1: the real part is one number for all pairs
@@ -100,7 +103,7 @@ struct sg_sections {      // of D pairs of channels, in V views of N Gaussians; 
   float *d_means, *d_quaternions, *d_scales, *d_roots, *d_real, *d_imaginary;  // out, backward
 };
 
-struct sg_lobes {         // gamma0 of V views of N Gaussians in a lobe; see lobes.h
+struct sg_lobes {         // gamma0 of V views of N Gaussians in a lobe; see lobes.h; forward, or with d_amplitudes backward
   int32_t views;
   float p_min;
   int64_t gaussians;
@@ -195,24 +198,31 @@ enum sg_status { SG_OK = 0, SG_MEANS, SG_QUATERNIONS, SG_SCALES, SG_KAPPA, SG_SC
 
 }  // extern "C"
 
-struct sg_engine {        // one per instruction set
+// Operations of one structure: the functions that do them, each in a file of its own, which engine.cpp gets from here.
+#define SG_OPERATIONS(_)             \
+  _(adam, sg_adam_step)              \
+  _(amplitude_loss, sg_loss)         \
+  _(lit_ground, sg_ground)           \
+  _(lit_terrain, sg_terrain)         \
+  _(normal_lobes, sg_lobes)          \
+  _(pair_sections, sg_sections)      \
+  _(stack_likelihood, sg_likelihood)
+#ifdef SG_KERNELS
+#include "adam.h"
+#include "ground.h"
+#include "likelihood.h"
+#include "lobes.h"
+#include "loss.h"
+#include "sections.h"
+#include "terrain.h"
+#endif
+
+struct sg_engine {        // one per instruction set; functions with a status return one of sg_status
   const char* name;
   sg_context* (*create)();
   void (*destroy)(sg_context*);
-  int32_t (*forward)(sg_context*, const sg_problem*, const sg_outputs*, int64_t* culprit);
-  int32_t (*backward)(sg_context*, const sg_problem*, const sg_gradients*);
-  void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
-  int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
-  int32_t (*amplitude_loss)(sg_context*, const sg_loss*);
-  int32_t (*stack_likelihood)(sg_context*, const sg_likelihood*);
-  void (*pair_sections)(const sg_sections*);
-  void (*pair_sections_backward)(const sg_sections*);
-  void (*normal_lobes)(const sg_lobes*);
-  void (*normal_lobes_backward)(const sg_lobes*);
-  int32_t (*lit_ground)(sg_context*, const sg_ground*);
-  int32_t (*lit_terrain)(sg_context*, const sg_terrain*);
-  void (*adam)(const sg_adam_step*);
-  void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
+  int32_t (*render)(sg_context*, const sg_problem*, const sg_outputs*, int64_t* culprit);
+  int32_t (*render_backward)(sg_context*, const sg_problem*, const sg_gradients*);
   // one step alone each: of the problem's arrays, `project` alone reads any
   int32_t (*project)(sg_context*, const sg_problem*, const sg_projection* out, int64_t* culprit);
   int32_t (*project_backward)(sg_context*, const sg_problem*, const sg_projection* seeds, const sg_gradients*);
@@ -221,4 +231,10 @@ struct sg_engine {        // one per instruction set
   int32_t (*splat)(sg_context*, const sg_problem*, const sg_projection*, const sg_channels*, float* images, int64_t* culprit);
   int32_t (*splat_backward)(sg_context*, const sg_problem*, const sg_channels*, const float* d_images, const sg_projection* out, float* d_cross_sections,
                             float* d_elevation);
+  // of the last forward pass
+  void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
+  int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);
+  void (*statistics)(const sg_context*, const sg_problem*, sg_statistics*);
+#define SG_MEMBER(name, structure) int32_t (*name)(sg_context*, const structure*);
+  SG_OPERATIONS(SG_MEMBER)
 };

@@ -1,5 +1,5 @@
-// cuda_state.cuh: what one pass keeps on the device. Python mirrors these structs with ctypes (cuda.py) and owns the
-// arrays; a pair (view v, Gaussian i) has the index j = v N + i. Both planes are cut into square tiles; a (tile,
+// cuda_state.cuh: what one pass keeps on the device. Python reads Lattice, Plane and State from here (cuda_lattices.py) and
+// owns the arrays; a pair (view v, Gaussian i) has the index j = v N + i. Both planes are cut into square tiles; a (tile,
 // Gaussian) pair has a slot. Slots are numbered Gaussian by Gaussian, so that sums over a Gaussian's slots run in a fixed
 // order without atomics; `order` lists them tile by tile, front to back.
 #pragma once

@@ -50,7 +50,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) amplitude_loss(sg_loss l,
     const float scale = 1.0f / (l.reference * l.reference), share = 1.0f / (float)pixels_of(l);
     const float a = root(l.power[i] * scale + l.floor * l.floor) - l.floor, t = root(l.truth[i] * scale);
     const float slope = choose(a > t, share, choose(a < t, -share, 0.0f));
-    l.gradient[i] = slope * (0.5f * scale) / (a + l.floor);
+    l.d_power[i] = slope * (0.5f * scale) / (a + l.floor);
     difference = absolute(a - t);
   }
   const float sum = block_sum(difference);

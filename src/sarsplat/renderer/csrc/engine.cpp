@@ -3,13 +3,10 @@
 // forward:  check, projection, scattering -> lattice -> depth order, parts -> attenuation -> cross-sections -> splatting
 // backward: splatting (gather per Gaussian) -> attenuation (back to front) -> adjoint of the projection, views summed over a tree
 
-#include "adam.h"
-#include "terrain.h"
+#define SG_KERNELS
+#include "api.h"
+#include "export.h"
 #include "inspect.h"
-#include "likelihood.h"
-#include "lobes.h"
-#include "loss.h"
-#include "sections.h"
 #include "steps.h"
 
 namespace sarsplat {
@@ -120,11 +117,10 @@ void destroy(sg_context* c) { delete c; }
 
 #define SG_JOIN_(a, b) a##b
 #define SG_JOIN(a, b) SG_JOIN_(a, b)
-#define SG_TEXT_(a) #a
-#define SG_TEXT(a) SG_TEXT_(a)
+#define SG_ENTRY(name, structure) name,
 extern "C" const sg_engine SG_JOIN(sg_engine_, SG_ISA);
 const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {
-    SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>, lattice, trace, amplitude_loss, stack_likelihood, pair_sections, pair_sections_backward,
-    normal_lobes, normal_lobes_backward, lit_ground, lit_terrain, adam, statistics,
+    SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>,
     run<project_step, worth_waking_to_project>, run<project_step_backward, worth_waking_to_project>,
-    run<attenuate_step>, run_back<attenuate_step_backward>, run<splat_step>, run_back<splat_step_backward>};
+    run<attenuate_step>, run_back<attenuate_step_backward>, run<splat_step>, run_back<splat_step_backward>,
+    lattice, trace, statistics, SG_OPERATIONS(SG_ENTRY)};

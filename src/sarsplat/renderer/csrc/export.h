@@ -6,3 +6,6 @@
 #else
 #define SG_EXPORT extern "C" __attribute__((visibility("default")))
 #endif
+
+#define SG_TEXT_(a) #a
+#define SG_TEXT(a) SG_TEXT_(a)

@@ -1,5 +1,5 @@
 // ground.h: how much of the ground each pixel sees, and the gradient of that. The twin in torch, with the formula, is
-// `plain_lit_ground` in lit_ground.py.
+// `LitGround.plain` in lit_ground.py.
 //
 // lit = 1 - R (1 - T) X^T, where row i of R, and row j of X, hold the integrals of the response of pixel i, or j, over the
 // patches that the rays' cells make on the ground: bands, because a response sees few patches. Every product is one of a

@@ -29,16 +29,14 @@ template <class Visit> static void over_lobes(const sg_lobes& l, Visit visit) {
   });
 }
 
-void normal_lobes(const sg_lobes* lobes) {
-  const sg_lobes& l = *lobes;
+void lobes_forward(const sg_lobes& l) {
   over_lobes(l, [&](int64_t i, int real, const Facing<F>& f, const Law<F>& law) {
     for (int64_t v = 0; v < l.views; v++)
       store_some(l.amplitudes + v * l.gaussians + i, seen_from(f, law, l.directions + 3 * v, l.p_min), real);
   });
 }
 
-void normal_lobes_backward(const sg_lobes* lobes) {
-  const sg_lobes& l = *lobes;
+void lobes_backward(const sg_lobes& l) {
   over_lobes(l, [&](int64_t i, int real, const Facing<F>& f, const Law<F>& law) {
     LobeGradient<F> sum{};
     for (int64_t v = 0; v < l.views; v++)
@@ -48,6 +46,11 @@ void normal_lobes_backward(const sg_lobes* lobes) {
     write_few<3>(sum.parameters, real, l.d_parameters + 3 * i);
     write_few<4>(d_quaternion, real, l.d_quaternions + 4 * i);
   });
+}
+
+int32_t normal_lobes(sg_context*, const sg_lobes* lobes) {
+  (lobes->d_amplitudes ? lobes_backward : lobes_forward)(*lobes);
+  return SG_OK;
 }
 
 }  // namespace

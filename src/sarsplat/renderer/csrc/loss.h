@@ -118,7 +118,7 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
           for (int q = 0; q < 3; q++) sums[q] = window_sum(w, row(s.spread[q], y - kReach) + x, stride);
           slope += (sums[0] + a * sums[1] * 2.0f + t * sums[2]) * ssim_share;
         }
-        store_some(l.gradient + image + (int64_t)y * C + x, slope * (0.5f * scale) / (a + l.floor), C - x);
+        store_some(l.d_power + image + (int64_t)y * C + x, slope * (0.5f * scale) / (a + l.floor), C - x);
       }
       s.absolute += sum(total);
     }

@@ -55,8 +55,7 @@ template <class Visit> static void over_sections(const sg_sections& s, Visit vis
   by_width(s.gaussians, [&](int64_t i, int real) { visit(i, real, read_bodies(s.means, s.quaternions, s.scales, i, real)); });
 }
 
-void pair_sections(const sg_sections* sections) {
-  const sg_sections& s = *sections;
+void sections_forward(const sg_sections& s) {
   const int64_t n = s.gaussians, D = s.pairs, S = s.shared ? 1 : D;
   over_sections(s, [&](int64_t i, int real, const Bodies& bodies) {
     for (int64_t v = 0; v < s.views; v++) {
@@ -76,8 +75,7 @@ void pair_sections(const sg_sections* sections) {
   });
 }
 
-void pair_sections_backward(const sg_sections* sections) {
-  const sg_sections& s = *sections;
+void sections_backward(const sg_sections& s) {
   const int64_t n = s.gaussians, D = s.pairs, S = s.shared ? 1 : D;
   over_sections(s, [&](int64_t i, int real, const Bodies& bodies) {
     const F zero = splat(0.0f);
@@ -128,6 +126,11 @@ void pair_sections_backward(const sg_sections* sections) {
     write_few<4>(d_quaternion, real, s.d_quaternions + 4 * i);
     write_few<3>(d_scale, real, s.d_scales + 3 * i);
   });
+}
+
+int32_t pair_sections(sg_context*, const sg_sections* sections) {
+  (sections->d_parts ? sections_backward : sections_forward)(*sections);
+  return SG_OK;
 }
 
 }  // namespace

@@ -1,5 +1,5 @@
 // terrain.h: what terrain returns where rays end on it, and the gradient of that. The twin in torch, with the formula, is
-// `plain_lit_terrain` in lit_terrain.py.
+// `LitTerrain.plain` in lit_terrain.py.
 //
 // lit = R(gamma0 T) X^T: X is the band of ground.h; R means the response of a pixel over what each cell covers of the slant
 // range, and is never written down. Forward, the tasks are stripes of columns, backward whole views, whose places are

@@ -6,17 +6,13 @@ import ctypes
 import math
 import struct
 from collections.abc import Sequence
-from ctypes import c_float, c_int32, c_int64
 
-from sarsplat.renderer.bounds import TILE
-from sarsplat.renderer.structs import structure
+from sarsplat.renderer.engines.abi import SOURCES, structures
+from sarsplat.renderer.engines.bounds import TILE
 
-ViewLattice = structure(
-    "ViewLattice",
-    *((name, c_float) for name in ("x0", "y0")),
-    *((name, c_int32) for name in ("rows", "columns", "tiles_x", "first_tile")),
-    ("first_point", c_int64),
-)
+_structures = structures((SOURCES / "cuda_state.cuh").read_text(encoding="utf-8"), ("Lattice", "Plane", "State"))
+ViewLattice, State = _structures["Lattice"], _structures["State"]
+"""The rays or pixels of one view, and what one pass keeps on the device."""
 
 
 def smallest_lattice(bounds: Sequence[int]) -> tuple[int, int, int, int]:

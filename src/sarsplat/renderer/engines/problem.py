@@ -14,9 +14,9 @@ from torch import Tensor
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import structs
 from sarsplat.renderer.checks import FARTHEST, FLATTEST, MAX_SCALE, STEEPEST, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+from sarsplat.renderer.engines.abi import api
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")
 """Inputs by their names in a problem."""
@@ -75,7 +75,7 @@ def problem_of(
     return problem, (frames, basis)
 
 
-_LIMITS = structs.Problem(
+_LIMITS = api.problem(
     channels=1,
     cell_widening=CELL_WIDENING,
     min_ray_depth=MIN_RAY_DEPTH,
@@ -96,7 +96,7 @@ def new_problem(
     views: int, gaussians: int, *, grid: ImageGrid | None = None, rays: RayGrid | None = None, peak: bool = False
 ) -> ctypes.Structure:
     """The kernel's view of a call, without its arrays; a step alone needs the grid of its plane only."""
-    problem = structs.Problem.from_buffer_copy(_LIMITS)
+    problem = api.problem.from_buffer_copy(_LIMITS)
     problem.peak, problem.views, problem.gaussians = peak, views, gaussians
     problem.of_views = views
     if grid is not None:

@@ -15,7 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import ALLOWED, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
-from sarsplat.renderer.cpu import FAULTS
+from sarsplat.renderer.engines.cpu import FAULTS
 
 TILE = 16
 """Points on a side, of csrc/cuda_state.cuh."""

@@ -15,10 +15,8 @@ from typing import Protocol
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer import kept
-
-SOURCES = Path(__file__).with_name("csrc")
-"""The folder of the engine's source."""
+from sarsplat.renderer.engines import disk_cache
+from sarsplat.renderer.engines.abi import SOURCES
 
 MAIN = "kernels.cu"
 """The source that includes all others."""
@@ -71,9 +69,9 @@ def machine_code(architecture: str, compiler: Compiler) -> bytes:
     text = sources()
     key = hashlib.sha256(repr((sorted(text.items()), architecture, compiler.version, _OPTIONS)).encode()).hexdigest()
     name = f"{architecture}-{key[:32]}.cubin"
-    if (code := kept.read(name)) is None:
+    if (code := disk_cache.read(name)) is None:
         code = compiler.compile(text, architecture)
-        kept.write(name, code)
+        disk_cache.write(name, code)
     return code
 
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from functools import cache, partial
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians import Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import cpu, cuda, kept, nvrtc
-from sarsplat.renderer.cuda_device import device, require_cuda
-from sarsplat.renderer.operations import render_with
-from sarsplat.renderer.passes import Pass
+from sarsplat.renderer.engines import cpu, cuda, disk_cache, nvrtc
+from sarsplat.renderer.engines.cuda_device import device, require_cuda
+from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.engines.stages import Render
 
 _LARGEST_ERROR = 2e-5
 """Relative, in the Euclidean norm; the emulated engine has 6e-7."""
@@ -37,18 +37,18 @@ def objection(where: torch.device) -> str:
     except SarsplatError as error:
         return str(error)
     name = f"trial-{hashlib.sha256(repr((gpu.description, _sources())).encode()).hexdigest()[:32]}"
-    if (verdict := kept.read(name)) is None:
+    if (verdict := disk_cache.read(name)) is None:
         try:
             verdict = _disagreement(gpu).encode()
         except (SarsplatError, torch.OutOfMemoryError) as error:  # another program may be using the GPU's memory
             return f"it could not be tried ({_first_line(error)})"
-        kept.write(name, verdict)
+        disk_cache.write(name, verdict)
     return verdict.decode()
 
 
 def _sources() -> list[str]:
     """All that the engine is made of."""
-    plan = sorted(nvrtc.SOURCES.parent.glob("cuda*.py"))
+    plan = sorted(Path(__file__).parent.glob("cuda*.py"))
     return [*nvrtc.sources().values(), *(path.read_text(encoding="utf-8") for path in plan)]
 
 
@@ -73,35 +73,29 @@ def _first_line(error: Exception) -> str:
 
 @torch.inference_mode(False)
 @torch.enable_grad()
-def _rendered(new_pass: Callable[[], Pass], where: torch.device) -> dict[str, Tensor]:
+def _rendered(new_pass: NewPass, where: torch.device) -> dict[str, Tensor]:
     """Outputs and gradients by name, of several tiles and of more Gaussians than a block has threads."""
     n, views = 300, len(_VIEWS)
     shapes = {"means": (n, 3), "quaternions": (n, 4), "scales": (n, 3), "optical_depth": (n,), "harmonics": (n, 4)}
     shapes |= {"amplitudes": (views, n, 5), "shift": (views, 2)}
     draw = partial(torch.rand, generator=torch.Generator().manual_seed(1), dtype=torch.float32, device="cpu")
     leaves = {name: draw(shape).to(where).requires_grad_() for name, shape in shapes.items()}
-    gaussians = Gaussians(
+    law = Harmonics(leaves["harmonics"])
+    gaussians = (
         10.0 * (leaves["means"] - 0.5),
         leaves["quaternions"] - 0.5,
         0.05 + 0.4 * leaves["scales"],
         0.01 + 2.0 * leaves["optical_depth"],
-        Harmonics(leaves["harmonics"]),
     )
     results: dict[str, Tensor] = {}
     loss = torch.zeros((), device=where)
     for title, amplitudes in (("harmonics", None), ("five channels", leaves["amplitudes"])):
-        rendering = render_with(
-            new_pass,
-            gaussians,
-            _VIEWS,
-            _GRID,
-            rays=RayGrid.for_image(_GRID),
-            amplitudes=amplitudes,
-            shift=leaves["shift"],
-        )
-        for output in (rendering.images, rendering.cross_sections):
+        call = Render(new_pass(), _VIEWS, _GRID, RayGrid.for_image(_GRID), law.p_min)
+        harmonics = law.parameters if amplitudes is None else None
+        images, cross_sections, *_ = call.of(*gaussians, harmonics, amplitudes, leaves["shift"])
+        for output in (images, cross_sections):
             loss = loss + (output * (draw(output.shape) - 0.5).to(where)).sum() / output.detach().norm()
-        results |= {f"images of {title}": rendering.images, f"cross-sections of {title}": rendering.cross_sections}
+        results |= {f"images of {title}": images, f"cross-sections of {title}": cross_sections}
     gradients = torch.autograd.grad(loss, list(leaves.values()))
     results |= {f"gradients of {name}": gradient for name, gradient in zip(leaves, gradients, strict=True)}
     return {name: tensor.detach().cpu() for name, tensor in results.items()}

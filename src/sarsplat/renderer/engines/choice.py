@@ -1,9 +1,9 @@
-"""Which engines there are besides the reference, and which one "auto" takes."""
+"""Which engine does what: the one place that decides it, for the renderer and for trainings."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -12,14 +12,14 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
-from sarsplat.renderer import cpu, cuda
 from sarsplat.renderer.checks import check_for_cpu, check_for_cuda
-from sarsplat.renderer.cuda_device import device, require_cuda
-from sarsplat.renderer.passes import Pass
-from sarsplat.renderer.trial import objection
+from sarsplat.renderer.engines import cpu, cuda
+from sarsplat.renderer.engines.cuda_device import device, require_cuda
+from sarsplat.renderer.engines.passes import NewPass, Pass
+from sarsplat.renderer.engines.trial import objection
 
-Tensors = dict[str, Tensor | None]
-"""What is to be rendered, by the names that errors use."""
+Tensors = Mapping[str, Tensor | None]
+"""What is to be calculated with, by the names that errors use."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,33 @@ def _on_cuda(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> 
 
 ENGINES = {"cpu": Engine("cpu", _on_cpu), "cuda": Engine("cuda", _on_cuda, takes_bounds=True, objection=objection)}
 """Engines by name. Beside them there are "reference", which is plain torch, and "auto", which chooses."""
+
+
+def passes_for(
+    name: str, tensors: Tensors, grid: ImageGrid | None = None, instruction_set: str = "auto"
+) -> NewPass | None:
+    """What makes passes of the engine that is meant, over these tensors; None where plain torch calculates.
+
+    What an engine does not have, `Operation.on` leaves to plain torch, too.
+
+    Parameters
+    ----------
+    name : {"auto", "cpu", "cuda", "reference"}
+        "auto" is what fits the dtype and the device of the first tensor.
+    tensors : mapping of str to Tensor
+        All that kernels read.
+    grid : ImageGrid, optional
+        Of the images that are rendered.
+    instruction_set : {"auto", "base", "avx2", "avx512"}
+        Of the CPU engine.
+
+    Raises
+    ------
+    SarsplatError
+        If the engine is unknown, is not available, or does not take the tensors.
+    """
+    chosen = chosen_engine(name, next(tensor for tensor in tensors.values() if tensor is not None))
+    return ENGINES[chosen].prepare(tensors, grid, instruction_set) if chosen in ENGINES else None
 
 
 def chosen_engine(name: str, like: Tensor) -> str:

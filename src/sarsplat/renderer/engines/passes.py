@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 
 class Pass(Protocol):
-    """One call forward, and what the call backward needs.
+    """One call forward, and what the call backward needs; or operations of one structure, which keep nothing.
 
     The steps are "render", "project", "attenuate" and "splat". A problem and whatever else a step takes are structures
-    and addresses of arrays, in the order of `sg_engine` in csrc/api.h.
+    and addresses of arrays, in the order of `sg_engine` in csrc/api.h. Operations are the `SG_OPERATIONS` of that file.
     """
 
     def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
@@ -25,16 +26,24 @@ class Pass(Protocol):
         """Where the rays of a view stand."""
         ...
 
-    def normal_lobes(self, lobes: ctypes.Structure) -> None:
-        """Fill in γ⁰ of Gaussians towards views."""
-        ...
-
-    def normal_lobes_backward(self, lobes: ctypes.Structure) -> None:
-        """Fill in the gradients."""
-        ...
-
     def trace(
         self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
     ) -> None:
         """Fill T_end and, unless None, the first-return range of a view's rays."""
         ...
+
+    def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
+        """Whether it does an operation of one structure, given the numbers in that."""
+        ...
+
+    def run(self, operation: str, call: ctypes.Structure) -> None:
+        """Fill in what such an operation gives."""
+        ...
+
+
+NewPass = Callable[..., Pass]
+
+
+def within(limits: Mapping[str, float], numbers: Mapping[str, Any]) -> bool:
+    """Whether numbers keep their limits."""
+    return all(numbers[name] <= most for name, most in limits.items())

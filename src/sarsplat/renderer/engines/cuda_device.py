@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Iterable
 from contextlib import nullcontext
 from ctypes import POINTER, byref, c_char_p, c_int, c_uint, c_void_p
 from functools import cache
 
 import torch
-from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer.nvrtc import Nvrtc, machine_code
+from sarsplat.renderer.engines.nvrtc import Nvrtc, machine_code
 
 _DRIVER = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 
@@ -83,15 +81,6 @@ def device(index: int) -> Device:
         If the driver, NVRTC or the device is missing.
     """
     return Device(torch.device("cuda", index))
-
-
-def gpu_of(tensors: Iterable[Tensor]) -> Device | None:
-    """The GPU on which all of these are, as float32, if they are on one."""
-    places = {(tensor.device, tensor.dtype) for tensor in tensors}
-    if len(places) != 1:
-        return None
-    (place, dtype) = places.pop()
-    return device(place.index) if place.type == "cuda" and dtype == torch.float32 else None
 
 
 @cache

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from ctypes import c_float, c_int32, c_int64, c_void_p
 from functools import lru_cache
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer.bounds import LEFT_BOUNDS, Capacity
-from sarsplat.renderer.cpu import FAULTS
-from sarsplat.renderer.cuda_lattices import cut_into_tiles, smallest_lattice, tiles_of, total
-from sarsplat.renderer.structs import Channels, Lattice, Outputs, Projection, structure
+from sarsplat.renderer.engines.abi import api
+from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, Capacity
+from sarsplat.renderer.engines.cpu import FAULTS, LIMITS
+from sarsplat.renderer.engines.cuda_lattices import State, cut_into_tiles, smallest_lattice, tiles_of, total
+from sarsplat.renderer.engines.passes import within
 
 # of csrc/cuda_state.cuh
 _THREADS, _WARPS = 256, 8
@@ -32,17 +33,15 @@ _MAX_PAIRS = 1 << 31
 _NOTHING = (1 << 63) - 1
 """The largest key, and more than there is of anything."""
 
-_PLANE = ("splats", "reach", "lattices", "counts", "ends", "keys", "owners", "order", "starts")
-_Plane = structure("Plane", *((name, c_void_p) for name in _PLANE))
-_FORWARD = ("slope", "transmittance", "last", "slot_weights", "lit_area")
 _BACKWARD = ("h", "slot_moments", "pixel_moments", "planes")
-_State = structure(
-    "State",
-    ("minima", c_void_p),
-    ("rays", _Plane),
-    ("pixels", _Plane),
-    *((name, c_void_p) for name in (*_FORWARD, *_BACKWARD)),
-)
+"""What of the state only a backward pass needs."""
+
+_OPERATIONS: dict[str, dict[str, float]] = {
+    "adam": LIMITS["adam"],
+    "amplitude_loss": {"ssim_weight": 0},
+    "normal_lobes": {},
+}
+"""The operations of one structure that there are kernels for, and the largest of some numbers that they take."""
 
 
 class Launcher(Protocol):
@@ -55,21 +54,6 @@ class Launcher(Protocol):
         ...
 
 
-def adam(launcher: Launcher, step: ctypes.Structure) -> None:
-    """One step of Adam on every group, and its values back into their bounds."""
-    for group in step.groups[: step.count]:
-        if blocks := -(-group.rows * group.columns // _THREADS):
-            launcher.launch("step_adam", blocks, _THREADS, group, step)
-
-
-def amplitude_loss(launcher: Launcher, loss: ctypes.Structure) -> None:
-    """Fill in the loss and its gradient, without SSIM."""
-    blocks = -(-loss.views * loss.rows * loss.columns // _THREADS)
-    sums = torch.empty(blocks, dtype=torch.float32, device=launcher.device)
-    launcher.launch("amplitude_loss", blocks, _THREADS, loss, c_void_p(sums.data_ptr()))
-    launcher.launch("sum_loss", 1, _THREADS, loss, c_void_p(sums.data_ptr()), c_int64(blocks))
-
-
 class Pass:
     """One forward pass and what its backward pass needs; the same interface as the CPU engine's.
 
@@ -78,7 +62,7 @@ class Pass:
 
     def __init__(self, launcher: Launcher, capacity: Capacity | None = None) -> None:
         self._launcher, self._capacity = launcher, capacity
-        self._state = _State()
+        self._state = State()
         self._arrays: dict[str, Tensor] = {}
         self._pairs = 0
         self._lattices: list[tuple[int, int, int, int]] = []
@@ -102,7 +86,7 @@ class Pass:
 
     def lattice(self, view: int) -> ctypes.Structure:
         """Where the rays of a view stand."""
-        return Lattice(*self._lattices[view])
+        return api.lattice(*self._lattices[view])
 
     def trace(
         self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
@@ -116,13 +100,28 @@ class Pass:
             *(c_void_p(transmittance), c_void_p(first_return)),
         )
 
-    def normal_lobes(self, lobes: ctypes.Structure) -> None:
-        """Fill in γ⁰ of Gaussians towards views."""
-        self._launch("normal_lobes", -(-lobes.gaussians // _THREADS), lobes)
+    def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
+        """Whether it does an operation of one structure, given the numbers in that."""
+        return operation in _OPERATIONS and within(_OPERATIONS[operation], numbers)
 
-    def normal_lobes_backward(self, lobes: ctypes.Structure) -> None:
-        """Fill in the gradients."""
-        self._launch("normal_lobes_backward", -(-lobes.gaussians // _THREADS), lobes)
+    def run(self, operation: str, call: ctypes.Structure) -> None:
+        """Fill in what such an operation gives."""
+        getattr(self, f"_{operation}")(call)
+
+    # ---- operations of one structure
+    def _adam(self, step: ctypes.Structure) -> None:
+        for group in step.groups[: step.count]:
+            self._launch("step_adam", -(-group.rows * group.columns // _THREADS), group, step)
+
+    def _amplitude_loss(self, loss: ctypes.Structure) -> None:
+        blocks = -(-loss.views * loss.rows * loss.columns // _THREADS)
+        sums = c_void_p(self._new("sums", blocks).data_ptr())
+        self._launch("amplitude_loss", blocks, loss, sums)
+        self._launch("sum_loss", 1, loss, sums, c_int64(blocks))
+
+    def _normal_lobes(self, lobes: ctypes.Structure) -> None:
+        kernel = "normal_lobes_backward" if lobes.d_amplitudes else "normal_lobes"
+        self._launch(kernel, -(-lobes.gaussians // _THREADS), lobes)
 
     # ---- a whole rendering
     def _render(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
@@ -175,11 +174,11 @@ class Pass:
         bounds = self._begin(problem)
         self._new_planes("rays")
         self._fill(slope=(self._pairs, 2))
-        self._over_pairs("place_footprints", problem, problem, self._state, footprints, Channels())
+        self._over_pairs("place_footprints", problem, problem, self._state, footprints, api.channels())
         if (fault := self._place_lattices(bounds)) is not None:
             return fault
         self._arrange(problem, {"rays": self._rays})
-        self._attenuate_tiles(problem, Channels(), Outputs(lit_area=lit_area))
+        self._attenuate_tiles(problem, api.channels(), api.outputs(lit_area=lit_area))
         return "", -1
 
     def _attenuate_backward(
@@ -190,7 +189,7 @@ class Pass:
         gradients: ctypes.Structure,
     ) -> None:
         seeds = (c_void_p(p) for p in (d_lit_area, None, None, None))
-        self._attenuate_tiles_backward(problem, Channels(), d_transmittance, *seeds)
+        self._attenuate_tiles_backward(problem, api.channels(), d_transmittance, *seeds)
         self._over_pairs("write_footprint_gradients", problem, problem, self._state, gradients)
 
     def _splat(
@@ -251,11 +250,11 @@ class Pass:
     def _gamma0(self, name: str) -> ctypes.Structure:
         """What the kernels of a whole rendering read and write of a projection; the rest is never written out."""
         array = self._arrays.get(name)
-        return Projection(gamma0=None if array is None else array.data_ptr())
+        return api.projection(gamma0=None if array is None else array.data_ptr())
 
     def _channels(self, problem: ctypes.Structure) -> ctypes.Structure:
         """What is multiplied by lit areas in a whole rendering."""
-        return Channels(problem.channels, problem.amplitudes or self._arrays["gamma0"].data_ptr())
+        return api.channels(problem.channels, problem.amplitudes or self._arrays["gamma0"].data_ptr())
 
     def _place_lattices(self, minima: Tensor) -> tuple[str, int] | None:
         """Rays that hold all footprints; or what was rejected."""

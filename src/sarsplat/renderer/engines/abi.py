@@ -1,0 +1,104 @@
+"""The structures and functions of the engine's C ABI as ctypes has them, read from csrc/api.h, which declares them."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from torch import Tensor
+
+SOURCES = Path(__file__).parents[1] / "csrc"
+"""The folder of the engine's source."""
+
+HEADER = SOURCES / "api.h"
+
+_NUMBERS = {
+    **{"float": ctypes.c_float, "double": ctypes.c_double},
+    **{"int32_t": ctypes.c_int32, "int64_t": ctypes.c_int64},
+}
+_STRUCTURE = re.compile(r"struct (\w+) \{(.*?)\n?\};", re.DOTALL)
+_MEMBER = re.compile(r"(?:const )?(unsigned long long|\w+)(?: (?=[\w*])|(?=\*))(.+)", re.DOTALL)
+_FUNCTION = re.compile(r"(?:const )?(\w+\*?) \(\*(\w+)\)\((.*)\)", re.DOTALL)
+_OPERATION = re.compile(r"_\((\w+), (\w+)\)")
+
+
+def structures(source: str, names: Iterable[str] | None = None) -> dict[str, Any]:
+    """The C structures that a source declares, or those of these names, by their names.
+
+    Members are numbers, arrays of them, structures declared before, functions, and pointers. A pointer to a structure
+    of the ABI ("sg_…") has a type, any other is an address.
+    """
+    source = re.sub(r"//[^\n]*", "", source)
+    operations = "".join(f"int32_t (*{name})(sg_context*, const {of}*);" for name, of in _OPERATION.findall(source))
+    source = re.sub(r"^#define SG_OPERATIONS(.*\\\n)*.*$", "", source, flags=re.MULTILINE)
+    source = source.replace("SG_OPERATIONS(SG_MEMBER)", operations)
+    source = re.sub(r"^#.*$", "", source, flags=re.MULTILINE)
+    found: dict[str, Any] = {}
+    for name, body in _STRUCTURE.findall(source):
+        if names is None or name in names:
+            fields = [field for member in body.split(";") if member.strip() for field in _fields(member.strip(), found)]
+            found[name] = type(name, (ctypes.Structure,), {"_fields_": fields})
+    return found
+
+
+def _fields(member: str, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Names and types of what one declaration declares, such as `const float *power, *truth`."""
+    if function := _FUNCTION.fullmatch(member):
+        result, name, arguments = function.groups()
+        types = (next(_fields(argument.strip(), known))[1] for argument in arguments.split(",") if argument.strip())
+        yield name, ctypes.CFUNCTYPE(_type(result, known), *types)
+        return
+    split = _MEMBER.fullmatch(member)
+    assert split is not None, member
+    base, declared = split.groups()
+    for one in declared.split(","):
+        name, *sizes = re.findall(r"\w+", one) or [""]
+        of = _type(base + "*" * one.count("*"), known)
+        yield name, of * int(sizes[0]) if sizes else of
+
+
+def _type(name: str, known: Mapping[str, Any]) -> Any:
+    base = name.rstrip("*")
+    if base == name:
+        return None if name == "void" else _NUMBERS[name] if name in _NUMBERS else known[name]
+    if base == "char":
+        return ctypes.c_char_p
+    return ctypes.POINTER(known[base]) if base in known and base.startswith("sg_") else ctypes.c_void_p
+
+
+api = SimpleNamespace(
+    **{name.removeprefix("sg_"): one for name, one in structures(HEADER.read_text(encoding="utf-8")).items()}
+)
+"""The structures of csrc/api.h by their names without sg_: `api.problem(views=1)` is one."""
+
+
+@cache
+def structure_of(operation: str) -> tuple[Any, frozenset[str]]:
+    """The structure that an operation takes, and the names of its members."""
+    structure = dict(api.engine._fields_)[operation]._argtypes_[1]._type_
+    return structure, frozenset(name for name, _ in structure._fields_)
+
+
+def filled(operation: str, values: Mapping[str, Any]) -> Any:
+    """The structure of an operation with these values: numbers, tuples of them, tensors, and lists of such structures.
+
+    It has the addresses of tensors only, which must outlive it.
+    """
+    return _filled(structure_of(operation)[0], values)
+
+
+def _filled(structure: Any, values: Mapping[str, Any]) -> Any:
+    made = structure()
+    for name, value in values.items():
+        if isinstance(value, Tensor):
+            value = value.data_ptr()
+        elif isinstance(value, list):
+            of = dict(structure._fields_)[name]._type_
+            value = (of * len(value))(*(_filled(of, one) for one in value))
+        setattr(made, name, value)
+    return made

@@ -1,0 +1,193 @@
+"""A thin loader of the CPU engine; it knows arrays, and nothing of Gaussians or views."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import sys
+import warnings
+from collections.abc import Mapping
+from ctypes import byref, c_int64, c_void_p
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.renderer.checks import INSTRUCTION_SETS
+from sarsplat.renderer.engines.abi import HEADER, api
+from sarsplat.renderer.engines.passes import within
+
+LIBRARY = Path(__file__).parents[1] / ("_engine.dll" if sys.platform == "win32" else "_engine.so")
+"""The compiled engine."""
+
+_TORCH = {"win32": "torch_cpu.dll", "darwin": "libtorch_cpu.dylib"}.get(sys.platform, "libtorch_cpu.so")
+
+_INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "amplitudes", "shift")
+_FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "cross_sections", "slopes")
+FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
+"""What a pass can reject, by status code."""
+
+LIMITS: dict[str, dict[str, float]] = {"adam": {"columns": 16}, "stack_likelihood": {"passes": 16}}
+"""The largest of some numbers that an operation takes."""
+
+_NO_MEMORY = "there is not enough memory for the rendering; render fewer views at a time or use coarser rays"
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """The compiled engine, its threads borrowed from torch; on one, with a warning, where torch does not lend them.
+
+    Raises
+    ------
+    SarsplatError
+        If it was never built, does not fit this machine, or was built from another csrc/api.h.
+    """
+    try:
+        lib = ctypes.CDLL(str(LIBRARY))
+    except OSError as error:
+        raise SarsplatError(
+            f"the CPU engine cannot be loaded ({error}); reinstall with `pip install .`, or use engine='reference'"
+        ) from error
+    if _compiled_with(lib) != hashlib.sha256(HEADER.read_bytes()).hexdigest():
+        raise SarsplatError(
+            "the compiled CPU engine has other structures or functions than this version of sarsplat; reinstall with "
+            "`pip install .`"
+        )
+    lib.sg_engine_for.restype, lib.sg_use_torch.argtypes = ctypes.POINTER(api.engine), [c_void_p]
+    pool = torch_pool()
+    if pool is None:
+        warnings.warn(
+            f"the CPU engine runs on one thread, because PyTorch {torch.__version__} has no torch_parallel_for; "
+            "install PyTorch from its own wheels to use all of them",
+            SarsplatWarning,
+            stacklevel=2,
+        )
+    lib.sg_use_torch(pool)
+    return lib
+
+
+def _compiled_with(lib: ctypes.CDLL) -> str:
+    """The digest of the header that a library was compiled with; "" for one of a time before there were any."""
+    try:
+        lib.sg_api.restype = ctypes.c_char_p
+    except AttributeError:
+        return ""
+    return lib.sg_api().decode()
+
+
+def torch_pool() -> c_void_p | None:
+    """The function that runs a loop on torch's threads, or None where this torch has none."""
+    try:
+        function = ctypes.CDLL(str(Path(torch.__file__).parent / "lib" / _TORCH)).torch_parallel_for
+    except (OSError, AttributeError):
+        return None
+    return ctypes.cast(function, c_void_p)
+
+
+def instruction_sets() -> list[str]:
+    """Those that this processor can run and that were compiled, the widest last."""
+    lib = library()
+    return [INSTRUCTION_SETS[isa] for isa in range(1, lib.sg_supported_isa() + 1) if lib.sg_engine_for(isa)]
+
+
+def best_instruction_set() -> str:
+    """The widest instruction set that this processor, and this build, can run."""
+    return INSTRUCTION_SETS[_isa("auto")]
+
+
+def _isa(instruction_set: str) -> int:
+    """What the engine calls an instruction set; of "auto", the widest there is."""
+    here = instruction_sets()
+    if instruction_set in here or (instruction_set == "auto" and here):
+        return INSTRUCTION_SETS.index(here[-1] if instruction_set == "auto" else instruction_set)
+    supported = INSTRUCTION_SETS[1 : library().sg_supported_isa() + 1]
+    if instruction_set not in ("auto", *supported):
+        raise SarsplatError(
+            f"instruction_set {instruction_set!r} is not supported by this processor; use 'auto' or at most "
+            f"{supported[-1]!r}"
+        )
+    what = "this processor" if instruction_set == "auto" else f"the instruction set {instruction_set!r}"
+    raise SarsplatError(
+        f"the CPU engine was not compiled for {what}; `python build_engine.py` compiles it for every instruction set"
+    )
+
+
+@cache
+def _functions(instruction_set: int) -> dict[str, Any]:
+    """What the engine does, by the names in csrc/api.h."""
+    table = library().sg_engine_for(instruction_set).contents
+    return {name: getattr(table, name) for name, _ in table._fields_}
+
+
+class Pass:
+    """One forward pass and what its backward pass needs. Memory goes back to a small pool for the next one."""
+
+    _idle: dict[int, list[int]] = {}  # noqa: RUF012 - shared on purpose: memory waiting for reuse, per instruction set
+    _keep = 3  # as many as there are steps
+
+    def __init__(self, instruction_set: str = "auto") -> None:
+        self._isa = _isa(instruction_set)
+        self._library, self._functions = library(), _functions(self._isa)
+        idle = self._idle.setdefault(self._isa, [])
+        self._context = idle.pop() if idle else self._functions["create"]()
+
+    def __del__(self) -> None:
+        context = getattr(self, "_context", None)
+        if context is None:
+            return
+        idle = self._idle.setdefault(self._isa, [])
+        if len(idle) < self._keep:
+            idle.append(context)
+        else:
+            self._functions["destroy"](context)
+
+    def _call(self, function: str, *arguments: object) -> int:
+        """The status of a function of csrc/api.h, on as many threads as torch has.
+
+        Raises
+        ------
+        SarsplatError
+            If there is not enough memory, here and below.
+        """
+        self._library.sg_set_threads(torch.get_num_threads())
+        status: int = self._functions[function](self._context, *arguments)
+        if FAULTS[status] == "memory":
+            raise SarsplatError(_NO_MEMORY)
+        return status
+
+    def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
+        """Run; returns what was rejected ("" for nothing) and at which index."""
+        culprit = c_int64(-1)
+        return FAULTS[self._call(step, problem, *arguments, byref(culprit))], culprit.value
+
+    def backward(self, step: str, problem: ctypes.Structure, *arguments: object) -> None:
+        """Run the adjoint of the last forward call."""
+        self._call(f"{step}_backward", problem, *arguments)
+
+    def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
+        """Whether it does an operation of one structure, given the numbers in that."""
+        return operation in self._functions and within(LIMITS.get(operation, {}), numbers)
+
+    def run(self, operation: str, call: ctypes.Structure) -> None:
+        """Fill in what such an operation gives."""
+        self._call(operation, call)
+
+    def lattice(self, view: int) -> ctypes.Structure:
+        """Where the rays of a view stand."""
+        lattice = api.lattice()
+        self._functions["lattice"](self._context, view, lattice)
+        return lattice
+
+    def trace(
+        self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
+    ) -> None:
+        """Fill T_end and, unless None, the first-return range of a view's rays."""
+        self._call("trace", problem, view, depth, transmittance, first_return)
+
+    def statistics(self, problem: ctypes.Structure) -> ctypes.Structure:
+        """Visited blocks and live lanes of the last forward pass."""
+        statistics = api.statistics()
+        self._functions["statistics"](self._context, problem, statistics)
+        return statistics

@@ -1,0 +1,174 @@
+"""Operations between tensors that engines do, as differentiable functions: each is declared once, with all it needs.
+
+Most are an `Operation` of one structure: it names its arrays, and has a twin in plain torch for where no engine does
+it. The steps of a rendering (stages.py) keep on the engine's side what their way back needs, and are only `Call`s.
+"""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.renderer.engines.abi import filled, structure_of
+from sarsplat.renderer.engines.passes import NewPass, Pass
+from sarsplat.renderer.once import differentiable_once
+
+Tensors = Sequence[Tensor | None]
+
+
+class Call(ABC):
+    """What is calculated in one call forward and one call backward, on contiguous tensors; made anew for every call."""
+
+    names: ClassVar[tuple[str, ...]]
+    """Names of the inputs, for errors."""
+
+    saved: ClassVar[slice] = slice(None)
+    """Which inputs the backward pass reads."""
+
+    constant: tuple[int, ...] = ()
+    """Which outputs have no gradient."""
+
+    needed: Sequence[bool]
+    """Which inputs need one."""
+
+    @abstractmethod
+    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
+        """The outputs."""
+
+    @abstractmethod
+    def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
+        """Gradients of the inputs from those of the outputs; None is zero."""
+
+    def kept(self, inputs: Tensors) -> Tensors:
+        """What the backward pass is given: one tensor for each of the saved inputs' names, of its shape."""
+        return inputs[self.saved]
+
+    def of(self, *inputs: Tensor | None) -> tuple[Tensor, ...]:
+        """The outputs, differentiable once."""
+        return _Call.apply(self, *inputs)
+
+
+class Operation(Call):
+    """An operation of one structure of csrc/api.h, whose members of these names are the inputs.
+
+    A member `d_NAME` is the gradient of the input, or of the output, NAME; inputs without one have none.
+    """
+
+    operation: ClassVar[str]
+    """Its name in csrc/api.h."""
+
+    optional: ClassVar[tuple[str, ...]] = ()
+    """Inputs whose gradients the kernel leaves out if nobody asks for them."""
+
+    at_once: ClassVar[bool] = False
+    """The call forward finds the gradients, too: of the first output, which is one number."""
+
+    @abstractmethod
+    def plain(self, *inputs: Any) -> Any:
+        """The twin in plain torch, for any device and floating dtype: the output, or a tuple of them."""
+
+    @abstractmethod
+    def numbers(self, *inputs: Any) -> dict[str, Any]:
+        """All other members by name, as `filled` takes them."""
+
+    @abstractmethod
+    def outputs(self, *inputs: Any) -> dict[str, Tensor]:
+        """New tensors for the outputs, by the names of their members."""
+
+    def on(self, new_pass: NewPass | None, *inputs: Tensor | None) -> Any:
+        """What `plain` gives, by an engine's passes if that has this operation."""
+        if new_pass is not None:
+            self._new_pass, self._kernel, self._numbers = new_pass, new_pass(), self.numbers(*inputs)
+            if self._kernel.has(self.operation, self._numbers):
+                outputs = self.of(*inputs)
+                return outputs[0] if len(outputs) == 1 else outputs
+        return self.plain(*inputs)
+
+    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
+        outputs = self.outputs(*inputs)
+        self._shapes = {name: tensor.shape for name, tensor in outputs.items()}
+        self._found = self._new_gradients(inputs) if self.at_once else {}
+        self._run(self._kernel, inputs, outputs | self._found)
+        del self._kernel  # nothing is left of the call there
+        return tuple(outputs.values())
+
+    def kept(self, inputs: Tensors) -> Tensors:
+        if not self.at_once:
+            return inputs
+        found, self._found = self._found, {}  # torch frees them after the way back
+        return [found.get(f"d_{name}") for name in self.names]
+
+    def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
+        if self.at_once:
+            return [None if gradient is None else gradient * grads[0] for gradient in saved]
+        like = next(grad for grad in grads if grad is not None)
+        seeds = {
+            f"d_{name}": like.new_zeros(shape) if grad is None else grad
+            for (name, shape), grad in zip(self._shapes.items(), grads, strict=True)
+        }
+        gradients = self._new_gradients(saved)
+        self._run(self._new_pass(), saved, seeds | gradients)
+        return [gradients.get(f"d_{name}") for name in self.names]
+
+    def _new_gradients(self, inputs: Tensors) -> dict[str, Tensor]:
+        _, members = structure_of(self.operation)
+        return {
+            f"d_{name}": torch.empty_like(tensor)
+            for name, tensor, needed in zip(self.names, inputs, self.needed, strict=True)
+            if tensor is not None and f"d_{name}" in members and (needed or name not in self.optional)
+        }
+
+    def _run(self, kernel: Pass, inputs: Tensors, others: Mapping[str, Tensor]) -> None:
+        named = dict(zip(self.names, inputs, strict=True))
+        kernel.run(self.operation, filled(self.operation, {**self._numbers, **named, **others}))
+
+
+class _Call(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, call: Call, *tensors: Tensor | None) -> tuple[Tensor, ...]:
+        inputs = [None if t is None else t.contiguous() for t in tensors]
+        call.needed = ctx.needs_input_grad[1:]
+        outputs = call.forward(inputs)
+        kept = call.kept(inputs)
+        ctx.call, ctx.shapes = call, [None if t is None else t.shape for t in kept]
+        ctx.one_at_a_time = threading.Lock()  # the kernel lets go of Python's, and has one set of scratch memory
+        ctx.save_for_backward(*kept)
+        ctx.mark_non_differentiable(*(outputs[k] for k in call.constant))
+        ctx.set_materialize_grads(False)
+        return outputs
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
+        saved = _saved_inputs(ctx)
+        if all(grad is None for grad in grads):
+            return (None,) * (1 + len(ctx.call.names))
+        with ctx.one_at_a_time:
+            return None, *ctx.call.backward(saved, [None if g is None else g.contiguous() for g in grads])
+
+
+def _saved_inputs(ctx: Any) -> list[Any]:
+    """The tensors that a forward pass saved, of the shapes they had.
+
+    Also the check that nobody changed them in place; they need not lie where they lay in the forward pass.
+
+    Raises
+    ------
+    SarsplatError
+        If one has another shape now.
+    """
+    saved = ctx.saved_tensors  # asked for once: what checkpointing recomputes, it hands out once
+    inputs = [None if t is None else t.contiguous() for t in saved]
+    for name, tensor, shape in zip(ctx.call.names[ctx.call.saved], inputs, ctx.shapes, strict=True):
+        if tensor is not None and tensor.shape != shape:
+            raise SarsplatError(
+                f"{name} had shape {tuple(shape)} when rendered and now have shape {tuple(tensor.shape)}; do not "
+                "replace the data of tensors between rendering and backward"
+            )
+    return inputs

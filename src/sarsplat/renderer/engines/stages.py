@@ -1,0 +1,236 @@
+"""A whole rendering and its steps as calls of an engine on plain tensors; and what is wrong with those, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer.checks import complaint, complaint_by_view
+from sarsplat.renderer.engines.abi import api
+from sarsplat.renderer.engines.cpu import FAULTS
+from sarsplat.renderer.engines.operation import Call, Tensors
+from sarsplat.renderer.engines.passes import Pass
+from sarsplat.renderer.engines.problem import ARRAYS, new_problem, point_at, pointer, problem_of
+from sarsplat.renderer.footprints import deviations
+
+_WIDTHS = (2, 3, None, None, 2, 2, 3, None)  # of the tensors [V, N, …] of a projection, as in csrc/api.h
+
+
+class Stage(Call):
+    """A call whose way back is on the pass of its way forward."""
+
+    def __init__(self, kernel: Pass) -> None:
+        self.kernel = kernel
+
+
+class _OfGaussians(Stage):
+    """A stage whose inputs are the arrays of a problem."""
+
+    names = ARRAYS
+    peak = False
+    of_views: int | None = None
+    """Of so many views these are a part; None: they are all."""
+
+    def __init__(self, kernel: Pass, views: Sequence[View], grid: ImageGrid, rays: RayGrid, p_min: float) -> None:
+        super().__init__(kernel)
+        self.views, self.grid, self.rays, self.p_min = views, grid, rays, p_min
+
+    def pose(self, inputs: Tensors) -> Any:
+        """The problem of these inputs."""
+        self.problem, self.constants = problem_of(inputs, self.views, self.grid, self.rays, self.p_min, self.peak)
+        self.problem.of_views = self.of_views or len(self.views)
+        return self.problem
+
+    def accept(self, inputs: Tensors, fault: str, index: int) -> None:
+        """Raise what the kernel rejected, if anything."""
+        if not fault:
+            return
+        means, _, scales, *_ = inputs
+        if fault == "lattice":
+            assert means is not None
+            assert scales is not None
+            raise SarsplatError(_too_many_rays(index, self.rays, float(means.abs().max()), float(scales.max())))
+        tensor = inputs[FAULTS.index(fault) - 1]
+        assert tensor is not None
+        raise SarsplatError((complaint_by_view if fault == "amplitudes" else complaint)(fault, tensor, index))
+
+
+class Render(_OfGaussians):
+    """One call each way for all views: images, cross-sections, lit areas, and what the rays met."""
+
+    depth: float | None = None
+    """Of first returns, if they are asked for."""
+    ends = False
+    """Whether T_end is asked for."""
+    in_sight: Float[Tensor, "v n"] | None = None
+    planes: Float[Tensor, "v n 4"] | None = None
+    """Filled with dL/d(mu_C, mu_I) on the way back."""
+    constant = (2, 4)
+
+    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
+        problem, means = self.pose(inputs), inputs[0]
+        assert means is not None
+        problem.in_sight = pointer(self.in_sight)
+        views, n, channels = problem.views, problem.gaussians, problem.channels
+        # never torch's default dtype or device
+        images = means.new_empty(views, channels, self.grid.rows, self.grid.columns)
+        cross_sections, lit_area = means.new_empty(views, n, channels), means.new_empty(views, n)
+        outputs = api.outputs(*map(pointer, (images, cross_sections, lit_area)))
+        self.accept(inputs, *self.kernel.forward("render", problem, outputs))
+        return images, cross_sections, lit_area, *_traced(self.kernel, problem, self.depth, self.ends, lit_area)
+
+    def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
+        d_images, d_cross_sections, _, d_transmittance, _ = grads
+        if d_images is None:
+            shape = self.problem.views, self.problem.channels, self.grid.rows, self.grid.columns
+            d_images = saved[0].new_zeros(shape)
+        results = [None if t is None else torch.empty_like(t) for t in saved]
+        seeds = d_images, d_cross_sections, d_transmittance
+        gradients = api.gradients(*map(pointer, (*seeds, *results, self.planes)))
+        point_at(self.problem, saved)
+        self.kernel.backward("render", self.problem, gradients)
+        return results
+
+
+class Project(_OfGaussians):
+    """To the tensors of a projection, the last of which is γ⁰ of harmonics."""
+
+    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
+        problem, means = self.pose(inputs), inputs[0]
+        assert means is not None
+        outputs = tuple(_by_view(means, problem, width) for width in _WIDTHS)
+        self.accept(inputs, *self.kernel.forward("project", problem, api.projection(*map(pointer, outputs))))
+        self.constant = (3, 4) if problem.coefficients else (3, 4, 7)
+        return outputs
+
+    def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
+        seeds = [
+            None if k in (3, 4) else _by_view(saved[0], self.problem, width).zero_() if grad is None else grad
+            for k, (grad, width) in enumerate(zip(grads, _WIDTHS, strict=True))  # neither range nor tilt
+        ]
+        results = [None if t is None else torch.empty_like(t) for t in saved]
+        gradients = api.gradients(**dict(zip(ARRAYS, map(pointer, results), strict=True)))
+        point_at(self.problem, saved)
+        self.kernel.backward("project", self.problem, api.projection(*map(pointer, seeds)), gradients)
+        return results
+
+
+class Attenuate(Stage):
+    """Footprints to lit areas, and what the rays met."""
+
+    names = ("rays.centers", "rays.roots", "optical_depth", "range_m", "tilt")
+    saved = slice(0)
+    constant = (2,)
+
+    def __init__(self, kernel: Pass, rays: RayGrid, depth: float | None) -> None:
+        super().__init__(kernel)
+        self.rays, self.depth = rays, depth
+
+    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
+        centers, roots, optical_depth, *_ = inputs
+        assert centers is not None
+        assert roots is not None
+        assert optical_depth is not None
+        self.problem = new_problem(*optical_depth.shape, rays=self.rays)
+        lit_area = torch.empty_like(optical_depth)
+        footprints = api.projection(*map(pointer, inputs))
+        fault, index = self.kernel.forward("attenuate", self.problem, footprints, lit_area.data_ptr())
+        if fault == "lattice":
+            reach, width = centers[index].abs().max(), deviations(roots[index]).max()
+            raise SarsplatError(_too_many_rays(index, self.rays, float(reach), float(width)))
+        _accept_footprints(self.names, inputs, fault, index)
+        return lit_area, *_traced(self.kernel, self.problem, self.depth, False, lit_area)
+
+    def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
+        like = next(grad for grad in grads if grad is not None)
+        results = [_by_view(like, self.problem, width) for width in (2, 3, None)]
+        gradients = api.projection(*map(pointer, results))
+        self.kernel.backward("attenuate", self.problem, pointer(grads[0]), pointer(grads[1]), gradients)
+        return (*results, None, None)
+
+
+class Splat(Stage):
+    """Footprints and cross-sections to images; of channels with `turns` per metre of elevation, with their slopes."""
+
+    names = ("footprints.centers", "footprints.roots", "cross_sections", "waves.slopes")
+    saved = slice(2, 4)
+
+    def __init__(self, kernel: Pass, grid: ImageGrid, peak: bool, turns: Float[Tensor, "v c"] | None) -> None:
+        super().__init__(kernel)
+        self.grid, self.peak, self.turns = grid, peak, turns
+
+    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
+        centers, roots, cross_sections, slopes = inputs
+        assert cross_sections is not None
+        views, n, channels = cross_sections.shape
+        self.problem = new_problem(views, n, grid=self.grid, peak=self.peak)
+        images = cross_sections.new_empty(views, channels, self.grid.rows, self.grid.columns)
+        footprints = api.projection(pixel_centers=pointer(centers), pixel_roots=pointer(roots))
+        splatted = self._channels(cross_sections, slopes)
+        fault = self.kernel.forward("splat", self.problem, footprints, splatted, images.data_ptr())
+        _accept_footprints(self.names, inputs, *fault)
+        return (images,)
+
+    def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
+        (cross_sections, slopes), (d_images,) = saved, grads
+        assert d_images is not None
+        centers, roots, elevation = (_by_view(cross_sections, self.problem, width) for width in (2, 3, 3))
+        d_cross_sections = torch.empty_like(cross_sections)
+        self.kernel.backward(
+            "splat",
+            self.problem,
+            self._channels(cross_sections, slopes),
+            d_images.data_ptr(),
+            api.projection(pixel_centers=pointer(centers), pixel_roots=pointer(roots)),
+            d_cross_sections.data_ptr(),
+            None if slopes is None else elevation.data_ptr(),
+        )
+        if slopes is None:
+            return centers, roots, d_cross_sections, None
+        # the elevation is slopes · (pixel − centre), and `elevation` its gradient: the sum, and that with displacements
+        return centers - elevation[..., :1] * slopes, roots, d_cross_sections, elevation[..., 1:]
+
+    def _channels(self, cross_sections: Tensor, slopes: Tensor | None) -> Any:
+        return api.channels(cross_sections.shape[2], *map(pointer, (cross_sections, self.turns, slopes)))
+
+
+def _by_view(like: Tensor, problem: Any, width: int | None) -> Tensor:
+    """A new tensor [V, N] or [V, N, width]."""
+    shape = problem.views, problem.gaussians
+    return like.new_empty(shape if width is None else (*shape, width))
+
+
+def _traced(kernel: Pass, problem: Any, depth: float | None, ends: bool, like: Tensor) -> tuple[Tensor, Tensor]:
+    """T_end of the rays of all views, one after the other, and first returns; of none that are not asked for."""
+    asked = ends or depth is not None
+    sizes = [kernel.lattice(v).rows * kernel.lattice(v).columns for v in range(problem.views)] if asked else []
+    transmittance = like.new_empty(sum(sizes))
+    first_return = like.new_empty(0 if depth is None else sum(sizes))
+    at = 0
+    for v, size in enumerate(sizes):
+        returns = None if depth is None else first_return[at:].data_ptr()
+        kernel.trace(problem, v, depth or 0.0, transmittance[at:].data_ptr(), returns)
+        at += size
+    return transmittance, first_return
+
+
+def _too_many_rays(view: int, rays: RayGrid, reach_m: float, width_m: float) -> str:
+    """The sentence for a lattice that would be too large."""
+    return (
+        f"view {view} would need too many rays at a spacing of {rays.spacing_m} m: the Gaussians reach {reach_m:.4g} m "
+        f"from the scene centre and are up to {width_m:.4g} m wide; remove distant or wide ones, or use coarser rays"
+    )
+
+
+def _accept_footprints(names: Sequence[str], inputs: Tensors, fault: str, index: int) -> None:
+    """Raise what a step rejected, if anything."""
+    for name, tensor in zip(names, inputs, strict=True):
+        if fault and name.rpartition(".")[2] == fault:
+            assert tensor is not None
+            raise SarsplatError(complaint_by_view(name, tensor, index))
