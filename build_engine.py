@@ -119,11 +119,9 @@ def compile_engine(target: Target, library: Path, isas: Iterable[int]) -> None:
             name, width, flags = target.levels[isa - 1]
             jobs.append((name, "engine.cpp", [*flags, f"-DSG_ISA={name}", f"-DSG_WIDTH={width}"]))
             sets += f"SET({isa}, {name}) "
-        api = hashlib.sha256((RENDERER / "csrc" / "api.h").read_bytes()).hexdigest()
-        jobs += [
-            ("dispatch", "dispatch.cpp", [f"-DSG_SETS={sets}", f"-DSG_API={api}"]),
-            ("parallel", "parallel.cpp", []),
-        ]
+        digest = hashlib.sha256((RENDERER / "csrc" / "api.h").read_bytes()).hexdigest()
+        jobs += [("dispatch", "dispatch.cpp", [f"-DSG_SETS={sets}", f"-DSG_API={digest}"])]
+        jobs += [("parallel", "parallel.cpp", [])]
 
         def compile_one(job: tuple[str, str, list[str]]) -> subprocess.CompletedProcess[str]:
             name, source, flags = job

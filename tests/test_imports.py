@@ -104,6 +104,21 @@ def test_the_renderer_imports_torch_and_numpy_only():
             assert third_party(path) <= {"torch", "numpy", "jaxtyping"} | more, path
 
 
+def test_the_engines_alone_know_ctypes():
+    """Beside them, what Python has no function for: renaming without replacing, giving memory back, dying together."""
+    others = {"data.folders", "runs.tiled_training", "samples.made_each"}
+    known = {name for name, path in modules().items() if "ctypes" in imported(path)}
+    assert {name for name in known if not name.startswith("renderer.engines.")} == others
+
+
+def test_the_engines_need_little_of_the_renderer():
+    own = {"renderer.checks", "renderer.constants", "renderer.footprints", "renderer.once"}
+    for name, needed in graph().items():
+        if name.startswith("renderer.engines."):
+            outside = {one for one in needed if one.startswith("renderer.") and not one.startswith("renderer.engines")}
+            assert outside <= own, name
+
+
 FRESH = """
 import importlib, json, os, pkgutil, signal, sys
 

@@ -100,5 +100,6 @@ def _filled(structure: Any, values: Mapping[str, Any]) -> Any:
         elif isinstance(value, list):
             of = dict(structure._fields_)[name]._type_
             value = (of * len(value))(*(_filled(of, one) for one in value))
-        setattr(made, name, value)
+        if value is not None:  # as it begins
+            setattr(made, name, value)
     return made

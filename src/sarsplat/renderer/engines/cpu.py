@@ -88,7 +88,11 @@ def torch_pool() -> c_void_p | None:
 
 def instruction_sets() -> list[str]:
     """Those that this processor can run and that were compiled, the widest last."""
-    lib = library()
+    return _usable(library())
+
+
+@cache
+def _usable(lib: ctypes.CDLL) -> list[str]:
     return [INSTRUCTION_SETS[isa] for isa in range(1, lib.sg_supported_isa() + 1) if lib.sg_engine_for(isa)]
 
 
