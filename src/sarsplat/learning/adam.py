@@ -90,7 +90,7 @@ class EngineAdam:
             )
 
     def step(self, gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
-        """As the function `step`."""
+        """One step, as by the function `step`."""
         gradients = [gradient.contiguous() for gradient in gradients]  # kept alive until the call is over
         for group, gradient, decay in zip(self._groups, gradients, decays, strict=True):
             group.gradient, group.decay = gradient.data_ptr(), decay

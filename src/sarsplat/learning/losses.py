@@ -171,7 +171,7 @@ def speckle_nats(
 def total_power_loss(
     power: Float[Tensor, "v rows columns"], intensity: Float[Tensor, "v rows columns"]
 ) -> Float[Tensor, ""]:
-    """How far total powers are apart, (difference / mean)² averaged over images: of all pixels speckle is nearly gone.
+    """Difference of total powers, (difference / mean)² averaged over images; speckle hardly changes the total.
 
     Near equality that is the square of the logarithm of their ratio; it is at most 4.
     """
@@ -185,7 +185,7 @@ def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
 
 
 def _means(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, " v"]:
-    """One dimension after the other: torch splits a sum to one number by threads, and its bits would depend on them."""
+    """Mean over one dimension after the other, so that bits do not depend on the number of threads."""
     return images.mean(2).mean(1)
 
 

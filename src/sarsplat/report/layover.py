@@ -37,7 +37,7 @@ class Slice:
         return np.abs(points @ radar_frame(self.view)[0] - self.azimuth_m) <= self.thickness_m / 2
 
     def through(self, mesh: trimesh.Trimesh) -> Float[np.ndarray, "lines 2 3"]:
-        """Where its middle cuts a mesh: pieces of lines, m."""
+        """Line segments where the slice's middle plane cuts a mesh, m."""
         from trimesh.intersections import mesh_plane
 
         across = radar_frame(self.view)[0]
