@@ -117,7 +117,7 @@ def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, sha
 
 
 def imaged(points: Float64[np.ndarray, "p 3"], view: View, grid: ImageGrid) -> Bool[np.ndarray, " p"]:
-    """Mask of the points that lie within the edges of an image."""
+    """Which points lie within the edges of an image."""
     local = points @ radar_frame(view).T
     left, right, far, near = grid.extent_m
     return (left <= local[:, 0]) & (local[:, 0] <= right) & (near <= local[:, 2]) & (local[:, 2] <= far)

@@ -175,7 +175,7 @@ class Target(Part):
 
     @cached_property
     def _heights(self) -> tuple[Float[Tensor, "ny nx"], tuple[float, float]] | None:
-        """Heights of the terrain and their pitch, m; None without terrain."""
+        """Of the terrain, and how far apart they are, m."""
         terrain = self.setting.terrain
         if terrain is None:
             return None

@@ -177,7 +177,7 @@ def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
 
 
 def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:
-    """Matrix from x, y on the ground to azimuth and slant range."""
+    """From x, y on the ground to azimuth, slant range."""
     return radar_frame(view)[[0, 2], :2]
 
 
