@@ -25,13 +25,13 @@ _MAX_COLUMNS = len(structs.AdamGroup().rate)
 
 
 def engine_takes(tensors: Iterable[Tensor]) -> bool:
-    """Whether the CPU engine can step these parameters: float32 on the CPU, tables of at most 16 columns."""
+    """Whether the CPU engine can compute with these: float32 on the CPU, tables of at most 16 columns."""
     own = list(tensors)
     return _engines_compute(own) and all(tensor.is_cpu for tensor in own)
 
 
 def engine_for(tensors: Sequence[Tensor]) -> Callable[[Structure], None] | None:
-    """The engine that can step these parameters, or None for plain torch."""
+    """What steps these parameters: the engine of their device, or None for plain torch."""
     if engine_takes(tensors):
         return cpu.adam
     gpu = gpu_of(tensors) if _engines_compute(tensors) else None
@@ -39,7 +39,7 @@ def engine_for(tensors: Sequence[Tensor]) -> Callable[[Structure], None] | None:
 
 
 def _engines_compute(tensors: Iterable[Tensor]) -> bool:
-    """Whether all are float32 and have at most 16 columns, as the engines require."""
+    """Whether these are float32, and tables of at most 16 columns."""
     return all(t.dtype == torch.float32 and (t.ndim != 2 or t.shape[1] <= _MAX_COLUMNS) for t in tensors)
 
 

@@ -97,7 +97,7 @@ class EngineAmplitudeLoss(torch.autograd.Function):
         window: Tensor | None,
         *numbers: float,
     ) -> Tensor:
-        """Inputs: both images, SSIM's window, and the numbers reference, floor, λ, C1, C2."""
+        """Both images, the window's weights (of SSIM alone), and reference, floor, λ, C1, C2."""
         power, truth = power.contiguous(), truth.contiguous()
         value, gradient = power.new_empty(()), torch.empty_like(power)
         pointers = (None if tensor is None else tensor.data_ptr() for tensor in (power, truth, window))
