@@ -41,7 +41,7 @@ class Processes:
 
     @classmethod
     def started(cls) -> Processes | None:
-        """Those of this program; None unless torchrun has started it."""
+        """The processes of this program; None unless torchrun has started it."""
         return _started() if dist.is_available() and dist.is_torchelastic_launched() else None
 
     def __repr__(self) -> str:

@@ -36,7 +36,7 @@ class Tally(dict[str, float]):
         self._last = time.monotonic()
 
     def count(self, work: str) -> None:
-        """All since the last count was this work."""
+        """Attribute the time since the last call to this kind of work."""
         kind, now = work.partition(":")[0], time.monotonic()
         self[kind] = self.get(kind, 0.0) + now - self._last
         self._last = now

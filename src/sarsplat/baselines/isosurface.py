@@ -33,7 +33,7 @@ def isosurface(
     level: float,
     like: Tensor,
 ) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
-    """Where a field falls below a level, by marching cubes, open at the walls of the box.
+    """Triangles where a field falls below a level, by marching cubes; open at the walls of the box.
 
     `values` maps places [P, 3], m, of the dtype and device of `like`, to the field's values [P]; the box has `longest`
     cubic voxels along its longest side. Returns vertices [N, 3], m, and faces [F, 3], counter-clockwise seen from where

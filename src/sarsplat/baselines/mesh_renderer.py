@@ -182,7 +182,7 @@ class MeshRenderer:
         return Lattice((firsts[0], firsts[1]), (steps[0], steps[1]), sizes[0], sizes[1])
 
     def _responded(self, power: Float[Tensor, "fine_rows fine_columns"]) -> Float[Tensor, "rows columns"]:
-        """From the mapping plane to the image, in an order that does not depend on the number of threads."""
+        """Resample the mapping plane to the image through the response, with bits that do not depend on threads."""
         across, along = self._kernels
         parts_across, parts_along = self._parts
         ends = (self.grid.rows - 1) * parts_along + 1, (self.grid.columns - 1) * parts_across + 1

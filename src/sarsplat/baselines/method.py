@@ -160,7 +160,7 @@ class BaselineReconstruction(Reconstruction):
 
 
 def _seen_points(mesh: trimesh.Trimesh, views: Sequence[View], spacing_m: float) -> tuple[Points, Points]:
-    """Where parallel rays of any view first meet a mesh, m, one in each cube of the spacing, and unit normals there."""
+    """Points where parallel rays first meet a mesh, m, one in each cube of the spacing, and unit normals there."""
     points, normals = np.empty((0, 3), np.float32), np.empty((0, 3), np.float32)
     for view in views if len(mesh.faces) else ():
         frame, facets = view.look.frame, Facets.of(mesh, view)

@@ -197,7 +197,7 @@ class SarNerf(Baseline):
         return image + self.log_noise.exp().expand(grid.columns)  # so that its gradient is summed column by column
 
     def _rays(self, view: View) -> Rays:
-        """As many as configured; if sound, over ground at least one per resolution cell, so that no row lacks rays."""
+        """Number of rays: as configured; if sound, over ground at least one per cell, so that no row lacks rays."""
         grid = self.scene.grid
         rays = Rays.through(view, grid, self.low_m, self.high_m, self.config.rays, whole=self._endless)
         if not (self._sound and self.scene.ground):
@@ -237,7 +237,7 @@ class SarNerf(Baseline):
         return torch.sigmoid(raw + self.start[1])
 
     def _inside(self, places: Float[Tensor, "*p 3"]) -> Bool[Tensor, "*p"]:
-        """Where the field is."""
+        """Mask of the places at which the field is defined."""
         inside = torch.full(places.shape[:-1], self._endless, device=places.device)
         for box in self._boxes:
             low, high = (torch.from_numpy(corner).to(places) for corner in box)
@@ -280,7 +280,7 @@ def _amplitude(power: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v rows 
 
 
 def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
-    """One dimension after the other: torch splits a sum to one number by threads, and its bits would depend on them."""
+    """Mean over one dimension after the other, so that bits do not depend on the number of threads."""
     return images.mean(2).mean(1).mean(0)
 
 

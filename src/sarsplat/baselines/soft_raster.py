@@ -94,7 +94,7 @@ class Coverage:
 
 
 def soft_coverage(corners: Float[Tensor, "f 3 2"], lattice: Lattice, softness_m: float) -> Coverage:
-    """How triangles, of corners in m in either order, cover the pixels of a lattice; √σ is the softness.
+    """Soft coverage of the pixels of a lattice by triangles (corners in m, in either order); √σ is the softness.
 
     Differentiable in `corners`. Triangles whose box does not touch the lattice have no pairs. Of the others, what lies
     beside the lattice by more than its own size is dropped. Refuses corners that are not finite, and triangles so large

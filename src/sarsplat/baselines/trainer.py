@@ -63,7 +63,7 @@ class BaselineTrainer:
 
     @property
     def learning_rates(self) -> dict[str, float]:
-        """Of the next step, by group of parameters."""
+        """Learning rates of the next step, by group of parameters."""
         factor = self.model.rate(self.iteration)
         return {f"group {index}": rate * factor for index, rate in enumerate(self._rates)}
 

@@ -52,7 +52,7 @@ _MAX_ANGLES = 10_000
 
 
 def one_of(literal: Any, hint: str = "(optional)") -> Any:
-    """How help shows an option that is one name of a `Literal` or left out; tyro would list None as well."""
+    """Help text of an option that is one name of a `Literal`, or left out; tyro would list None as well."""
     return tyro.conf.arg(metavar=f"{{{','.join(get_args(literal))}}}", help_behavior_hint=hint)
 
 

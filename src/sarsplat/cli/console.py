@@ -47,7 +47,7 @@ def facts(title: str, rows: dict[str, str]) -> None:
 
 
 def finish(wrote: str, next_step: str) -> None:
-    """How a command ends: what it wrote, and what to do next."""
+    """Print what a command wrote, and what to do next."""
     _print(Console(), f"[green]wrote[/] {_safe(wrote)}")
     _print(Console(), f"[dim]next:[/] {_safe(next_step)}")
 

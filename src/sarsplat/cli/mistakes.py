@@ -16,14 +16,14 @@ def no_command(program: str, words: Sequence[str], commands: Iterable[str]) -> s
 
 
 def _meant(word: str, names: Iterable[str]) -> str:
-    """Which name is meant, whatever its capitals and hyphens: `T-72` is t72."""
+    """The name that was meant, ignoring capitals and hyphens: `T-72` is t72."""
     bare = {re.sub(r"[\W_]", "", name).lower(): name for name in names}
     near = get_close_matches(re.sub(r"[\W_]", "", word).lower(), bare, 1)
     return f"did you mean {bare[near[0]]}?" if near else ""
 
 
 def plain(program: str, box: str) -> str:
-    """One sentence in place of tyro's box, for what was typed after a command's name.
+    """The error sentence for wrong arguments of a command, in place of tyro's box.
 
     It is what stands between title and last rule; where letters are few, the frame is of spaces and hyphens.
     """

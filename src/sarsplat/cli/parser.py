@@ -51,7 +51,7 @@ def _chosen(
     names: Iterable[str],
     summaries: Callable[[], Mapping[str, str]],
 ) -> tuple[str, Sequence[str]]:
-    """Which of the names comes first, and the words after it; help, if that is asked for instead."""
+    """The first of the names among the words, and the words after it; prints help if that is asked for instead."""
     if words and words[0] in ("-h", "--help"):
         from sarsplat.cli.overview import show_overview
 

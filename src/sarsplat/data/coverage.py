@@ -47,7 +47,7 @@ class ViewGroup:
 
     @property
     def azimuths_deg(self) -> list[float]:
-        """In [0, 360), ascending."""
+        """Azimuths in [0, 360) degrees, ascending."""
         return [view.azimuth_deg % 360 for view in self.views]
 
     @property

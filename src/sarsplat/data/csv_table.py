@@ -116,7 +116,7 @@ def _reader(text: str, separator: str) -> Any:
 
 
 def _separator(text: str) -> str:
-    """That which occurs most often among the names of columns, which contain none as a rule."""
+    """The separator: the candidate that occurs most often in the header line."""
     first = text.lstrip("\r\n").partition("\n")[0].partition("\r")[0]
     return max(_SEPARATORS, key=first.count)
 

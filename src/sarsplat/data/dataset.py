@@ -287,7 +287,7 @@ class Dataset:
 
     @property
     def views(self) -> tuple[View, ...]:
-        """From where each image was taken."""
+        """The view of each image."""
         return tuple(entry.view for entry in self.entries)
 
     @property

@@ -144,7 +144,7 @@ def refuse_other_kinds(path: Path, run: Path, recognises: Recognises) -> None:
 
 
 def temporary_folder(path: Path) -> Path:
-    """Where `new_folder` builds what will stand at a path."""
+    """Temporary path at which `new_folder` builds a folder."""
     return _temporary_name(path) / _BUILT
 
 

@@ -29,7 +29,7 @@ class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GridHeader(Strict, frozen=True, omit_defaults=True):
-    """Where the pixels of every image lie; pairs are (azimuth, slant range)."""
+    """The pixel grid of all images; pairs are (azimuth, slant range)."""
 
     rows: Annotated[int, about("rows of every image: slant range, row 0 near", minimum=1)]
     columns: Annotated[int, about("columns of every image: azimuth, rising along the flight", minimum=1)]
@@ -65,7 +65,7 @@ class StackHeader(Strict, frozen=True, omit_defaults=True):
 
 
 class ViewHeader(Strict, frozen=True, omit_defaults=True):
-    """One image: its file, and from where it was taken."""
+    """One image: its file and its view."""
 
     file: Annotated[str, about("path of the TIFF inside the folder, different for each image")]
     azimuth_deg: Annotated[

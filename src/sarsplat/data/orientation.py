@@ -34,7 +34,7 @@ def oriented(
 
 @dataclass(frozen=True)
 class Layout:
-    """How pictures lie and azimuths run, as `import folder` is told.
+    """Orientation of pictures and sense of azimuths, as told to `import folder`.
 
     Attributes
     ----------
@@ -84,6 +84,6 @@ class Layout:
         return type(self)(self.near, not self.mirrored, not self.counter_clockwise, self.looks_left)
 
     def __str__(self) -> str:
-        """As options of the command line."""
+        """The layout as options of the command line."""
         words = [f"--near {self.near}", "--mirrored" * self.mirrored, "--counter-clockwise" * self.counter_clockwise]
         return " ".join(word for word in words if word)

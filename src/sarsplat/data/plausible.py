@@ -94,7 +94,7 @@ def warn(texts: Iterable[str]) -> None:
 
 
 def _radian_azimuths(azimuths: np.ndarray, elevations_too: bool) -> bool:
-    """At least three, all within ±2π and spread over π/2 or more, that are not written as degrees are.
+    """Whether azimuths look like radians: three or more within ±2π, spread over π/2, not rounded like degrees.
 
     Written as degrees are multiples of 0.05 and, unless the elevations look like radians too, evenly spaced
     multiples of 0.01. Rounded radians are neither as a rule: 15°, 30°, 45° … are 0.26, 0.52, 0.79 ….

@@ -51,5 +51,5 @@ def predicted_masks(run: Run, images: Dataset, rendered: Stack) -> Masks:
 
 
 def _displaced(masks: Masks, shifts: Int64[np.ndarray, "v 2"]) -> Masks:
-    """Each moved by whole pixels (range, azimuth); clutter comes in at the edges."""
+    """Shift each mask by whole pixels (range, azimuth), with clutter at the edges."""
     return np.stack([shift(mask, moved, order=0) for mask, moved in zip(masks, shifts, strict=True)])

@@ -128,7 +128,7 @@ class Cloud:
         samples: Float[np.ndarray, "s 3"],
         advanced: Callable[[float], object] = lambda share: None,
     ) -> PointMetrics:
-        """As `point_metrics`, several times as fast if the samples are `side_by_side`.
+        """The scores of `point_metrics`; several times as fast if the samples are `side_by_side`.
 
         `advanced` is called now and then with the share of the work that is done, 0 to 1.
         """

@@ -29,7 +29,7 @@ REACH = 3
 
 @dataclass(frozen=True)
 class Registration:
-    """How predictions fit their chips best."""
+    """Shift and gain with which predictions fit their chips best."""
 
     nats: Float64[np.ndarray, " v"]
     """Negative log-likelihood of single-look speckle, nats per pixel."""

@@ -180,7 +180,7 @@ def _towards(direction: Float64[np.ndarray, " 3"]) -> Float32[np.ndarray, "1 3"]
 
 
 def _first_hits(scene: EmbreeScene, mesh: trimesh.Trimesh, view: View, spacing: float) -> Bool[np.ndarray, " t"]:
-    """Which triangles the rays of a view hit first."""
+    """Indices of the triangles that the rays of a view hit first."""
     hit = np.zeros(len(mesh.faces), dtype=bool)
     for origins in _lattice(np.asarray(mesh.vertices), view, spacing):
         numbers = scene.run(origins, _towards(-view.look.way_in))
@@ -231,6 +231,6 @@ def _seen(
 
 
 def _spread(count: int) -> list[int]:
-    """All of 0 … count − 1, the first ones far apart: a few views from different sides see most of what can be seen."""
+    """Indices 0 … count − 1, the first ones far apart: a few views from different sides see most of a surface."""
     bits = (count - 1).bit_length()
     return sorted(range(count), key=lambda index: f"{index:0{bits}b}"[::-1])

@@ -23,7 +23,7 @@ _PIXELS = 256
 
 
 def shadow_sides(levels: Float64[np.ndarray, "v rows columns"]) -> SideEvidence:
-    """By how many decibels it is darker than the ground beyond what is bright, if the radar is at each side.
+    """For each side as near range: how much darker than the ground it is behind the bright target, dB.
 
     Beyond is the quadrant around the direction away from that side, as far as half the shorter side of the images. All
     distances count the same, and bright pixels by their decibels.

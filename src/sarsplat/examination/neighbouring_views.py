@@ -202,7 +202,7 @@ def _at(
 def _normalised(
     image: Float64[np.ndarray, "places places"], inside: np.ndarray
 ) -> Float64[np.ndarray, "places places"]:
-    """Of mean 0 and norm 1 inside, 0 outside; 0 everywhere if nothing varies."""
+    """Normalise to mean 0 and norm 1 inside the mask, 0 outside; 0 everywhere if nothing varies."""
     rest = np.where(inside, image - image[inside].mean(), 0.0)
     norm = math.sqrt(float((rest**2).sum()))
     return rest / norm if norm > 0 else rest

@@ -153,7 +153,7 @@ def _by_spread(
     best: Sequence[Sequence[np.ndarray]],
     spread: Sequence[View],
 ) -> Float64[np.ndarray, " n"]:
-    """By how much more each image correlates with its neighbour among the spread views than with that as given.
+    """Gain in correlation with the neighbour if azimuths are spread all round instead of as given, for each image.
 
     Of each, the axis of range and the sense in which all images together match best.
     """

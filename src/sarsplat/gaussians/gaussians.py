@@ -154,7 +154,7 @@ class Gaussians:
     @staticmethod
     @checks_arguments
     def cat(scenes: Sequence[Gaussians]) -> Gaussians:
-        """All scenes in one, in their order, under the scattering settings of the first (see `Scattering.joined`).
+        """Concatenate scenes, under the scattering settings of the first (see `Scattering.joined`).
 
         Raises
         ------

@@ -64,7 +64,7 @@ class Polarimetric(Scattering):
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Of degree 0 to 3."""
+        """Numbers of columns for degrees 0 to 3."""
         return tuple(self._shape + harmonics for harmonics in (1, 4, 9, 16))
 
     def amplitudes(

@@ -95,7 +95,7 @@ class Scattering(ABC):
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """Where a training starts: the same for all Gaussians, γ⁰ on average over all directions; float32, on the CPU.
+        """Initial law of a training: the same for all Gaussians, γ⁰ on average over all directions; float32, CPU.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class Scattering(ABC):
 
     @checks_arguments
     def joined(self, other: Scattering) -> Self:
-        """Both tables, one below the other, under the settings of the first."""
+        """Concatenate both parameter tables, under the settings of the first."""
         if type(other) is not type(self):
             raise SarsplatError(
                 f"{self.kind} and {other.kind} cannot be joined; give both scenes one kind of scattering"

@@ -53,7 +53,7 @@ class Windows:
     def around(
         cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, margin_m: float, multiple: int
     ) -> Self:
-        """Those that show Gaussians which may yet move by a margin, in whole blocks of multiple × multiple pixels."""
+        """Windows around Gaussians that may yet move by a margin, in whole blocks of multiple × multiple pixels."""
         sides = [_pixels(gaussians, view, grid, margin_m, multiple) for view in views]
         columns, rows = zip(*sides, strict=True)
         return cls(rows, columns, tuple(grid.part(r, c) for r, c in zip(rows, columns, strict=True)))
@@ -141,7 +141,7 @@ def _pixels(gaussians: Gaussians, view: View, grid: ImageGrid, margin_m: float, 
 def _extent(
     places: Float[Tensor, " n"], widths: Float[Tensor, " n"], deviations: float, variance_m2: float, margin_m: float
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
-    """Where footprints begin and end along an axis, m; at most, as if each Gaussian were as wide as it is anywhere."""
+    """Bounds of footprints along an axis, m: as wide as the widest axis of each Gaussian."""
     reach = (widths**2 + variance_m2).sqrt() * deviations + margin_m
     return places - reach, places + reach
 

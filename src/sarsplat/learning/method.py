@@ -70,7 +70,7 @@ class Trainable(Protocol):
 
     @property
     def learning_rates(self) -> dict[str, float]:
-        """Of the next step, by parameter."""
+        """Learning rates of the next step, by parameter."""
 
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
         """β⁰ of any views as they are now, linear power; nothing random is drawn."""
@@ -213,7 +213,7 @@ class Reconstruction(ABC):
 
     @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:
-        """By how much the azimuths of the training views were corrected, degrees; None of methods that do not."""
+        """Corrections of the azimuths of the training views, degrees; None from methods that make none."""
         return None
 
     @property

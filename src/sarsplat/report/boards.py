@@ -80,7 +80,7 @@ def _tree(points: Points) -> cKDTree:
 
 
 def _apart_m(cloud: cKDTree) -> float:
-    """How wide points are drawn to close the gaps between them: thinning to voxels left them about as far apart, m."""
+    """Width at which points are drawn to close the gaps between them, m: about the voxels that they were thinned to."""
     if cloud.n <= _NEIGHBOURS:
         return 0.0
     sample = cloud.data[:: max(1, cloud.n // 2000)]

@@ -110,7 +110,7 @@ def _contour(axes: Axes, mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid
 
 
 def _nose(axes: Axes, view: View, grid: ImageGrid) -> None:
-    """Where the nose points, from the middle."""
+    """Direction of the nose in an image, from its middle."""
     left, right, bottom, top = grid.extent_m
     nose: Float64[np.ndarray, " 2"] = view.look.gradients[:, 0] * _NOSE * min(right - left, bottom - top)
     middle = grid.center_m

@@ -27,7 +27,7 @@ _INK = 190  # shade of what is written: it is not to outshine the picture
 
 @dataclass(frozen=True)
 class Framing:
-    """How images on a grid become frames, their power shown by a look."""
+    """Conversion of images on a grid to frames of an animation."""
 
     grid: ImageGrid
     look: Look

@@ -88,5 +88,5 @@ def averaged(parts: Float64[np.ndarray, "n rows columns"], window: int) -> Float
 
 
 def spread_m(points: Float[np.ndarray, "p 3"]) -> float:
-    """From the lowest to the highest points, m, without strays."""
+    """Height range of points, m, without outliers."""
     return float(np.ptp(np.quantile(points[:, 2], _STRAYS))) if len(points) else 0.0

@@ -36,7 +36,7 @@ class Slice:
         return np.abs(points @ self.view.look.gradients[0] - self.azimuth_m) <= self.thickness_m / 2
 
     def through(self, mesh: trimesh.Trimesh) -> Float[np.ndarray, "lines 2 3"]:
-        """Where its middle cuts a mesh: pieces of lines, m."""
+        """Line segments where the slice's middle plane cuts a mesh, m."""
         from trimesh.intersections import mesh_plane
 
         across = self.view.look.gradients[0]

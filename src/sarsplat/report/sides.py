@@ -45,7 +45,7 @@ class Raster:
 
     @classmethod
     def around(cls, low: Corner, high: Corner, pixels: int) -> Raster:
-        """With so many pixels along the longest side."""
+        """A raster with so many pixels along the longest side."""
         return cls(low, high, float((high - low).max()) / pixels)
 
     def nearest(
@@ -129,5 +129,5 @@ class Sight:
 
     @property
     def seen(self) -> Seen:
-        """Of the points so far."""
+        """What is seen of the points added so far."""
         return self._point.reshape(self._shape)[::-1]

@@ -122,7 +122,7 @@ def scores_expected(run: Run) -> Iterator[None]:
 
 
 def _masks(run: Run) -> list[Figure]:
-    """Of the folder that the run was evaluated with."""
+    """Figures of masks, from the folder that the run was evaluated with."""
     folder = None if (metrics := run.metrics) is None else metrics.get("masks")
     drawn = None if folder is None else masks_figure(run, Path(folder))
     return [] if drawn is None else [drawn]

@@ -139,7 +139,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         _ = self._draw  # refuses what runs cannot be asked for
 
     def __getstate__(self) -> dict[str, Any]:
-        """For processes that begin empty: what is read from the runs is read there again."""
+        """State for pickling: caches are left out, so that worker processes read the runs again."""
         read = ("_draw", "brightest")
         state = {name: value for name, value in vars(self).items() if name not in read}
         return state | {"runs": tuple(replace(run) for run in self.runs)}
@@ -196,7 +196,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
 
     @cached_property
     def _starts(self) -> list[float]:
-        """Of each run's azimuths, in turns."""
+        """Start azimuth of each run, in turns."""
         seeds = [seed_of(self.seed, place) for place in range(len(self.runs))]
         return [float(np.random.default_rng([seed, 2]).random()) for seed in seeds]
 
@@ -316,6 +316,6 @@ def _pixels(grid: ImageGrid) -> str:
 
 
 def _grazing(run: Run) -> tuple[float, float]:
-    """Of the training images: the lowest and the highest."""
+    """The lowest and the highest grazing angle of the training images."""
     angles = [view.grazing_deg for view in run.snapshot.views]
     return min(angles), max(angles)

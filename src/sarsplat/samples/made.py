@@ -39,7 +39,7 @@ class MadeRun(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Made(msgspec.Struct, forbid_unknown_fields=True):
-    """All that the files of a set depend on: what `chips.json` holds."""
+    """Content of `chips.json`: everything that the files of a set depend on."""
 
     schema: str
     schema_version: int
@@ -101,7 +101,7 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """That of a folder; a SarsplatError if it is not one of ours."""
+        """Read the record of a folder; a SarsplatError if it is not one of ours."""
         remedy = "give a folder that `sarsplat chips` has written"
         return read_versioned_json(folder / MARKER, cls, schema=SCHEMA, version=SCHEMA_VERSION, remedy=remedy)
 
@@ -118,7 +118,7 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
         return f"differs in {', '.join(words)}"
 
     def encoded(self, path: Path) -> bytes:
-        """As the file holds it; `path` is what an error names."""
+        """The record as JSON; `path` is what an error names."""
         return encode_json(self, path)
 
 

@@ -96,7 +96,7 @@ def sparse_hits(
 def _parts(
     facets: Facets, patches: Patches, side: float, resolution: tuple[float, float], least_slope: float
 ) -> Int64[np.ndarray, "patches 2"]:
-    """Into how many parts to divide a square within each patch, along both of its sides."""
+    """Number of parts along each side into which a square within a patch is divided."""
     axes = turned(np.eye(2))  # unit vectors along the sides
     slope = facets.slope[patches.largest_face]
     along_range = np.maximum(np.abs(slope @ axes.T), least_slope * np.abs(axes[:, 1])) / resolution[1]

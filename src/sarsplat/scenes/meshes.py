@@ -99,7 +99,7 @@ def _side_m(grid: ImageGrid) -> float:
 
 
 def _have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Which faces [F] are finite and have an area."""
+    """Mask of the faces [F] that are finite and have an area."""
     first, second, third = (vertices[faces[:, k]] for k in range(3))
     with np.errstate(invalid="ignore"):  # infinite vertices; the squares of finite ones do not overflow
         area2 = np.linalg.norm(np.cross(second - first, third - first), axis=1)
@@ -107,7 +107,7 @@ def _have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
 
 
 def _first_of_equals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Which faces [F] are not the same triangle as an earlier one, in any order and numbering of their vertices."""
+    """Mask of the faces [F] that do not repeat an earlier triangle, in any order and numbering of vertices."""
     _, number = np.unique(vertices, axis=0, return_inverse=True)
     _, first = np.unique(np.sort(number.reshape(-1)[faces], axis=1), axis=0, return_index=True)
     return np.isin(np.arange(len(faces)), first)

@@ -47,7 +47,7 @@ def blocks_of_samples(
 
 
 def _starts(ends: Real[np.ndarray, " faces"]) -> Int64[np.ndarray, " starts"]:
-    """For shares of the whole that are equally far apart, the face that each falls on: a power of two of them."""
+    """Lookup table: the face at each of 2ⁿ equally spaced shares of the cumulative area."""
     count = min(1 << (4 * len(ends)).bit_length(), _MOST_STARTS)
     return np.searchsorted(ends, np.arange(count) / count * ends[-1])
 

@@ -120,7 +120,7 @@ class _Planes:
 
     @classmethod
     def through(cls, points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], cell: float) -> _Planes:
-        """Those of oriented points."""
+        """The planes through oriented points."""
         tree = cKDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)  # the fastest to make and ask
         spacing = 0.0
         if len(points) > 1:

@@ -103,7 +103,7 @@ def extract_points(
 
 
 def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, share: float) -> Bool[Tensor, " n"]:
-    """Those that return this share of the power in images; what lies outside of all images is not among them."""
+    """The fewest Gaussians that return this share of the power in images; those outside of all images do not count."""
     rays, strongest = RayGrid.for_image(grid), gaussians.means.new_zeros(len(gaussians))
     channel = gaussians.scattering.power_channel
     for view in spread(views, _MOST_VIEWS):
@@ -218,7 +218,7 @@ def between(views: Sequence[View]) -> list[View]:
 
 @dataclass(frozen=True)
 class _FirstReturns:
-    """Where the rays of one view return."""
+    """First returns of the rays of one view."""
 
     frame: Float64[np.ndarray, "3 3"]
     """R_r."""

@@ -117,7 +117,7 @@ def _absolute(node: ast.ImportFrom, name: str, path: Path) -> str:
 
 @cache
 def _lazy(package: str) -> Mapping[str, str]:
-    """Of a package that loads its names when they are used: the module of each name, as its stub says."""
+    """Modules of the names of a package that loads lazily, from its stub."""
     file = _file(package) if package.partition(".")[0] == "sarsplat" else None
     if file is None or not (stub := file.with_suffix(".pyi")).is_file():
         return {}

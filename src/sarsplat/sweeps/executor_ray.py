@@ -57,7 +57,7 @@ def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, 
 
 
 def _do(cell: dict[str, Any], out: str, again: bool) -> dict[str, Any] | None:
-    """On a node: `do`, in plain data."""
+    """Remote function of Ray: `do`, with plain data as arguments and result."""
     row = do(msgspec.convert(cell, Cell), Path(out), again)
     return None if row is None else msgspec.to_builtins(row)
 

@@ -51,7 +51,7 @@ class Result:
 
     @property
     def state(self) -> str:
-        """In one or two words."""
+        """State of the run in one or two words."""
         return "waiting" if self.row is None else f"{self.row.state}{', older code' if self.older else ''}"
 
 
@@ -138,7 +138,7 @@ class Results:
         return [_line(group, split, len(sets) > 1) for group in groups.values() for split in sets or [""]]
 
     def metrics(self, lines: Sequence[Line]) -> list[Metric[Any]]:
-        """Those with a short name that any line has."""
+        """Metrics with a short name that any line has."""
         sides = sorted({one.row.yardstick_m for one in self.results if one.row is not None and one.finished})
         scores = [Scores("", {key: spread.mean for key, spread in line.spreads.items()}) for line in lines]
         return [*{one.key: one for side in sides for one in summary_metrics(scores, Yardstick(side))}.values()]

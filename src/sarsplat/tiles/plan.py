@@ -71,7 +71,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Plan:
-    """How an image of a scene is cut."""
+    """The division of an image into tiles."""
 
     reach: Reach
     view: View

@@ -28,7 +28,7 @@ class Window:
 
     @property
     def area(self) -> float:
-        """In m²."""
+        """Area, m²."""
         return math.prod(max(0.0, high - low) for low, high in zip(self.low, self.high, strict=True))
 
     def joined(self, other: Window) -> Window:
@@ -55,7 +55,7 @@ class Boxes:
     high: Float[Tensor, "2 n"]
 
     def overlapping(self, window: Window) -> Int64[Tensor, " k"]:
-        """Those that overlap a window."""
+        """Indices of the boxes that overlap a window."""
         inside = torch.ones_like(self.low[0], dtype=torch.bool)
         for low, high, begin, end in zip(self.low, self.high, window.low, window.high, strict=True):
             inside &= (low <= end) & (high >= begin)
@@ -76,7 +76,7 @@ class Boxes:
 
 @dataclass(frozen=True)
 class Reach:
-    """Where the Gaussians of a scene are seen from one direction: on rays, and in the image."""
+    """Boxes of a scene's Gaussians seen from one direction: on the ray lattice and in the image."""
 
     on_rays: Boxes
     in_image: Boxes

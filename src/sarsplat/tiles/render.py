@@ -99,7 +99,7 @@ def _in_sight(
     shift: Float[Tensor, "1 2"] | None,
     ground: Ground,
 ) -> Gaussians:
-    """Those that terrain does not hide from the view; the others are thin as air.
+    """Set the optical depth of Gaussians that terrain hides from the view to zero.
 
     Of the whole image: what a hill hides may reach into a tile that does not show the hill.
     """

@@ -41,7 +41,7 @@ PHASES = "phase between passes"
 
 @dataclass(frozen=True)
 class Scale:
-    """How numbers of one kind are coloured: their unit is in the label; values beyond the ends look like these.
+    """Colour scale of one quantity, with its unit in the label; values beyond the ends are clipped.
 
     What is transparent in a ramp shows the `page`'s panels.
     """

@@ -95,7 +95,7 @@ class RunSubject(Subject):
         return any(stack.interferometric for stack in self.run.snapshot.stacks)  # all are, or none
 
     def interferogram(self, view: View) -> tuple[Interferogram, Pair]:
-        """As the passes around the nearest training view would show it."""
+        """Interferogram with the passes of the nearest training view."""
         cosines = [known.direction @ view.direction for known in self.train_views]
         stack = self.run.snapshot.stacks[int(np.argmax(cosines))]
         pair = Pair.longest(stack, view, spread_m(self.run.points))

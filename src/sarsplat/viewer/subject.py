@@ -147,7 +147,7 @@ class Subject:
     # ---- why a pixel shows what it shows ----------------------------------------------------------------------------
     @property
     def maps_grid(self) -> ImageGrid:
-        """Where the pixels of its images lie on an undisplaced scene."""
+        """Grid of the images relative to an undisplaced scene."""
         return self.grid
 
     def maps(self, view: View) -> RadarMaps | None:

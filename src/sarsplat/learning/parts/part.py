@@ -53,7 +53,7 @@ class Learned:
 
 @dataclass(frozen=True)
 class Shot:
-    """How images of the scene are to be taken."""
+    """Imaging conditions: views, grid, and shift and gain of each image."""
 
     views: Sequence[View]
     grid: ImageGrid

@@ -42,7 +42,7 @@ class PassNoise(Part):
         return images + self.of_passes(p).mean(1).mean(0)
 
     def noise(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p"]:
-        """Of unseen images the mean over all passes, as in `images`; then there is one number."""
+        """Noise power; for unseen images the mean over all passes, as in `images`, a single number."""
         noise = self.of_passes(p)
         return noise.mean().expand(1, 1) if shot.numbers is None else noise[shot.numbers]
 

@@ -19,7 +19,7 @@ _SHARE = 0.9
 
 
 class Growing(Configured):
-    """At each finer level of a training, and halfway to the next, Gaussians that show what is wrong become two."""
+    """Splits Gaussians where images are predicted badly, at the start of each finer level and halfway to the next."""
 
     order = 15
     name = "growth"
