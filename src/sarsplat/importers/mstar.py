@@ -204,12 +204,14 @@ def _pixels(chips: list[Chip], training: int) -> list[Num[np.ndarray, "rows colu
 
     If sizes differ, each side is even, so that a common part lies on the pixels of all.
     """
-    pixels = [np.maximum(chip.magnitude, np.float32(MIN_DN) * np.float32(chip.step)) ** 2 for chip in chips]
+    magnitudes = [np.maximum(chip.magnitude, np.float32(MIN_DN) * np.float32(chip.step)) for chip in chips]
+    pixels = [magnitude**2 for magnitude in magnitudes]
     if phases := [chip.phase for chip in chips if chip.phase is not None]:
         mean = np.concatenate([power.ravel() for power in pixels[:training]]).mean(dtype=np.float64)
-        least = np.float32(MIN_POWER * mean)
+        least = np.sqrt(np.float32(MIN_POWER * mean))
         pixels = [
-            np.sqrt(np.maximum(power, least)) * np.exp(1j * phase) for power, phase in zip(pixels, phases, strict=True)
+            np.maximum(magnitude, least) * np.exp(1j * phase)
+            for magnitude, phase in zip(magnitudes, phases, strict=True)
         ]
     if len({image.shape for image in pixels}) > 1:
         pixels = [image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2] for image in pixels]
