@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -97,4 +97,4 @@ def weak_directions(views: Sequence[View]) -> list[str]:
 
 
 def _with_grazing(views: Sequence[View], grazing_deg: float) -> list[View]:
-    return [*views, *(View(view.azimuth_deg, grazing_deg) for view in views)]
+    return [*views, *(replace(view, grazing_deg=grazing_deg) for view in views)]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -138,7 +138,7 @@ def as_grazing_and_incidence(
 
     As many pixels are compared either way: the more ground is around a target, the lower is the correlation.
     """
-    meant = views, [View(view.azimuth_deg, view.incidence_deg) for view in views]
+    meant = views, [replace(view, grazing_deg=view.incidence_deg) for view in views]
     scales = [float(np.mean([view.look.slant_range(1.0) for view in views])) for views in meant]
     given, swapped = (
         match(bright, views, grid, pairs, sense=sense, within=math.sqrt(min(scales) / scale)).best()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,5 +52,5 @@ def counting(views: Sequence[View]) -> Counting | None:
     spread = list(views)
     for group in groups.values():
         for place, index in enumerate(group):
-            spread[index] = View(place * 360 / len(group), views[index].grazing_deg)
+            spread[index] = replace(views[index], azimuth_deg=place * 360 / len(group))
     return Counting(float(azimuths[order[0]]), float(azimuths[order[-1]]), spread)

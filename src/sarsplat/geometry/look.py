@@ -103,6 +103,7 @@ class Look:
     # ---- rays and the ground -----------------------------------------------------------------------------------------
     def elevation_on_ground(self, azimuth: Any, slant_range: Lengths) -> Lengths:
         """Elevation of the ground that the image shows at a place, m; the same at every azimuth (the axis is level)."""
+        # `elevation_at` of height 0, but for the last bit: images depend on either
         return slant_range * self.slope
 
     def range_on_ground(self, azimuth: Any, elevation: Lengths) -> Lengths:
@@ -115,8 +116,9 @@ class Look:
 
     def rays_to_ground(self, azimuths: Ends, ranges: Ends, heights: Ends) -> tuple[Ends, Ends]:
         """Azimuths and elevations of all rays that end on ground between two heights that a part of an image shows."""
-        ends = [self.elevation_at(x, *ends) for x in azimuths for ends in zip(ranges, heights, strict=True)]
-        return azimuths, (min(ends), max(ends))
+        corners = [(x, r, z) for x in azimuths for r, z in zip(ranges, heights, strict=True)]
+        elevations = [self.elevation_at(*corner) for corner in corners]
+        return azimuths, (min(elevations), max(elevations))
 
     def rows_on_ground(self, first: float, step: float, height: float) -> tuple[float, float]:
         """Slant range at which a ray at a first elevation ends on the ground, and how much farther each next one, m.

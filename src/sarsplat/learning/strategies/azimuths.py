@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -111,4 +112,4 @@ def lowest(places: Float64[np.ndarray, "k n"], values: Float64[np.ndarray, "k n"
 
 
 def _turned(view: View, offset_deg: float) -> View:
-    return View((view.azimuth_deg + offset_deg) % 360, view.grazing_deg)
+    return replace(view, azimuth_deg=(view.azimuth_deg + offset_deg) % 360)
