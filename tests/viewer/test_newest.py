@@ -2,6 +2,7 @@
 
 import logging
 import threading
+from unittest import TestCase
 
 from sarsplat.viewer.newest import Newest
 
@@ -27,7 +28,7 @@ def test_many_requests_during_one_piece_of_work_are_one_more():
     assert seen == [50, 50]
 
 
-def test_an_error_is_logged_and_the_next_request_is_served(caplog):
+def test_an_error_is_logged_and_the_next_request_is_served():
     done = []
 
     def work() -> None:
@@ -36,10 +37,10 @@ def test_an_error_is_logged_and_the_next_request_is_served(caplog):
             raise ValueError("no picture")
 
     newest = Newest(work)
-    with caplog.at_level(logging.ERROR, "sarsplat"):
+    with TestCase().assertLogs("sarsplat", logging.ERROR) as said:
         for _ in range(2):
             newest.ask()
             assert newest.wait(10)
     newest.close()
     assert len(done) == 2
-    assert "no picture" in caplog.text
+    assert "no picture" in "".join(said.output)
