@@ -11,7 +11,6 @@ from functools import partial
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import SimpleNamespace
-from unittest import TestCase
 
 import pytest
 import step_cases
@@ -173,11 +172,11 @@ def passed(gpu, monkeypatch):
 ON_GPU = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 0))
 
 
-def test_auto_takes_a_gpu_that_agrees_and_says_so_once(passed):
+def test_auto_takes_a_gpu_that_agrees_and_says_so_once(passed, caplog):
     assert passed() == ""
-    with TestCase().assertLogs("sarsplat", logging.INFO) as said:
+    with caplog.at_level(logging.INFO, "sarsplat"):
         assert [engines.chosen_engine("auto", ON_GPU) for _ in range(2)] == ["cuda", "cuda"]
-    assert [record.getMessage() for record in said.records] == ["engine='auto' is 'cuda' for torch.float32 on cuda:0"]
+    assert caplog.messages == ["engine='auto' is 'cuda' for torch.float32 on cuda:0"]
     assert training_device.device_named("auto") == ON_GPU.device
     elsewhere = SimpleNamespace(dtype=torch.float32, device=torch.device("mps"))
     assert engines.chosen_engine("auto", elsewhere) == "reference"

@@ -2,7 +2,6 @@
 
 import logging
 import threading
-from unittest import TestCase
 
 from sarsplat.viewer.newest import Newest
 
@@ -28,7 +27,7 @@ def test_many_requests_during_one_piece_of_work_are_one_more():
     assert seen == [50, 50]
 
 
-def test_an_error_is_logged_and_the_next_request_is_served():
+def test_an_error_is_logged_and_the_next_request_is_served(caplog):
     done = []
 
     def work() -> None:
@@ -37,10 +36,10 @@ def test_an_error_is_logged_and_the_next_request_is_served():
             raise ValueError("no picture")
 
     newest = Newest(work)
-    with TestCase().assertLogs("sarsplat", logging.ERROR) as said:
+    with caplog.at_level(logging.ERROR, "sarsplat"):
         for _ in range(2):
             newest.ask()
             assert newest.wait(10)
     newest.close()
     assert len(done) == 2
-    assert "no picture" in "".join(said.output)
+    assert "no picture" in caplog.text
