@@ -13,6 +13,8 @@ from made_imports import AZIMUTHS, PHASE, POWER, import_pictures, write_pictures
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.examination import contradictions
+from sarsplat.examination.contradictions import examine
 from sarsplat.importers import import_folder, import_mstar
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
@@ -248,6 +250,24 @@ def test_a_rejected_import_is_said_again_where_it_is_trained_on(tmp_path, capsys
     write_pictures(folder, POWER)
     assert main([*words, "--overwrite"]) == 0
     assert "contradictions" not in read_dataset(out).source
+
+
+def test_an_import_in_python_warns_of_contradictions_and_keeps_them(tmp_path):
+    folder = write_pictures(tmp_path / "in", [np.ones_like(image) for image in POWER])
+    with pytest.warns(SarsplatWarning, match="are constant") as told:
+        made = import_pictures(folder)
+    assert made.source["contradictions"] == [text for one in told if "constant" in (text := str(one.message))]
+    assert read_dataset(tmp_path / "out").source == made.source
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_command_examines_an_import_once(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(contradictions, "examine", lambda dataset: seen.append(dataset) or examine(dataset))
+    folder = write_pictures(tmp_path / "in", POWER)
+    words = ["import", "folder", str(folder), "--out", str(tmp_path / "out"), "--quantity", "power", "--spacing", "0.1"]
+    assert main(words) == 0
+    assert len(seen) == 1
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -6,7 +6,6 @@ import shlex
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,19 +26,16 @@ def carry_out(
     importer: Callable[..., Dataset], files: object, out: Path, *, overwrite: bool, doing: str = "", **options: Any
 ) -> int:
     """Call an importer, unless the output is in the way, and finish; `doing` is what is said meanwhile."""
-    from sarsplat.data import write_json
     from sarsplat.data.dataset_folder import HEADER
     from sarsplat.examination.contradictions import examine
+    from sarsplat.importers.images import EXAMINATIONS
 
     refuse_existing(out, overwrite, marker=HEADER)
     contradictions: list[str] = []
     with _warned_later(contradictions), console.busy(doing) if doing else nullcontext():
         dataset = importer(files, out, overwrite=overwrite, **options)
-        examined = examine(dataset)
+        examined = EXAMINATIONS.get(dataset) or examine(dataset)
         contradictions += examined.contradictions
-    if contradictions:  # for `reconstruct`, which does not look again
-        dataset = replace(dataset, source={**dataset.source, "contradictions": contradictions})
-        write_json(out / HEADER, dataset.header())
     return _finish(out, dataset, examined)
 
 

@@ -7,7 +7,8 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Num, Shaped
@@ -24,6 +25,9 @@ from sarsplat.geometry import ImageGrid, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
 from sarsplat.radiometry import to_db
+
+if TYPE_CHECKING:
+    from sarsplat.examination.outcome import Examination
 
 _SAME = 1e-3
 """Relative difference of lengths that are meant to be the same."""
@@ -43,6 +47,9 @@ _MARGIN = 3 / 16
 
 _PIXELS = (8, 4096)
 """Fewest and most on a side of an image that is cut out or focused."""
+
+EXAMINATIONS: WeakKeyDictionary[Dataset, Examination] = WeakKeyDictionary()
+"""Of datasets that have been imported: the command line shows more of it than warnings, and need not look again."""
 
 
 @dataclass(frozen=True)
@@ -192,9 +199,19 @@ def dataset_of(
 
 
 def write_imported(out: str | Path, dataset: Dataset, *, overwrite: bool) -> Dataset:
-    """Write the dataset, and warn of what looks like a mistake in it."""
+    """Examine the dataset's images, write it, and warn of what they contradict and of what else looks like a mistake.
+
+    Its `source` holds the `contradictions`, if there are any.
+    """
+    from sarsplat.examination.contradictions import examine  # here, for it needs scipy: see `sarsplat info`
+
+    examined = examine(dataset)
+    wrong = examined.contradictions
+    if wrong:  # for `reconstruct`, which does not look again
+        dataset = replace(dataset, source={**dataset.source, "contradictions": wrong})
     dataset = write_dataset(out, dataset, overwrite=overwrite)
-    warn(suspicions(dataset))
+    EXAMINATIONS[dataset] = examined
+    warn([*wrong, *(odd for odd in suspicions(dataset) if odd not in wrong)])
     return dataset
 
 
