@@ -13,6 +13,7 @@ from torch import Tensor
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat.renderer.echoes import GroundEcho
 
 GRID = ImageGrid(20, 24, spacing_m=(0.2, 0.2), resolution_m=(0.3, 0.3))
 VIEWS = (View(20.0, 40.0), View(200.0, 15.0), View(77.0, 75.0))
@@ -60,7 +61,7 @@ class Scene:
         }
         if self.ground is not None:
             levels = {name: leaves[f"ground.{name}"] for name in ("gamma0", "exponent") if f"ground.{name}" in leaves}
-            arguments["ground"] = replace(self.ground, **levels)
+            arguments["echoes"] = (GroundEcho(replace(self.ground, **levels)),)
         return renderer(
             self.gaussians.with_tensors(**own), self.views, self.grid, **arguments, **self.options(), **more
         )

@@ -28,8 +28,8 @@ def outputs_of(rendering) -> dict[str, torch.Tensor]:
     """Every output as one tensor; rays of all views one after the other."""
     assert rendering.ray_maps is not None
     found = {name: getattr(rendering, name) for name in OUTPUTS[:3]}
-    if rendering.ground is not None:
-        found["ground"] = rendering.ground
+    if rendering.echoes:
+        (found["ground"],) = rendering.echoes
     return found | {name: torch.cat([getattr(m, name).flatten() for m in rendering.ray_maps]) for name in OUTPUTS[3:]}
 
 

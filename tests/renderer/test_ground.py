@@ -16,10 +16,11 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.renderer import render
+from sarsplat.renderer.echoes.echo import RayEnds
+from sarsplat.renderer.echoes.ground import free_plane
+from sarsplat.renderer.echoes.lit_ground import lit_ground
 from sarsplat.renderer.engines import cpu
 from sarsplat.renderer.engines.choice import passes_for
-from sarsplat.renderer.ground import free_plane
-from sarsplat.renderer.lit_ground import RayEnds, lit_ground
 from terrains import slope
 
 WIDE = ImageGrid(48, 40, (0.3, 0.25), (0.45, 0.4))

@@ -95,5 +95,5 @@ def test_other_engines_are_refused(scene: dict[str, Tensor]) -> None:
         *(scene[name].double() for name in ("means", "quaternions", "scales", "optical_depth")),
         scattering=Harmonics(scene["scattering"].double()),
     )
-    with pytest.raises(SarsplatError, match="processes share the views of images, without ray maps, on the CPU engine"):
+    with pytest.raises(SarsplatError, match="without ray maps or echoes of one's own, on the CPU engine"):
         render(gaussians, VIEWS, GRID, processes=Threads(0, 1, [None], Barrier(1)))

@@ -13,7 +13,8 @@ from named_scenes import GRID, MATRIX, VIEWS, cloud, wall
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.renderer import lit_terrain, render
+from sarsplat.renderer import render
+from sarsplat.renderer.echoes import lit_terrain
 from terrains import hill, slope, terrain
 
 WIDE = ImageGrid(60, 24, (0.3, 0.1), (0.45, 0.16))

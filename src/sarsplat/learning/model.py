@@ -223,6 +223,7 @@ class SceneModel:
             "rays": rays,
             "shift": shot.shift,
             "ground": self.ground(),
+            "echoes": [echo for part in self.parts for echo in part.echoes(self.parameters)],
             "plane_gradients": plane_gradients,
             "bounds": bounds,
             "amplitudes": amplitudes,

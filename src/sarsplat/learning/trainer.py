@@ -256,7 +256,10 @@ def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
 
 def _done(rendering: Rendering) -> Rendering:
     """What was rendered, without what the backward pass needed: strategies render anew, and need that memory."""
-    ground = None if rendering.ground is None else rendering.ground.detach()
     return replace(
-        rendering, images=rendering.images.detach(), cross_sections=rendering.cross_sections.detach(), ground=ground
+        rendering,
+        images=rendering.images.detach(),
+        cross_sections=rendering.cross_sections.detach(),
+        echoes=tuple(one.detach() for one in rendering.echoes),
+        ground=None if rendering.ground is None else rendering.ground.detach(),
     )

@@ -11,9 +11,9 @@ from scipy.ndimage import map_coordinates
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.renderer.echoes.echo import RayEnds
+from sarsplat.renderer.echoes.lit_terrain import lit_terrain
 from sarsplat.renderer.engines.choice import passes_for
-from sarsplat.renderer.lit_ground import RayEnds
-from sarsplat.renderer.lit_terrain import lit_terrain
 
 _DIMMEST = 0.1
 """Of the level of flat ground: where terrain returns less, images say nothing, and are taken to show ground."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,10 +18,10 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances
+from sarsplat.renderer.echoes import Echo, GroundEcho
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.choice import ENGINES, chosen_engine, passes_for
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
-from sarsplat.renderer.ground import above, check_ground, ground_values
 from sarsplat.renderer.operations import render_with
 from sarsplat.renderer.reference import render_reference
 from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
@@ -55,6 +56,7 @@ def render(
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
     ground: Ground | None = None,
+    echoes: Sequence[Echo] = (),
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
@@ -90,6 +92,8 @@ def render(
         "area" conserves cross-section; "peak" is the paper's unnormalised weight exp(−½eᵀΣ⁻¹e), for ablations only.
     ground : Ground, optional
         The plane on which rays end: it is in the images, and hides the Gaussians whose centres are below it.
+    echoes : sequence of Echo
+        Further returns that are added to the images (`sarsplat.renderer.echoes`), for research of one's own.
     first_return_depth : float, optional
         Two-way optical depth at which a ray counts as returned; asks for `Rendering.ray_maps`.
     plane_gradients : bool
@@ -136,20 +140,24 @@ def render(
         instruction_set=instruction_set,
     )
     check_shapes(gaussians, views, amplitudes, shift, gain)
-    if ground is not None:
-        channels = len(gaussians.scattering.channels) if amplitudes is None else amplitudes.shape[2]
-        check_ground(ground, gaussians.means, channels, gaussians.scattering.power_channel, imaging_weight)
-        gaussians = above(gaussians, ground)
+    channels = len(gaussians.scattering.channels) if amplitudes is None else amplitudes.shape[2]
+    echoes = (*(() if ground is None else (GroundEcho(ground),)), *echoes)
+    for echo in echoes:
+        echo.check(gaussians, channels, imaging_weight)
+        gaussians = echo.visible(gaussians)
     engine = chosen_engine(engine, gaussians.means)
-    if processes is not None and (engine != "cpu" or first_return_depth is not None):
-        raise SarsplatError("processes share the views of images, without ray maps, on the CPU engine; omit them")
+    alone = engine != "cpu" or first_return_depth is not None or not all(echo.shareable for echo in echoes)
+    if processes is not None and alone:
+        raise SarsplatError(
+            "processes share the views of images, without ray maps or echoes of one's own, on the CPU engine; omit them"
+        )
     by_view = {"amplitudes": amplitudes, "shift": shift, "gain": gain}
     tensors = {**gaussians.tensors(), **by_view}
     options: dict[str, Any] = {
         **by_view,
         "rays": rays,
         "imaging_weight": imaging_weight,
-        "ground": ground,
+        "echoes": echoes,
         "first_return_depth": first_return_depth,
     }
     if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
@@ -164,11 +172,14 @@ def render(
         else:
             bounds = None
         options |= {"plane_gradients": plane_gradients, "bounds": bounds, "processes": processes}
-        return render_with(new_pass, gaussians, views, grid, **options)
+        rendering = render_with(new_pass, gaussians, views, grid, **options)
+        return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
     if plane_gradients:
         raise SarsplatError(
             f"plane_gradients=True needs another engine ({', '.join(ENGINES)}); the reference has autograd instead"
         )
     check_for_reference("means", gaussians.means.dtype)
-    check_values(tensors if ground is None else tensors | ground_values(ground))
-    return render_reference(gaussians, views, grid, **options)
+    for values in (tensors, *(echo.values() for echo in echoes)):
+        check_values(values)
+    rendering = render_reference(gaussians, views, grid, **options)
+    return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])

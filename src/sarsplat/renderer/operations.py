@@ -9,18 +9,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians, Harmonics
-from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.renderer.checks import check_values
+from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting, added, left_in_sight
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.operation import Tensors
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.problem import ARRAYS
 from sarsplat.renderer.engines.stages import Attenuate, Project, Render, Splat
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
-from sarsplat.renderer.ground import gamma0_by_view, ground_values, in_sight, lit, returned, with_ground
-from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.renderer.lobes import amplitudes_towards
 from sarsplat.renderer.rendering import RayMap, Rendering
 from sarsplat.renderer.shared import Branch, shared
@@ -41,7 +39,7 @@ def render_with(
     shift: Float[Tensor, "v 2"] | None = None,
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
-    ground: Ground | None = None,
+    echoes: Sequence[Echo] = (),
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
@@ -52,8 +50,9 @@ def render_with(
         bounds.watch(gain)
     else:
         check_values({"gain": gain})  # the rest is checked on the way in
-    if ground is not None and bounds is None:
-        check_values(ground_values(ground))
+    if bounds is None:
+        for echo in echoes:
+            check_values(echo.values())
     g = gaussians
     planes = g.means.new_zeros(len(views), len(g), 4) if plane_gradients else None
     harmonics = None
@@ -64,41 +63,41 @@ def render_with(
     ray_maps: tuple[RayMap, ...] | None = None
 
     def some(branch: Branch, arrays: Tensors) -> tuple[Tensor, ...]:
-        """Images, cross-sections, lit areas and, with a ground, what of it is lit in some of the views."""
+        """Images, cross-sections, lit areas and what is seen of each echo in some of the views."""
         nonlocal ray_maps
-        few, (*of_problem, displaced, gamma0) = views[slice(*branch)], arrays
+        few, of_problem, of_echoes = views[slice(*branch)], arrays[: len(ARRAYS)], arrays[len(ARRAYS) :]
         part = Render(new_pass(), few, grid, rays, g.scattering.p_min)
         part.peak, part.depth, part.of_views = imaging_weight == "peak", first_return_depth, len(views)
-        part.planes, part.ends = None if planes is None else planes[slice(*branch)], ground is not None
-        moved = None if shift is None else displaced
-        part.in_sight = in_sight(g.means, ground, few, grid, rays, moved)
-        images, cross_sections, lit_area, *traced = part.of(*of_problem, displaced)
+        part.planes, part.ends = None if planes is None else planes[slice(*branch)], wants_ends
+        moved = None if shift is None else of_problem[-1]
+        part.in_sight = left_in_sight(echoes, g.means, few, grid, rays, moved)
+        images, cross_sections, lit_area, *traced = part.of(*of_problem)
         ray_maps = _ray_maps(part, traced)
-        if ground is None:
-            return images, cross_sections, lit_area
-        ends = _ray_ends(part, traced[0])
-        seen = lit(ends, ground, gamma0, few, grid, rays, moved, new_pass)
-        return images, cross_sections, lit_area, seen
+        ends = _ray_ends(part, traced[0]) if wants_ends else None
+        sighting = Sighting(g, few, grid, rays, moved, lit_area, ends, new_pass)
+        seen = [echo.seen(sighting, own) for echo, own in zip(echoes, of_echoes, strict=True)]
+        return images, cross_sections, lit_area, *seen
 
-    by_view = _shift(g, views, shift), None if ground is None else gamma0_by_view(ground, len(views))
-    arrays = (g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, *by_view)
+    wants_ends = any(echo.wants_ray_ends for echo in echoes)
+    of_echoes = [echo.by_view(len(views)) for echo in echoes]
+    problem = (g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, _shift(g, views, shift))
+    arrays = (*problem, *of_echoes)
     if processes is None:
         seen = some((0, len(views)), arrays)
     else:
         channels = len(g.scattering.channels) if amplitudes is None else amplitudes.shape[2]
         size = grid.rows, grid.columns
-        shapes = [(channels, *size), (len(g), channels), (len(g),), *([] if ground is None else [size])]
-        cut = [*(name in _BY_VIEW for name in ARRAYS), True]
+        shapes = [(channels, *size), (len(g), channels), (len(g),), *(size for _ in echoes)]
+        cut = [*(name in _BY_VIEW for name in ARRAYS), *(True for _ in echoes)]
         seen = shared(processes, some, arrays, cut, len(views), shapes, planes)
-    images, cross_sections, lit_area, *ends = seen
-    of_ground = None
-    if ground is not None:
-        of_ground = returned(ground, ends[0], views, grid, shift)
-        images = with_ground(images, of_ground, g.scattering.power_channel)
+    images, cross_sections, lit_area, *shown = seen
+    returns = [echo.returned(one, views, grid, shift) for echo, one in zip(echoes, shown, strict=True)]
+    for one in returns:
+        images = added(images, one, g.scattering.power_channel)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area.detach(), ray_maps, planes, of_ground)
+    return Rendering(images, cross_sections, lit_area.detach(), ray_maps, planes, tuple(returns))
 
 
 def project_with(

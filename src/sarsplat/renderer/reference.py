@@ -18,12 +18,10 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import covariance
-from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
+from sarsplat.renderer.echoes.echo import Echo, Sighting, added, ends_of, left_in_sight
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves, deviations
-from sarsplat.renderer.ground import gamma0_by_view, in_sight, lit, returned, with_ground
-from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.renderer.rendering import RayMap, Rendering
 
 _UNCUT_RADIUS = 9.0
@@ -43,7 +41,7 @@ def render_reference(
     shift: Float[Tensor, "v 2"] | None = None,
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
-    ground: Ground | None = None,
+    echoes: Sequence[Echo] = (),
     first_return_depth: float | None = None,
     cuts: bool = True,
 ) -> Rendering:
@@ -54,29 +52,27 @@ def render_reference(
     """
     rays = rays or RayGrid.for_image(grid)
     projection = project_reference(gaussians, views, grid, rays=rays, shift=shift)
-    seen = in_sight(gaussians.means, ground, views, grid, rays, shift)
-    if seen is not None:
-        projection = replace(projection, optical_depth=projection.optical_depth * seen)
-    depth = first_return_depth if ground is None else first_return_depth or 1.0
+    in_sight = left_in_sight(echoes, gaussians.means, views, grid, rays, shift)
+    if in_sight is not None:
+        projection = replace(projection, optical_depth=projection.optical_depth * in_sight)
+    wants_ends = any(echo.wants_ray_ends for echo in echoes)
+    depth = first_return_depth or 1.0 if wants_ends else first_return_depth
     attenuation = attenuate_reference(projection, rays, first_return_depth=depth, cuts=cuts)
     amplitudes = projection.amplitudes if amplitudes is None else amplitudes
     cross_sections = amplitudes * attenuation.lit_area[..., None]  # σ = P A_c Σ w
     images = splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight, cuts=cuts)
-    of_ground = None
-    if ground is not None:
-        maps = attenuation.ray_maps or ()
-        left = torch.cat([ray_map.transmittance.flatten() for ray_map in maps])
-        sizes = [(ray_map.transmittance.shape[0], ray_map.transmittance.shape[1]) for ray_map in maps]
-        ends = RayEnds(left, sizes, [ray_map.origin for ray_map in maps])
-        of_rays = lit(ends, ground, gamma0_by_view(ground, len(views)), views, grid, rays, shift, None)
-        of_ground = returned(ground, of_rays, views, grid, shift)
-        images = with_ground(images, of_ground, gaussians.scattering.power_channel)
+    ends = ends_of(attenuation.ray_maps) if wants_ends and attenuation.ray_maps else None
+    sighting = Sighting(gaussians, views, grid, rays, shift, attenuation.lit_area, ends, None)
+    returns = []
+    for echo in echoes:
+        returns.append(echo.returned(echo.seen(sighting, echo.by_view(len(views))), views, grid, shift))
+        images = added(images, returns[-1], gaussians.scattering.power_channel)
     return Rendering(
         images if gain is None else images * gain[:, None, None, None],
         cross_sections,
         attenuation.lit_area.detach(),
         None if first_return_depth is None else attenuation.ray_maps,
-        ground=of_ground,
+        echoes=tuple(returns),
     )
 
 

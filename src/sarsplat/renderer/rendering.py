@@ -47,8 +47,10 @@ class Rendering:
         On request (`first_return_depth`).
     plane_gradients : Tensor [V, N, 4] or None
         On request: zeros until backward, then ∂L/∂(μ_C,x, μ_C,y, μ_I,x, μ_I,z) per view, per m. For density control.
+    echoes : tuple of Tensor [V, rows, columns]
+        What of the images each echo is, the ground's first, β⁰, linear power, without gain; differentiable.
     ground : Tensor [V, rows, columns] or None
-        With a ground: what of the images it is, β⁰, linear power, without gain; differentiable.
+        With a ground, the first of these.
     """
 
     images: Float[Tensor, "v c rows columns"]
@@ -56,6 +58,7 @@ class Rendering:
     lit_area: Float[Tensor, "v n"]
     ray_maps: tuple[RayMap, ...] | None = None
     plane_gradients: Float[Tensor, "v n 4"] | None = None
+    echoes: tuple[Float[Tensor, "v rows columns"], ...] = ()
     ground: Float[Tensor, "v rows columns"] | None = None
 
     def __repr__(self) -> str:

@@ -6,17 +6,17 @@ tile: so neighbours show the same of it, to the order of sums.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import Footprints, attenuate, project, splat
+from sarsplat.renderer.echoes.echo import Echo, Sighting, added, ends_of
 from sarsplat.renderer.engines.choice import passes_for
-from sarsplat.renderer.ground import gamma0_by_view, lit, returned, with_ground
-from sarsplat.renderer.lit_ground import RayEnds
 from sarsplat.tiles.plan import LARGEST, Tile
 from sarsplat.tiles.reach import rows_of
 
@@ -31,23 +31,23 @@ def tile_image(
     tile: Tile,
     rays: RayGrid,
     shift: Float[Tensor, "1 2"] | None,
-    ground: Ground | None,
+    echoes: Sequence[Echo],
 ) -> Float[Tensor, "c rows columns"]:
     """What `render` shows of a scene on this grid in the tile's pixels."""
     some, pixels = rows_of(gaussians, tile.gaussians), grid.part(tile.rows, tile.columns)
     p = project(some, [view], grid, rays=rays, shift=shift)
-    attenuation = attenuate(p, rays, first_return_depth=None if ground is None else _ANY_DEPTH)
+    attenuation = attenuate(p, rays, first_return_depth=_ANY_DEPTH if echoes else None)
     images = _splatted(p.pixels, p.amplitudes * attenuation.lit_area[..., None], grid, tile)
-    if ground is None:
+    if not echoes:
         return images[0]
-    assert attenuation.ray_maps is not None
-    left = attenuation.ray_maps[0]
-    rows, columns = left.transmittance.shape
-    ends = RayEnds(left.transmittance.reshape(-1), [(rows, columns)], [left.origin])
+    assert attenuation.ray_maps is not None  # asked for
+    ends = ends_of(attenuation.ray_maps)
     new_pass = passes_for("auto", {"transmittance": ends.transmittance})
-    of_rays = lit(ends, ground, gamma0_by_view(ground, 1), [view], pixels, rays, shift, new_pass)
-    of_ground = returned(ground, of_rays, [view], pixels, shift)
-    return with_ground(images, of_ground, gaussians.scattering.power_channel)[0]
+    sighting = Sighting(some, [view], pixels, rays, shift, attenuation.lit_area, ends, new_pass)
+    for echo in echoes:
+        returned = echo.returned(echo.seen(sighting, echo.by_view(1)), [view], pixels, shift)
+        images = added(images, returned, gaussians.scattering.power_channel)
+    return images[0]
 
 
 def _splatted(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import torch
@@ -15,7 +15,8 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.progress import stage
-from sarsplat.renderer.ground import above, in_sight
+from sarsplat.renderer.echoes import Echo, GroundEcho
+from sarsplat.renderer.echoes.echo import left_in_sight
 from sarsplat.tiles.image import tile_image
 from sarsplat.tiles.kept import KeptTiles
 from sarsplat.tiles.plan import Plan
@@ -71,9 +72,10 @@ def render_tiled(
     kept = KeptTiles(gaussians, view, grid.as_dict(), rays, shift, memory_gib, *_said_of(ground))
     with torch.no_grad():
         displaced = None if shift is None else shift[None]
-        scene = (
-            gaussians if ground is None else above(_in_sight(gaussians, view, grid, rays, displaced, ground), ground)
-        )
+        echoes = [] if ground is None else [GroundEcho(ground)]
+        scene = _in_sight(gaussians, view, grid, rays, displaced, echoes)
+        for echo in echoes:
+            scene = echo.visible(scene)
         reach = Reach.of(scene, view, grid, rays, displaced)
         plan = Plan(reach, view, grid, rays, ground, scene.scattering.parameters.shape[1], memory_gib * 2**30)
         size = (len(scene.scattering.channels), grid.rows, grid.columns)
@@ -82,7 +84,7 @@ def render_tiled(
             for tile in plan.tiles():
                 found, done = kept.find(tile), done + tile.grid.rows * tile.grid.columns
                 if found is None:
-                    found = tile_image(scene, view, grid, tile, rays, displaced, ground).cpu()
+                    found = tile_image(scene, view, grid, tile, rays, displaced, echoes).cpu()
                     kept.add(tile, found)
                     reporter.update(done)
                 else:
@@ -97,16 +99,16 @@ def _in_sight(
     grid: ImageGrid,
     rays: RayGrid,
     shift: Float[Tensor, "1 2"] | None,
-    ground: Ground,
+    echoes: Sequence[Echo],
 ) -> Gaussians:
-    """Set the optical depth of Gaussians that terrain hides from the view to zero.
+    """Set the optical depth of Gaussians that an echo, as terrain, hides from the view to zero.
 
     Of the whole image: what a hill hides may reach into a tile that does not show the hill.
     """
     depth = gaussians.optical_depth
     for first in range(0, grid.columns, _STRIP):
         strip = grid.part(slice(0, grid.rows), slice(first, min(first + _STRIP, grid.columns)))
-        seen = in_sight(gaussians.means, ground, [view], strip, rays, shift)
+        seen = left_in_sight(echoes, gaussians.means, [view], strip, rays, shift)
         depth = depth if seen is None else depth * seen[0]
     return replace(gaussians, optical_depth=depth)
 

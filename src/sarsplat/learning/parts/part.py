@@ -18,6 +18,7 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.renderer import Bounds
+from sarsplat.renderer.echoes import Echo
 from sarsplat.settings.config import Config
 
 Parameters = dict[str, Tensor]
@@ -132,6 +133,10 @@ class Part(ABC):
     def ground(self, p: Parameters) -> Ground | None:
         """The plane or the terrain on which rays end, in the model's unit; None unless it is that."""
         return None
+
+    def echoes(self, p: Parameters) -> tuple[Echo, ...]:
+        """Returns besides the direct one and the ground's; images that are rendered by tiles lack them."""
+        return ()
 
     def reach(self) -> Bounds | None:
         """Bounds that its Gaussians keep as long as parameters are within theirs; None if it has none."""

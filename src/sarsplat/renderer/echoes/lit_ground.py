@@ -18,27 +18,9 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer.echoes.echo import RayEnds
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
-
-
-@dataclass(frozen=True)
-class RayEnds:
-    """T_end of the rays of all views, row by row, one view after the other.
-
-    Parameters
-    ----------
-    transmittance : Tensor [R]
-        Of every ray.
-    sizes : sequence of (rows, columns), one per view
-        Of the views' lattices.
-    origins : sequence of (x_r, y_r), one per view
-        Where their first rays are, m.
-    """
-
-    transmittance: Float[Tensor, " rays"]
-    sizes: Sequence[tuple[int, int]]
-    origins: Sequence[tuple[float, float]]
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,12 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.renderer.echoes.echo import RayEnds
+from sarsplat.renderer.echoes.lit_ground import Axis, pixel_axes, seen, stds
+from sarsplat.renderer.echoes.terrain_cells import Cells, cells_of
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
-from sarsplat.renderer.lit_ground import Axis, RayEnds, pixel_axes, seen, stds
 from sarsplat.renderer.places import at_places
-from sarsplat.renderer.terrain_cells import Cells, cells_of
 
 _SHORT = {torch.float32: 0.25, torch.float64: 0.02}
 """Standard deviations of the response: a difference of error functions over less has too few digits, and two points of

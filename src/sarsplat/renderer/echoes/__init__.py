@@ -1,0 +1,6 @@
+"""Echoes: ways by which power returns besides straight back from the Gaussians, each a file of this folder."""
+
+from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting
+from sarsplat.renderer.echoes.ground import GroundEcho
+
+__all__ = ["Echo", "GroundEcho", "RayEnds", "Sighting"]
