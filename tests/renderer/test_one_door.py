@@ -78,9 +78,7 @@ def test_who_does_what() -> None:
     assert passes_for("auto", {"x": double}) is None
     assert passes_for("auto", {"x": torch.zeros(3, device="meta")}) is None
     assert passes_for("reference", {"x": single}) is None
-    with pytest.raises(
-        SarsplatError, match=r"y is torch.float64 on cpu; the CPU engine takes torch.float32"
-    ):
+    with pytest.raises(SarsplatError, match=r"y is torch.float64 on cpu; the CPU engine takes torch.float32"):
         passes_for("auto", {"x": single, "y": double})
     with pytest.raises(SarsplatError, match="engine 'gpu' is unknown; choose one of auto, cpu, cuda, reference"):
         passes_for("gpu", {"x": single})
