@@ -82,7 +82,8 @@ def look_into(wheel: Path) -> None:
 
 def included(source: Path) -> set[Path]:
     """A source, and everything that it includes: what CUDA compiles on the user's machine."""
-    names = re.findall(r'^#include "(.*)"', source.read_text(encoding="utf-8"), re.MULTILINE)
+    text = re.sub(r"^#ifdef SG_KERNELS$.*?^#endif$", "", source.read_text(encoding="utf-8"), flags=re.M | re.DOTALL)
+    names = re.findall(r'^#include "(.*)"', text, re.MULTILINE)
     return {source}.union(*(included(source.with_name(name)) for name in names))
 
 

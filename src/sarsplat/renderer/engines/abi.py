@@ -34,6 +34,7 @@ def structures(source: str, names: Iterable[str] | None = None) -> dict[str, Any
     of the ABI ("sg_…") has a type, any other is an address.
     """
     source = re.sub(r"//[^\n]*", "", source)
+    # what the preprocessor makes of the table of operations; all else of it is not for us
     operations = "".join(f"int32_t (*{name})(sg_context*, const {of}*);" for name, of in _OPERATION.findall(source))
     source = re.sub(r"^#define SG_OPERATIONS(.*\\\n)*.*$", "", source, flags=re.MULTILINE)
     source = source.replace("SG_OPERATIONS(SG_MEMBER)", operations)
@@ -46,29 +47,29 @@ def structures(source: str, names: Iterable[str] | None = None) -> dict[str, Any
     return found
 
 
-def _fields(member: str, known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Names and types of what one declaration declares, such as `const float *power, *truth`."""
+def _fields(member: str, earlier: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Names and types in one declaration, such as `const float *power, *truth`, given the structures before it."""
     if function := _FUNCTION.fullmatch(member):
         result, name, arguments = function.groups()
-        types = (next(_fields(argument.strip(), known))[1] for argument in arguments.split(",") if argument.strip())
-        yield name, ctypes.CFUNCTYPE(_type(result, known), *types)
+        types = (next(_fields(argument.strip(), earlier))[1] for argument in arguments.split(",") if argument.strip())
+        yield name, ctypes.CFUNCTYPE(_type(result, earlier), *types)
         return
     split = _MEMBER.fullmatch(member)
     assert split is not None, member
     base, declared = split.groups()
     for one in declared.split(","):
         name, *sizes = re.findall(r"\w+", one) or [""]
-        of = _type(base + "*" * one.count("*"), known)
+        of = _type(base + "*" * one.count("*"), earlier)
         yield name, of * int(sizes[0]) if sizes else of
 
 
-def _type(name: str, known: Mapping[str, Any]) -> Any:
+def _type(name: str, earlier: Mapping[str, Any]) -> Any:
     base = name.rstrip("*")
     if base == name:
-        return None if name == "void" else _NUMBERS[name] if name in _NUMBERS else known[name]
+        return None if name == "void" else _NUMBERS[name] if name in _NUMBERS else earlier[name]
     if base == "char":
         return ctypes.c_char_p
-    return ctypes.POINTER(known[base]) if base in known and base.startswith("sg_") else ctypes.c_void_p
+    return ctypes.POINTER(earlier[base]) if base in earlier and base.startswith("sg_") else ctypes.c_void_p
 
 
 api = SimpleNamespace(

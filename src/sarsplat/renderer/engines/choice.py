@@ -15,7 +15,7 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.renderer.checks import check_for_cpu, check_for_cuda
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.engines.cuda_device import device, require_cuda
-from sarsplat.renderer.engines.passes import NewPass, Pass
+from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.trial import objection
 
 Tensors = Mapping[str, Tensor | None]
@@ -40,17 +40,17 @@ class Engine:
     """
 
     device_type: str
-    prepare: Callable[[Tensors, ImageGrid | None, str], Callable[..., Pass]]
+    prepare: Callable[[Tensors, ImageGrid | None, str], NewPass]
     takes_bounds: bool = False
     objection: Callable[[torch.device], str] = lambda device: ""
 
 
-def _on_cpu(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> Callable[[], Pass]:
+def _on_cpu(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> NewPass:
     check_for_cpu(grid, tensors)
     return partial(cpu.Pass, instruction_set)
 
 
-def _on_cuda(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> Callable[..., Pass]:
+def _on_cuda(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> NewPass:
     require_cuda()
     return partial(cuda.Pass, device(check_for_cuda(tensors)))
 

@@ -35,7 +35,7 @@ class Call(ABC):
     """Which outputs have no gradient."""
 
     needed: Sequence[bool]
-    """Which inputs need one."""
+    """Which inputs need a gradient."""
 
     @abstractmethod
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
@@ -45,8 +45,8 @@ class Call(ABC):
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
         """Gradients of the inputs from those of the outputs; None is zero."""
 
-    def kept(self, inputs: Tensors) -> Tensors:
-        """What the backward pass is given: one tensor for each of the saved inputs' names, of its shape."""
+    def to_save(self, inputs: Tensors) -> Tensors:
+        """What is saved for the backward pass: a tensor for each of the saved inputs, of its shape."""
         return inputs[self.saved]
 
     def of(self, *inputs: Tensor | None) -> tuple[Tensor, ...]:
@@ -93,16 +93,16 @@ class Operation(Call):
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
         outputs = self.outputs(*inputs)
         self._shapes = {name: tensor.shape for name, tensor in outputs.items()}
-        self._found = self._new_gradients(inputs) if self.at_once else {}
-        self._run(self._kernel, inputs, outputs | self._found)
-        del self._kernel  # nothing is left of the call there
+        self._at_once = self._new_gradients(inputs) if self.at_once else {}
+        self._run(self._kernel, inputs, outputs | self._at_once)
+        del self._kernel  # which keeps nothing, and may be lent again
         return tuple(outputs.values())
 
-    def kept(self, inputs: Tensors) -> Tensors:
+    def to_save(self, inputs: Tensors) -> Tensors:
         if not self.at_once:
             return inputs
-        found, self._found = self._found, {}  # torch frees them after the way back
-        return [found.get(f"d_{name}") for name in self.names]
+        gradients, self._at_once = self._at_once, {}  # torch frees them after the way back
+        return [gradients.get(f"d_{name}") for name in self.names]
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
         if self.at_once:
@@ -135,10 +135,10 @@ class _Call(torch.autograd.Function):
         inputs = [None if t is None else t.contiguous() for t in tensors]
         call.needed = ctx.needs_input_grad[1:]
         outputs = call.forward(inputs)
-        kept = call.kept(inputs)
-        ctx.call, ctx.shapes = call, [None if t is None else t.shape for t in kept]
+        saved = call.to_save(inputs)
+        ctx.call, ctx.shapes = call, [None if t is None else t.shape for t in saved]
         ctx.one_at_a_time = threading.Lock()  # the kernel lets go of Python's, and has one set of scratch memory
-        ctx.save_for_backward(*kept)
+        ctx.save_for_backward(*saved)
         ctx.mark_non_differentiable(*(outputs[k] for k in call.constant))
         ctx.set_materialize_grads(False)
         return outputs

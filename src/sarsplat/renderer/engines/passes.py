@@ -42,6 +42,7 @@ class Pass(Protocol):
 
 
 NewPass = Callable[..., Pass]
+"""Makes passes of one engine; the CUDA engine's may be given a `Capacity`."""
 
 
 def within(limits: Mapping[str, float], numbers: Mapping[str, Any]) -> bool:
