@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -91,5 +92,13 @@ def command(
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """MATLAB files."""
-    return by_ending(contents, (".mat",), "phase-history", "phase history")
+    """A file that begins or ends as those of a known format do; of a folder, the first with such an ending."""
+    from sarsplat.importers.histories import FORMATS, format_of
+
+    endings = [ending for one in FORMATS.loaded().values() for ending in one.endings]
+    files = [contents.path] if contents.path.is_file() else contents.ending_in(*endings)
+    known = format_of(files[0]) if files else None
+    if known is None:
+        return None
+    found = by_ending(contents, (files[0].suffix.lower(),), "phase-history", "phase history")
+    return replace(found, kind=known.what, certainty=1.0) if found and known.begins else found

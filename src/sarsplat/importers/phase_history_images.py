@@ -18,7 +18,7 @@ from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.files import each_once
 from sarsplat.importers.focus import focus
-from sarsplat.importers.gotcha import read_gotcha
+from sarsplat.importers.histories import read_phase_history
 from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.phase_history import FARTHEST_M, flights
 from sarsplat.progress import progress
@@ -47,12 +47,12 @@ def import_phase_history(
     overwrite: bool = False,
     quiet: bool = True,
 ) -> Dataset:
-    """Make a dataset from phase history in GOTCHA's layout (see `sarsplat.importers.gotcha`).
+    """Make a dataset from phase history, such as that of AFRL's GOTCHA (see `sarsplat.importers.history_gotcha`).
 
     Parameters
     ----------
     files : sequence of Path
-        MATLAB files, in any order. Files that continue each other are one flight.
+        In any order; files that continue each other are one flight.
     out : Path
         Dataset to make.
     size_m : float
@@ -105,7 +105,7 @@ def import_phase_history(
         )
     parts = [
         aperture
-        for flight in flights([read_gotcha(path) for path in each_once(files)])
+        for flight in flights([read_phase_history(path) for path in each_once(files)])
         for aperture in apertures(flight, around, aperture_deg)
     ]
     if train_views is not None and not 1 <= train_views <= len(parts):  # said before minutes of work
