@@ -105,15 +105,16 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
     module : str
         That of the command: `__name__`.
     function : str
-        File in `importers` and name of the importer, such as "sicd:import_sicd".
+        File in `importers` and name of the importer, such as "sicd:import_sicd"; its defaults must be literals.
     reading : str
         What is said to be read meanwhile, such as "chips from "; an importer that can be quiet shows its progress.
     options : Option
         Of its parameters, by their names, those that are typed in another way than most.
     """
-    stub = _without_body(*function.split(":"))
+    file, name = function.split(":")
+    stub = _without_body(file, name)
     parameters = signature(stub).parameters
-    more = [Parameter(name, Parameter.KEYWORD_ONLY) for name in _ABOUT.get(stub.__annotations__.get("about", ""), ())]
+    more = [Parameter(key, Parameter.KEYWORD_ONLY) for key in _ABOUT.get(stub.__annotations__.get("about", ""), ())]
     helps, made = _helps(getdoc(stub) or ""), {}
     for one in sorted((*parameters.values(), *more), key=lambda one: one.name == "overwrite"):  # which is last
         if one.name not in ("quiet", "about"):
@@ -122,8 +123,8 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
     first = next(iter(made))
 
     def command(**given: Any) -> int:
-        importer = getattr(import_module("sarsplat.importers"), stub.__name__)
-        values = {name: option.value(given[name], option.name) for name, (_, option) in made.items()}
+        importer = getattr(import_module(f"sarsplat.importers.{file}"), name)
+        values = {key: option.value(given[key], option.name) for key, (_, option) in made.items()}
         files, out = values.pop(first), values.pop("out")
         if "quiet" in parameters:
             return carry_out(importer, files, out, quiet=False, **values)
@@ -131,7 +132,7 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
         return carry_out(importer, files, out, doing=f"reading {reading}{what}", **values)
 
     command.__doc__, command.__module__ = first_paragraph(stub.__doc__), module
-    command.__annotations__ = {name: one.annotation for name, (one, _) in made.items()}
+    command.__annotations__ = {key: one.annotation for key, (one, _) in made.items()}
     command.__signature__ = Signature([one for one, _ in made.values()])  # type: ignore[attr-defined]
     return command
 

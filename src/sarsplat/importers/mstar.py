@@ -102,7 +102,7 @@ def import_mstar(
     -----
     SarsplatWarning
         If chips lack labels or labels chips, the class holds several vehicles, chips of different sizes are cut, or
-        the dataset looks odd (`sarsplat.data.plausible`).
+        the images contradict what is said of them, or look odd (`sarsplat.examine`).
     """
     every = read_chips(Path(chips), None if labels is None else Path(labels), target_class)
     every = _one_vehicle(every, target_class, serial)
