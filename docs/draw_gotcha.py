@@ -20,7 +20,7 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.focus import focus
-from sarsplat.importers.gotcha import read_gotcha
+from sarsplat.importers.history_gotcha import read_gotcha
 from sarsplat.importers.phase_history import flights
 from sarsplat.radiometry import to_db
 

@@ -47,7 +47,7 @@ from sarsplat.geometry.responses import Taylor
 from sarsplat.importers import import_rslc, read_phoenix
 from sarsplat.importers.apertures import apertures
 from sarsplat.importers.focus import focus
-from sarsplat.importers.gotcha import read_gotcha
+from sarsplat.importers.history_gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.mstar_chips import read_chips
 from sarsplat.importers.phase_history import flights

@@ -6,7 +6,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 import numpy as np
 import pytest
@@ -135,6 +135,26 @@ def test_what_does_not_fit_is_named_with_the_remedy(name: str, value: object, se
     with pytest.raises(SarsplatError, match=rf"^{re.escape(sentence)}") as error:
         sample(**{name: value})
     assert "\n" not in str(error.value)
+
+
+class About(TypedDict, total=False):
+    """What is named elsewhere."""
+
+    side: View | None
+
+
+@checks_arguments
+def told(path: str, **about: Unpack[About]) -> str:
+    """Options that are named elsewhere."""
+    return "done"
+
+
+def test_options_that_are_named_elsewhere_are_checked_too() -> None:
+    assert told("a") == told("a", side=VIEW) == told("a", side=None) == "done"
+    with pytest.raises(SarsplatError, match=r"^side is 3; give a View\("):
+        told("a", side=3)
+    with pytest.raises(TypeError, match=r"told\(\) got an unexpected keyword argument 'sid'"):
+        told("a", **{"sid": VIEW})  # type: ignore[arg-type]
 
 
 def test_arguments_by_position_are_checked_too() -> None:

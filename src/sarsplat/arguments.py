@@ -52,14 +52,18 @@ _ONE_THING = (str, bytes, os.PathLike)
 def checks_arguments(function: F) -> F:
     """Decorate a function so that it refuses arguments of other types than its annotations name.
 
-    Kinds are classes, paths, numbers, arrays, functions, mappings and sequences of them. Shapes, ranges and choices
-    are left to the function; it raises a SarsplatError in either case, here before anything is done.
+    Kinds are classes, paths, numbers, arrays, functions, mappings and sequences of them, and what a `TypedDict` holds
+    (`**options: Unpack[...]`). Shapes, ranges and choices are left to the function; it raises a SarsplatError in
+    either case, here before anything is done.
     """
     names = [*signature(function).parameters]
+    closed = any("Unpack[" in str(hint) for hint in function.__annotations__.values())
 
     @wraps(function)
     def checked(*arguments: Any, **options: Any) -> Any:
         kinds = _kinds(function)
+        if closed and (unknown := options.keys() - kinds.keys()):
+            raise TypeError(f"{function.__name__}() got an unexpected keyword argument {unknown.pop()!r}")
         for name, value in (*zip(names, arguments, strict=False), *options.items()):
             if name in kinds:
                 _expect(kinds[name], name, value)
@@ -94,7 +98,12 @@ def _kinds(function: Callable[..., Any]) -> dict[str, tuple[Any, ...]]:
     kinds: dict[str, tuple[Any, ...]] = {}
     for name, hint in function.__annotations__.items():
         try:
-            kinds[name] = tuple(_alternatives(eval(hint, known) if isinstance(hint, str) else hint))
+            kind = eval(hint, known) if isinstance(hint, str) else hint
+            if typing.get_origin(kind) is typing.Unpack:
+                named = typing.get_type_hints(typing.get_args(kind)[0])
+                kinds |= {one: tuple(_alternatives(its)) for one, its in named.items()}
+            else:
+                kinds[name] = tuple(_alternatives(kind))
         except NameError:
             parts = [part.strip().rpartition(".")[2] for part in hint.split("|")]
             kinds[name] = tuple(None if part == "None" else part for part in parts)

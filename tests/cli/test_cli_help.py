@@ -1,5 +1,6 @@
 """What help says; how soon it does is in test_cli_startup.py."""
 
+import inspect
 import os
 import re
 import subprocess
@@ -10,6 +11,7 @@ from typing import get_args
 
 import pytest
 
+from sarsplat import importers
 from sarsplat.cli import main
 from sarsplat.cli.commands import COMMANDS
 from sarsplat.cli.importers import IMPORTERS
@@ -32,6 +34,15 @@ def test_the_overview_says_of_every_command_what_its_own_help_says_first(
             with pytest.raises(SystemExit):
                 main([*words, name, "--help"])
             assert text in capsys.readouterr().out.splitlines(), name
+
+
+@pytest.mark.parametrize("name", [name for name in importers.__all__ if name.startswith("import_")])
+def test_an_import_has_an_option_for_everything_that_its_function_takes(name: str) -> None:
+    taken = inspect.signature(getattr(importers, name)).parameters
+    about = getattr(importers, taken["about"].annotation[len("Unpack[") : -1])
+    options = inspect.signature(IMPORTERS[name.removeprefix("import_").replace("_", "-")]).parameters
+    assert options.keys() == taken.keys() - {"about", "quiet"} | about.__annotations__.keys()
+    assert all(one.annotation.__metadata__[-1].help for one in options.values())
 
 
 def test_help_without_a_command_names_the_version_option_too(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,13 +8,15 @@ import pytest
 
 from pulses import FREQUENCIES, C, circle, record, write
 from sarsplat.cli import main
+from sarsplat.cli.importers import recognised
 from sarsplat.data import read_dataset
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.geometry.responses import UNIFORM, Taylor
 from sarsplat.importers import import_phase_history
 from sarsplat.importers.apertures import apertures
 from sarsplat.importers.focus import focus, ground_points
-from sarsplat.importers.gotcha import read_gotcha
+from sarsplat.importers.histories import FORMATS, PhaseHistoryFormat, read_phase_history
+from sarsplat.importers.history_gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.phase_history import flights
 
@@ -145,6 +147,18 @@ def test_the_default_aperture_makes_square_cells_of_all_pulses(files, tmp_path):
     azimuth, distance = dataset.grid.resolution_m
     assert azimuth == pytest.approx(distance, rel=0.1)
     assert dataset.grid.spacing_m == pytest.approx([2 / 3 * min(azimuth, distance)] * 2, rel=0.01)
+
+
+def test_another_format_is_known_by_how_its_files_begin(files, tmp_path, monkeypatch):
+    toy = PhaseHistoryFormat("toys (.toy)", (".toy",), lambda _: read_gotcha(files[0]), b"TOY")
+    monkeypatch.setattr(FORMATS, "loaded", lambda: {"toy": toy})
+    for name in ("a.toy", "b"):
+        (tmp_path / name).write_bytes(b"TOY")
+        assert len(read_phase_history(tmp_path / name)) == len(read_gotcha(files[0]))
+        it = recognised(tmp_path / name)
+        assert it is not None
+        assert (it.kind, it.certainty) == ("toys (.toy)", 1.0)
+        assert f"import phase-history {tmp_path / name} --size" in str(it.command)
 
 
 def test_other_flights_are_kept_apart(files, tmp_path):

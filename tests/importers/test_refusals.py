@@ -374,6 +374,11 @@ def history(**changes: Any) -> Do:
     return lambda at: import_phase_history([write(at / "a.mat", data)], at / "out", size_m=4)
 
 
+def no_format(at: Path) -> object:
+    (at / "a.bin").write_bytes(b"CPH")
+    return import_phase_history([at / "a.bin"], at / "out", size_m=4)
+
+
 def no_record(at: Path) -> object:
     (at / "a.mat").write_bytes(b"MATLAB".ljust(126) + b"IM")
     return import_phase_history([at / "a.mat"], at / "out", size_m=4)
@@ -389,6 +394,10 @@ def two_bands(at: Path) -> object:
 
 
 HISTORY: Refusals = [
+    (
+        no_format,
+        r"a\.bin is no phase history of a known format; give MATLAB files \(\.mat\) in the layout of GOTCHA",
+    ),
     (no_record, "holds no record named data"),
     (history(fp=None), "has no field fp"),
     (history(z=None), "has no field z"),

@@ -6,21 +6,9 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from sarsplat.cli.arguments import (
-    Angles,
-    Folder,
-    OptionalFile,
-    OptionalName,
-    TargetBox,
-    angles,
-    corners,
-    heights,
-)
-from sarsplat.cli.imported import carry_out
+from sarsplat.cli.arguments import Angles, angles
+from sarsplat.cli.from_signature import Option, command_of
 from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 from sarsplat.errors import SarsplatError
 
@@ -29,81 +17,22 @@ _MOST_READ = 500
 """Number of Phoenix files whose headers are read; the others are assumed to be of the same classes."""
 
 
-def command(
-    chips: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CHIPS")],
-    *,
-    out: Folder,
-    target_class: Annotated[str, tyro.conf.arg(name="class", metavar="NAME")],
-    train_views: Annotated[int, tyro.conf.arg(metavar="K")],
-    labels: OptionalFile = None,
-    train_depression: Angles = ("17",),
-    serial: OptionalName = None,
-    terrain: OptionalFile = None,
-    target_box: TargetBox = None,
-    azimuth_std: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0,
-    mirrored: bool = False,
-    no_test: bool = False,
-    overwrite: bool = False,
-) -> int:
-    """Import MSTAR chips: JPEGs with a table of labels, or original Phoenix files.
-
-    Parameters
-    ----------
-    chips
-        Folder of the chips.
-    out
-        Dataset folder to write.
-    target_class
-        Vehicle class, e.g. T72.
-    train_views
-        Number of training chips, nearest to azimuths k·360°/K; the others are test chips, one set per depression angle.
-    labels
-        Table (CSV) that labels JPEG chips; without it, Phoenix files are read.
-    train_depression
-        Depression angles of the training chips, degrees; of several, each gets the next azimuth in turn.
-    serial
-        Import only the vehicle with this serial number.
-    terrain
-        Heights of the ground (GeoTIFF, metres), its middle at the scene's origin; level without it.
-    target_box
-        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
-        derived from the images.
-    azimuth_std
-        Standard deviation of the azimuths, degrees, of chips for which the table has none; uncertain ones are refined
-        in training.
-    mirrored
-        Treat the published chips as mirror images.
-    no_test
-        Leave out all other chips: nothing to score with, but the import takes less time.
-    overwrite
-        Replace an existing dataset.
-    """
-    from sarsplat.importers import import_mstar
-
-    return carry_out(
-        import_mstar,
-        chips,
-        out,
-        doing=f"reading chips from {chips}",
-        labels=labels,
-        target_class=target_class,
-        train_views=train_views,
-        train_depression=[_whole(angle) for angle in angles(train_depression, "train-depression")],
-        serial=serial,
-        terrain=heights(terrain),
-        target_box_m=corners(target_box),
-        azimuth_std_deg=azimuth_std,
-        mirrored=mirrored,
-        test=not no_test,
-        overwrite=overwrite,
-    )
-
-
-def _whole(angle: float) -> int:
+def _whole(words: tuple[str, ...], name: str) -> list[int]:
     """Depressions are named by whole degrees."""
-    if not angle.is_integer():  # nor NaN or infinite
-        raise SarsplatError(f"--train-depression {angle:g} is not a whole number of degrees; chips are named by these")
-    return round(angle)
+    whole = angles(words, name)
+    for angle in whole:
+        if not angle.is_integer():  # nor NaN or infinite
+            raise SarsplatError(f"--{name} {angle:g} is not a whole number of degrees; chips are named by these")
+    return [round(angle) for angle in whole]
+
+
+command = command_of(
+    __name__,
+    "mstar:import_mstar",
+    reading="chips from ",
+    train_depression=Option(Angles, _whole, default=(str(_USUAL_DEPRESSION),)),
+    test=Option(help="Leave out all other chips: nothing to score with, but the import takes less time."),
+)
 
 
 def recognise(contents: Contents) -> Recognised | None:

@@ -4,97 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from sarsplat.cli.arguments import (
-    Folder,
-    OptionalCount,
-    OptionalFile,
-    TargetBox,
-    corners,
-    heights,
-    metres,
-    numbers,
-)
-from sarsplat.cli.imported import carry_out
+from sarsplat.cli.from_signature import comma_separated, command_of
 from sarsplat.cli.importers import Contents, Recognised, by_ending, typed_import
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.errors import SarsplatError
 
 _NAMES = {"start": "date", "polarization": "polarisation"}
 """What else to call facts of a file."""
 
-
-def command(
-    files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILES", help_behavior_hint="")],
-    *,
-    out: Folder,
-    size: Annotated[str, tyro.conf.arg(metavar="METRES")],
-    around: Annotated[str | None, tyro.conf.arg(metavar="LAT,LON[,HAE]", help_behavior_hint="(optional)")] = None,
-    pixel: Annotated[str | None, tyro.conf.arg(metavar="ROW,COL", help_behavior_hint="(optional)")] = None,
-    heading: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 90.0,
-    target: Annotated[str, tyro.conf.arg(metavar="NAME")] = "unnamed",
-    train_views: OptionalCount = None,
-    stack: bool = False,
-    no_ground: bool = False,
-    terrain: OptionalFile = None,
-    target_box: TargetBox = None,
-    overwrite: bool = False,
-) -> int:
-    """Import SICD files: what one or several complex SAR images show of one spot.
-
-    Parameters
-    ----------
-    files
-        SICD files (NITF), one for each view, or the channels of one.
-    out
-        Dataset folder to write.
-    size
-        Side of the images in azimuth and slant range, e.g. 64m.
-    around
-        The spot, which becomes the origin: latitude and longitude, degrees, and height above the ellipsoid, m.
-    pixel
-        The spot as a pixel of the first file, counted from 0. With neither, the spot is its scene centre point.
-    heading
-        Compass heading of the scene's x axis, degrees; 90 is east.
-    target
-        What the images show.
-    train_views
-        Number of training views, evenly around; the others are test views. Without it, all are for training.
-    stack
-        The files, coregistered to one grid, are passes or polarisations of one view, that of the first.
-    no_ground
-        The images show nothing but the target.
-    terrain
-        Heights of the ground (GeoTIFF, metres), its middle at the scene's origin; level without it.
-    target_box
-        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it is
-        derived from the images.
-    overwrite
-        Replace an existing dataset.
-    """
-    from sarsplat.importers import import_sicd
-
-    place = None if around is None else numbers(around, "around", (2, 3), "47.3769,8.5417")
-    spot = None if pixel is None else numbers(pixel, "pixel", (2,), "1200,800")
-    return carry_out(
-        import_sicd,
-        files,
-        out,
-        doing=f"reading {counted(len(files), 'file')}",
-        size_m=metres(size, "size"),
-        around=place,
-        pixel=None if spot is None else (spot[0], spot[1]),
-        heading_deg=heading,
-        target=target,
-        train_views=train_views,
-        stack=stack,
-        ground=not no_ground,
-        terrain=heights(terrain),
-        target_box_m=corners(target_box),
-        overwrite=overwrite,
-    )
+command = command_of(
+    __name__,
+    "sicd:import_sicd",
+    around=comma_separated("LAT,LON[,HAE]", (2, 3), "47.3769,8.5417"),
+    pixel=comma_separated("ROW,COL", (2,), "1200,800"),
+)
 
 
 def recognise(contents: Contents) -> Recognised | None:

@@ -1,5 +1,6 @@
 from .folder import import_folder
 from .images import MeasuredImage, dataset_of, summary, write_imported
+from .measured_scene import AboutImages, AboutScene
 from .mstar import import_mstar
 from .phase_history_images import import_phase_history
 from .phoenix import PhoenixChip, read_phoenix
@@ -8,6 +9,8 @@ from .sample import import_sample
 from .sicd import import_sicd
 
 __all__ = [
+    "AboutImages",
+    "AboutScene",
     "MeasuredImage",
     "PhoenixChip",
     "dataset_of",

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
-from sarsplat.data.header import Box, Calibration
+from sarsplat.data.header import Calibration
 from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import Terrain, View
+from sarsplat.geometry import View
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
+from sarsplat.importers.measured_scene import AboutImages
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.importers.quantity import likely_quantity, power_or_signal
@@ -46,75 +47,80 @@ def import_folder(
     train_views: int | None = None,
     target: str | None = None,
     calibration: Calibration = "relative",
-    looks: float | None = 1.0,
-    ground: bool = True,
-    terrain: Terrain | None = None,
-    target_box_m: Box | None = None,
     wavelength_m: float | None = None,
     transmit: Transmit = "each",
     noise: float | None = None,
     conjugate: bool = False,
     flattened: bool = False,
     overwrite: bool = False,
+    **about: Unpack[AboutImages],
 ) -> Dataset:
-    """Make a dataset of pictures and a table with a row for each, or of stacks and a table with a row for each channel.
+    """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY, MATLAB) with a table (CSV) of angles, or stacks of complex ones.
 
     Parameters
     ----------
     folder : Path
-        Where the pictures lie.
+        Folder of the pictures.
     out : Path
-        Dataset to make.
+        Dataset folder to write.
     table : Path, optional
-        CSV file; unless given, the only one in the folder.
+        Table (CSV) with a row for each picture, of stacks for each channel; without it, the only one in the folder.
     columns : mapping of str to str, optional
-        What columns say → their names (see `sarsplat.importers.columns.MEANINGS`). Those not named are recognised by
-        their usual names. Cells of the table take precedence over the arguments here.
+        What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth, grazing or incidence,
+        spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
+        scale and offset, and of stacks view, baseline and polarisation. The usual names are recognised without it.
+        What the table says of a picture precedes what is said of all.
     target_class : str, optional
-        The class whose pictures are wanted, if a column says what each shows; needed if there are several.
+        Take only the pictures of this class, if the table has a column of classes.
     quantity : {"amplitude", "power", "db", "complex"}, optional
-        What `scale`·pixels + `offset` is. Unless given: complex for complex pixels, amplitude for whole numbers.
-    scale, offset : float
-        For decibels in 8 bits, for example, 60/255 and −60.
-    spacing_m, resolution_m : (float, float), optional
-        Pixel spacing and 3 dB width (azimuth, range), m. Without a resolution it is taken to be the spacing.
+        What scale · pixel + offset is; without it, complex numbers are complex amplitude, whole numbers amplitude.
+    scale : float
+        Factor on the pixels, e.g. 60/255 of decibels in 8 bits.
+    offset : float
+        Added to the pixels after that.
+    spacing_m : (float, float), optional
+        Pixel spacing in the slant plane (azimuth, range), m.
+    resolution_m : (float, float), optional
+        3 dB width (azimuth, range), m; without it, the pixel spacing.
     ground_range : bool
-        Whether lengths in range are along the ground; those in the slant plane are cos(grazing) times as long.
+        Lengths in range are along the ground; those in the slant plane are cos(grazing) times as long.
     grazing_deg : float, optional
-        Degrees.
+        Grazing angle of all pictures, degrees, if the table has none.
     near : {"top", "bottom", "left", "right"}
         Side of the pictures that is near the radar.
     mirrored : bool
-        Whether the pictures, turned with the near side up, are mirror images of what one sees from above. So are those
-        of a radar that looks to the left and writes column after column; a column `look` says so picture by picture.
-    azimuth_offset_deg, counter_clockwise : float, bool
-        The radar's azimuth, clockwise from the target's nose, is the offset plus the azimuth of the table, or minus it.
+        The pictures, turned with the near side up, are mirror images; so are columns in the order of time of a radar
+        that looks to the left, which a column look says picture by picture.
+    azimuth_offset_deg : float
+        What the azimuth 0 of the table is here, degrees clockwise from the target's nose.
+    counter_clockwise : bool
+        Azimuths of the table grow counter-clockwise, seen from above.
     azimuth_std_deg : float
         Standard deviation of the azimuths, degrees.
     train_views : int, optional
-        Number of training views, evenly chosen; the others are test views. Not if a column names the sets.
+        Number of training views, evenly chosen; the others are test views. Without it, the column split decides, or all
+        are training views.
     target : str, optional
-        What is shown; unless given, the pictures' class, or else the folder's name.
-    calibration, looks, ground
-        See `Dataset`.
-    terrain : Terrain, optional
-        Heights of the ground that the images show; level unless given.
-    target_box_m : pair of (x, y, z), optional
-        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
+        What is shown; without it, the pictures' class, or else the folder's name.
+    calibration : {"absolute", "relative"}
+        Whether the power is β⁰ itself, or only up to a factor.
     wavelength_m : float, optional
-        Of stacks, m. Rows with the same `view` are then coregistered channels of it, with the pass's `baseline` (b/R,
-        rad), or a `polarisation`, received and transmitted; see docs/concepts/stacks.md.
+        Of stacks, m. Rows with the same view are then its channels, coregistered and complex: passes, with b/R in
+        radians in the column baseline, or polarisations, received and transmitted, in the column polarisation (see
+        docs/concepts/stacks.md).
     transmit : {"each", "one"}
-        Of stacks, whether each pass transmits itself, or one transmits for all.
+        Of stacks: each pass transmits itself, or one transmits for all.
     noise : float, optional
-        Of stacks, the power of each channel's noise, in the unit of the images.
+        Of stacks: power of each channel's noise, in the unit of the images; learned unless given.
     conjugate : bool
-        Of stacks, whether what is farther away has more phase.
+        Of stacks: what is farther away has more phase.
     flattened : bool
-        Of stacks, whether the phases of the level plane z = 0 were taken out. Unless they were, a scatterer at the
-        scene's origin must have the same phase in every pass.
+        Of stacks: phases of the level plane z = 0 were taken out. Unless they were, a scatterer at the scene's origin
+        must have the same phase in every pass.
     overwrite : bool
-        Whether an existing dataset may be replaced.
+        Replace an existing dataset.
+    **about
+        Looks, ground, terrain and the target's box: see `AboutImages`.
 
     Raises
     ------
@@ -194,10 +200,7 @@ def import_folder(
         source=source,
         train_views=train_views,
         calibration=calibration,
-        looks=looks,
-        ground=ground,
-        terrain=terrain,
-        target_box_m=target_box_m,
+        **about,
     )
     return write_imported(out, dataset, overwrite=overwrite)
 

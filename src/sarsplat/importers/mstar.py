@@ -20,7 +20,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from jaxtyping import Num
@@ -28,11 +28,10 @@ from jaxtyping import Num
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.evenly import nearest_to
-from sarsplat.data.header import Box
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
-from sarsplat.geometry import Terrain
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
+from sarsplat.importers.measured_scene import AboutScene
 from sarsplat.importers.mstar_chips import Chip, read_chips
 
 MIN_DN = 2.0
@@ -51,46 +50,42 @@ def import_mstar(
     train_views: int,
     train_depression: int | Sequence[int] = 17,
     serial: str | None = None,
-    terrain: Terrain | None = None,
-    target_box_m: Box | None = None,
     azimuth_std_deg: float = 0.0,
     mirrored: bool = False,
     test: bool = True,
     overwrite: bool = False,
+    **about: Unpack[AboutScene],
 ) -> Dataset:
-    """Make a dataset from measured chips of one vehicle.
+    """Import MSTAR chips: JPEGs with a table of labels, or original Phoenix files.
 
     Parameters
     ----------
     chips : Path
-        Folder of the chips: JPEGs that `labels` describes, or Phoenix files.
+        Folder of the chips.
     out : Path
-        Dataset to make.
+        Dataset folder to write.
     labels : Path or None
-        Table of the JPEGs (see `read_chips`); None for Phoenix files.
+        Table (CSV) that labels JPEG chips (see `read_chips`); without it, Phoenix files are read.
     target_class : str
-        E.g. `T72`.
+        Vehicle class, e.g. T72.
     train_views : int
-        Number K of training views: the distinct chips nearest to TargetAz = k·360°/K, k = 0 … K − 1. All others are
-        test views, one set per depression: `test-17`, `test-15`.
+        Number of training chips, the distinct ones nearest to azimuths k·360°/K; the others are test chips, one set
+        per depression angle, such as test-17.
     train_depression : int or sequence of int
-        Depression, as planned, of the training views, degrees; of several, each gets the next of the K azimuths in
-        turn.
+        Depression angles of the training chips, as planned, degrees; of several, each gets the next azimuth in turn.
     serial : str, optional
-        Only this vehicle of the class; None takes them all.
-    terrain : Terrain, optional
-        Heights of the ground that the images show; level unless given.
-    target_box_m : pair of (x, y, z), optional
-        Corners of the box that contains the target, m, in the world frame: nose to +x. None: reconstructions derive it
-        from the images.
+        Import only the vehicle with this serial number; without it, all of the class.
     azimuth_std_deg : float
-        Standard deviation of the azimuths, degrees, of chips for which the table has none.
+        Standard deviation of the azimuths, degrees, of chips for which the table has none; uncertain ones are refined
+        in training.
     mirrored : bool
-        Take the published chips for mirror images (see the head of this module).
+        Treat the published chips as mirror images (see the head of this module).
     test : bool
         Whether the other chips become test views; if not, JPEGs of these are not even read.
     overwrite : bool
-        Whether an existing dataset may be replaced.
+        Replace an existing dataset.
+    **about
+        Terrain and the target's box: see `AboutScene`.
 
     Returns
     -------
@@ -107,7 +102,7 @@ def import_mstar(
     -----
     SarsplatWarning
         If chips lack labels or labels chips, the class holds several vehicles, chips of different sizes are cut, or
-        the dataset looks odd (`sarsplat.data.plausible`).
+        the images contradict what is said of them, or look odd (`sarsplat.examine`).
     """
     every = read_chips(Path(chips), None if labels is None else Path(labels), target_class)
     every = _one_vehicle(every, target_class, serial)
@@ -147,7 +142,7 @@ def import_mstar(
         "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
         "assumptions": _assumptions(ordered, images, mirrored),
     }
-    dataset = dataset_of(images, target=target_class, source=source, terrain=terrain, target_box_m=target_box_m)
+    dataset = dataset_of(images, target=target_class, source=source, **about)
     return write_imported(out, dataset, overwrite=overwrite)
 
 

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
-from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.geometry import ImageGrid, Terrain
+from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.files import each_once
 from sarsplat.importers.focus import focus
-from sarsplat.importers.gotcha import read_gotcha
+from sarsplat.importers.histories import read_phase_history
 from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
+from sarsplat.importers.measured_scene import AboutScene
 from sarsplat.importers.phase_history import FARTHEST_M, flights
 from sarsplat.progress import progress
 
@@ -42,43 +42,41 @@ def import_phase_history(
     weighting: Literal["uniform", "taylor"] = "taylor",
     target: str = "unnamed",
     train_views: int | None = None,
-    terrain: Terrain | None = None,
-    target_box_m: Box | None = None,
     overwrite: bool = False,
     quiet: bool = True,
+    **about: Unpack[AboutScene],
 ) -> Dataset:
-    """Make a dataset from phase history in GOTCHA's layout (see `sarsplat.importers.gotcha`).
+    """Import phase history, in the layout of AFRL's GOTCHA: one focused image for every few degrees of flight.
 
     Parameters
     ----------
     files : sequence of Path
-        MATLAB files, in any order. Files that continue each other are one flight.
+        MATLAB files (.mat, not v7.3), in any order; those that continue each other are one flight.
     out : Path
-        Dataset to make.
+        Dataset folder to write.
     size_m : float
-        Side of the images in the slant plane, m.
+        Side of the images in azimuth and slant range, e.g. 64m.
     around_m : (x, y, z)
-        What the images show the surroundings of: the origin of the dataset. Pixels are focused on the ground at its
-        height. From the scene centre, m.
+        What the images show the surroundings of: x, y and height (0 if left out), m from the scene centre. It becomes
+        the origin, and pixels are focused on the ground at its height.
     aperture_deg : float, optional
-        Azimuths that make one image, degrees. None: equal parts of each flight, about as wide as makes the azimuth
-        resolution that of slant range.
+        Azimuths that make one image, degrees. Without it, equal parts of each flight, about as wide as resolve azimuth
+        as finely as slant range.
     spacing_m : float, optional
-        Pixel spacing, m. None: two thirds of the narrower 3 dB width.
+        Pixel spacing, m. Without it, two thirds of the narrower resolution.
     weighting : {"uniform", "taylor"}
-        Of frequencies and pulses: the narrowest response, or side lobes 35 dB down.
+        The narrowest response, or side lobes 35 dB down.
     target : str
         What the images show.
     train_views : int, optional
-        Number K of training views, nearest to azimuths k·360°/K; the others are test views. None: all are for training.
-    terrain : Terrain, optional
-        Heights of the ground that the images show; level unless given.
-    target_box_m : pair of (x, y, z), optional
-        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
+        Number of training images, nearest to azimuths k·360°/K; the others are test images. Without it, all are for
+        training.
     overwrite : bool
-        Whether an existing dataset may be replaced.
+        Replace an existing dataset.
     quiet : bool
         Whether to show no progress.
+    **about
+        Terrain and the target's box: see `AboutScene`.
 
     Returns
     -------
@@ -93,7 +91,7 @@ def import_phase_history(
     Warns
     -----
     SarsplatWarning
-        If the slant plane is tilted, or the dataset looks odd (`sarsplat.data.plausible`).
+        If the slant plane is tilted, or the images contradict what is said of them, or look odd (`sarsplat.examine`).
     """
     refuse_existing(Path(out), overwrite, marker="dataset.json")
     if weighting not in _WEIGHTINGS:
@@ -105,7 +103,7 @@ def import_phase_history(
         )
     parts = [
         aperture
-        for flight in flights([read_gotcha(path) for path in each_once(files)])
+        for flight in flights([read_phase_history(path) for path in each_once(files)])
         for aperture in apertures(flight, around, aperture_deg)
     ]
     if train_views is not None and not 1 <= train_views <= len(parts):  # said before minutes of work
@@ -124,8 +122,7 @@ def import_phase_history(
         target=target,
         source=_source(files, parts, around_m, taper),
         train_views=train_views,
-        terrain=terrain,
-        target_box_m=target_box_m,
+        **about,
     )
     return write_imported(out, dataset, overwrite=overwrite)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from jaxtyping import Complex64
@@ -19,10 +19,11 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
-from sarsplat.data.header import Box, Calibration
+from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import Stack, Terrain, View
+from sarsplat.geometry import Stack, View
 from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
+from sarsplat.importers.measured_scene import AboutImages
 from sarsplat.importers.rslc_file import Rslc, read_rslc, require_h5py
 from sarsplat.names import CrossPolarised
 from sarsplat.radiometry import to_db
@@ -44,45 +45,35 @@ def import_rslc(
     cross: CrossPolarised = "mean",
     target: str = "unnamed",
     calibration: Calibration = "relative",
-    looks: float | None = 1.0,
-    ground: bool = True,
-    terrain: Terrain | None = None,
-    target_box_m: Box | None = None,
     overwrite: bool = False,
+    **about: Unpack[AboutImages],
 ) -> Dataset:
-    """Make a dataset of what an RSLC shows of one spot in all its polarisations.
+    """Import an RSLC file in NISAR's layout (HDF5): what one image shows of a spot in several polarisations.
 
     Parameters
     ----------
     file : Path
         RSLC file (HDF5).
     out : Path
-        Dataset to make.
+        Dataset folder to write.
     size_m : float
-        Side of the image in azimuth and in slant range, m.
+        Side of the image in azimuth and slant range, e.g. 200m.
     pixel : (row, column), optional
-        The spot, which becomes the origin of the scene: azimuth time and slant range, counted from 0; the middle of the
-        image unless given.
+        The spot, which becomes the origin: azimuth time and slant range, counted from 0. Without it, the middle.
     height_m : float
-        The spot's height above the ellipsoid, m; the view's direction depends on it a little.
+        Height of the spot above the ellipsoid, m; the view's direction depends on it a little.
     heading_deg : float
         Compass heading of the scene's x axis, degrees clockwise from north; 90 is east.
     cross : {"mean", "both"}
-        Whether HV and VH become one channel, or stay two.
+        HV and VH become one channel, their mean, or stay both.
     target : str
         What the image shows.
     calibration : {"absolute", "relative"}
         Whether the power in the file is β⁰ itself, or up to one factor, the same for all polarisations.
-    looks : float or None
-        Number of looks of the speckle; None if there is none.
-    ground : bool
-        Whether the image shows the ground around the target.
-    terrain : Terrain, optional
-        Heights of the ground that the image shows; level unless given.
-    target_box_m : pair of (x, y, z), optional
-        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the image.
     overwrite : bool
-        Whether an existing dataset may be replaced.
+        Replace an existing dataset.
+    **about
+        Looks, ground, terrain and the target's box: see `AboutImages`.
 
     Returns
     -------
@@ -140,16 +131,7 @@ def import_rslc(
             + ", as far as the pixels hold them: the file states wider ones" * wider,
         ],
     }
-    dataset = dataset_of(
-        [image],
-        target=target,
-        source=source,
-        calibration=calibration,
-        looks=looks,
-        ground=ground,
-        terrain=terrain,
-        target_box_m=target_box_m,
-    )
+    dataset = dataset_of([image], target=target, source=source, calibration=calibration, **about)
     return write_imported(out, dataset, overwrite=overwrite)
 
 

@@ -13,20 +13,19 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
-from sarsplat.data.header import Box
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import Terrain
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
 from sarsplat.importers.files import files_in, warn_caller
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.mat import read_mat
+from sarsplat.importers.measured_scene import AboutScene
 from sarsplat.importers.quantity import power_or_signal
 from sarsplat.names import SampleKind, Side
 
@@ -58,34 +57,31 @@ def import_sample(
     train_views: int | None = None,
     near: Literal["top", "bottom"] = "bottom",
     mirrored: bool = False,
-    terrain: Terrain | None = None,
-    target_box_m: Box | None = None,
     overwrite: bool = False,
+    **about: Unpack[AboutScene],
 ) -> Dataset:
-    """Make a dataset of the images of one vehicle.
+    """Import images of AFRL's SAMPLE set: measured MSTAR chips and simulated ones (.mat), complex.
 
     Parameters
     ----------
     folder : Path
-        The set, its `mat_files`, or any folder below it; MATLAB files with other names are left out.
+        Folder of the set, its `mat_files`, or any folder below; MATLAB files with other names are left out.
     out : Path
-        Dataset to make.
+        Dataset folder to write.
     target : str
-        E.g. `t72`; the set has 2s1, bmp2, btr70, m1, m2, m35, m548, m60, t72 and zsu23.
+        Vehicle, e.g. t72; the set has 2s1, bmp2, btr70, m1, m2, m35, m548, m60, t72 and zsu23.
     kind : {"real", "synthetic"}
         Measured or simulated images.
     train_views : int, optional
-        Number of training views, evenly chosen; the others are test views. Unless given, all are training views.
+        Number of training images, evenly chosen; the others are test images. Without it, all are for training.
     near : {"top", "bottom"}
-        Rows that are near the radar.
+        Rows that are near the radar; MSTAR's chips have them at the bottom.
     mirrored : bool
-        Take the images for mirror images, with azimuths that grow clockwise.
-    terrain : Terrain, optional
-        Heights of the ground that the images show; level unless given.
-    target_box_m : pair of (x, y, z), optional
-        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
+        Treat the images as mirror images, with azimuths that grow clockwise.
     overwrite : bool
-        Whether an existing dataset may be replaced.
+        Replace an existing dataset.
+    **about
+        Terrain and the target's box: see `AboutScene`.
 
     Returns
     -------
@@ -115,14 +111,7 @@ def import_sample(
             *[f"the Taylor window has n̄ = {TAYLOR.sidelobes}"] * (images[0].response != GAUSSIAN),
         ],
     }
-    dataset = dataset_of(
-        images,
-        target=chosen[0].target,
-        source=source,
-        train_views=train_views,
-        terrain=terrain,
-        target_box_m=target_box_m,
-    )
+    dataset = dataset_of(images, target=chosen[0].target, source=source, train_views=train_views, **about)
     return write_imported(out, dataset, overwrite=overwrite)
 
 

@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -18,11 +18,10 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
-from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import Terrain
 from sarsplat.importers.files import each_once
 from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
+from sarsplat.importers.measured_scene import AboutImages
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
@@ -45,48 +44,38 @@ def import_sicd(
     target: str = "unnamed",
     train_views: int | None = None,
     stack: bool = False,
-    looks: float | None = 1.0,
-    ground: bool = True,
-    terrain: Terrain | None = None,
-    target_box_m: Box | None = None,
     overwrite: bool = False,
+    **about: Unpack[AboutImages],
 ) -> Dataset:
-    """Make a dataset of what one or several SICDs show of one spot.
+    """Import SICD files: what one or several complex SAR images show of one spot.
 
     Parameters
     ----------
     files : sequence of Path
-        SICD files, one for each view, or the channels of one (`stack`).
+        SICD files (NITF), one for each view, or the channels of one.
     out : Path
-        Dataset to make.
+        Dataset folder to write.
     size_m : float
-        Side of the images in azimuth and in slant range, m.
+        Side of the images in azimuth and slant range, e.g. 64m.
     around : (latitude, longitude) or (latitude, longitude, height), optional
-        The spot, which becomes the origin of the scene: WGS 84, degrees, and metres above the ellipsoid (that of the
-        first image's scene centre point if it is left out).
+        The spot, which becomes the origin: latitude and longitude, degrees, and height above the ellipsoid, m (that of
+        the first image's scene centre point if it is left out), WGS 84.
     pixel : (row, column), optional
-        The spot as a pixel of the first image, counted from 0; it is as high as that image's scene centre point. With
-        neither, the spot is this point.
+        The spot as a pixel of the first file, counted from 0, as high as its scene centre point. With neither, the spot
+        is this point.
     heading_deg : float
         Compass heading of the scene's x axis, degrees clockwise from north; 90 is east.
     target : str
         What the images show.
     train_views : int, optional
-        Number of training views, as evenly around as there are; the others become test views. None: all are for
-        training.
+        Number of training views, evenly around; the others are test views. Without it, all are for training.
     stack : bool
-        Whether the files, coregistered to one grid, are passes or polarisations of one view, which is that of the
-        first; their phases, offsets and names are made those of a `Stack`.
-    looks : float or None
-        Number of looks of the speckle; None if there is none.
-    ground : bool
-        Whether the images show the ground around the target.
-    terrain : Terrain, optional
-        Heights of the ground that the images show; level unless given.
-    target_box_m : pair of (x, y, z), optional
-        Lower and upper corner of the box that contains the target, m; unless given, it is derived from the images.
+        The files, coregistered to one grid, are passes or polarisations of one view, that of the first; their phases,
+        offsets and names are made those of a `Stack`.
     overwrite : bool
-        Whether an existing dataset may be replaced.
+        Replace an existing dataset.
+    **about
+        Looks, ground, terrain and the target's box: see `AboutImages`.
 
     Returns
     -------
@@ -144,10 +133,7 @@ def import_sicd(
         source=source,
         train_views=train_views,
         calibration="absolute" if absolute else "relative",
-        looks=looks,
-        ground=ground,
-        terrain=terrain,
-        target_box_m=target_box_m,
+        **about,
     )
     return write_imported(out, dataset, overwrite=overwrite)
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
+from sarsplat.importers.histories import PhaseHistoryFormat
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
@@ -80,3 +81,6 @@ def _array(path: Path, record: dict[str, Any], name: str, kinds: str) -> np.ndar
         missing = "no field" if name not in record else f"no {'complex' if kinds == 'c' else 'real'} numbers in"
         raise SarsplatError(f"{path} has {missing} {name}; give files of GOTCHA's layout")
     return values
+
+
+FORMAT = PhaseHistoryFormat("MATLAB files (.mat) in the layout of GOTCHA", (".mat",), read_gotcha)

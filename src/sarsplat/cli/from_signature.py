@@ -1,0 +1,183 @@
+"""Commands made of the importers that they call: options of their signatures, help of their docstrings.
+
+Both are read from the source, for an importer needs numpy and more, which help need not wait for.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib import import_module
+from inspect import Parameter, Signature, getdoc, signature
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+import sarsplat
+from sarsplat import names
+from sarsplat.cli.arguments import Folder, OptionalFile, TargetBox, corners, heights, metres, numbers, one_of
+from sarsplat.cli.commands import first_paragraph
+from sarsplat.cli.imported import carry_out
+from sarsplat.errors import counted
+
+
+@dataclass(frozen=True)
+class Option:
+    """How a parameter is typed, where that does not follow from its annotation, default and description.
+
+    Parameters
+    ----------
+    kind : type, optional
+        What tyro reads.
+    value : callable, optional
+        Makes of that, and of the option's name, what the function is given.
+    name : str, optional
+        Of the option.
+    default : object, optional
+        What is taken as typed if nothing is; `Parameter.empty`: the function's own.
+    help : str, optional
+        What the option is for.
+    """
+
+    kind: Any = None
+    value: Callable[[Any, str], Any] = lambda given, _: given
+    name: str = ""
+    default: Any = Parameter.empty
+    help: str = ""
+
+
+def _typed_without(name: str, help: str) -> Option:
+    """A switch for what is usually so."""
+    return Option(bool, lambda off, _: not off, f"no-{name}", False, help)
+
+
+def comma_separated(metavar: str, counts: tuple[int, ...], example: str) -> Option:
+    """As many numbers as one of `counts`, with commas between them; None if nothing is typed."""
+    kind = Annotated[str | None, tyro.conf.arg(metavar=metavar, help_behavior_hint="(optional)")]
+    return Option(kind, lambda text, name: None if text is None else numbers(text, name, counts, example), default=None)
+
+
+_NUMBER = Annotated[float, tyro.conf.arg(metavar="NUMBER")]
+_SHARED = {
+    "out": Option(Folder),
+    "size_m": Option(Annotated[str, tyro.conf.arg(metavar="METRES")], metres),
+    "target_class": Option(name="class"),
+    "calibration": Option(
+        bool,
+        lambda absolute, _: "absolute" if absolute else "relative",
+        "calibrated",
+        False,
+        "The power is β⁰ itself, not only up to a factor.",
+    ),
+    "looks": Option(_NUMBER, lambda looks, _: looks or None, "", 1.0, "Looks of the speckle; 0 if there is none."),
+    "ground": _typed_without("ground", "The images show nothing but the target."),
+    "terrain": Option(
+        OptionalFile,
+        lambda path, _: heights(path),
+        default=None,
+        help="Heights of the ground (GeoTIFF, metres), its middle at the scene's origin; level without it.",
+    ),
+    "target_box_m": Option(
+        TargetBox,
+        lambda box, _: corners(box),
+        default=None,
+        help="Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it "
+        "is derived from the images.",
+    ),
+}
+"""What several importers have."""
+_ABOUT = {
+    "Unpack[AboutScene]": ("terrain", "target_box_m"),
+    "Unpack[AboutImages]": ("looks", "ground", "terrain", "target_box_m"),
+}
+_METAVARS = {"Path": "FILE", "str": "NAME", "int": "N", "float": "NUMBER"}
+_UNITS = {"_m": "METRES", "_deg": "DEGREES"}
+"""Endings of parameters' names, which options lack."""
+
+
+def command_of(module: str, function: str, *, reading: str = "", **options: Option) -> Callable[..., int]:
+    """The command that calls an importer.
+
+    Parameters
+    ----------
+    module : str
+        That of the command: `__name__`.
+    function : str
+        File in `importers` and name of the importer, such as "sicd:import_sicd"; its defaults must be literals.
+    reading : str
+        What is said to be read meanwhile, such as "chips from "; an importer that can be quiet shows its progress.
+    options : Option
+        Of its parameters, by their names, those that are typed in another way than most.
+    """
+    file, name = function.split(":")
+    stub = _without_body(file, name)
+    parameters = signature(stub).parameters
+    more = [Parameter(key, Parameter.KEYWORD_ONLY) for key in _ABOUT.get(stub.__annotations__.get("about", ""), ())]
+    helps, made = _helps(getdoc(stub) or ""), {}
+    for one in sorted((*parameters.values(), *more), key=lambda one: one.name == "overwrite"):  # which is last
+        if one.name not in ("quiet", "about"):
+            option = options.get(one.name) or _SHARED.get(one.name) or Option()
+            made[one.name] = _option(one, replace(option, help=option.help or helps.get(one.name, "")))
+    first = next(iter(made))
+
+    def command(**given: Any) -> int:
+        importer = getattr(import_module(f"sarsplat.importers.{file}"), name)
+        values = {key: option.value(given[key], option.name) for key, (_, option) in made.items()}
+        files, out = values.pop(first), values.pop("out")
+        if "quiet" in parameters:
+            return carry_out(importer, files, out, quiet=False, **values)
+        what = counted(len(files), "file") if isinstance(files, tuple) else files
+        return carry_out(importer, files, out, doing=f"reading {reading}{what}", **values)
+
+    command.__doc__, command.__module__ = first_paragraph(stub.__doc__), module
+    command.__annotations__ = {key: one.annotation for key, (one, _) in made.items()}
+    command.__signature__ = Signature([one for one, _ in made.values()])  # type: ignore[attr-defined]
+    return command
+
+
+def _option(one: Parameter, option: Option) -> tuple[Parameter, Option]:
+    """A parameter as tyro is to see it, and the option with its name."""
+    if one.default is True and not option.name:
+        option = _typed_without(one.name, option.help)
+    unit = next((unit for unit in _UNITS if one.name.endswith(unit)), "")
+    name = option.name or one.name.removesuffix(unit).replace("_", "-")
+    default = one.default if option.default is Parameter.empty else option.default
+    if default is Parameter.empty and str(one.annotation).endswith("| None"):
+        default = None
+    kind = option.kind or _kind(one.annotation, default, _UNITS.get(unit))
+    if one.kind is Parameter.POSITIONAL_OR_KEYWORD and one.name != "out":
+        kind = Annotated[kind, tyro.conf.Positional, tyro.conf.arg(metavar=one.name.upper(), help=option.help)]
+    else:
+        kind = Annotated[kind, tyro.conf.arg(name=name, help=option.help)]
+    return Parameter(one.name, Parameter.KEYWORD_ONLY, default=default, annotation=kind), replace(option, name=name)
+
+
+def _kind(annotation: str, default: Any, unit: str | None) -> Any:
+    """What tyro reads for a parameter that is annotated like this."""
+    hint = annotation.replace("str | Path", "Path").replace("Sequence[Path]", "tuple[Path, ...]")
+    known = vars(names) | {"Path": Path, "Literal": Literal}
+    single = hint.removesuffix(" | None")
+    if default is None and single in vars(names):
+        return Annotated[eval(hint, known), one_of(eval(single, known))]
+    shown = "(optional)" if default is None else "" if single.startswith("tuple") else None
+    metavar = unit or _METAVARS.get(single)
+    return Annotated[eval(hint, known), tyro.conf.arg(metavar=metavar, help_behavior_hint=shown)]
+
+
+def _without_body(file: str, name: str) -> Callable[..., Any]:
+    """A function of this name, signature and docstring, with annotations as they are written."""
+    source = (Path(sarsplat.__file__).parent / "importers" / f"{file}.py").read_text(encoding="utf-8")
+    head, docstring = source[source.index(f"def {name}(") :].split('"""', 2)[:2]
+    known: dict[str, Any] = {}
+    exec(f'from __future__ import annotations\n{head}"""{docstring}"""', known)
+    function: Callable[..., Any] = known[name]
+    return function
+
+
+def _helps(docstring: str) -> dict[str, str]:
+    """What a docstring says of each parameter, without what it refers to in Python."""
+    section = re.split(r"\n\n\w[\w ]*\n-{3,}\n", docstring.partition("Parameters\n----------\n")[2])[0]
+    told = re.findall(r"^(\w+)(?: : .*)?\n((?: .*\n?)+)", section, re.MULTILINE)
+    return {name: re.sub(r" \(see [^)]*\)", "", " ".join(text.split())) for name, text in told}
