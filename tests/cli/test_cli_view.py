@@ -82,3 +82,8 @@ def test_the_extra_is_named_if_it_is_missing(folder, refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     told = "error: this needs viser, which is not installed; install it with: pip install 'sarsplat[view]'\n"
     assert refused(f"view {folder}") == told
+
+
+def test_other_methods_cannot_be_watched(folder, refused):
+    words = f"reconstruct {folder} --out {folder}/run --method dsr --view"
+    assert "--view cannot show a training by dsr; omit it" in refused(words)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from datasets import dataset_of
+from elsewhere import elsewhere
 from sarsplat.data import Dataset, write_dataset
+from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation import (
     IMAGE_METRICS,
@@ -226,6 +228,8 @@ def test_what_is_returned_is_written_into_the_run(make, tmp_path):
     with pytest.raises(SarsplatError, match="non-finite"):
         evaluate_run(FakeRun(run.dataset, path=run.path, power=float("nan")))
     assert json.loads((run.path / "metrics.json").read_text()) == metrics
+    with elsewhere(only_writer(run.path)), pytest.raises(SarsplatError, match="in use"):
+        evaluate_run(run)
 
 
 def test_the_mesh_is_scored_as_points_spread_over_it(make):

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, preset, reconstruct
-from sarsplat.data import read_gaussians_ply, read_points_ply, write_points_ply
+from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply, write_points_ply
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.learning import Trainer
 from sarsplat.runs import Step
@@ -227,3 +227,23 @@ def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short:
     with pytest.raises(SarsplatError, match="the loss became nan at iteration 6"):
         reconstruct(dataset, short, tmp_path / "run", loss=breaks, quiet=True)
     assert Run.load(tmp_path / "run").iteration == 4
+
+
+def test_a_watcher_stops_between_two_steps_and_nothing_is_lost(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+    def enough(step: Step) -> None:
+        if step.iteration == 5:
+            raise ValueError("enough")
+
+    with pytest.raises(ValueError, match="enough"):
+        reconstruct(dataset, short, tmp_path / "run", on_step=enough, quiet=True)
+    assert Run.load(tmp_path / "run").iteration == 5
+    resumed = reconstruct(dataset, short, tmp_path / "run", resume=True, quiet=True)
+    whole = reconstruct(dataset, short, quiet=True)
+    assert torch.equal(resumed.gaussians.means, whole.gaussians.means)
+
+
+def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(SarsplatError, match="does not exist; make one"):
+        reconstruct(tmp_path / "nowhere")
+    with pytest.raises(SarsplatError, match="does not exist; make one"):
+        read_dataset(str(tmp_path / "nowhere"))

@@ -161,3 +161,15 @@ def test_a_full_disk_is_told_in_one_sentence(
     with pytest.raises(SarsplatError, match=r"cannot write .*metrics\.jsonl: the disk is full"):
         reconstruct(dataset, config, tmp_path / "run")
     assert Run.load(tmp_path / "run").iteration == 1  # what there was room for
+
+
+def test_one_process_writes(dataset: Dataset, config: Config, tmp_path: Path, finished: Run) -> None:
+    out = tmp_path / "run"
+    shutil.copytree(finished.path, out)
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    with elsewhere(only_writer(out)):
+        for how in ({"resume": True}, {"overwrite": True}):
+            with pytest.raises(SarsplatError, match="run is in use by another process; wait"):
+                reconstruct(dataset, config, out, **how)
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
+    reconstruct(dataset, config, out, resume=True)
