@@ -48,7 +48,7 @@ define step
 @set -o pipefail; printf '\n==> %s\n' "$(1)"; begun=$$SECONDS; $(2) && printf '    (%s s)\n' $$((SECONDS - begun))
 endef
 
-.PHONY: demo setup engine check guard test test-all figures bench tables chips fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
+.PHONY: demo setup engine check guard room test test-all figures bench tables chips fuzz sanitize wheels check-wheel docs notebooks primer sweep lint readme clean
 
 demo: setup
 	$(call step,simulate: a T-72-like target by ray casting (24 training views and 48 test views),\
@@ -63,10 +63,12 @@ guard:
 
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --durations 10
 
-test: $(TEST_READY)
+test: room $(TEST_READY)
+	$(PYTEST) -m "not slow" tests/$(ROOM)
+
+room:
 	@[ -e "tests/$(ROOM)" ] || { \
 	  echo "tests/$(ROOM) does not exist; ROOM is one of:" $(filter-out __pycache__,$(patsubst tests/%/,%,$(wildcard tests/*/))) >&2; exit 2; }
-	$(PYTEST) -m "not slow" tests/$(ROOM)
 
 test-all: $(TEST_READY) $(DOCS_READY)
 	$(PYTEST)

@@ -64,10 +64,10 @@ def compare(now: Mapping[str, float], before: Mapping[str, Sequence[float]]) -> 
 
 
 def newer(run: Path, sources: Path) -> Path | None:
-    """A source that has changed since a run was evaluated; None if none has."""
-    evaluated = (run / "metrics.json").stat().st_mtime
-    files = (path for path in sources.rglob("*") if path.suffix in {".py", ".cpp", ".h"})
-    return next((path for path in files if path.stat().st_mtime > evaluated), None)
+    """A source that has changed since a run was trained and evaluated; None if none has."""
+    made = min(path.stat().st_mtime for path in (run / "metrics.json", *(run / "checkpoints").glob("*.safetensors")))
+    files = (path for path in sources.rglob("*") if path.suffix in {".py", ".cpp", ".h", ".cu", ".cuh"})
+    return next((path for path in files if path.stat().st_mtime > made), None)
 
 
 def main() -> int:
@@ -76,6 +76,10 @@ def main() -> int:
     parser.add_argument("runs", nargs="*", type=Path, default=[REPOSITORY / "demo" / "run"])
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
+    for run in arguments.runs:
+        if not (run / "metrics.json").is_file():
+            print(f"guard: {run} is not an evaluated run; run `make demo` first", file=sys.stderr)
+            return 2
     runs = [scores(run) for run in arguments.runs]
     if arguments.write:
         save(BANDS, {"widened": WIDENED, "runs": len(runs), "bands": bands(runs)})

@@ -13,6 +13,7 @@ from sarsplat.evaluation import IMAGE_METRICS, Yardstick, all_metrics, metrics_o
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.runs import Run
 from sarsplat.runs.log import LogLine
+from sarsplat.runs.state import TrainingState
 from sarsplat.settings import preset
 
 GRID = ImageGrid(32, 32, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
@@ -25,6 +26,7 @@ class MadeUpRun(SimpleNamespace):
     """What pages need of a run."""
 
     __class__ = Run  # to `isinstance`
+    state = TrainingState(1, 1, has_results=True)
 
 
 def make_dataset(

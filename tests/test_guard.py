@@ -55,13 +55,18 @@ def test_a_score_that_leaves_its_band_is_named(guard, tmp_path, changes, name, v
 
 
 def test_a_run_of_former_code_is_not_judged(guard, tmp_path):
-    run, kernel = demo(tmp_path / "run"), tmp_path / "src" / "csrc" / "kernel.h"
-    kernel.parent.mkdir(parents=True)
-    for name, age_s, found in (("kernel.h", 5, None), ("notes.txt", -5, None), ("kernel.h", -5, kernel)):
+    """Whenever it was evaluated."""
+    run, kernel = demo(tmp_path / "run"), tmp_path / "src" / "csrc" / "kernel.cuh"
+    checkpoint = run / "checkpoints" / "00000900.safetensors"
+    for file in (checkpoint, kernel):
+        file.parent.mkdir(parents=True)
+        file.touch()
+    trained = (run / "metrics.json").stat().st_mtime - 60
+    os.utime(checkpoint, (trained, trained))
+    for name, age_s, found in (("kernel.cuh", 5, None), ("notes.txt", -5, None), ("kernel.cuh", -5, kernel)):
         file = kernel.with_name(name)
         file.touch()
-        made = (run / "metrics.json").stat().st_mtime
-        os.utime(file, (made - age_s, made - age_s))
+        os.utime(file, (trained - age_s, trained - age_s))
         assert guard.newer(run, tmp_path / "src") == found
 
 

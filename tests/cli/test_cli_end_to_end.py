@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import signal
+import warnings
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -138,7 +139,6 @@ def test_gaussians_in_a_file_are_taken_like_a_run(tmp_path: Path, quick_own, sai
         assert picture.size == (30, 20)
     assert "is the file that is exported" in refused(f"export {gaussians} {gaussians} --overwrite")
     assert "give --dataset DIR, or --mesh FILE" in refused(f"evaluate {gaussians}")
-    assert "is for PLY files, and run is a run" in refused("evaluate run --dataset dataset")
     told = said(f"evaluate {gaussians} --dataset dataset")
     psnr_db = json.loads(Path("run/metrics.json").read_text())["images"]["test"]["psnr_db"]
     assert f"{psnr_db:.2f}" in told
@@ -351,7 +351,7 @@ def test_info_lists_datasets_and_runs_in_a_folder(tmp_path: Path, said) -> None:
     assert "model" not in rows
 
 
-def test_info_on_a_run_whose_dataset_has_moved(tmp_path: Path, said) -> None:
+def test_info_on_a_run_whose_dataset_has_moved(tmp_path: Path, said, refused) -> None:
     run = tmp_path / "run"
     shutil.copytree("run", run)
     before = said(f"info {run}").split()
@@ -362,6 +362,11 @@ def test_info_on_a_run_whose_dataset_has_moved(tmp_path: Path, said) -> None:
     assert after.split()[-20:] == before[-20:]  # iterations, Gaussians, points: as with the dataset
     (run / "about.json").unlink()
     assert said(f"info {run}").split()[-20:] == before[-20:]  # as runs of older versions
+    assert f"`sarsplat evaluate {run} --dataset DIR`" in refused(f"evaluate {run} --no-points")
+    said(f"evaluate {run} --dataset dataset --no-points --no-report")
+    header["dataset_fingerprint"] = "another"
+    (run / "config.json").write_text(json.dumps(header))
+    assert "was made from another dataset than" in refused(f"evaluate {run} --dataset dataset")
 
 
 def test_info_on_a_run_that_is_not_finished_says_how_to_go_on(tmp_path: Path, said, monkeypatch) -> None:
@@ -387,8 +392,18 @@ def test_info_on_a_run_that_is_not_finished_says_how_to_go_on(tmp_path: Path, sa
     assert "state unfinished, 4 of 6,000 iterations" in lines
     assert "time 9999.0 s" not in lines
     assert lines[-1] == f"go on with: sarsplat reconstruct {Path('dataset').resolve()} --out {run} --resume"
+    (run / "checkpoints" / "00005000.copy.safetensors").write_bytes(b"")  # no training names one like this
+    assert "state unfinished, 4 of 6,000 iterations" in told()
+    (tmp_path / "whole" / "tiles").mkdir(parents=True)
+    shutil.copytree(run, tmp_path / "whole" / "tiles" / "3")
+    shutil.copy(run / "config.json", tmp_path / "whole" / "config.json")
+    first, *_, last = (" ".join(line.split()) for line in said(f"info {tmp_path}/whole/tiles/3").splitlines())
+    assert first.endswith(f"tiles/3: a tile of the run {tmp_path}/whole, which goes on with it")
+    assert "go on with" not in last
     shutil.rmtree(run / "checkpoints")
     assert "state unfinished, 0 of 6,000 iterations" in told()
+    shutil.copy("run/points.ply", run / "points.ply")
+    assert "state finished, but its checkpoint is missing, so it can be neither rendered nor continued" in told()
 
 
 def test_evaluating_images_alone_keeps_the_points_and_says_so(tmp_path: Path, capsys) -> None:
@@ -409,7 +424,10 @@ def test_evaluating_images_alone_keeps_the_points_and_says_so(tmp_path: Path, ca
     assert main(alone) == 0
     told, complaints = capsys.readouterr()
     assert "earlier evaluation" not in told
-    assert f"{run} is unfinished, 4 of 6,000 iterations: these are scores of its newest" in complaints
+    with warnings.catch_warnings(record=True):
+        assert main(["export", str(run), str(tmp_path / "g.splat")]) == 0
+    assert "4 of 6,000 iterations: this is what it has learned so far" in capsys.readouterr().err
+    assert f"{run} is unfinished, 4 of 6,000 iterations: these are scores of what it has learned so far" in complaints
 
 
 @pytest.mark.parametrize("part", ["run/config.json", "run/report", "run/report/index.html", "dataset/dataset.json"])

@@ -2,6 +2,7 @@ import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ class FakeRun:
     has_mesh: bool = True
     memory: None = None
     metrics: Any = None
-    state: None = None
+    state: Any = field(default_factory=lambda: SimpleNamespace(trained=True, has_results=True))
     asked: list[View] = field(default_factory=list)
 
     __class__ = Run  # to `isinstance`
@@ -158,6 +159,9 @@ def test_what_is_left_out_keeps_its_scores(make, monkeypatch) -> None:
     assert after["points"] == before["points"] and after["points"]["visible"]["cd_m"] > 0
     assert after["reasons"]["mesh.whole.cd_m"] == "the points make no surface"
     assert {**after, "images": None, "by_image": None} == {**before, "images": None, "by_image": None}
+    for changed in ({"points": {}}, {"truth": {**before["truth"], "sha256": "of another mesh"}}):
+        run.metrics = before | changed
+        assert evaluate_run(run, points=False, quiet=True)["reasons"]["points.visible.cd_m"] == "points were left out"
 
 
 def test_what_is_being_done_is_told_and_how_far(make, capsys, monkeypatch):
@@ -334,7 +338,8 @@ def test_a_given_mesh_takes_the_place_of_the_datasets(make, tmp_path):
     run = FakeRun(make(mesh=None), points=points)
     assert evaluate_run(run)["truth"] == {"mesh": None}
     scores = evaluate_run(run, mesh=tmp_path / "tall.ply")
-    assert scores["truth"] == {"mesh": str(tmp_path / "tall.ply")}
+    assert scores["truth"].keys() == {"mesh", "sha256"}
+    assert scores["truth"]["mesh"] == str(tmp_path / "tall.ply")
     assert scores["points"]["visible"]["accuracy_m"] > 0.03  # some hang over the edge
     assert scores["points"]["visible"]["cd_m"] is not None
     with pytest.raises(SarsplatError, match="no-such"):

@@ -30,6 +30,7 @@ from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
 from sarsplat.data.plausible import suspicions
 from sarsplat.learning import Inputs
 from sarsplat.learning.observations.stacks import Stacks
+from sarsplat.learning.strategies import Strategy
 from sarsplat.processes import Processes
 from sarsplat.regions.stack_region import stack_region
 from sarsplat.settings.presets import PRESETS, preset
@@ -165,6 +166,16 @@ def test_two_headings_share_a_scene():
         assert ((np.abs(both.points[:, 2] - 2.5) < 1.5) & (wall > 1.0)).any()
 
 
+class Watching(Strategy):
+    name = "watching"
+
+    def wants_plane_gradients(self, step: int) -> bool:
+        return True
+
+    def step_post_backward(self, params: Any, optimizers: Any, state: Any, step: int, info: Any) -> None:
+        return
+
+
 @pytest.mark.filterwarnings("ignore:there is one training view")
 def test_what_is_refused():
     images = dataset()
@@ -175,6 +186,8 @@ def test_what_is_refused():
         Dataset(GRID, images.entries, images.power, signal=images.signal[:, 0])
     with pytest.raises(SarsplatError, match=r"loss is .*, which cannot be combined with passes on; give 'passes'"):
         reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
+    with pytest.raises(SarsplatError, match="plane gradients, which cannot be combined with passes on; omit it"):
+        reconstruct(images, strategies=[Watching()], quiet=True)
     with pytest.raises(SarsplatError, match="2 processes of torchrun cannot be combined with passes on; omit them"):
         Stacks.refuse(preset("stack"), images, Inputs(processes=cast(Processes, "2 processes of torchrun")))
     single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)

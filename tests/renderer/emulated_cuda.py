@@ -18,8 +18,10 @@ import pytest
 import torch
 
 from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import Bounds, Rendering
+from sarsplat.renderer.echoes import Echo, GroundEcho
 from sarsplat.renderer.engines import cuda, nvrtc
 from sarsplat.renderer.operations import render_with
 
@@ -127,9 +129,12 @@ def render_on(
     *,
     rays: RayGrid | None = None,
     bounds: Bounds | None = None,
+    ground: Ground | None = None,
+    echoes: Sequence[Echo] = (),
     **options: Any,
 ) -> Rendering:
     """`sarsplat.render` with engine="cuda", as this launcher runs it."""
+    options["echoes"] = [*([] if ground is None else [GroundEcho(ground)]), *echoes]
     rays = rays or RayGrid.for_image(grid)
     capacity = None if bounds is None else bounds.capacity(len(gaussians), views, grid, rays)
     new_pass, kept = partial(cuda.Pass, launcher, capacity), bounds if capacity else None

@@ -173,3 +173,32 @@ def test_one_process_writes(dataset: Dataset, config: Config, tmp_path: Path, fi
                 reconstruct(dataset, config, out, **how)
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
     reconstruct(dataset, config, out, resume=True)
+
+
+def test_scores_are_kept_as_they_are_and_nothing_else_is(tmp_path: Path, finished: Run) -> None:
+    run = Run.load(shutil.copytree(finished.path, tmp_path / "run"))
+    none: dict[str, Any] = dict.fromkeys(("baselines", "time_s"))
+    scores: dict[str, Any] = {
+        **{kind: {"visible": {"count": 3, "cd_m": 0.25}, "whole": {}} for kind in ("points", "mesh", "capon")},
+        **{name: {} for name in ("images", "parameters", "definitions", "reasons")},
+        **none,
+        "seed": 0,
+    }
+    run.keep(scores)
+    assert run.metrics == scores
+    assert run.metrics["points"]["visible"]["count"].__class__ is int
+    with pytest.raises(SarsplatError, match=r"are not the scores of a run .*; give what evaluate_run returns"):
+        run.keep({"a": 1})
+    assert run.metrics == scores
+
+
+def test_a_copied_checkpoint_is_none(tmp_path: Path, dataset: Dataset, config: Config, finished: Run) -> None:
+    run = Run.load(shutil.copytree(finished.path, tmp_path / "run"))
+    newest = run.files.checkpoint_path
+    shutil.copy(
+        newest.with_name(f"{config.checkpoint_every * 2:08d}.safetensors"), newest.with_name("best.safetensors")
+    )
+    assert run.files.checkpoint_path == newest
+    reconstruct(dataset, replace(config, iterations=70), run.path, resume=True, quiet=True)
+    assert Run.load(run.path).iteration == 70
+    assert newest.with_name("best.safetensors").is_file()

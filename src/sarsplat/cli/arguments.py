@@ -178,9 +178,19 @@ def run_at(path: Path) -> Run:
     from sarsplat.runs import Run
 
     if not is_ply(path):
-        return Run.load(path)
+        return trained_so_far(path)
     with console.busy(f"reading {path}"):
         return Run.from_gaussians(read_gaussians_ply(path))
+
+
+def trained_so_far(path: Path) -> Run:
+    """The run in a folder; says so if its training is not finished."""
+    from sarsplat.runs import Run
+
+    run = Run.load(path)
+    if not run.state.trained:
+        console.warn(f"{path} is {run.state}: this is what it has learned so far")
+    return run
 
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str | None = None) -> None:

@@ -45,7 +45,7 @@ def evaluate(
     lpips_weights
         Folder of the LPIPS weights (default: SARSPLAT_LPIPS_WEIGHTS); without weights, LPIPS is skipped.
     dataset
-        Dataset to score a PLY file on; a run has its own.
+        Dataset to score a PLY file on; of a run, where its own is now, if that has moved.
     no_points
         Score images only, as points and mesh take most of the time; their earlier scores stay.
     no_report
@@ -59,13 +59,14 @@ def evaluate(
 
         done = _run(run, dataset, mesh)
         spent.count("loading")
-        before = done.metrics if no_points else None
         metrics = evaluate_run(
             done, mesh=mesh, alignment=align, masks=masks, lpips_weights=lpips_weights, points=not no_points
         )
         _show(metrics, done)
-        if before is not None and any(value is not None for value in metrics["points"]["whole"].values()):
-            console.say("points and mesh: their scores are those of the earlier evaluation")
+        if no_points and any(value is not None for part in metrics["points"].values() for value in part.values()):
+            mesh_was = metrics["truth"].get("mesh")
+            against = "" if mesh_was is None else f", against {mesh_was}"
+            console.say(f"points and mesh: their scores are those of the earlier evaluation{against}")
         page = None if done.path is None or no_report else write_report(done)
         spent.count("tables" if page is None else "report")
     console.say(f"time: {spent}")
@@ -77,14 +78,13 @@ def evaluate(
 
 def _run(run: Path, dataset: Path | None, mesh: Path | None) -> Run:
     """What is scored: a run, or the Gaussians of a file."""
+    from sarsplat.data import read_dataset
     from sarsplat.report.write import refuse_linked_report
     from sarsplat.runs import Run
 
     if is_ply(run):
         return _of_gaussians(run, dataset, mesh)
-    if dataset is not None:
-        raise SarsplatError(f"--dataset {dataset} is for PLY files, and {run} is a run, which has its own; omit it")
-    done = Run.load(run)
+    done = Run.load(run, dataset=None if dataset is None else read_dataset(dataset))
     refuse_linked_report(run)
     return done
 

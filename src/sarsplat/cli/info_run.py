@@ -12,18 +12,19 @@ from sarsplat.errors import counted
 if TYPE_CHECKING:
     import numpy as np
 
-    from sarsplat.runs.run_folder import Header, RunFolder
+    from sarsplat.runs.run_folder import RunFolder
     from sarsplat.runs.state import TrainingState
 
 
 def describe_run(path: Path) -> None:
     """Print what a run's folder says of it: of a finished run without loading torch, of another without its model."""
     from sarsplat.runs.run_folder import RunFolder
+    from sarsplat.settings.config import OWN_LOOP
 
     files = RunFolder(path)
     header, state = files.header, files.state
     where = None if header.dataset is None else Path(header.dataset)
-    about = _about(files) if state.has_results else _so_far(header, state)
+    about = _about(files) if state.has_results else _so_far(files, state)
     stored = files.points
     rows = {
         "dataset": "images in memory" if where is None else f"{where}{'' if where.exists() else ' (no longer there)'}",
@@ -34,8 +35,12 @@ def describe_run(path: Path) -> None:
         "scores": "metrics.json" if files.metrics else "none yet; run sarsplat evaluate",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
+    whole = path.absolute().parents[1] if len(path.absolute().parents) > 1 else path
+    if path.absolute().parent.name == "tiles" and (whole / "config.json").is_file():
+        console.facts(f"{path}: a tile of the run {whole}, which goes on with it", rows)
+        return
     console.facts(f"{path}: a run", rows)
-    if not state.finished:
+    if not state.finished and (state.done or not state.has_results) and header.config.get("preset") != OWN_LOOP:
         dataset = "DATASET" if where is None or not where.exists() else shlex.quote(str(where))
         console.say(f"go on with: sarsplat reconstruct {dataset} --out {shlex.quote(str(path))} --resume")
 
@@ -52,14 +57,16 @@ def _about(files: RunFolder) -> dict[str, str]:
     return Run.load(files.path).about
 
 
-def _so_far(header: Header, state: TrainingState) -> dict[str, str]:
+def _so_far(files: RunFolder, state: TrainingState) -> dict[str, str]:
     """What settings and log say of a training that is not finished."""
-    rows: dict[str, str] = {name: str(header.config[name]) for name in ("preset", "seed") if name in header.config}
-    if state.last is None:
+    settings = files.header.config
+    rows: dict[str, str] = {name: str(settings[name]) for name in ("preset", "seed") if name in settings}
+    last = next((line for line in reversed(files.history) if line.iteration <= state.done), None)
+    if last is None:
         return rows
-    if state.last.gaussians is not None:
-        rows["learned"] = counted(state.last.gaussians, "Gaussian")
-    return {**rows, "loss": f"{state.last.loss:.3g}", "time": f"{state.last.seconds:.1f} s"}
+    if last.gaussians is not None:
+        rows["learned"] = counted(last.gaussians, "Gaussian")
+    return {**rows, "loss": f"{last.loss:.3g}", "time": f"{last.seconds:.1f} s"}
 
 
 def extent(points: np.ndarray) -> str:

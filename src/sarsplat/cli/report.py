@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import RunFolder
+from sarsplat.cli.arguments import RunFolder, trained_so_far
 
 
 def report(run: RunFolder) -> None:
@@ -17,9 +17,8 @@ def report(run: RunFolder) -> None:
         Folder written by `sarsplat reconstruct`.
     """
     from sarsplat.report import write_report
-    from sarsplat.runs import Run
 
-    done = Run.load(run)
+    done = trained_so_far(run)
     page = write_report(done)
     evaluated = done.metrics is not None
     console.finish(

@@ -23,7 +23,8 @@ _LAYOUTS = {
     "dataset.json": r"dataset\.json|truth\.ply|preview\.png|images/[^/]+\.tif|masks/[^/]+\.png",
     "config.json": (
         r"config\.json|metrics\.jsonl?|about\.json|(gaussians|points|mesh)\.ply|checkpoints/\d+\.safetensors|"
-        r"report/(index\.html|[^/]+\.png)|tensorboard/events\.out\.tfevents\.[^/]+"
+        r"report/(index\.html|[^/]+\.png)|tensorboard/events\.out\.tfevents\.[^/]+|"
+        r"tiles/\d+/(config\.json|metrics\.jsonl|checkpoints/\d+\.safetensors)"
     ),
     "comparison.html": r"comparison\.html",
     "contact-sheet.png": r"contact-sheet\.png|az[\d.]+_gr[\d.]+\.(tif|png)",

@@ -24,6 +24,10 @@ _LEAST_PEAK, _ABOVE_NOISE = 0.3, 2.0
 """Of a pixel's highest peak, and of the noise that is left in the spectrum."""
 
 
+_DARK = 1e-6
+"""Power of a pixel, of the brightest, at which it shows nothing: its spectrum is flat, and its peaks are rounding."""
+
+
 @checks_arguments
 def capon_points(dataset: Dataset, low_m: float, high_m: float) -> Float64[np.ndarray, "p 3"]:
     """Points of the training stacks, all directions together.
@@ -79,9 +83,11 @@ def _of_stack(
     inner = spectrum[..., 1:-1]
     peaks = (inner > spectrum[..., :-2]) & (inner > spectrum[..., 2:]) & (inner > noise)
     peaks &= inner > _LEAST_PEAK * spectrum.max(-1, keepdims=True)
+    peaks &= (power > _DARK * power.max())[..., None]
     row, column, at = np.nonzero(peaks)
     before, here, after = (np.log(spectrum[row, column, at + k]) for k in (0, 1, 2))
-    shift = 0.5 * (before - after) / (before - 2 * here + after)
+    curvature = before - 2 * here + after
+    shift = np.divide(0.5 * (before - after), curvature, out=np.zeros_like(here), where=curvature < 0)
     slant, across = grid.range_m[row], grid.azimuth_m[column]
     elevation = look.elevation_at(across, slant, 0.0) + above[at + 1] + step * shift
     return np.column_stack([across, elevation, slant]) @ look.frame

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -14,6 +15,7 @@ from jaxtyping import Float, Float64
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, Mask, read_masks
 from sarsplat.data.determined import weakest_direction
+from sarsplat.data.files import open_file
 from sarsplat.data.folders import only_writer
 from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
@@ -112,17 +114,33 @@ def evaluate_run(
         weights = None if lpips_weights is None else Path(lpips_weights)
         if mesh is not None and not points:
             raise SarsplatError(f"points are left out, so nothing is held against {mesh}; leave out one of the two")
-        if (state := run.state) is not None and not state.trained:
-            warn([f"{run.path} is {state}: these are scores of its newest checkpoint"])
+        if points and run.path is not None and run.state.trained and not run.state.has_results:
+            run.write_results()  # which takes long, and is not done again
+        if not run.state.trained:
+            warn([f"{run.path or 'the run'} is {run.state}: these are scores of what it has learned so far"])
         metrics = _evaluate(run, dataset, alignment, folder, weights, points, quiet)
-        if not points and run.metrics is not None:
+        if not points and run.metrics is not None and _same_truth(run.metrics, run.dataset):
             metrics |= _of_points(run.metrics, metrics["reasons"])
         run.keep(metrics)
     return metrics
 
 
+def _same_truth(before: Mapping[str, Any], dataset: Dataset) -> bool:
+    """Whether earlier scores of points are whole, and refer to a surface that is still what it was."""
+    if not all(before[kind].keys() == {"visible", "whole"} for kind in ("points", "mesh")):
+        return False
+    truth = before.get("truth", {})
+    mesh = Path(truth["mesh"]) if truth.get("mesh") else dataset.truth_mesh
+    return mesh is not None and mesh.is_file() and truth.get("sha256") == _sha256(mesh)
+
+
+def _sha256(file: Path) -> str:
+    with open_file(file) as opened:
+        return hashlib.sha256(opened.read()).hexdigest()
+
+
 def _of_points(before: Mapping[str, Any], reasons: dict[str, str]) -> dict[str, Any]:
-    """The scores of points in an earlier `metrics.json`, which a run that has not changed keeps; adds their reasons."""
+    """The scores of points in earlier metrics, which a run that has not changed keeps; adds their reasons."""
     scored = ("points", "mesh", "capon")
     for key in [key for key in reasons if key.partition(".")[0] in scored]:
         del reasons[key]
@@ -256,6 +274,7 @@ def _surfaces(
     if dataset.truth_mesh is not None and len(clouds["points"]):
         clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)
         shown.advance(_MESH, "surface: mesh")
+        truth["sha256"] = _sha256(dataset.truth_mesh)
         views = dataset.select("train").views
         true_mesh = read_truth_mesh(dataset.truth_mesh)
         stacks = dataset.interferometric or dataset.polarimetric

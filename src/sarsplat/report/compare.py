@@ -119,8 +119,13 @@ def scores_of(run: Run) -> Mapping[str, Any]:
 
 
 def _caution(runs: Sequence[Run], names: Sequence[str]) -> str | None:
+    parts = [f"{name} is {run.state}" for name, run in zip(names, runs, strict=True) if not run.state.trained]
+    unfinished = f"Compare with care: {in_words(parts)}." if parts else None
     if len({run.fingerprint for run in runs}) == 1:
-        return None
+        truths = {scores_of(run).get("truth", {}).get("sha256") for run in runs}
+        if len(truths - {None}) > 1:
+            return "The points of these runs were held against different surfaces, so their scores are not comparable."
+        return unfinished
     made = dict[str, list[str]]()
     for name, run in zip(names, runs, strict=True):
         made.setdefault(str(run.dataset_path or "images in memory"), []).append(name)

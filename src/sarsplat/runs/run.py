@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
+
+import msgspec
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_bytes
@@ -120,7 +122,8 @@ class Run(Result):
         if not self.dataset_path.exists():
             raise SarsplatError(
                 f"{self.path} needs its dataset, which is no longer at {self.dataset_path}; "
-                f"say where it is with `sarsplat reconstruct DATASET --out {self.path} --resume`"
+                f"say where it is with `sarsplat evaluate {self.path} --dataset DIR`, in Python with "
+                f"Run.load(…, dataset=…), or for good with `sarsplat reconstruct DATASET --out {self.path} --resume`"
             )
         dataset = read_dataset(self.dataset_path)
         if dataset.fingerprint() != self.fingerprint:
@@ -265,9 +268,12 @@ class Run(Result):
         return self.path
 
     @property
-    def state(self) -> TrainingState | None:
-        """How far its training is, by its folder; None in memory, where only finished ones are."""
-        return None if self.files is None else self.files.state
+    def state(self) -> TrainingState:
+        """How far its training is."""
+        if self.files is not None:
+            return self.files.state
+        planned = getattr(self.config, "iterations", self.iteration)
+        return TrainingState(self.iteration, planned, has_results=True)
 
     @property
     def history(self) -> list[LogLine]:
@@ -285,8 +291,19 @@ class Run(Result):
 
     @checks_arguments
     def keep(self, metrics: dict[str, Any]) -> None:
-        """Take these scores, what `evaluate_run` returns, as its last ones; in its folder if it has one."""
-        scores = cast(Metrics, metrics)
+        """Take these scores, what `evaluate_run` returns, as its last ones; in its folder if it has one.
+
+        Raises
+        ------
+        SarsplatError
+            If they are something else, or another process is writing the run.
+        """
+        try:
+            scores = msgspec.convert(metrics, Metrics)
+        except msgspec.ValidationError as error:
+            raise SarsplatError(
+                f"these are not the scores of a run ({error}); give what evaluate_run returns"
+            ) from error
         if self.files is not None:
             self.files.write_metrics(scores)
         elif self.memory is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
@@ -36,13 +37,14 @@ ABOUT = "about.json"
 MESH = "mesh.ply"
 """The surface, of methods that learn one as such."""
 
-_Scores = dict[str, float | None]
+_Scores = dict[str, int | float | None]
 
 
 class Truth(TypedDict):
     """What surface the points were compared with: its file, unless it is the dataset's, and how they were moved."""
 
     mesh: str | None
+    sha256: NotRequired[str]
     shift_m: NotRequired[tuple[float, float, float]]
     heading_deg: NotRequired[float]
 
@@ -61,13 +63,14 @@ class Metrics(TypedDict):
     by_image: NotRequired[dict[str, ByImage]]
     points: dict[str, _Scores]
     mesh: dict[str, _Scores]
+    capon: NotRequired[dict[str, _Scores]]
     baselines: dict[str, dict[str, _Scores]] | None
     truth: NotRequired[Truth]
     masks: NotRequired[str | None]
     time_s: float | None
     seed: int
     method: NotRequired[str]
-    parameters: dict[str, float]
+    parameters: dict[str, int | float]
     definitions: dict[str, str]
     reasons: dict[str, str]
 
@@ -105,7 +108,12 @@ class RunFolder:
     @property
     def checkpoint_path(self) -> Path | None:
         """The newest checkpoint, if there is one."""
-        return max((self.path / CHECKPOINTS).glob("*.safetensors"), default=None)
+        return next(reversed(self._checkpoints()), None)
+
+    def _checkpoints(self) -> list[Path]:
+        """Those that trainings have written, the newest last; a copy by another name is none."""
+        files = (self.path / CHECKPOINTS).glob("*.safetensors")
+        return sorted((file for file in files if re.fullmatch(r"\d{8,}", file.stem)), key=lambda file: int(file.stem))
 
     def save(self, snapshot: Snapshot) -> None:
         """Add a checkpoint, and remove all but the newest."""
@@ -114,7 +122,7 @@ class RunFolder:
             folder.mkdir(parents=True, exist_ok=True)
         snapshot.save(folder / f"{snapshot.iteration:08d}.safetensors")
         with plain_os_errors("write", folder):
-            for old in sorted(folder.glob("*.safetensors"))[:-_CHECKPOINTS_KEPT]:
+            for old in self._checkpoints()[:-_CHECKPOINTS_KEPT]:
                 old.unlink()
 
     @property
@@ -131,12 +139,11 @@ class RunFolder:
     def state(self) -> TrainingState:
         """How far its training is."""
         settings, newest = self.header.config, self.checkpoint_path
-        done = int(newest.stem) if newest is not None and newest.stem.isdecimal() else 0
+        done = 0 if newest is None else int(newest.stem)
         planned = settings.get("iterations")
         if settings.get("preset") == OWN_LOOP or not isinstance(planned, int):
             planned = done
-        last = next((line for line in reversed(self.history) if line.iteration <= done), None)
-        return TrainingState(done, planned, (self.path / POINTS).is_file(), last)
+        return TrainingState(done, planned, (self.path / POINTS).is_file())
 
     @property
     def points(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:

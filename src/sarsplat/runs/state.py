@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sarsplat.runs.log import LogLine
-
 
 @dataclass(frozen=True)
 class TrainingState:
@@ -19,14 +17,11 @@ class TrainingState:
         Iterations asked for; as many as are done if the Gaussians were trained elsewhere.
     has_results : bool
         Whether its points have been extracted.
-    last : LogLine or None
-        The last line of its log that is not newer than the checkpoint.
     """
 
     done: int
     planned: int
     has_results: bool
-    last: LogLine | None
 
     @property
     def trained(self) -> bool:
@@ -39,6 +34,8 @@ class TrainingState:
         return self.trained and self.has_results
 
     def __str__(self) -> str:
+        if self.has_results and not self.done:
+            return "finished, but its checkpoint is missing, so it can be neither rendered nor continued"
         if not self.trained:
             return f"unfinished, {self.done:,} of {self.planned:,} iterations"
         return "finished" if self.has_results else "trained, but its points have not been extracted"

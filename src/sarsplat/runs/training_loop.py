@@ -123,6 +123,8 @@ class Training(Generic[T]):
             self.history = [line for line in run.history if line.iteration <= snapshot.iteration]  # a killed one's end
             self.shown.start_at(snapshot.iteration)
         if other_results or self.trainer.iteration < config.iterations:
+            if files.state.has_results:
+                self.shown.note(f"points, scores and report of the first {files.state.done:,} iterations are removed")
             files.remove_results()
         write_bytes(files.log_path, log_text(self.history))
 
@@ -255,6 +257,8 @@ def train(
         if stopped is not None:
             raise stopped
         training.advance_to(config.iterations)
+        if RunFolder(out).state.finished:  # there was nothing to go on with
+            return replace(Run.load(out), images=dataset)
         training.shown.note("extracting the surface: points and normals; Ctrl-C leaves that for later")
         finished = replace(Run.load(out), images=dataset)
         finished.write_results()

@@ -70,6 +70,8 @@ class Stacks(Observation):
         "ground": None,
         "surroundings": None,
         "densification": None,
+        "ssim_weight": 0.0,
+        "total_power": 0.0,
     }
     takes = frozenset({"strategies"})
 
@@ -109,6 +111,11 @@ class Stacks(Observation):
         return self.images.truth.new_tensor(float(len(self.images.stacks[0])))
 
     def compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:
+        if batch.plane_gradients:
+            raise SarsplatError(
+                "a strategy asks for plane gradients, which cannot be combined with passes on; omit it, or give passes "
+                "off"
+            )
         of, chosen = self.images, batch.chosen
         expected, rendering = model.covariances(
             [images.views[i] for i in chosen],
