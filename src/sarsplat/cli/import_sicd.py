@@ -38,11 +38,9 @@ def recognise(contents: Contents) -> Recognised | None:
 
 
 def _described(path: Path) -> Recognised:
-    from sarsplat.importers.sicd import require_sarkit
     from sarsplat.importers.sicd_file import read_sicd
     from sarsplat.importers.sicd_geometry import layout_around, spot_of_pixel
 
-    require_sarkit()
     sicd = read_sicd(path)
     rows, columns = sicd.axes
     (height, width), middle = sicd.shape, (sicd.shape[0] // 2, sicd.shape[1] // 2)
