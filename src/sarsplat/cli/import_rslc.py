@@ -6,7 +6,9 @@ from sarsplat.cli.from_signature import comma_separated, command_of
 from sarsplat.cli.importers import Contents, Recognised, dataset_name, typed_import
 from sarsplat.errors import SarsplatError
 
-command = command_of(__name__, "rslc:import_rslc", pixel=comma_separated("ROW,COL", (2,), "1200,800"))
+command = command_of(
+    __name__, "sarsplat.importers.rslc:import_rslc", pixel=comma_separated("ROW,COL", (2,), "1200,800")
+)
 
 
 def recognise(contents: Contents) -> Recognised | None:

@@ -14,7 +14,7 @@ _NAMES = {"start": "date", "polarization": "polarisation"}
 
 command = command_of(
     __name__,
-    "sicd:import_sicd",
+    "sarsplat.importers.sicd:import_sicd",
     around=comma_separated("LAT,LON[,HAE]", (2, 3), "47.3769,8.5417"),
     pixel=comma_separated("ROW,COL", (2,), "1200,800"),
 )
