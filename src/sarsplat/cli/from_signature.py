@@ -9,13 +9,13 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import import_module
+from importlib.util import find_spec
 from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
-import sarsplat
 from sarsplat import names
 from sarsplat.cli.arguments import Folder, OptionalFile, TargetBox, corners, heights, metres, numbers, one_of
 from sarsplat.cli.commands import first_paragraph
@@ -105,14 +105,14 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
     module : str
         That of the command: `__name__`.
     function : str
-        File in `importers` and name of the importer, such as "sicd:import_sicd"; its defaults must be literals.
+        The importer, such as "sarsplat.importers.sicd:import_sicd"; its defaults must be literals.
     reading : str
         What is said to be read meanwhile, such as "chips from "; an importer that can be quiet shows its progress.
     options : Option
         Of its parameters, by their names, those that are typed in another way than most.
     """
-    file, name = function.split(":")
-    stub = _without_body(file, name)
+    home, name = function.split(":")
+    stub = _without_body(home, name)
     parameters = signature(stub).parameters
     more = [Parameter(key, Parameter.KEYWORD_ONLY) for key in _ABOUT.get(stub.__annotations__.get("about", ""), ())]
     helps, made = _helps(getdoc(stub) or ""), {}
@@ -123,7 +123,7 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
     first = next(iter(made))
 
     def command(**given: Any) -> int:
-        importer = getattr(import_module(f"sarsplat.importers.{file}"), name)
+        importer = getattr(import_module(home), name)
         values = {key: option.value(given[key], option.name) for key, (_, option) in made.items()}
         files, out = values.pop(first), values.pop("out")
         if "quiet" in parameters:
@@ -166,9 +166,11 @@ def _kind(annotation: str, default: Any, unit: str | None) -> Any:
     return Annotated[eval(hint, known), tyro.conf.arg(metavar=metavar, help_behavior_hint=shown)]
 
 
-def _without_body(file: str, name: str) -> Callable[..., Any]:
+def _without_body(module: str, name: str) -> Callable[..., Any]:
     """A function of this name, signature and docstring, with annotations as they are written."""
-    source = (Path(sarsplat.__file__).parent / "importers" / f"{file}.py").read_text(encoding="utf-8")
+    spec = find_spec(module)  # which does not import it
+    assert spec is not None and spec.origin is not None
+    source = Path(spec.origin).read_text(encoding="utf-8")
     head, docstring = source[source.index(f"def {name}(") :].split('"""', 2)[:2]
     known: dict[str, Any] = {}
     exec(f'from __future__ import annotations\n{head}"""{docstring}"""', known)

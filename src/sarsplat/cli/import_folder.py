@@ -37,7 +37,7 @@ def _named(words: tuple[str, ...], name: str) -> dict[str, str]:
 _COLUMNS = Annotated[tuple[str, ...], tyro.conf.arg(metavar="MEANING=NAME …", help_behavior_hint="(optional)")]
 command = command_of(
     __name__,
-    "folder:import_folder",
+    "sarsplat.importers.folder:import_folder",
     reading="pictures from ",
     columns=Option(_COLUMNS, _named, default=()),
     spacing_m=Option(

@@ -28,7 +28,7 @@ def _whole(words: tuple[str, ...], name: str) -> list[int]:
 
 command = command_of(
     __name__,
-    "mstar:import_mstar",
+    "sarsplat.importers.mstar:import_mstar",
     reading="chips from ",
     train_depression=Option(Angles, _whole, default=(str(_USUAL_DEPRESSION),)),
     test=Option(help="Leave out all other chips: nothing to score with, but the import takes less time."),

@@ -19,7 +19,9 @@ def _place(text: str, name: str) -> tuple[float, ...]:
 
 _AROUND = Annotated[str, tyro.conf.arg(metavar="X,Y[,Z]")]
 command = command_of(
-    __name__, "phase_history_images:import_phase_history", around_m=Option(_AROUND, _place, default="0,0")
+    __name__,
+    "sarsplat.importers.phase_history_images:import_phase_history",
+    around_m=Option(_AROUND, _place, default="0,0"),
 )
 
 

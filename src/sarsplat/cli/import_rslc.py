@@ -6,18 +6,19 @@ from sarsplat.cli.from_signature import comma_separated, command_of
 from sarsplat.cli.importers import Contents, Recognised, dataset_name, typed_import
 from sarsplat.errors import SarsplatError
 
-command = command_of(__name__, "rslc:import_rslc", pixel=comma_separated("ROW,COL", (2,), "1200,800"))
+command = command_of(
+    __name__, "sarsplat.importers.rslc:import_rslc", pixel=comma_separated("ROW,COL", (2,), "1200,800")
+)
 
 
 def recognise(contents: Contents) -> Recognised | None:
     """An HDF5 file; of a folder the first, if it is such a one: HDF5 may hold anything."""
-    from sarsplat.importers.rslc_file import is_hdf5, read_rslc, require_h5py
+    from sarsplat.importers.rslc_file import is_hdf5, read_rslc
 
     files = contents.ending_in(".h5", ".hdf5")
     if not files or not is_hdf5(files[0]):
         return None
     try:
-        require_h5py()
         rslc = read_rslc(files[0])
     except SarsplatError:
         if contents.path.is_file():

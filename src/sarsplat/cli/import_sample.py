@@ -7,7 +7,9 @@ from collections import Counter
 from sarsplat.cli.from_signature import Option, command_of
 from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 
-command = command_of(__name__, "sample:import_sample", reading="images from ", target=Option(name="class"))
+command = command_of(
+    __name__, "sarsplat.importers.sample:import_sample", reading="images from ", target=Option(name="class")
+)
 
 
 def recognise(contents: Contents) -> Recognised | None:

@@ -14,7 +14,7 @@ _NAMES = {"start": "date", "polarization": "polarisation"}
 
 command = command_of(
     __name__,
-    "sicd:import_sicd",
+    "sarsplat.importers.sicd:import_sicd",
     around=comma_separated("LAT,LON[,HAE]", (2, 3), "47.3769,8.5417"),
     pixel=comma_separated("ROW,COL", (2,), "1200,800"),
 )
@@ -38,11 +38,9 @@ def recognise(contents: Contents) -> Recognised | None:
 
 
 def _described(path: Path) -> Recognised:
-    from sarsplat.importers.sicd import require_sarkit
     from sarsplat.importers.sicd_file import read_sicd
     from sarsplat.importers.sicd_geometry import layout_around, spot_of_pixel
 
-    require_sarkit()
     sicd = read_sicd(path)
     rows, columns = sicd.axes
     (height, width), middle = sicd.shape, (sicd.shape[0] // 2, sicd.shape[1] // 2)

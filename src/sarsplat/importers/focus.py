@@ -16,6 +16,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.apertures import Aperture
+from sarsplat.importers.needed import require
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 
 _ACCURACY = 1e-7
@@ -36,12 +37,9 @@ def focus(
     SarsplatError
         If the grid reaches beyond what the frequencies or the pulses show unambiguously, or finufft is not installed.
     """
-    try:
-        import finufft
-    except ImportError as error:
-        raise SarsplatError(
-            "phase history needs finufft; install it with: pip install 'sarsplat[phase-history]'"
-        ) from error
+    require("finufft", "phase history needs", "phase-history")
+    import finufft
+
     _check_extent(aperture, grid)
     history = aperture.history
     frequencies = history.frequencies_hz

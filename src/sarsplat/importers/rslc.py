@@ -24,7 +24,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Stack, View
 from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
 from sarsplat.importers.measured_scene import AboutImages
-from sarsplat.importers.rslc_file import Rslc, read_rslc, require_h5py
+from sarsplat.importers.rslc_file import Rslc, read_rslc
 from sarsplat.names import CrossPolarised
 from sarsplat.radiometry import to_db
 
@@ -86,7 +86,6 @@ def import_rslc(
         If h5py is not installed, the file is not a valid RSLC of several polarisations or does not show the whole of
         what is asked for, or the output exists.
     """
-    require_h5py()
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     rslc = read_rslc(Path(file))
     if len(rslc.polarisations) < 2:

@@ -18,6 +18,7 @@ from jaxtyping import Complex64, Float64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.needed import require
 from sarsplat.importers.quantity import power_or_signal
 
 if TYPE_CHECKING:
@@ -106,16 +107,6 @@ def is_hdf5(path: Path) -> bool:
         return file.read(len(_SIGNATURE)) == _SIGNATURE
 
 
-def require_h5py() -> None:
-    """Refuse to go on without h5py, and say how to get it."""
-    try:
-        import h5py  # noqa: F401
-    except ImportError as error:
-        raise SarsplatError(
-            f"RSLC files need h5py, which cannot be imported ({error}); install it with: pip install 'sarsplat[rslc]'"
-        ) from error
-
-
 def read_rslc(path: Path) -> Rslc:
     """What one file says of its images.
 
@@ -124,6 +115,7 @@ def read_rslc(path: Path) -> Rslc:
     SarsplatError
         If it is no RSLC, damaged, or what is needed is missing or impossible.
     """
+    require("h5py", "RSLC files need", "rslc")
     if not is_hdf5(path):
         raise SarsplatError(f"{path} is not an HDF5 file; give an RSLC in NISAR's layout")
     with _opened(path) as file:

@@ -89,7 +89,6 @@ def import_sicd(
         If sarkit is not installed, a file is not a valid SICD or does not show the whole of what is asked for, files of
         a stack differ in their grids or frequencies, or the output exists.
     """
-    require_sarkit()
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     paths = each_once(files)
     _check_request(size_m, around, pixel, heading_deg)
@@ -136,16 +135,6 @@ def import_sicd(
         **about,
     )
     return write_imported(out, dataset, overwrite=overwrite)
-
-
-def require_sarkit() -> None:
-    """Refuse to go on without sarkit, and say how to get it."""
-    try:
-        import sarkit.sicd  # noqa: F401
-    except ImportError as error:
-        raise SarsplatError(
-            f"SICD files need sarkit, which cannot be imported ({error}); install it with: pip install 'sarsplat[sicd]'"
-        ) from error
 
 
 def _check_request(

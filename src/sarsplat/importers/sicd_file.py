@@ -11,6 +11,7 @@ from jaxtyping import Complex64, Float64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.needed import require
 from sarsplat.importers.nitf import Segment, read_nitf, sarkit_errors
 from sarsplat.importers.sicd_fields import FARTHEST, LARGEST, Axis, SicdFields
 from sarsplat.importers.sicd_versions import modernise
@@ -116,6 +117,7 @@ def read_sicd(path: Path) -> Sicd:
         If it is not a SICD of one radar (monostatic), truncated, garbled, compressed, or what is needed of its metadata
         is missing or impossible.
     """
+    require("sarkit", "SICD files need", "sicd")
     with open_file(path) as file:
         tree, segments = read_nitf(path, file)
     import sarkit.sicd.projection as projection
