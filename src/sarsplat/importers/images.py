@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,13 +17,14 @@ from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
 from sarsplat.data.evenly import evenly_chosen
-from sarsplat.data.header import Box, Calibration
+from sarsplat.data.header import Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
-from sarsplat.geometry import ImageGrid, Stack, Terrain, View
+from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
+from sarsplat.importers.measured_scene import AboutImages
 from sarsplat.radiometry import to_db
 
 if TYPE_CHECKING:
@@ -112,10 +113,7 @@ def dataset_of(
     source: dict[str, Any],
     train_views: int | None = None,
     calibration: Calibration = "relative",
-    looks: float | None = 1.0,
-    ground: bool = True,
-    terrain: Terrain | None = None,
-    target_box_m: Box | None = None,
+    **about: Unpack[AboutImages],
 ) -> Dataset:
     """A dataset in memory: images on one grid, assigned to sets, on one scale.
 
@@ -132,8 +130,10 @@ def dataset_of(
         Number K of training views: those nearest to azimuths k·360°/K or, where images are missing on one side, to K
         azimuths evenly spaced over the rest; of several grazing angles, each gets the next azimuth in turn. The others
         are test views. Not if the images name their sets.
-    calibration, looks, ground, terrain, target_box_m
+    calibration : {"absolute", "relative"}
         See `Dataset`. Relative power has mean 1 over the training views; that of noise is in the same unit.
+    **about
+        Looks, ground, terrain and the target's box: see `AboutImages`.
 
     Raises
     ------
@@ -146,6 +146,7 @@ def dataset_of(
     SarsplatWarning
         If images are resampled, cut, have different resolutions or pixels that are zero.
     """
+    about = {"looks": 1.0, "ground": True, **about}
     if not images:
         raise SarsplatError("no images were given; give at least one")
     if len({image.pixels.dtype.kind for image in images}) > 1:
@@ -189,11 +190,8 @@ def dataset_of(
         pixels,
         target=target,
         calibration=calibration,
-        looks=looks,
-        ground=ground,
-        score_margin=round(_MARGIN * min(grid.rows, grid.columns)) if ground else 0,
-        terrain=terrain,
-        target_box_m=target_box_m,
+        score_margin=round(_MARGIN * min(grid.rows, grid.columns)) if about["ground"] else 0,
+        **about,
         source={**source, "assumptions": assumptions},
     )
 

@@ -11,7 +11,7 @@ from sarsplat.geometry import Terrain
 class AboutScene(TypedDict, total=False):
     """What a user knows of the scene.
 
-    Parameters
+    Attributes
     ----------
     terrain : Terrain or None
         Heights of the ground that the images show; level unless given.
@@ -27,7 +27,7 @@ class AboutScene(TypedDict, total=False):
 class AboutImages(AboutScene, total=False):
     """What a user also knows of images that come from anywhere.
 
-    Parameters
+    Attributes
     ----------
     looks : float or None
         Number of looks of the speckle, 1 unless given; None if there is none.

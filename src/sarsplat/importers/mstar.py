@@ -16,7 +16,6 @@ their power is at least 0.001 (−30 dB) of its mean. Their phases are kept: the
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,7 +28,8 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.evenly import nearest_to
 from sarsplat.data.orientation import oriented
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.importers.files import warn_caller
 from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.measured_scene import AboutScene
 from sarsplat.importers.mstar_chips import Chip, read_chips
@@ -155,11 +155,9 @@ def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> li
                 f"there is no {target_class} with the serial {serial!r}; choose one of {', '.join(serials)}"
             )
     elif len(serials) > 1:
-        warnings.warn(
+        warn_caller(
             f"the {target_class} chips show {len(serials)} vehicles (serials {', '.join(serials)}), treated as one; "
-            "choose one serial to keep them apart",
-            SarsplatWarning,
-            stacklevel=3,
+            "choose one serial to keep them apart"
         )
     return chips
 
