@@ -136,7 +136,10 @@ def compile_engine(target: Target, library: Path, isas: Iterable[int]) -> None:
             one.check_returncode()
         objects = sorted(str(path) for path in Path(folder).glob("*.o"))
         linked = Path(folder) / target.library
-        subprocess.check_call([*compiler, "-shared", "-s", *target.link, *objects, "-o", str(linked)])
+        command = [*compiler, "-shared", "-s", *target.link, *objects, "-o", str(linked)]
+        done_linking = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)  # draws on a terminal
+        sys.stderr.write(done_linking.stderr)
+        done_linking.check_returncode()
         put(linked, library)
 
 

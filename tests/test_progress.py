@@ -43,7 +43,7 @@ def test_short_parts_of_long_work_are_not_silent_together(
 def test_narrow_terminals_cut_words_and_no_figures(width: int, seconds: float, left: str) -> None:
     """And nothing is foretold after one second."""
     console = Console(width=width, file=io.StringIO())
-    bar = Progress(*progress._columns(width), console=console)
+    bar = Progress(*progress._columns(width, 44), console=console)
     reporter = progress.Reporter(20_000, bar, "evaluate /home/someone/data/t72/runs/first-run")
     reporter._begun -= seconds
     reporter.update(900, "distances: points from the visible surface  12345 Gaussians")

@@ -144,19 +144,20 @@ def progress(description: str, total: int, quiet: bool = False) -> Iterator[Repo
             yield reporter
         return
     with (
-        Progress(*_columns(console.width), console=console) as bar,
+        Progress(*_columns(console.width, len(description)), console=console) as bar,
         _as_shown(Reporter(total, bar, description)) as reporter,
     ):
         yield reporter
 
 
-def _columns(width: int) -> Iterator[ProgressColumn]:
+def _columns(width: int, described: int) -> Iterator[ProgressColumn]:
     """Columns of a bar; on a narrow terminal the texts are cut, and never the figures."""
     shared = max(width - _FIGURES, 0)  # by the bar and two texts
-    yield _text("{task.description}", shared * 2 // 5)
-    yield BarColumn(min(40, shared // 5))
+    bar, description = min(40, shared // 6), min(max(described, shared // 3), shared * 9 // 20)
+    yield _text("{task.description}", description)
+    yield BarColumn(bar)
     yield MofNCompleteColumn()
-    yield _text("{task.fields[status]}", shared * 2 // 5)
+    yield _text("{task.fields[status]}", shared - bar - description)
     yield TimeElapsedColumn()
     yield TextColumn("{task.fields[left]}")
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -42,6 +42,9 @@ from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.runs import Run
 from sarsplat.scenes.surface_samples import surface_samples
+
+if TYPE_CHECKING:
+    import trimesh
 
 _VIEWS_AT_A_TIME = 8
 _MESH_SAMPLES = 100_000
@@ -171,6 +174,7 @@ def _evaluate(
         raise SarsplatError(
             f"nothing can be scored: {dataset} has no test images and {lacks}; simulate it with --test-azimuth"
         )
+    true_mesh = read_truth_mesh(dataset.truth_mesh) if points and dataset.truth_mesh is not None else None
     weights = lpips_weights(weights_dir)
     network = None if weights is None else Lpips(weights)
     parameters = image_parameters(dataset)
@@ -199,7 +203,7 @@ def _evaluate(
             numbers = [index for index, entry in enumerate(dataset.entries) if entry.split == split]
             compared = _masks(run, tested, pair.rendered, [masks.get(index) for index in numbers], shown)
             images[split] |= compute_all(MASK_METRICS, tested, compared, f"images.{split}.", reasons)
-        surfaces = _surfaces(run, dataset, points, alignment == "rigid", yardstick, reasons, shown)
+        surfaces = _surfaces(run, dataset, true_mesh, points, alignment == "rigid", yardstick, reasons, shown)
         shown.update(steps)
     return {
         "images": images,
@@ -256,6 +260,7 @@ def _masks(
 def _surfaces(
     run: Run,
     dataset: Dataset,
+    true_mesh: trimesh.Trimesh | None,
     scored: bool,
     aligned: bool,
     yardstick: Yardstick,
@@ -271,12 +276,11 @@ def _surfaces(
     lacks = dict.fromkeys(clouds, "the run reconstructed no points" if scored else "points were left out")
     if scored:
         clouds["points"] = run.points
-    if dataset.truth_mesh is not None and len(clouds["points"]):
+    if dataset.truth_mesh is not None and true_mesh is not None and len(clouds["points"]):
         clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)
         shown.advance(_MESH, "surface: mesh")
         truth["sha256"] = _sha256(dataset.truth_mesh)
         views = dataset.select("train").views
-        true_mesh = read_truth_mesh(dataset.truth_mesh)
         stacks = dataset.interferometric or dataset.polarimetric
         surface = visible_surface(
             of_stacks(true_mesh, dataset) if stacks else true_mesh,
