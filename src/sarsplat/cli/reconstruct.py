@@ -17,7 +17,6 @@ import tyro
 from sarsplat.cli import console
 from sarsplat.cli.arguments import (
     DEFAULT_PORT,
-    MARKERS,
     Folder,
     OptionalFile,
     OptionalFolder,
@@ -258,25 +257,35 @@ def _base(method: Method, options: Options, images: Dataset) -> Any:
 
 
 def _overridden(method: Method, base: AnyConfig, options: Options, words: Sequence[str]) -> AnyConfig:
-    """The settings with what the flags say: the words are read once more, with defaults that are those settings."""
+    """The settings with what the flags say, and nothing of those that were not typed."""
     flags = [word[2:].partition("=")[0] for word in words if word.startswith("--")]
-    values = {one.name: getattr(base, one.name) for one in fields(Config) if hasattr(base, one.name)}
+    known = {one.name for one in fields(Config)} - {"preset"}  # which has made the base
+    changed: dict[str, Any] = {}
+    of_records: dict[str, dict[str, Any]] = {}
     for flag in flags:
-        name = flag.partition(".")[0].replace("-", "_")
-        if name not in values and name in {one.name for one in fields(Config)}:
+        name, _, inside = flag.replace("-", "_").partition(".")
+        if name not in known:  # another option
+            continue
+        if not hasattr(base, name):
             raise SarsplatError(
                 f"--{flag} is not a setting of {method.name}; see its settings with --print-config, and give changed "
                 "ones with --config FILE"
             )
-    present = {part: values[part] or record() for part, record in _PARTS.items() if part in values}
-    defaults = Options(options.dataset, options.out, settings=Settings(**{**values, **present}))
-    settings = tyro.cli(Options, args=words, default=defaults, config=MARKERS).settings
-    changed = {name: getattr(settings, name) for name in values}
-    for part in _PARTS:
+        given = getattr(options.settings, name)
+        if inside:
+            of_records.setdefault(name, {})[inside] = getattr(given, inside)
+        elif name not in _PARTS:
+            changed[name] = given
+    for name, values in of_records.items():
+        if name in _PARTS and getattr(options.switches, name) == "off":
+            raise SarsplatError(
+                f"--{name}.{next(iter(values)).replace('_', '-')} has no effect with --{name} off; omit one of them"
+            )
+        changed[name] = replace(getattr(base, name) or _PARTS[name](), **values)
+    for part, record in _PARTS.items():
         switch = getattr(options.switches, part)
-        inside = next((flag for flag in flags if flag.startswith(f"{part}.")), None)
-        if switch == "off" and inside is not None:
-            raise SarsplatError(f"--{inside} has no effect with --{part} off; omit one of them")
-        if part in values and (switch == "off" or (switch is None and inside is None and values[part] is None)):
+        if switch == "off":
             changed[part] = None
+        elif switch == "on" and part not in changed:
+            changed[part] = getattr(base, part) or record()
     return replace(base, **changed)
