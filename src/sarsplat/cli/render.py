@@ -134,7 +134,11 @@ def render(
         raise Stopped(getattr(stop, "number", signal.SIGINT), kept) from stop
     ends = ("grey", "black", "white") if look.cmap == POWER else (look.cmap, "its lower end", "its upper end")
     brightest = "brightest training pixel" if run.is_dir() else "brightest pixel from all sides"
-    level = f"β⁰ = {to_db(look.peak):.1f} dB" if _absolute(done) else "β⁰ up to an unknown factor"
+    level = {
+        True: f"β⁰ = {to_db(look.peak):.1f} dB",
+        False: "β⁰ up to an unknown factor",
+        None: f"{to_db(look.peak):.1f} dB in the unit of its dataset, which is not there to ask",
+    }[_absolute(done)]
     console.say(
         f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the "
         f"{brightest}, {level}; row 0 is near range"
@@ -150,14 +154,14 @@ def _refuse_too_large(views: int, rows: int, columns: int) -> None:
         console.say(much)
 
 
-def _absolute(run: Run) -> bool:
-    """Whether the run's images are known to be β⁰ itself."""
+def _absolute(run: Run) -> bool | None:
+    """Whether the run's images are β⁰ itself; None if nothing says."""
     from sarsplat.data import read_json
 
     if run.images is not None or run.dataset_path is None:
         return run.images is not None and run.images.calibration == "absolute"
     header = run.dataset_path / "dataset.json"
-    return header.is_file() and read_json(header, dict[str, Any]).get("calibration") == "absolute"
+    return bool(read_json(header, dict[str, Any]).get("calibration") == "absolute") if header.is_file() else None
 
 
 def _swept(
