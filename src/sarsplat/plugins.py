@@ -57,7 +57,8 @@ class Plugins(Mapping[str, Any]):
 
     def add(self, name: str, plugin: Any) -> None:
         """Register a plugin under a name, in this process."""
-        self._entries[name] = EntryPoint(name, f"{plugin.__module__}:{plugin.__qualname__}", "")
+        where = f"{plugin.__module__}:{getattr(plugin, '__qualname__', type(plugin).__qualname__)}"
+        self._entries[name] = EntryPoint(name, where, "")
         self._loaded[name] = plugin
 
     def loaded(self) -> dict[str, Any]:

@@ -88,6 +88,12 @@ def only(dataset: Dataset) -> str:
     return text
 
 
+@pytest.mark.parametrize("looks", [1e8, 1e12, 1e18])
+def test_so_many_looks_are_none(grounded: Dataset, looks: float) -> None:
+    (text,) = examine(replace(speckled(grounded, 1, 0), looks=looks)).contradictions
+    assert "the dataset states no speckle; give the number of looks" in text
+
+
 @pytest.mark.parametrize(("looks", "seed"), [(1, 0), (1, 1), (4, 0), (None, 0)])
 def test_what_is_right_passes(bare: Dataset, grounded: Dataset, looks: float | None, seed: int) -> None:
     for dataset in (bare, grounded):

@@ -161,6 +161,12 @@ def test_another_format_is_known_by_how_its_files_begin(files, tmp_path, monkeyp
         assert f"import phase-history {tmp_path / name} --size" in str(it.command)
 
 
+def test_a_file_without_an_ending_is_known_by_its_container(files, tmp_path):
+    bare = tmp_path / "pulses"
+    bare.write_bytes(files[0].read_bytes())
+    assert len(read_phase_history(bare)) == len(read_gotcha(files[0]))
+
+
 def test_other_flights_are_kept_apart(files, tmp_path):
     higher = write(tmp_path / "higher.mat", record(circle(np.linspace(-6, 6, 240), 50.0), [(1, 0, 0)]))
     dataset = import_phase_history([files[0], higher, files[1]], tmp_path / "out", size_m=2, aperture_deg=6)

@@ -148,3 +148,13 @@ def test_what_does_not_fit_together_is_refused(wrong) -> None:
         SarsplatError, match=r"truth is torch.float\d\d \(1, 4, .\) on cpu; it must be torch.float32 \(1, 4, 4\) on cpu"
     ):
         amplitude_loss(torch.ones(1, 4, 4), wrong, 1.0, 0.0)
+
+
+def test_numbers_may_be_tensors_and_none_is_refused() -> None:
+    """An engine takes a tensor's value, and not its address."""
+    images = torch.rand(2, 2, 16, 16, generator=torch.Generator().manual_seed(3))
+    expected = losses.amplitude_loss(images[0], images[1], 1.3, 0.2)
+    for numbers in ((torch.tensor(1.3), 0.2), (1.3, torch.tensor(0.2))):
+        torch.testing.assert_close(losses.amplitude_loss(images[0], images[1], *numbers), expected)
+    with pytest.raises(TypeError):
+        losses.amplitude_loss(images[0], images[1], None, 0.2)

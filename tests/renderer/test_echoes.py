@@ -26,9 +26,9 @@ class Haze(Echo):
 
     wants_ray_ends = True
 
-    def check(self, gaussians: Gaussians, channels: int, imaging_weight: str) -> None:
-        if imaging_weight == "peak":
-            raise SarsplatError("haze has a unit")
+    def check(self, gaussians: Gaussians) -> None:
+        if gaussians.means.dtype == torch.float64:
+            raise SarsplatError("haze is single")
 
     def values(self) -> dict[str, Tensor | None]:
         return {"haze.power": self.power.reshape(1)}
@@ -100,8 +100,36 @@ def test_an_echo_may_hide_and_return_what_is_behind() -> None:
 
 def test_what_does_not_fit_is_refused() -> None:
     scene = cloud(3, 0)
-    with pytest.raises(SarsplatError, match="haze has a unit"):
+    with pytest.raises(SarsplatError, match="haze is single"):
+        render(scene.to(torch.float64), VIEWS, GRID, echoes=[Haze(torch.tensor(1.0))])
+    with pytest.raises(SarsplatError, match="gives images without a unit"):
         render(scene, VIEWS, GRID, echoes=[Haze(torch.tensor(1.0))], imaging_weight="peak")
     for engine in ("cpu", "reference"):
         with pytest.raises(SarsplatError, match=r"haze\.power"):
             render(scene, VIEWS, GRID, echoes=[Haze(torch.tensor(torch.nan))], engine=engine)
+
+
+@pytest.mark.parametrize("engine", ["cpu", "reference"])
+@pytest.mark.parametrize(
+    ("method", "wrong", "message"),
+    [
+        (
+            "in_sight",
+            lambda self, means, *_: torch.ones(len(means)),
+            r"in_sight gave \(3,\); it must give a tensor \(3, 3\)",
+        ),
+        ("in_sight", lambda self, means, *_: 1.0, "in_sight gave float"),
+        ("visible", lambda self, gaussians: gaussians[:2], "visible makes 3 Gaussians to 2"),
+        (
+            "seen",
+            lambda self, sighting, _: torch.ones(GRID.rows, GRID.columns),
+            r"returned torch.float32 .* must return",
+        ),
+        ("returned", lambda self, seen, *_: seen.double(), "returned torch.float64"),
+        ("returned", lambda self, *_: None, "returned NoneType"),
+    ],
+)
+def test_what_an_echo_gets_wrong_is_said(engine: str, method: str, wrong: object, message: str) -> None:
+    own = type("Own", (Mirrored,), {method: wrong})(0.5)
+    with pytest.raises(SarsplatError, match=message):
+        render(cloud(3, 0), VIEWS, GRID, echoes=[own], engine=engine)

@@ -27,6 +27,9 @@ _SMOOTH = 0.1
 _FEWEST_VALUES = 8
 """In a block of ground: of fewer, neither speckle nor its correlation can be measured."""
 
+_MOST_LOOKS = 1e6
+"""Of speckle that can be seen: more mean that there is none."""
+
 _WIDTH_RATIOS = {"speckle": (0.5, 1.7), "structure": (0.8, 2.0)}
 """Measured over stated resolution, within which they agree: by how far pixels of speckle correlate, and by the sharpest
 structure, which may be smoother than a point but not sharper."""
@@ -78,7 +81,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
         examined.checks["unit"] = f"cannot be determined: so coarsely are pixels quantised that {few}"
         return
     measured = f"standard deviation over mean of the ground is {ground.contrast:.2f}"
-    if dataset.looks is None:
+    if dataset.looks is None or dataset.looks > _MOST_LOOKS:
         examined.checks["unit"] = f"{measured}; without speckle, this does not tell power from amplitude"
         if ground.contrast > _SPECKLED:
             examined.contradictions.append(

@@ -15,6 +15,9 @@ FORMATS = discover("sarsplat.importers", "history_", "FORMAT", "sarsplat.phase_h
 """Formats by their names."""
 
 
+_HEAD = 128  # bytes by which a container is known
+
+
 @dataclass(frozen=True)
 class PhaseHistoryFormat:
     """A format of phase history.
@@ -28,13 +31,16 @@ class PhaseHistoryFormat:
     read : callable
         Reads one file, or raises a `SarsplatError` of one sentence: files come from strangers.
     begins : bytes
-        What every such file begins with; empty if nothing tells.
+        What every such file begins with, and no other; empty if nothing tells.
+    container : bytes
+        What it begins with as other files do: that tells only of what is given as phase history.
     """
 
     what: str
     endings: tuple[str, ...]
     read: Callable[[Path], PhaseHistory]
     begins: bytes = b""
+    container: bytes = b""
 
 
 def format_of(path: Path) -> PhaseHistoryFormat | None:
@@ -56,6 +62,11 @@ def read_phase_history(path: Path) -> PhaseHistory:
         If it is of no format that is known here, or cannot be used.
     """
     known = format_of(path)
+    if known is None:
+        with open_file(path) as file:
+            start = file.read(_HEAD)
+        contained = (one for one in FORMATS.loaded().values() if one.container and start.startswith(one.container))
+        known = next(contained, None)
     if known is None:
         kinds = " or ".join(one.what for one in FORMATS.loaded().values())
         raise SarsplatError(f"{path} is no phase history of a known format; give {kinds}")

@@ -83,4 +83,6 @@ def _array(path: Path, record: dict[str, Any], name: str, kinds: str) -> np.ndar
     return values
 
 
-FORMAT = PhaseHistoryFormat("MATLAB files (.mat) in the layout of GOTCHA", (".mat",), read_gotcha)
+FORMAT = PhaseHistoryFormat(
+    "MATLAB files (.mat) in the layout of GOTCHA", (".mat",), read_gotcha, container=b"MATLAB 5.0 MAT-file"
+)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.data.plausible import warn
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.initialise import Region
@@ -29,6 +30,7 @@ from sarsplat.processes import Processes
 from sarsplat.regions.flattened import levelled
 from sarsplat.regions.target_region import cut_off
 from sarsplat.renderer import Bounds, Rendering, render
+from sarsplat.renderer.echoes import Echo
 from sarsplat.renderer.planes import lit_planes
 from sarsplat.settings.config import Config
 from sarsplat.tiles import at_once, render_tiled
@@ -189,6 +191,15 @@ class SceneModel:
         """The plane or the terrain on which rays end, in the model's unit; None if there is none."""
         return next((ground for part in self.parts if (ground := part.ground(self.parameters)) is not None), None)
 
+    def echoes(self) -> list[Echo]:
+        """Returns besides the direct one and the ground's."""
+        return [echo for part in self.parts for echo in part.echoes(self.parameters)]
+
+    def _refuse_echoes(self, where: str) -> None:
+        """What would be left out in silence."""
+        if self.echoes():
+            raise SarsplatError(f"a part of the model has an echo, which {where} cannot have; leave out that part")
+
     def _made_by(self, parts: Sequence[Part], degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:
         scene = None
         for part in parts:
@@ -223,7 +234,7 @@ class SceneModel:
             "rays": rays,
             "shift": shot.shift,
             "ground": self.ground(),
-            "echoes": [echo for part in self.parts for echo in part.echoes(self.parameters)],
+            "echoes": self.echoes(),
             "plane_gradients": plane_gradients,
             "bounds": bounds,
             "amplitudes": amplitudes,
@@ -251,6 +262,7 @@ class SceneModel:
 
         They are in the model's unit.
         """
+        self._refuse_echoes("covariances of stacks")
         shot = self.shot(views, grid, numbers)
         scene = self.scene(degree, dropped)
         planes, sections, lit = lit_planes(scene, views, shot.grid, stacks, rays=rays, shift=shot.shift)
@@ -272,6 +284,7 @@ class SceneModel:
                 if together:
                     yield self.render(some, grid, degree, rays=rays)[0]
                     continue
+                self._refuse_echoes("an image that is rendered by tiles")
                 shot = self.shot(some, grid)
                 shift = None if shot.shift is None else shot.shift[0]
                 yield self.developed(

@@ -19,6 +19,7 @@ from sarsplat.processes import Processes
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances
 from sarsplat.renderer.echoes import Echo, GroundEcho
+from sarsplat.renderer.echoes.echo import all_visible, check_echoes
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.choice import ENGINES, chosen_engine, passes_for
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
@@ -142,9 +143,8 @@ def render(
     check_shapes(gaussians, views, amplitudes, shift, gain)
     channels = len(gaussians.scattering.channels) if amplitudes is None else amplitudes.shape[2]
     echoes = (*(() if ground is None else (GroundEcho(ground),)), *echoes)
-    for echo in echoes:
-        echo.check(gaussians, channels, imaging_weight)
-        gaussians = echo.visible(gaussians)
+    check_echoes(echoes, gaussians, channels, imaging_weight)
+    gaussians = all_visible(echoes, gaussians)
     engine = chosen_engine(engine, gaussians.means)
     alone = engine != "cpu" or first_return_depth is not None or not all(echo.shareable for echo in echoes)
     if processes is not None and alone:

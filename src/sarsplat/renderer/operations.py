@@ -50,7 +50,8 @@ def render_with(
         bounds.watch(gain)
     else:
         check_values({"gain": gain})  # the rest is checked on the way in
-    if bounds is None:
+    if bounds is None and echoes:  # which use these before the engine looks at them
+        check_values({"means": gaussians.means, "shift": shift})
         for echo in echoes:
             check_values(echo.values())
     g = gaussians

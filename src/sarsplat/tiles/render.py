@@ -16,7 +16,7 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.progress import stage
 from sarsplat.renderer.echoes import Echo, GroundEcho
-from sarsplat.renderer.echoes.echo import left_in_sight
+from sarsplat.renderer.echoes.echo import all_visible, left_in_sight
 from sarsplat.tiles.image import tile_image
 from sarsplat.tiles.kept import KeptTiles
 from sarsplat.tiles.plan import Plan
@@ -73,9 +73,7 @@ def render_tiled(
     with torch.no_grad():
         displaced = None if shift is None else shift[None]
         echoes = [] if ground is None else [GroundEcho(ground)]
-        scene = _in_sight(gaussians, view, grid, rays, displaced, echoes)
-        for echo in echoes:
-            scene = echo.visible(scene)
+        scene = all_visible(echoes, _in_sight(gaussians, view, grid, rays, displaced, echoes))
         reach = Reach.of(scene, view, grid, rays, displaced)
         plan = Plan(reach, view, grid, rays, ground, scene.scattering.parameters.shape[1], memory_gib * 2**30)
         size = (len(scene.scattering.channels), grid.rows, grid.columns)

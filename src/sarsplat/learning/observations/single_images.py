@@ -65,7 +65,7 @@ class SingleImages(Observation):
 @torch.no_grad()
 def _of_black(loss: Loss, truth: Float32[Tensor, "v rows columns"]) -> Tensor:
     """The loss of black images, the unit of what else is minimised; 1 where that is not a measure of distance."""
-    value = loss(torch.zeros_like(truth), truth)
+    value = loss(torch.zeros_like(truth), truth.clone())  # what a loss of one's own does to it stays there
     if not isinstance(value, Tensor) or value.is_complex():  # the first step says so
         return truth.new_ones(())
     return torch.where(value.isfinite() & (value > 0), value, 1.0)

@@ -135,7 +135,7 @@ class Part(ABC):
         return None
 
     def echoes(self, p: Parameters) -> tuple[Echo, ...]:
-        """Returns besides the direct one and the ground's; images that are rendered by tiles lack them."""
+        """Returns besides the direct one and the ground's."""
         return ()
 
     def reach(self) -> Bounds | None:

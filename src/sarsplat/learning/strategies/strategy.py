@@ -49,7 +49,7 @@ class State:
                 saved = tensors[name]
                 if saved.shape != like.shape or saved.dtype != like.dtype:
                     raise ValueError(f"{name} is {saved.dtype} {list(saved.shape)}")
-                of[name] = saved.to(like.device)
+                of[name] = saved.to(like.device, copy=True)
 
 
 @dataclass(frozen=True)

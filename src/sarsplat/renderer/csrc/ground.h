@@ -23,7 +23,9 @@ struct Band {
 };
 
 Band band_of(Arena& arena, const sg_axis& pixel, const sg_axis& cell, double std, bool slopes) {
-  Band b{pixel.count, cell.count, smaller(cell.count, (int)(2.0 * kResponseEnd * std / cell.step) + 3), nullptr, nullptr, nullptr, nullptr};
+  const double across = 2.0 * kResponseEnd * std / cell.step;  // at the zenith it is more than an int holds
+  const int width = across < cell.count ? smaller(cell.count, (int)across + 3) : cell.count;
+  Band b{pixel.count, cell.count, width, nullptr, nullptr, nullptr, nullptr};
   b.first = arena.take<int32_t>(b.pixels);
   b.count = arena.take<int32_t>(b.pixels);
   b.weight = arena.take<float>((int64_t)b.pixels * b.width + 1);

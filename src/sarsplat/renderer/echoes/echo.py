@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.engines.passes import NewPass
@@ -91,8 +92,8 @@ class Echo(ABC):
     shareable: ClassVar[bool] = False
     """Whether its tensors enter by `by_view` and `returned` alone, so that processes can share the views."""
 
-    def check(self, gaussians: Gaussians, channels: int, imaging_weight: str) -> None:
-        """Raise a SarsplatError if it does not fit the scene or the images."""
+    def check(self, gaussians: Gaussians) -> None:
+        """Raise a SarsplatError if it does not fit the scene."""
         return
 
     def values(self) -> dict[str, Tensor | None]:
@@ -133,6 +134,39 @@ class Echo(ABC):
         return seen
 
 
+def check_echoes(echoes: Sequence[Echo], gaussians: Gaussians, channels: int, imaging_weight: str) -> None:
+    """Refuse echoes in images that cannot have any, and those that do not fit the scene."""
+    if not echoes:
+        return
+    if imaging_weight == "peak":
+        raise SarsplatError("imaging_weight='peak' gives images without a unit, to which no ground can be added")
+    channel = gaussians.scattering.power_channel
+    if channel >= channels:
+        raise SarsplatError(
+            f"the ground and other echoes return power in channel {channel}, but amplitudes have {channels} channels; "
+            "give those of all its channels"
+        )
+    for echo in echoes:
+        echo.check(gaussians)
+
+
+def all_visible(echoes: Sequence[Echo], gaussians: Gaussians) -> Gaussians:
+    """The Gaussians, as far as no echo hides them from everywhere."""
+    for echo in echoes:
+        left = echo.visible(gaussians)
+        if (len(left), left.means.dtype, left.means.device) != (
+            len(gaussians),
+            gaussians.means.dtype,
+            gaussians.means.device,
+        ):
+            raise SarsplatError(
+                f"{type(echo).__name__}.visible makes {len(gaussians)} Gaussians to {len(left)}, or of another kind; "
+                "set the optical depth of hidden ones to 0"
+            )
+        gaussians = left
+    return gaussians
+
+
 def left_in_sight(
     echoes: Sequence[Echo],
     means: Float[Tensor, "n 3"],
@@ -145,10 +179,18 @@ def left_in_sight(
     masks = [mask for echo in echoes if (mask := echo.in_sight(means, views, grid, rays, shift)) is not None]
     if not masks:
         return None
+    for mask in masks:
+        if not isinstance(mask, Tensor) or mask.shape != (len(views), len(means)):
+            found = tuple(mask.shape) if isinstance(mask, Tensor) else type(mask).__name__
+            raise SarsplatError(f"an echo's in_sight gave {found}; it must give a tensor {(len(views), len(means))}")
     return (torch.stack(masks).prod(0) if len(masks) > 1 else masks[0]).to(means).contiguous()  # kernels read it
 
 
 def added(images: Float[Tensor, "v c h w"], returned: Float[Tensor, "v h w"], channel: int) -> Float[Tensor, "v c h w"]:
     """Images with what an echo returned in their channel of power."""
+    shape = (len(images), *images.shape[2:])
+    if not isinstance(returned, Tensor) or returned.shape != shape or returned.dtype != images.dtype:
+        found = f"{returned.dtype} {tuple(returned.shape)}" if isinstance(returned, Tensor) else type(returned).__name__
+        raise SarsplatError(f"an echo returned {found}; it must return {images.dtype} {shape}")
     power = torch.arange(images.shape[1], device=images.device) == channel
     return images + (returned[:, None] if len(power) == 1 else returned[:, None] * power.to(images)[:, None, None])

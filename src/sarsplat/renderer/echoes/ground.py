@@ -37,21 +37,14 @@ class GroundEcho(Echo):
         """None if it is a plane."""
         return self.ground.height_m if isinstance(self.ground.height_m, Terrain) else None
 
-    def check(self, gaussians: Gaussians, channels: int, imaging_weight: str) -> None:
-        ground, like, channel = self.ground, gaussians.means, gaussians.scattering.power_channel
+    def check(self, gaussians: Gaussians) -> None:
+        ground, like = self.ground, gaussians.means
         for name, tensor in (("gamma0", ground.gamma0), ("exponent", ground.exponent)):
             if tensor is not None and (tensor.dtype != like.dtype or tensor.device != like.device):
                 raise SarsplatError(
                     f"ground.{name} is {tensor.dtype} on {tensor.device} but means is {like.dtype} on {like.device}; "
                     "use one floating dtype and one device for all tensors"
                 )
-        if imaging_weight == "peak":
-            raise SarsplatError("imaging_weight='peak' gives images without a unit, to which no ground can be added")
-        if channel >= channels:
-            raise SarsplatError(
-                f"the ground returns power in channel {channel}, but amplitudes have {channels} channels; give those "
-                "of all its channels"
-            )
 
     def values(self) -> dict[str, Tensor | None]:
         ground = self.ground

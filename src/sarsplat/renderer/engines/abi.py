@@ -94,13 +94,18 @@ def filled(operation: str, values: Mapping[str, Any]) -> Any:
 
 
 def _filled(structure: Any, values: Mapping[str, Any]) -> Any:
-    made = structure()
+    made, members = structure(), _members(structure)
     for name, value in values.items():
+        of = members[name]
         if isinstance(value, Tensor):
-            value = value.data_ptr()
+            value = value.data_ptr() if of is ctypes.c_void_p else value.item()  # a number may be a tensor, too
         elif isinstance(value, list):
-            of = dict(structure._fields_)[name]._type_
-            value = (of * len(value))(*(_filled(of, one) for one in value))
-        if value is not None:  # as it begins
+            value = (of._type_ * len(value))(*(_filled(of._type_, one) for one in value))
+        if value is not None or of in _NUMBERS.values():  # an address is null as it begins, and a number is required
             setattr(made, name, value)
     return made
+
+
+@cache
+def _members(structure: Any) -> dict[str, Any]:
+    return dict(structure._fields_)
