@@ -229,6 +229,7 @@ def test_overwrite_spares_the_work_place_and_folders_of_others(tmp_path, monkeyp
         (DATASET, ["images/.000.tif.tmp"], "images/deeper/000.tif"),
         (RUN, ["about.json", "metrics.jsonl", "gaussians.ply", "mesh.ply"], "other.ply"),
         (RUN, ["metrics.jsonl", "checkpoints/00000500.safetensors", "report/views.png"], "notes.txt"),
+        (RUN, ["tiles/0/config.json", "tiles/0/metrics.jsonl", "tiles/11/checkpoints/00000005.safetensors"], "tiles/a"),
         (
             RUN,
             [".points.ply.tmp", ".points.ply.lock", "report/index.html"],
