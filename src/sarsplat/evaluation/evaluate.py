@@ -117,8 +117,6 @@ def evaluate_run(
         weights = None if lpips_weights is None else Path(lpips_weights)
         if mesh is not None and not points:
             raise SarsplatError(f"points are left out, so nothing is held against {mesh}; leave out one of the two")
-        if points and run.path is not None and run.state.trained and not run.state.has_results:
-            run.write_results()  # which takes long, and is not done again
         if not run.state.trained:
             warn([f"{run.path or 'the run'} is {run.state}: these are scores of what it has learned so far"])
         metrics = _evaluate(run, dataset, alignment, folder, weights, points, quiet)
@@ -275,6 +273,8 @@ def _surfaces(
     truth: dict[str, Any] = {"mesh": str(dataset.truth_mesh.resolve()) if given and dataset.truth_mesh else None}
     lacks = dict.fromkeys(clouds, "the run reconstructed no points" if scored else "points were left out")
     if scored:
+        if run.path is not None and run.state.trained and not run.state.has_results:
+            run.write_results()  # which takes long, and need not be done again
         clouds["points"] = run.points
     if dataset.truth_mesh is not None and true_mesh is not None and len(clouds["points"]):
         clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)

@@ -21,7 +21,7 @@ from sarsplat.processes import Processes
 from sarsplat.progress import Reporter
 from sarsplat.runs.log import LogLine, log_text
 from sarsplat.runs.run import InMemory, Run
-from sarsplat.runs.run_folder import HEADER, RunFolder, require_replaceable
+from sarsplat.runs.run_folder import ABOUT, HEADER, RunFolder, require_replaceable
 from sarsplat.settings.config import AnyConfig, refuse_other_settings
 
 _LINES_PER_RUN = 200
@@ -257,7 +257,7 @@ def train(
         if stopped is not None:
             raise stopped
         training.advance_to(config.iterations)
-        if RunFolder(out).state.finished:  # there was nothing to go on with
+        if RunFolder(out).state.finished and (out / ABOUT).is_file():  # there was nothing to go on with
             return replace(Run.load(out), images=dataset)
         training.shown.note("extracting the surface: points and normals; Ctrl-C leaves that for later")
         finished = replace(Run.load(out), images=dataset)
