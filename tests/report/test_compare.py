@@ -12,6 +12,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.report import compare, write_comparison
 from sarsplat.report.page import in_words
 from sarsplat.report.scores import compared_tables
+from sarsplat.runs.state import TrainingState
 
 
 def two_runs(folder: Path, **changes: Any) -> list[Any]:
@@ -85,6 +86,18 @@ def test_the_page_is_at_most_three_screens_long_and_its_tables_are_aligned(tmp_p
 
 def test_names_are_listed_in_words() -> None:
     assert [in_words(names) for names in ("a", "ab", "abc")] == ["a", "a and b", "a, b and c"]
+
+
+def test_other_surfaces_and_unfinished_trainings_are_said(tmp_path: Path) -> None:
+    runs = two_runs(tmp_path)
+    runs[0].metrics["truth"] = {"mesh": None, "sha256": "a"}
+    assert compare(runs).caution is None  # the other one is of an older version, and does not say
+    runs[1].metrics["truth"] = {"mesh": "other.ply", "sha256": "b"}
+    assert "held against different surfaces" in str(compare(runs).caution)
+    runs[1].state = TrainingState(1200, 5000, has_results=False)
+    caution = str(compare(runs).caution)
+    assert caution.startswith("The points of these runs")
+    assert caution.endswith("run-two is unfinished, 1,200 of 5,000 iterations.")
 
 
 def test_runs_of_different_datasets_are_compared_with_a_caution(tmp_path: Path) -> None:

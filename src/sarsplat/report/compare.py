@@ -119,18 +119,22 @@ def scores_of(run: Run) -> Mapping[str, Any]:
 
 
 def _caution(runs: Sequence[Run], names: Sequence[str]) -> str | None:
-    parts = [f"{name} is {run.state}" for name, run in zip(names, runs, strict=True) if not run.state.trained]
-    unfinished = f"Compare with care: {in_words(parts)}." if parts else None
-    if len({run.fingerprint for run in runs}) == 1:
-        truths = {scores_of(run).get("truth", {}).get("sha256") for run in runs}
-        if len(truths - {None}) > 1:
-            return "The points of these runs were held against different surfaces, so their scores are not comparable."
-        return unfinished
+    """Why scores may not be comparable, if anything speaks against it."""
+    said = []
     made = dict[str, list[str]]()
     for name, run in zip(names, runs, strict=True):
         made.setdefault(str(run.dataset_path or "images in memory"), []).append(name)
     which = ", ".join(f"{in_words(of_one)} from {source}" for source, of_one in made.items())
-    return f"These runs were made from different datasets, so their scores are not comparable one to one: {which}."
+    if len({run.fingerprint for run in runs}) > 1:
+        said.append(
+            f"These runs were made from different datasets, so their scores are not comparable one to one: {which}."
+        )
+    elif len({scores_of(run).get("truth", {}).get("sha256") for run in runs} - {None}) > 1:
+        said.append(
+            "The points of these runs were held against different surfaces, so their scores are not comparable."
+        )
+    said += [f"{name} is {run.state}." for name, run in zip(names, runs, strict=True) if not run.state.trained]
+    return " ".join(said) or None
 
 
 def _by_dataset(comparison: Comparison) -> list[Comparison]:
