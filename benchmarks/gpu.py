@@ -245,10 +245,10 @@ def lists_of_tiles() -> Iterator[dict[str, dict[str, int]]]:
     found: dict[str, dict[str, int]] = {}
     usual = cuda.Pass._list
 
-    def kept(self: cuda.Pass, name: str, plane: Any, slots: int, tiles: int, *others: Any, **options: Any) -> None:
-        usual(self, name, plane, slots, tiles, *others, **options)
+    def kept(self: cuda.Pass, name: str, plane: Any, slots: int, *others: Any, **options: Any) -> None:
+        usual(self, name, plane, slots, *others, **options)
         lengths = self._arrays[f"{name} starts"].diff()
-        count = {"tiles": tiles, "filled": int((lengths > 0).sum()), "longest": int(lengths.max())}
+        count = {"tiles": plane.tiles, "filled": int((lengths > 0).sum()), "longest": int(lengths.max())}
         found[name] = count | {"slots": slots, "used": int(lengths.sum())}
 
     cuda.Pass._list = kept  # type: ignore[method-assign]

@@ -110,7 +110,7 @@ def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_pa
     for part in paced:
         assert part["step_ms"] == pytest.approx(part["views"] * part["per_view_ms"])
         assert part["busy_ms"] == {"all": 2.0, "DeviceType.CUDA": 2.0}
-        assert part["kernel_ms_per_view"]["attenuate_tiles"] > 0
+        assert part["kernel_ms_per_view"]["attenuate_chunks"] > 0
         assert part.get("same_bits", True)
         for plane in part["lists"].values():
             assert 0 < plane["longest"] <= plane["used"] <= plane["slots"]

@@ -57,16 +57,15 @@ def compile_emulator(folder: Path, sources: Path = nvrtc.SOURCES, flags: tuple[s
     return library
 
 
-def mutated(kept: Path, folder: Path, before: str, after: str) -> Path:
-    """The emulator with one place of `cuda_rays.cuh` changed, in `kept` like the other; `folder` is for its sources."""
+def mutated(kept: Path, folder: Path, file: str, before: str, after: str) -> Path:
+    """The emulator with one place of a source file changed, in `kept` like the other; `folder` is for its sources."""
     folder.mkdir()
     for path in nvrtc.SOURCES.iterdir():
         if path.suffix in (".cu", ".cuh", ".h"):
             (folder / path.name).write_text(path.read_text())
-    rays = folder / "cuda_rays.cuh"
-    text = rays.read_text()
+    text = (folder / file).read_text()
     assert before in text
-    rays.write_text(text.replace(before, after, 1))
+    (folder / file).write_text(text.replace(before, after, 1))
     return compile_emulator(kept, folder, flags=())
 
 

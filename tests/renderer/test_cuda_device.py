@@ -205,7 +205,7 @@ def test_a_wrong_kernel_means_one_warning_and_the_cpu(trials, monkeypatch):
     usual = trials.gpu.launch
 
     def launch(name: str, blocks: int, threads: int, problem: ctypes.Structure, *others: ctypes._CData) -> None:
-        if name == "attenuate_tiles":  # whose rays stop far too early
+        if name == "attenuate_chunks":  # whose rays stop far too early
             problem = type(problem).from_buffer_copy(problem)
             problem.min_transmittance = 0.9
         usual(name, blocks, threads, problem, *others)

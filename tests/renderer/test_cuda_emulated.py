@@ -24,6 +24,19 @@ def emulated(library):
     return partial(render_on, Emulator(library))
 
 
+@pytest.fixture(scope="session")
+def in_short_chunks(library, tmp_path_factory) -> Path:
+    """The emulator whose lists, short as they are in tests, are of several chunks."""
+    folder = tmp_path_factory.mktemp("sources") / "csrc"
+    return mutated(library.parent, folder, "cuda_state.cuh", "kChunk = 128", "kChunk = 32")
+
+
+@pytest.fixture
+def short_chunks(in_short_chunks, monkeypatch) -> Path:
+    monkeypatch.setattr(cuda, "_CHUNK", 32)
+    return in_short_chunks
+
+
 def everything(scene: Scene, renderer, norms: dict[str, float]) -> dict[str, torch.Tensor]:
     """Every output and every gradient, by name."""
     leaves = scene.leaves(torch.float32)
@@ -57,6 +70,16 @@ def test_matches_the_reference_and_backwards_bit_for_bit(name, library):
         assert ours.transmittance.shape == theirs.transmittance.shape
         assert ours.transmittance.numel() == 0 or ours.origin == pytest.approx(theirs.origin)
     assert same_bits(everything(scene, partial(render_on, Emulator(library, "backwards")), norms), found)
+
+
+@pytest.mark.parametrize("name", ["overlap", "opaque", "darkest", "depth ties", "three channels", "many", "many views"])
+def test_lists_of_several_chunks_whether_ranked_or_sorted(name, short_chunks, monkeypatch):
+    scene, _, norms, *_ = judged(name)
+    found = [everything(scene, partial(render_on, Emulator(short_chunks, schedule)), norms) for schedule in SCHEDULES]
+    check(name, found[0])
+    assert all(same_bits(other, found[0]) for other in found[1:])
+    monkeypatch.setattr(cuda, "_RANKED", 0)
+    assert same_bits(everything(scene, partial(render_on, Emulator(short_chunks)), norms), found[0])
 
 
 @pytest.mark.parametrize("name", MATRIX)
@@ -151,19 +174,18 @@ def runs(library: Path) -> list[dict[str, torch.Tensor]]:
     return [everything(scene, partial(render_on, Emulator(library, schedule)), norms) for schedule in SCHEDULES]
 
 
-@pytest.mark.parametrize("barrier", range(3))
-def test_a_missing_barrier_shows(barrier, library):
-    with without_barrier(library, "cuda_rays.cuh", barrier):
-        first, *others = runs(library)
-    assert not all(same_bits(first, other) for other in others)
-    first, *others = runs(library)
-    assert all(same_bits(first, other) for other in others)
+@pytest.mark.parametrize("barrier", range(6))  # all but the last, which threads that take turns hardly ever need
+def test_a_missing_barrier_shows(barrier, short_chunks):
+    right = runs(short_chunks)[0]
+    with without_barrier(short_chunks, "cuda_rays.cuh", barrier):
+        assert not all(same_bits(right, other) for other in runs(short_chunks))
+    assert all(same_bits(right, other) for other in runs(short_chunks))
 
 
 @pytest.mark.slow
 def test_a_divided_warp_shows(tmp_path, library):
-    broken = mutated(library.parent, tmp_path / "csrc", "if (__any_sync(kWholeWarp, live))", "if (live)")
-    with pytest.raises(RuntimeError, match="attenuate_tiles: threads"):
+    broken = mutated(library.parent, tmp_path / "csrc", "cuda_rays.cuh", "const unsigned all = near_warp", "if (lane() == 0) continue;\n    const unsigned all = near_warp")
+    with pytest.raises(RuntimeError, match="attenuate_chunks: threads"):
         runs(broken)
 
 

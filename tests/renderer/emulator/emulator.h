@@ -18,7 +18,7 @@ namespace emulator {
 struct Index { unsigned x; };
 extern Index thread, block;
 
-enum Collective { BLOCK, WARP_ANY, WARP_EXCHANGE };
+enum Collective { BLOCK, WARP_ANY, WARP_EXCHANGE, WARP_BALLOT, WARP };
 constexpr int kMaxThreads = 1024;
 struct Met { uint32_t any, values[kMaxThreads]; };  // the bits that any thread's value has; every thread's, by its number there
 // Waits for the warp or block.
@@ -41,6 +41,17 @@ inline float __shfl_xor_sync(unsigned, float mine, int other) {
   const emulator::Met& met = emulator::meet(emulator::WARP_EXCHANGE, __float_as_uint(mine));
   return __int_as_float((int)met.values[(threadIdx.x % 32) ^ other]);
 }
+inline unsigned __ballot_sync(unsigned, int mine) {
+  const emulator::Met& met = emulator::meet(emulator::WARP_BALLOT, mine != 0);
+  unsigned bits = 0;
+  for (int k = 0; k < 32; k++) bits |= (unsigned)met.values[k] << k;
+  return bits;
+}
+inline void __syncwarp() { emulator::meet(emulator::WARP, 0); }
+inline int __ffs(unsigned x) { return __builtin_ffs((int)x); }
+inline int __clz(unsigned x) { return x ? __builtin_clz(x) : 32; }
+inline unsigned atomicAdd(unsigned* at, unsigned value) { return (*at += value) - value; }
+inline unsigned atomicSub(unsigned* at, unsigned value) { return (*at -= value) + value; }
 inline unsigned long long atomicMin(unsigned long long* at, unsigned long long value) {
   const unsigned long long before = *at;
   if (value < before) *at = value;

@@ -1,5 +1,5 @@
-// cuda_pixels.cuh: the step `splat`, K channels in one pass over the pixels. Forward a block is a tile of pixels; backward a
-// warp is a Gaussian that reads its pixels.
+// cuda_pixels.cuh: the step `splat`, K channels in one pass over the pixels. Forward a block is a chunk of a
+// tile's list on the tile's pixels, and a tile's chunks are summed in order; backward a warp is a Gaussian that reads its pixels.
 #pragma once
 #include "cuda_state.cuh"
 
@@ -19,48 +19,55 @@ SG_FN Slopes slopes_of(const sg_problem& p, const sg_channels& a, int64_t j) {
 SG_FN float elevation(const Footprint& g, const Slopes& slopes, float x, float y) { return slopes.x * (x - g.x) + slopes.y * (y - g.y); }
 SG_FN const float* turns_of(const sg_channels& a, int64_t view, int first_channel) { return a.wavenumbers + (view * a.count + first_channel) / 2; }
 
+// What a chunk adds to each pixel of its tile, K numbers a thread.
 template <int K, bool kWaves>
-SG_FN void splat_tile(const sg_problem& p, const State& s, const sg_channels& a, int first_channel, float* images,
-                      Footprint* staged, float (*heights)[K], Slopes* slopes) {
-  const auto [lattice, pixel, first, count] = tile(s.pixels, p.views, blockIdx.x);
+SG_FN void splat_chunk(const sg_problem& p, const State& s, const sg_channels& a, int first_channel, Staged* staged, float (*heights)[K], Slopes* slopes) {
+  const Chunk c = chunk(s.pixels, p.views, blockIdx.x);
+  if (c.size == 0) return;
+  const Point& pixel = c.of.point;
+  const Corner corner = corner_of_warp(pixel);
   const int channels = a.count - first_channel < K ? a.count - first_channel : K;
   const float cut = image_cut(p);
-  const int64_t size = (int64_t)p.rows * p.columns, view = lattice.first_point / size;
+  const int64_t view = c.of.lattice.first_point / ((int64_t)p.rows * p.columns);
+  if (thread() < c.size) {
+    const int32_t j = stage(s.pixels, c, staged + thread());
+    const float norm = staged[thread()].g.height * area(s, j), *amplitudes = a.cross_sections + (int64_t)j * a.count + first_channel;
+    if (norm == 0.0f) staged[thread()].reach[0] = -kNever;  // unlit: near to nothing
+    if constexpr (kWaves) slopes[thread()] = slopes_of(p, a, j);
+    for (int k = 0; k < K; k++) heights[thread()][k] = k < channels ? amplitudes[k] * norm : 0.0f;
+  }
+  __syncthreads();
   float S[K] = {};
-  for (int begin = 0; begin < count; begin += kThreads) {
-    const int some = count - begin < kThreads ? count - begin : kThreads;
-    __syncthreads();  // nobody still reads what was staged before
-    if (thread() < some) {
-      const int32_t j = s.pixels.owners[s.pixels.order[first + begin + thread()]];
-      Footprint g = placed(s.pixels.splats[j].g, lattice);
-      const float norm = g.height * area(s, j), *amplitudes = a.cross_sections + (int64_t)j * a.count + first_channel;
-      g.height = norm;
-      if constexpr (kWaves) slopes[thread()] = slopes_of(p, a, j);
-      for (int c = 0; c < K; c++) heights[thread()][c] = c < channels ? amplitudes[c] * norm : 0.0f;
-      staged[thread()] = g;
-    }
-    __syncthreads();
-    for (int k = 0; k < some; k++) {
-      const Footprint& g = staged[k];
-      if (g.height == 0.0f) continue;  // unlit
+  for (int begin = 0; begin < c.size; begin += kWarp)
+    for (unsigned those = near_warp(staged, begin, c.size, corner); those; those &= those - 1) {
+      const int i = begin + __ffs(those) - 1;
+      const Footprint& g = staged[i].g;
       const float weight = imaging_weight(distance(offset(g, (float)pixel.x, (float)pixel.y)), cut);
       if constexpr (kWaves) {
-        const float height = elevation(g, slopes[k], (float)pixel.x, (float)pixel.y), *turns = turns_of(a, view, first_channel);
-        for (int c = 0; c < K; c += 2) {
-          if (c >= channels) break;
-          const Phase<float> turned = phase(height * turns[c / 2]);
-          S[c] += weight * (turned.c * heights[k][c] - turned.s * heights[k][c + 1]);
-          S[c + 1] += weight * (turned.s * heights[k][c] + turned.c * heights[k][c + 1]);
+        const float height = elevation(g, slopes[i], (float)pixel.x, (float)pixel.y), *turns = turns_of(a, view, first_channel);
+        for (int k = 0; k < K; k += 2) {
+          if (k >= channels) break;
+          const Phase<float> turned = phase(height * turns[k / 2]);
+          S[k] += weight * (turned.c * heights[i][k] - turned.s * heights[i][k + 1]);
+          S[k + 1] += weight * (turned.s * heights[i][k] + turned.c * heights[i][k + 1]);
         }
       } else {
-        for (int c = 0; c < K; c++) S[c] += weight * heights[k][c];
+        for (int k = 0; k < K; k++) S[k] += weight * heights[i][k];
       }
     }
-  }
+  for (int k = 0; k < K; k++) s.pixels.sums[sum_of((int64_t)blockIdx.x * K + k)] = S[k];
+}
+
+// A block is a tile: what its chunks add to the images, K channels of a chunk together.
+extern "C" __global__ void __launch_bounds__(kThreads) sum_chunks(sg_problem p, State s, sg_channels a, int32_t first_channel, int32_t K, float* images) {
+  const auto [lattice, pixel, first, count] = tile(s.pixels, p.views, blockIdx.x);
   if (!pixel.inside) return;
-  const int64_t image = view * a.count + first_channel;
-  for (int c = 0; c < K; c++)
-    if (c < channels) images[(image + c) * size + (pixel.index - lattice.first_point)] = S[c];
+  const int64_t size = (int64_t)p.rows * p.columns, image = lattice.first_point / size * a.count, base = first_chunk(s.pixels, blockIdx.x);
+  for (int k = 0; k < K && first_channel + k < a.count; k++) {
+    float S = 0.0f;
+    for (int64_t n = base; (n - base) * kChunk < count; n++) S += s.pixels.sums[sum_of(n * K + k)];
+    images[(image + first_channel + k) * size + (pixel.index - lattice.first_point)] = S;
+  }
 }
 
 // From dL/dS to dL/dsigma and the moments of every Gaussian: those of the first channels are written, of others added.
@@ -133,28 +140,28 @@ SG_FN void gather_pixels(const sg_problem& p, const State& s, const sg_channels&
   }
 }
 
-extern "C" __global__ void __launch_bounds__(kThreads) splat_tiles_1(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
-  __shared__ Footprint staged[kThreads];
-  __shared__ float heights[kThreads][1];
-  splat_tile<1, false>(p, s, a, first, images, staged, heights, nullptr);
+extern "C" __global__ void __launch_bounds__(kThreads) splat_chunks_1(sg_problem p, State s, sg_channels a, int32_t first) {
+  __shared__ Staged staged[kChunk];
+  __shared__ float heights[kChunk][1];
+  splat_chunk<1, false>(p, s, a, first, staged, heights, nullptr);
 }
-extern "C" __global__ void __launch_bounds__(kThreads) splat_tiles_4(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
-  __shared__ Footprint staged[kThreads];
-  __shared__ float heights[kThreads][kTogether];
-  splat_tile<kTogether, false>(p, s, a, first, images, staged, heights, nullptr);
+extern "C" __global__ void __launch_bounds__(kThreads) splat_chunks_4(sg_problem p, State s, sg_channels a, int32_t first) {
+  __shared__ Staged staged[kChunk];
+  __shared__ float heights[kChunk][kTogether];
+  splat_chunk<kTogether, false>(p, s, a, first, staged, heights, nullptr);
 }
-extern "C" __global__ void __launch_bounds__(kThreads) splat_waves_4(sg_problem p, State s, sg_channels a, int32_t first, float* images) {
-  __shared__ Footprint staged[kThreads];
-  __shared__ float heights[kThreads][kTogether];
-  __shared__ Slopes slopes[kThreads];
-  splat_tile<kTogether, true>(p, s, a, first, images, staged, heights, slopes);
+extern "C" __global__ void __launch_bounds__(kThreads) splat_waves_4(sg_problem p, State s, sg_channels a, int32_t first) {
+  __shared__ Staged staged[kChunk];
+  __shared__ float heights[kChunk][kTogether];
+  __shared__ Slopes slopes[kChunk];
+  splat_chunk<kTogether, true>(p, s, a, first, staged, heights, slopes);
 }
 extern "C" __global__ void __launch_bounds__(kThreads, kResident)
-splat_tiles_1_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections, float* d_elevation) {
+splat_chunks_1_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections, float* d_elevation) {
   gather_pixels<1, false>(p, s, a, first, d_images, d_cross_sections, d_elevation);
 }
 extern "C" __global__ void __launch_bounds__(kThreads)
-splat_tiles_4_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections, float* d_elevation) {
+splat_chunks_4_backward(sg_problem p, State s, sg_channels a, int32_t first, const float* d_images, float* d_cross_sections, float* d_elevation) {
   gather_pixels<kTogether, false>(p, s, a, first, d_images, d_cross_sections, d_elevation);
 }
 extern "C" __global__ void __launch_bounds__(kThreads)

@@ -10,9 +10,6 @@ namespace SG_ISA {
 struct OnPlane { float center[2], roots[3]; };
 struct Projected { OnPlane rays, pixels; float depth, range, tilt[2]; };
 
-SG_FN void copy(const float* from, int count, float* to) {
-  for (int k = 0; k < count; k++) to[k] = from[k];
-}
 SG_FN OnPlane on_plane(const float* centers, const float* roots, int64_t j) {
   return {{centers[2 * j], centers[2 * j + 1]}, {roots[3 * j], roots[3 * j + 1], roots[3 * j + 2]}};
 }
@@ -71,7 +68,6 @@ SG_FN void place_on_pixels(const sg_problem& p, const State& s, int64_t j, const
   write_splat(s.pixels, j, at, root(p.image_cut), p.peak ? lost : at.w.ux * at.w.vy * share, 0.0f);
 }
 
-constexpr float kNever = 3e38f;  // the bound of what touches no ray
 
 // All threads of a block, which serves one view: the lattice has to hold this thread's footprint, if j >= 0.
 SG_FN void bound_rays(const State& s, int view, int64_t j) {
@@ -125,35 +121,58 @@ SG_FN Box tiles(const Plane& plane, const Lattice& lattice, int64_t j) {
 extern "C" __global__ void __launch_bounds__(kThreads) count_tiles(sg_problem p, State s, Plane plane, int64_t most) {
   const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
-  const Box t = tiles(plane, plane.lattices[view], j);
+  const Lattice& lattice = plane.lattices[view];
+  const Box t = tiles(plane, lattice, j);
   const int64_t count = (int64_t)(t.x.last - t.x.first + 1) * (t.y.last - t.y.first + 1);
   if (count > most) atomicMin(s.minima + 1 + 4 * p.views, 0ull);
-  plane.counts[j] = count < most ? count : most;
+  int64_t left = plane.counts[j] = count < most ? count : most;
+  for (int y = t.y.first; y <= t.y.last; y++)
+    for (int x = t.x.first; x <= t.x.last && left > 0; x++, left--) atomicAdd(plane.in_tile + 1 + lattice.first_tile + y * lattice.tiles_x + x, 1u);
 }
 
-// by_depth: front to back inside a tile; otherwise, and for ties, by index, since the sort is stable. A footprint whose
-// count was clipped has no more slots than that.
-extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, Plane plane, int32_t by_depth) {
+// Keys by which each tile's list comes front to back (by_depth), and for ties in the order of slots, which is that of
+// Gaussians. If they are to be ranked, a tile's are in its part of `keys`, in any order: depth, then slot. Otherwise, for a
+// stable sort of all, at their slots: tile, then depth.
+extern "C" __global__ void __launch_bounds__(kThreads) list_tiles(sg_problem p, Plane plane, int32_t by_depth, int32_t ranked) {
   const auto [view, i, j] = this_pair(p);
   if (j < 0) return;
   const Lattice lattice = plane.lattices[view];
   const Box t = tiles(plane, lattice, j);
-  const int64_t depth = by_depth ? (int64_t)ordered(plane.splats[j].extra) : 0;
+  const Key depth = by_depth ? ordered(plane.splats[j].extra) : 0;
   const int64_t end = plane.ends[j];
-  int64_t slot = end - plane.counts[j];
+  int64_t slot = end - plane.counts[j];  // a footprint whose count was clipped has no more slots than that
   for (int y = t.y.first; y <= t.y.last; y++)
     for (int x = t.x.first; x <= t.x.last && slot < end; x++, slot++) {
-      plane.keys[slot] = (int64_t)(lattice.first_tile + y * lattice.tiles_x + x) << 32 | depth;
+      const int tile = lattice.first_tile + y * lattice.tiles_x + x;
+      if (ranked) plane.keys[plane.starts[tile] + atomicSub(plane.in_tile + 1 + tile, 1u) - 1] = depth << 32 | (Key)slot;
+      else plane.keys[slot] = (Key)tile << 32 | depth;
       plane.owners[slot] = (int32_t)j;
     }
 }
 
-// Where each tile begins among the sorted keys, of which those of unused slots come last. One thread a key, and one more.
-extern "C" __global__ void __launch_bounds__(kThreads) start_tiles(const int64_t* keys, int64_t slots, int32_t tiles, int64_t* starts) {
-  const int64_t k = (int64_t)blockIdx.x * kThreads + thread();
-  if (k > slots) return;
-  const int64_t mine = k < slots ? keys[k] >> 32 : tiles;
-  for (int64_t tile = k > 0 ? (keys[k - 1] >> 32) + 1 : 0; tile <= mine && tile <= tiles; tile++) starts[tile] = k;
+// The place of an entry in its tile's list is how many keys there are smaller. A block counts for a chunk; as there are more
+// threads than entries, each counts in a part of the list.
+extern "C" __global__ void __launch_bounds__(kThreads) rank_chunks(sg_problem p, Plane plane) {
+  __shared__ Key others[kThreads];
+  __shared__ int counts[kThreads];
+  const Chunk c = chunk(plane, p.views, blockIdx.x);
+  if (c.size == 0) return;
+  const int entry = thread() % kChunk, part = thread() - entry;
+  const Key* keys = plane.keys + c.of.first;
+  const Key mine = entry < c.size ? keys[c.begin + entry] : 0;
+  int count = 0;
+  for (int begin = 0; begin < c.of.count; begin += kThreads) {
+    __syncthreads();
+    others[thread()] = begin + thread() < c.of.count ? keys[begin + thread()] : ~0ull;
+    __syncthreads();
+    for (int k = part; k < part + kChunk; k++) count += others[k] < mine;
+  }
+  counts[thread()] = count;
+  __syncthreads();
+  if (thread() >= c.size) return;
+  int64_t place = c.of.first;
+  for (int k = thread(); k < kThreads; k += kChunk) place += counts[k];
+  plane.order[place] = (int64_t)(mine & 0xffffffff);
 }
 
 // One thread: the first fault, or else that there was not room for everything, unless `broken` has an earlier one.

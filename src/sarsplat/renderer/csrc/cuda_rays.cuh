@@ -1,49 +1,81 @@
-// cuda_rays.cuh: the step `attenuate`. A block is a tile of rays; what a ray carries (T, the last Gaussian, the suffix sum) lives in
-// registers, and what the block's warps add up per Gaussian is summed in the order of the warps into the slot.
+// cuda_rays.cuh: the step `attenuate`. A block is a chunk of a tile's list on the tile's rays. What a ray carries (T, the suffix
+// sum) is known where a chunk begins from sums over the other chunks; what a warp adds up per Gaussian is transposed through
+// shared memory, and summed in the order of the warps into the slot.
 #pragma once
 #include "cuda_state.cuh"
 
 namespace sarsplat {
 namespace SG_ISA {
 
-extern "C" __global__ void __launch_bounds__(kThreads, kResident) attenuate_tiles(sg_problem p, State s) {
-  __shared__ Splat splats[kBatch];
-  __shared__ int64_t slots[kBatch];
-  __shared__ float sums[kBatch][kWarps];
-  const auto [lattice, ray, first, count] = tile(s.rays, p.views, blockIdx.x);
+typedef float Transposed[kWarp][kWarp + 1];  // a number of each lane for each of kWarp entries
+
+// Optical depth of the chunks before c on this thread's ray, and including it: T is 2 to the power of minus that.
+SG_FN float depth_before(const Plane& rays, const Chunk& c, int index) {
+  float depth = 0.0f;
+  for (int k = 0; k < index; k++) depth += rays.sums[sum_of(c.base + k)];
+  return depth;
+}
+// Transmittance behind a chunk that is not its tile's last: where it is high enough, all of the chunk is live.
+SG_FN float behind(const Plane& rays, const Chunk& c) { return power2(-depth_before(rays, c, c.index + 1)); }
+
+// The optical depth on every ray, of all chunks that others are behind.
+extern "C" __global__ void __launch_bounds__(kThreads) sum_depths(sg_problem p, State s) {
+  __shared__ Staged staged[kChunk];
+  const Chunk c = chunk(s.rays, p.views, blockIdx.x);
+  if (c.index + 1 >= c.chunks) return;
   const float faintest = min_log_tau(p);
-  float T = ray.inside ? 1.0f : 0.0f;
-  int last = -1;
-  for (int begin = 0; begin < count; begin += kBatch) {
-    if (!__syncthreads_or(T >= p.min_transmittance)) break;
-    const int size = count - begin < kBatch ? count - begin : kBatch;
-    if (thread() < size) {
-      const int64_t slot = slots[thread()] = s.rays.order[first + begin + thread()];
-      Splat splat = s.rays.splats[s.rays.owners[slot]];
-      splat.g = placed(splat.g, lattice);
-      splats[thread()] = splat;
+  const Point& ray = c.of.point;
+  if (thread() < c.size) stage(s.rays, c, staged + thread());
+  __syncthreads();
+  float depth = 0.0f;
+  for (int begin = 0; begin < c.size; begin += kWarp)
+    for (unsigned those = near_warp(staged, begin, c.size, corner_of_warp(ray)); those; those &= those - 1) {
+      const Footprint& g = staged[begin + __ffs(those) - 1].g;
+      const float log_tau = log_depth(g, offset(g, (float)ray.x, (float)ray.y));
+      if (log_tau >= faintest) depth += power2(log_tau);
     }
-    __syncthreads();
-    for (int k = 0; k < size; k++) {
-      const Footprint& g = splats[k].g;
-      const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
-      const float log_tau = log_depth(g, d);
-      const bool live = log_tau >= faintest && T >= p.min_transmittance;
-      float w = 0.0f;
-      if (__any_sync(kWholeWarp, live)) {
-        w = warp_sum(attenuate(log_tau, live, T));
-        if (live) last = begin + k;
-      }
-      if (lane() == 0) sums[k][warp()] = w;
+  s.rays.sums[sum_of(blockIdx.x)] = depth;
+}
+
+extern "C" __global__ void __launch_bounds__(kThreads) attenuate_chunks(sg_problem p, State s) {
+  __shared__ Staged staged[kChunk];
+  __shared__ Transposed weights[kWarps];
+  __shared__ float sums[kChunk][kWarps];
+  const Chunk c = chunk(s.rays, p.views, blockIdx.x);
+  if (c.size == 0 && c.index > 0) return;
+  const float faintest = min_log_tau(p);
+  const Point& ray = c.of.point;
+  if (thread() < c.size) stage(s.rays, c, staged + thread());
+  const float start = ray.inside ? power2(-depth_before(s.rays, c, c.index)) : 0.0f;
+  const bool passed = ray.inside && c.index + 1 < c.chunks && behind(s.rays, c) >= p.min_transmittance;
+  float T = start;
+  int last = c.begin - 1;  // a chunk before this one was passed to its end
+  __syncthreads();
+  Transposed& own = weights[warp()];
+  for (int begin = 0; begin < c.size; begin += kWarp) {
+    const unsigned all = near_warp(staged, begin, c.size, corner_of_warp(ray));
+    for (unsigned those = all; those; those &= those - 1) {
+      const int k = __ffs(those) - 1;
+      const Footprint& g = staged[begin + k].g;
+      const float log_tau = log_depth(g, offset(g, (float)ray.x, (float)ray.y));
+      const bool live = log_tau >= faintest && (passed || T >= p.min_transmittance);
+      own[k][lane()] = attenuate(log_tau, live, T);
+      if (live) last = c.begin + begin + k;
     }
-    __syncthreads();
-    if (thread() < size) {
-      float w = 0.0f;
-      for (int k = 0; k < kWarps; k++) w += sums[thread()][k];
-      s.slot_weights[slots[thread()]] = w;
-    }
+    __syncwarp();
+    float w = 0.0f;
+    if (all >> lane() & 1)
+      for (int k = 0; k < kWarp; k++) w += own[lane()][k];
+    if (begin + lane() < c.size) sums[begin + lane()][warp()] = w;
+    __syncwarp();
   }
-  if (!ray.inside) return;
+  __syncthreads();
+  if (thread() < c.size) {
+    float w = 0.0f;
+    for (int k = 0; k < kWarps; k++) w += sums[thread()][k];
+    s.slot_weights[s.rays.order[c.of.first + c.begin + thread()]] = w;
+  }
+  if (passed || !(start >= p.min_transmittance)) return;  // another chunk is the ray's last
   s.transmittance[ray.index] = T;
   s.last[ray.index] = last;
 }
@@ -74,49 +106,76 @@ light_gaussians_backward(sg_problem p, State s, sg_channels a, const float* d_li
   s.h[j] = d_lit * (p.ray[0] * p.ray[1]);
 }
 
-// Back to front. `from`: dL/dT_end, or null.
-extern "C" __global__ void __launch_bounds__(kThreads) attenuate_tiles_backward(sg_problem p, State s, const float* from) {
-  __shared__ Splat splats[kBatch];
-  __shared__ float h[kBatch];
-  __shared__ int64_t slots[kBatch];
-  __shared__ float sums[kBatch][kWarps][6];
-  const auto [lattice, ray, first, count] = tile(s.rays, p.views, blockIdx.x);
+// Sum of h w on every ray, of all chunks that others are in front of.
+extern "C" __global__ void __launch_bounds__(kThreads) sum_returns(sg_problem p, State s) {
+  __shared__ Staged staged[kChunk];
+  __shared__ float h[kChunk];
+  const Chunk c = chunk(s.rays, p.views, blockIdx.x);
+  if (c.size == 0 || c.index == 0) return;
   const float faintest = min_log_tau(p);
-  float T = ray.inside ? s.transmittance[ray.index] : 0.0f;
-  float B = ray.inside && from ? T * from[ray.index] : 0.0f;
+  const Point& ray = c.of.point;
+  if (thread() < c.size) h[thread()] = s.h[stage(s.rays, c, staged + thread())];
+  float T = ray.inside ? power2(-depth_before(s.rays, c, c.index)) : 0.0f, sum = 0.0f;
   const int last = ray.inside ? s.last[ray.index] : -1;
-  for (int begin = (count - 1) / kBatch * kBatch; begin >= 0; begin -= kBatch) {
-    if (!__syncthreads_or(last >= begin)) continue;
-    const int size = count - begin < kBatch ? count - begin : kBatch;
-    if (thread() < size) {
-      const int64_t slot = slots[thread()] = s.rays.order[first + begin + thread()];
-      const int32_t j = s.rays.owners[slot];
-      Splat splat = s.rays.splats[j];
-      splat.g = placed(splat.g, lattice);
-      splats[thread()] = splat;
-      h[thread()] = s.h[j];
+  __syncthreads();
+  for (int begin = 0; begin < c.size; begin += kWarp)
+    for (unsigned those = near_warp(staged, begin, c.size, corner_of_warp(ray)); those; those &= those - 1) {
+      const int k = begin + __ffs(those) - 1;
+      const Footprint& g = staged[k].g;
+      const float log_tau = log_depth(g, offset(g, (float)ray.x, (float)ray.y));
+      sum += h[k] * attenuate(log_tau, log_tau >= faintest && last >= c.begin + k, T);
     }
-    __syncthreads();
-    const int sixth = sixth_of(lane());
-    for (int k = size - 1; k >= 0; k--) {
-      const Footprint& g = splats[k].g;
-      const Offset<float> d = offset(g, (float)ray.x, (float)ray.y);
-      const float log_tau = log_depth(g, d);
-      const bool live = log_tau >= faintest && last >= begin + k;
-      float sum = 0.0f;
-      if (__any_sync(kWholeWarp, live)) {
-        Moments<float> m{};
-        m.add(d, attenuate_backward(log_tau, live, h[k], T, B));
-        sum = sum6(m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv, lane());
+  s.rays.returns[sum_of(blockIdx.x)] = sum;
+}
+
+// Back to front. `from`: dL/dT_end, or null.
+extern "C" __global__ void __launch_bounds__(kThreads, kResident - 1) attenuate_chunks_backward(sg_problem p, State s, const float* from) {
+  __shared__ Staged staged[kChunk];
+  __shared__ float h[kChunk];
+  __shared__ Transposed slopes[kWarps];
+  __shared__ float sums[kWarp][kWarps][6];
+  const Chunk c = chunk(s.rays, p.views, blockIdx.x);
+  if (c.size == 0) return;
+  const float faintest = min_log_tau(p);
+  const Point& ray = c.of.point;
+  const Corner corner = corner_of_warp(ray);
+  if (thread() < c.size) h[thread()] = s.h[stage(s.rays, c, staged + thread())];
+  const int last = ray.inside ? s.last[ray.index] : -1;
+  float T = 0.0f, B = 0.0f;
+  if (ray.inside) {
+    const float end = s.transmittance[ray.index];
+    T = last >= c.begin + c.size ? behind(s.rays, c) : end;
+    for (int k = c.index + 1; k < c.chunks; k++) B += s.rays.returns[sum_of(c.base + k)];
+    if (from) B += end * from[ray.index];
+  }
+  __syncthreads();
+  Transposed& own = slopes[warp()];
+  for (int begin = (c.size - 1) / kWarp * kWarp; begin >= 0; begin -= kWarp) {
+    const unsigned all = near_warp(staged, begin, c.size, corner);
+    for (unsigned those = all; those;) {
+      const int k = 31 - __clz(those);
+      those ^= 1u << k;
+      const Footprint& g = staged[begin + k].g;
+      const float log_tau = log_depth(g, offset(g, (float)ray.x, (float)ray.y));
+      own[k][lane()] = attenuate_backward(log_tau, log_tau >= faintest && last >= c.begin + begin + k, h[begin + k], T, B);
+    }
+    __syncwarp();
+    Moments<float> m{};
+    if (all >> lane() & 1)
+      for (int k = 0; k < kWarp; k++) {
+        const Footprint& g = staged[begin + lane()].g;
+        m.add(offset(g, corner.x + (float)(k % 8), corner.y + (float)(k / 8)), own[lane()][k]);
       }
-      if (sixth >= 0) sums[k][warp()][sixth] = sum;
+    const float of_warp[6] = {m.m0, m.mu, m.mv, m.muu, m.muv, m.mvv};
+    copy(of_warp, 6, sums[lane()][warp()]);
+    __syncthreads();
+    const int size = c.size - begin < kWarp ? c.size - begin : kWarp;
+    if (thread() < 6 * size) {
+      float sum = 0.0f;
+      for (int k = 0; k < kWarps; k++) sum += sums[thread() / 6][k][thread() % 6];
+      s.slot_moments[6 * s.rays.order[c.of.first + c.begin + begin + thread() / 6] + thread() % 6] = sum;
     }
     __syncthreads();
-    for (int i = thread(); i < 6 * size; i += kThreads) {
-      float sum = 0.0f;
-      for (int k = 0; k < kWarps; k++) sum += sums[i / 6][k][i % 6];
-      s.slot_moments[6 * slots[i / 6] + i % 6] = sum;
-    }
   }
 }
 

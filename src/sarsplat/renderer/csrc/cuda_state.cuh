@@ -14,7 +14,10 @@ constexpr int kTile = 16;                       // points a side
 constexpr int kThreads = kTile * kTile;         // of every block
 constexpr int kWarps = kThreads / kWarp;
 constexpr int kResident = 4;                    // blocks on a multiprocessor: aiming at more, compilers spill registers
-constexpr int kBatch = 64;                      // Gaussians staged in shared memory at a time
+constexpr int kChunk = 128;                     // entries of a tile's list that a block goes through
+
+constexpr float kNever = 3e38f;                 // the bound, and the other way the reach, of what touches nothing
+typedef unsigned long long Key;                 // of an entry, by which a list is put in order
 
 // extra: z_r on rays
 struct alignas(16) Splat { Footprint g; float extra; };
@@ -32,10 +35,14 @@ struct Plane {
   const Lattice* lattices;  // [V]
   int64_t* counts;          // [V N] slots
   const int64_t* ends;      // [V N] their running sum
-  int64_t* keys;            // [slots] tile, then depth
   int32_t* owners;          // [slots] j
-  const int64_t* order;     // [slots] slots sorted by key
+  Key* keys;                // [slots] what `order` is made from (list_tiles)
+  int64_t* order;           // [slots] slots, tile by tile, each front to back
+  unsigned* in_tile;        // [1 + tiles] after a zero, slots of each tile that are not placed yet
   const int64_t* starts;    // [tiles + 1] of each tile in `order`
+  int32_t tiles;
+  float* sums;              // [chunks, threads] optical depth of a chunk on a ray; [chunks, channels, threads] what it adds to a pixel
+  float* returns;           // [chunks, threads] sum of h w of a chunk on a ray
 };
 
 struct State {
@@ -56,6 +63,9 @@ struct State {
 SG_FN int thread() { return (int)threadIdx.x; }
 SG_FN int lane() { return thread() % kWarp; }
 SG_FN int warp() { return thread() / kWarp; }
+SG_FN void copy(const float* from, int count, float* to) {
+  for (int k = 0; k < count; k++) to[k] = from[k];
+}
 
 // Kernels of one thread a pair have whole blocks for a view: block b serves view b / chunks.
 SG_FN int chunks(const sg_problem& p) { return (p.gaussians + kThreads - 1) / kThreads; }
@@ -136,6 +146,49 @@ SG_FN Tile tile(const Plane& plane, int views, int number) {
   const Lattice lattice = lattice_of_tile(plane.lattices, views, number);
   const int64_t first = plane.starts[number];
   return {lattice, point_of_thread(lattice, number), first, (int)(plane.starts[number + 1] - first)};
+}
+
+// Long lists would be the critical path of a small scene, so they are cut into chunks, a block each. The chunks of tile t have
+// the numbers from starts[t] / kChunk + t on: known without counting, and some have no entries. Every tile has a first one.
+struct Chunk {
+  Tile of;
+  int64_t base;           // number of the tile's first chunk
+  int index, chunks;      // among those of the tile that have entries
+  int begin, size;        // its entries in the tile's list
+};
+SG_FN int64_t first_chunk(const Plane& plane, int tile) { return plane.starts[tile] / kChunk + tile; }
+SG_FN Chunk chunk(const Plane& plane, int views, int number) {
+  int low = 0, high = plane.tiles - 1;  // the last tile whose chunks begin at or before the number
+  while (low < high) {
+    const int middle = (low + high + 1) / 2;
+    if (first_chunk(plane, middle) <= number) low = middle;
+    else high = middle - 1;
+  }
+  const Tile of = tile(plane, views, low);
+  const int64_t base = first_chunk(plane, low);
+  const int index = (int)(number - base), begin = index * kChunk, left = of.count - begin;
+  return {of, base, index, (of.count + kChunk - 1) / kChunk, begin, left < 0 ? 0 : left < kChunk ? left : kChunk};
+}
+SG_FN int64_t sum_of(int64_t chunk) { return chunk * kThreads + thread(); }
+
+// An entry of a list in shared memory, and which of a warp's 8 x 4 points it may touch: none, mostly.
+struct Staged { Footprint g; float reach[2]; };
+SG_FN int32_t stage(const Plane& plane, const Chunk& c, Staged* to) {
+  const int32_t j = plane.owners[plane.order[c.of.first + c.begin + thread()]];
+  to->g = placed(plane.splats[j].g, c.of.lattice);
+  copy(plane.reach + 2 * (int64_t)j, 2, to->reach);
+  return j;
+}
+struct Corner { float x, y; };
+SG_FN Corner corner_of_warp(const Point& p) { return {(float)(p.x - lane() % 8), (float)(p.y - lane() / 8)}; }
+SG_FN bool near(const Staged& a, const Corner& c) {
+  const float x = a.reach[0] + 1e-3f, y = a.reach[1] + 1e-3f;  // as `points`
+  return a.g.x + x >= c.x && a.g.x - x <= c.x + 7.0f && a.g.y + y >= c.y && a.g.y - y <= c.y + 3.0f;
+}
+// Those of the kWarp entries from `begin` on that may touch this warp, as bits.
+SG_FN unsigned near_warp(const Staged* staged, int begin, int size, const Corner& corner) {
+  const int mine = begin + lane();
+  return __ballot_sync(kWholeWarp, mine < size && near(staged[mine], corner));
 }
 
 }  // namespace SG_ISA

@@ -22,6 +22,7 @@ from sarsplat.renderer.engines.passes import within
 # of csrc/cuda_state.cuh
 _THREADS, _WARPS = 256, 8
 _SPLAT_FLOATS = 8
+_CHUNK = 128
 _TOGETHER = 4
 """The most channels to a launch, of csrc/cuda_pixels.cuh."""
 
@@ -30,10 +31,13 @@ _MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
 
 _MAX_PAIRS = 1 << 31
 
+_RANKED = 1 << 15
+"""Of up to so many Gaussians, a tile's list is put in order by counting who is in front, which goes with its square."""
+
 _NOTHING = (1 << 63) - 1
 """The largest key, and more than there is of anything."""
 
-_BACKWARD = ("h", "slot_moments", "pixel_moments", "planes")
+_BACKWARD = ("h", "returns", "slot_moments", "pixel_moments", "planes")
 """What of the state only a backward pass needs."""
 
 _OPERATIONS: dict[str, dict[str, float]] = {
@@ -65,6 +69,7 @@ class Pass:
         self._state = State()
         self._arrays: dict[str, Tensor] = {}
         self._pairs = 0
+        self._chunks: dict[str, int] = {}
         self._lattices: list[tuple[int, int, int, int]] = []
         self._rays: list[ctypes.Structure] = []
 
@@ -281,29 +286,35 @@ class Pass:
             numbers = [self._pairs * self._capacity.tiles[name] for name in planes]
         else:
             numbers = torch.stack(counted).tolist()
-        for (name, tiles), slots in zip(planes.items(), numbers, strict=True):
+        for name, slots in zip(planes, numbers, strict=True):
             plane = getattr(self._state, name)
-            self._list(name, plane, slots, total(tiles)[1], problem, by_depth=name == "rays")
+            self._list(name, plane, slots, problem, by_depth=name == "rays")
 
     def _attenuate_tiles(
         self, problem: ctypes.Structure, channels: ctypes.Structure, outputs: ctypes.Structure
     ) -> None:
         """Once the rays are arranged."""
-        rays, tiles = total(self._rays)
+        rays, _ = total(self._rays)
         self._fill(transmittance=(rays,))
         self._fill(torch.int32, last=(rays,))
         self._fill(slot_weights=(len(self._arrays["rays owners"]),))
-        self._arrays["slot_weights"].zero_()  # of tiles whose rays have all stopped
-        self._launch("attenuate_tiles", tiles, problem, self._state)
+        self._state.rays.sums = self._new("rays sums", self._chunks["rays"], _THREADS).data_ptr()
+        for kernel in ("sum_depths", "attenuate_chunks"):
+            self._launch(kernel, self._chunks["rays"], problem, self._state)
         self._over_pairs("light_gaussians", problem, problem, self._state, channels, outputs)
 
     def _splat_tiles(
         self, problem: ctypes.Structure, channels: ctypes.Structure, pixels: list[ctypes.Structure], images: int
     ) -> None:
         """Once the pixels are arranged."""
-        for first, kernel in _in_groups(channels):
-            arguments = channels, c_int32(first), c_void_p(images)
-            self._launch(kernel, total(pixels)[1], problem, self._state, *arguments)
+        chunks, tiles = self._chunks["pixels"], total(pixels)[1]
+        most = 1 if channels.count == 1 else _TOGETHER
+        self._state.pixels.sums = self._new("pixels sums", chunks, most, _THREADS).data_ptr()
+        for first, kernel, together in _in_groups(channels):
+            group = channels, c_int32(first)
+            self._launch(kernel, chunks, problem, self._state, *group)
+            self._launch("sum_chunks", tiles, problem, self._state, *group, c_int32(together), c_void_p(images))
+        del self._arrays["pixels sums"]
 
     def _splat_tiles_backward(
         self,
@@ -314,7 +325,7 @@ class Pass:
         d_elevation: int | None = None,
     ) -> None:
         self._fill(pixel_moments=(self._pairs, 6))
-        for first, kernel in _in_groups(channels):
+        for first, kernel, _ in _in_groups(channels):
             arguments = channels, c_int32(first), *map(c_void_p, (d_images, d_cross_sections, d_elevation))
             blocks = -(-self._pairs // _WARPS)
             self._launch(f"{kernel}_backward", blocks, problem, self._state, *arguments)
@@ -323,40 +334,49 @@ class Pass:
         self, problem: ctypes.Structure, channels: ctypes.Structure, d_transmittance: int | None, *seeds: c_void_p
     ) -> None:
         self._fill(h=(self._pairs,), slot_moments=(len(self._arrays["slot_weights"]), 6))
-        self._arrays["slot_moments"].zero_()  # of tiles whose rays have all stopped
         self._over_pairs("light_gaussians_backward", problem, problem, self._state, channels, *seeds)
-        tiles = total(self._rays)[1]
-        self._launch("attenuate_tiles_backward", tiles, problem, self._state, c_void_p(d_transmittance))
+        self._state.rays.returns = self._new("returns", self._chunks["rays"], _THREADS).data_ptr()
+        self._launch("sum_returns", self._chunks["rays"], problem, self._state)
+        arguments = self._state, c_void_p(d_transmittance)
+        self._launch("attenuate_chunks_backward", self._chunks["rays"], problem, *arguments)
 
     def _count(
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
     ) -> Tensor:
-        """Count the tiles of every Gaussian; returns the number of slots, still on the device."""
+        """Count the tiles of every Gaussian, and the Gaussians of every tile; returns the number of slots, still on
+        the device."""
         device = self._launcher.device
         stream = torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
         plane.lattices = self._keep(f"{name} lattices", _sent(b"".join(lattices), device, stream)).data_ptr()
         counts = self._new(f"{name} counts", problem.views * problem.gaussians, dtype=torch.int64)
-        plane.counts = counts.data_ptr()
+        plane.counts, plane.tiles = counts.data_ptr(), total(lattices)[1]
+        in_tile = self._new(f"{name} in tile", plane.tiles + 1, dtype=torch.int32).zero_()
+        plane.in_tile = in_tile.data_ptr()
         most = _NOTHING if self._capacity is None else self._capacity.tiles[name]
         self._over_pairs("count_tiles", problem, problem, self._state, plane, c_int64(most))
+        plane.starts = self._keep(f"{name} starts", torch.cumsum(in_tile, 0)).data_ptr()
         ends = self._keep(f"{name} ends", torch.cumsum(counts, 0))
         plane.ends = ends.data_ptr()
         return ends[-1] if len(ends) else counts.sum()
 
     def _list(
-        self, name: str, plane: ctypes.Structure, slots: int, tiles: int, problem: ctypes.Structure, *, by_depth: bool
+        self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool
     ) -> None:
         """List the Gaussians of every tile."""
-        keys = self._new(f"{name} keys", slots, dtype=torch.int64).fill_(_NOTHING)  # what is not used comes last
+        self._chunks[name] = slots // _CHUNK + plane.tiles
+        ranked = problem.gaussians <= _RANKED
+        keys = self._new(f"{name} keys", slots, dtype=torch.int64)
+        if not ranked:
+            keys.fill_(_NOTHING)  # what is not used comes last
         plane.keys = keys.data_ptr()
         plane.owners = self._new(f"{name} owners", slots, dtype=torch.int32).data_ptr()
-        self._over_pairs("list_tiles", problem, problem, plane, c_int32(by_depth))
+        self._over_pairs("list_tiles", problem, problem, plane, c_int32(by_depth), c_int32(ranked))
+        if ranked:
+            plane.order = self._new(f"{name} order", slots, dtype=torch.int64).data_ptr()
+            self._launch("rank_chunks", self._chunks[name], problem, plane)
+        else:
+            plane.order = self._keep(f"{name} order", torch.sort(keys, stable=True).indices).data_ptr()
         del self._arrays[f"{name} keys"]
-        keys, order = torch.sort(keys, stable=True)
-        plane.order = self._keep(f"{name} order", order).data_ptr()
-        plane.starts = self._new(f"{name} starts", tiles + 1, dtype=torch.int64).data_ptr()
-        sorted_keys, starts = c_void_p(keys.data_ptr()), c_void_p(plane.starts)
-        self._launch("start_tiles", slots // _THREADS + 1, sorted_keys, c_int64(slots), c_int32(tiles), starts)
 
     def _launch(self, name: str, blocks: int, *arguments: ctypes._CData) -> None:
         if blocks:
@@ -386,11 +406,12 @@ def _sent(content: bytes, device: torch.device, stream: int) -> Tensor:
     return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)
 
 
-def _in_groups(channels: ctypes.Structure) -> Iterator[tuple[int, str]]:
-    """The first channel of every launch, and its kernel."""
-    kind = "waves" if channels.wavenumbers else "tiles"
+def _in_groups(channels: ctypes.Structure) -> Iterator[tuple[int, str, int]]:
+    """The first channel of every launch, its kernel, and how many channels that does."""
+    kind = "waves" if channels.wavenumbers else "chunks"
     for first in range(0, channels.count, _TOGETHER):
-        yield first, f"splat_{kind}_{1 if channels.count - first == 1 else _TOGETHER}"
+        together = 1 if channels.count - first == 1 else _TOGETHER
+        yield first, f"splat_{kind}_{together}", together
 
 
 def _fault(code: int) -> tuple[str, int]:
