@@ -184,7 +184,9 @@ def test_a_missing_barrier_shows(barrier, short_chunks):
 
 @pytest.mark.slow
 def test_a_divided_warp_shows(tmp_path, library):
-    broken = mutated(library.parent, tmp_path / "csrc", "cuda_rays.cuh", "const unsigned all = near_warp", "if (lane() == 0) continue;\n    const unsigned all = near_warp")
+    before = "const unsigned all = near_warp"
+    after = f"if (lane() == 0) continue;\n    {before}"
+    broken = mutated(library.parent, tmp_path / "csrc", "cuda_rays.cuh", before, after)
     with pytest.raises(RuntimeError, match="attenuate_chunks: threads"):
         runs(broken)
 

@@ -343,8 +343,7 @@ class Pass:
     def _count(
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
     ) -> Tensor:
-        """Count the tiles of every Gaussian, and the Gaussians of every tile; returns the number of slots, still on
-        the device."""
+        """Count the tiles of every Gaussian and the other way round; the number of slots, still on the device."""
         device = self._launcher.device
         stream = torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
         plane.lattices = self._keep(f"{name} lattices", _sent(b"".join(lattices), device, stream)).data_ptr()
