@@ -112,7 +112,8 @@ def test_a_kernel_runs_on_its_gpu_whichever_is_current(gpu, monkeypatch):
     asked = []
     monkeypatch.setattr(torch.cuda, "device", lambda device: asked.append(device) or nullcontext())
     sums = torch.ones(2)
-    arguments = api.loss(1, 1, 2, loss=sums[1:].data_ptr()), ctypes.c_void_p(sums.data_ptr()), ctypes.c_int64(1)
+    tiles = ctypes.c_void_p(sums.data_ptr()), ctypes.c_int64(1)
+    arguments = api.loss(1, 1, 2, loss=sums[1:].data_ptr()), *tiles, ctypes.c_void_p(), ctypes.c_int64(0)
     gpu.launch("sum_loss", 1, 256, *arguments)
     assert asked == []
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 1)

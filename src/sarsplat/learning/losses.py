@@ -36,7 +36,7 @@ C1, C2 = 0.01**2, 0.03**2
 
 _OFFSETS = torch.arange(SSIM_WINDOW, dtype=torch.float64, device="cpu") - SSIM_WINDOW // 2
 _WINDOW = torch.softmax(-(_OFFSETS**2) / (2 * SSIM_STD**2), dim=0)
-_WEIGHTS = _WINDOW.float()
+_WEIGHTS = tuple(_WINDOW.tolist())
 
 
 def amplitude_loss(

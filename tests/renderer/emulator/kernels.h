@@ -1,5 +1,6 @@
 // kernels.h: the names of all kernels, each inside KERNEL(...).
 KERNEL(project_gaussians)
+KERNEL(project_pairs_backward)
 KERNEL(project_gaussians_backward)
 KERNEL(sum_shift)
 KERNEL(place_footprints)
@@ -25,5 +26,6 @@ KERNEL(splat_waves_4_backward)
 KERNEL(normal_lobes)
 KERNEL(normal_lobes_backward)
 KERNEL(step_adam)
+KERNEL(similarity_slopes)
 KERNEL(amplitude_loss)
 KERNEL(sum_loss)

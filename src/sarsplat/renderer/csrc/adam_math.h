@@ -9,14 +9,14 @@ namespace SG_ISA {
 // NaN stays NaN: the next forward pass says so
 template <class F> SG_FN F clamp(F x, F low, F high) { return choose(x < low, low, choose(x > high, high, x)); }
 
-// What is the same for all numbers of a step.
-struct AdamShares { float mean, square, old_square, spread, epsilon; };
-SG_FN AdamShares shares_of(const sg_adam_step& a) {
-  return {1.0f - a.beta1, 1.0f - a.beta2, a.beta2, 1.0f / root(1.0f - a.beta2_power), a.epsilon};
+// What is the same for all numbers of a group.
+struct AdamShares { float mean, square, old_square, spread, epsilon, decay, unbiased; };
+SG_FN AdamShares shares_of(const sg_adam_step& a, const sg_adam_group& g, int group) {
+  const float decay = a.now ? a.now[group] : g.decay;
+  const float power1 = a.now ? a.now[a.count] : a.beta1_power, power2 = a.now ? a.now[a.count + 1] : a.beta2_power;
+  return {1.0f - a.beta1, 1.0f - a.beta2, a.beta2, 1.0f / root(1.0f - power2), a.epsilon, decay, 1.0f / (1.0f - power1)};
 }
-SG_FN float rate_of(const sg_adam_step& a, const sg_adam_group& g, int column) {
-  return g.rate[column] * g.decay * (1.0f / (1.0f - a.beta1_power));
-}
+SG_FN float rate_of(const AdamShares& a, const sg_adam_group& g, int column) { return g.rate[column] * a.decay * a.unbiased; }
 
 template <class F>
 SG_FN F stepped(F value, F gradient, F& mean, F& square, F rate, F low, F high, bool logarithmic, const AdamShares& a) {

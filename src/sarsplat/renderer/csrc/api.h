@@ -48,7 +48,7 @@ struct sg_gradients {
   float *means, *quaternions, *scales, *kappa;  // out
   float* harmonics;             // out [N, K], or null
   float* amplitudes;            // out [V, N, C], or null
-  float* shift;                 // out [V, 2]
+  float* shift;                 // out [V, 2], or null
   float* planes;                // out [V, N, 4]: dL/d(mu_C, mu_I), or null
 };
 
@@ -77,12 +77,13 @@ struct sg_adam_step {
   int32_t count;            // of groups
   float beta1, beta2, epsilon;
   float beta1_power, beta2_power;  // beta to the number of steps, this one included
+  const float* now;         // null, or [count + 2], where the groups' decays and both powers are instead
 };
 
 struct sg_loss {          // of V images; see loss.h
   int32_t views, rows, columns;
   const float *power, *truth;  // [V, rows, columns]
-  const float* window;    // 11 weights
+  float window[11];       // weights
   float reference, floor, ssim_weight, c1, c2;
   float* loss;            // out: one number, the mean over the images
   float* d_power;         // out [V, rows, columns]

@@ -53,49 +53,60 @@ extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians(sg_prob
   if (!out.ray_centers) bound_rays(s, view, j);
 }
 
-// One thread a Gaussian; views are summed in order. seeds: of a whole rendering, gamma0 alone; the rest follows from the
-// moments of both planes.
+// A pair's share of what its Gaussian's gradient is made of: BodyGradient, dL/dkappa, and dL/d(sum of harmonics).
+struct PairGradient { BodyGradient<float> body; float kappa, sum; };
+static_assert(sizeof(PairGradient) == 23 * sizeof(float), "cuda.py makes room for so many");
+
+// seeds: of a whole rendering, gamma0 alone; the rest follows from the moments of both planes.
 extern "C" __global__ void __launch_bounds__(kThreads)
-project_gaussians_backward(sg_problem p, State s, sg_projection seeds, sg_gradients g) {
-  constexpr int kMaxCoefficients = 16;
-  const int64_t n = p.gaussians, i = (int64_t)blockIdx.x * kThreads + thread();
-  if (i >= n) return;
-  const PlaneUnits u = units(p);
-  float unit[4], norm;
-  const Body<float> b = body(p, i, unit, norm);
-  BodyGradient<float> total{};
-  float d_kappa = 0.0f, d_harmonics[kMaxCoefficients] = {};
-  for (int v = 0; v < p.views; v++) {
-    const int64_t j = v * n + i;
-    float* planes = s.planes + 4 * j;
-    if (s.lit_area && s.lit_area[j] == 0.0f) {  // what no ray sees has no gradient
-      for (int k = 0; k < 4; k++) planes[k] = 0.0f;
-      continue;
-    }
+project_pairs_backward(sg_problem p, State s, sg_projection seeds, PairGradient* shares) {
+  const auto [v, i, j] = this_pair(p);
+  if (j < 0) return;
+  PairGradient share{};
+  float planes[4] = {};
+  if (!s.lit_area || s.lit_area[j] != 0.0f) {  // what no ray sees has no gradient
+    const PlaneUnits u = units(p);
     const bool alone = seeds.ray_centers;
-    float d_depth = alone ? seeds.optical_depth[j] : 0.0f;
+    float d_depth = alone ? seeds.optical_depth[j] : 0.0f, unit[4], norm;
     const OnPlane rays = alone ? on_plane(seeds.ray_centers, seeds.ray_roots, j) : ray_gradient(p, s, j, d_depth);
     const OnPlane pixels = alone ? on_plane(seeds.pixel_centers, seeds.pixel_roots, j) : pixel_gradient(p, s, j);
     const ViewFrame f = frame(p, v);
-    const Projection<float> proj = project(b, f, u);
+    const Projection<float> proj = project(body(p, i, unit, norm), f, u);
     const float ratio = widening_ratio(proj, u), m0 = p.kappa[i] * ratio * d_depth;
     copy(rays.center, 2, planes);
     copy(pixels.center, 2, planes + 2);
     const Sym2<float> gc = from_root_gradient(whitening(proj.cov_c, proj.det_cw), u.ray, rays.roots, m0);
     const Sym2<float> gi = from_root_gradient(whitening(proj.cov_i, proj.det_iw), u.pixel, pixels.roots, 0.0f);
-    spread(proj, f, u, planes, gc, gi, m0, total);
-    d_kappa += ratio * d_depth;
-    const float d_sum = p.coefficients ? seeds.gamma0[j] * softplus(sum_of_harmonics(p, v, i)).slope : 0.0f;
-    for (int k = 0; k < kMaxCoefficients; k++)
-      if (k < p.coefficients) d_harmonics[k] += d_sum * p.basis[v * p.coefficients + k];
+    spread(proj, f, u, planes, gc, gi, m0, share.body);
+    share.kappa = ratio * d_depth;
+    if (p.coefficients) share.sum = seeds.gamma0[j] * softplus(sum_of_harmonics(p, v, i)).slope;
   }
-  float d_scale[3], d_quaternion[4];
-  finish(b, unit, norm, total, d_scale, d_quaternion);
-  for (int k = 0; k < 3; k++) { g.means[3 * i + k] = total.mean[k]; g.scales[3 * i + k] = d_scale[k]; }
-  for (int k = 0; k < 4; k++) g.quaternions[4 * i + k] = d_quaternion[k];
-  g.kappa[i] = d_kappa;
-  for (int k = 0; k < kMaxCoefficients; k++)
-    if (k < p.coefficients) g.harmonics[p.coefficients * i + k] = d_harmonics[k];
+  copy(planes, 4, s.planes + 4 * j);
+  shares[j] = share;
+}
+
+// One thread a Gaussian; views are summed in order.
+extern "C" __global__ void __launch_bounds__(kThreads) project_gaussians_backward(sg_problem p, const PairGradient* shares, sg_gradients g) {
+  constexpr int kNumbers = sizeof(PairGradient) / sizeof(float);
+  const int64_t n = p.gaussians, i = (int64_t)blockIdx.x * kThreads + thread();
+  if (i >= n) return;
+  union { PairGradient total; float numbers[kNumbers]; } sum{};
+  for (int v = 0; v < p.views; v++) {
+    const float* share = (const float*)(shares + v * n + i);
+    for (int k = 0; k < kNumbers; k++) sum.numbers[k] += share[k];
+  }
+  float unit[4], norm, d_scale[3], d_quaternion[4];
+  const Body<float> b = body(p, i, unit, norm);
+  finish(b, unit, norm, sum.total.body, d_scale, d_quaternion);
+  copy(sum.total.body.mean, 3, g.means + 3 * i);
+  copy(d_scale, 3, g.scales + 3 * i);
+  copy(d_quaternion, 4, g.quaternions + 4 * i);
+  g.kappa[i] = sum.total.kappa;
+  for (int k = 0; k < p.coefficients; k++) {
+    float d = 0.0f;
+    for (int v = 0; v < p.views; v++) d += shares[v * n + i].sum * p.basis[v * p.coefficients + k];
+    g.harmonics[p.coefficients * i + k] = d;
+  }
 }
 
 // A block is a view: dL/dshift, the sum of dL/dmu_I.

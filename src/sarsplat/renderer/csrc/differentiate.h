@@ -130,7 +130,7 @@ template <class Chunk> int32_t differentiate_all(sg_context& c, const sg_problem
   float* sums = c.arena.take<float>((int64_t)chunks * 2 * p.views);
   if (c.arena.failed()) return SG_MEMORY;
   parallel(chunks, [&](int i) { differentiate_chunk((int64_t)i * kChunk, chunk_end(i, p.gaussians), sums + (int64_t)i * 2 * p.views); });
-  add_shifts(p.views, chunks, sums, d_shift);
+  if (d_shift) add_shifts(p.views, chunks, sums, d_shift);
   return SG_OK;
 }
 

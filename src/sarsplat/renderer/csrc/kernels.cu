@@ -1,7 +1,8 @@
 // kernels.cu: the CUDA engine, compiled at first use by NVRTC for the device found (nvrtc.py), without any header of the
-// toolkit. The mathematics is that of the CPU engine: pair_math.h, gaussian_math.h, lobe_math.h and adam_math.h.
+// toolkit. The mathematics is that of the CPU engine: pair_math.h, gaussian_math.h, lobe_math.h, loss_math.h and
+// adam_math.h.
 //
-// project     Gaussians to footprints, placed on both planes; tiles are counted and listed, and sorted by torch
+// project     Gaussians to footprints, placed on both planes; tiles are counted, listed and put in order
 // attenuate   rays front to back: lit areas, and cross-sections
 // splat       footprints to images of one or several channels
 //
@@ -10,4 +11,5 @@
 #include "cuda_project.cuh"
 #include "cuda_rays.cuh"
 #include "cuda_pixels.cuh"
+#include "cuda_loss.cuh"
 #include "cuda_training.cuh"

@@ -1,18 +1,17 @@
 // loss.h: (1 - lambda) L1 + lambda (1 - SSIM) of amplitudes, and its gradient with respect to power, in one go.
 //
-// amplitude a = sqrt(power / reference^2 + floor^2) - floor against that of the truth, t = sqrt(truth) / reference; SSIM of the places where the window fits
-// whole. A task makes some rows of the gradient and computes what they need of their neighbours for itself:
+// Amplitude against that of the truth; SSIM of the places where the window fits whole (loss_math.h). A task makes some rows of the gradient and computes what they need of their neighbours for itself:
 // amplitudes -> windows, along columns and along rows -> similarity and its slopes -> both transposed -> gradient.
 #pragma once
 #include "context.h"
 #include "parallel.h"
 #include "tail.h"
+#include "loss_math.h"  // of the number type above
 
 namespace sarsplat {
 namespace SG_ISA {
 namespace {
 
-constexpr int kTaps = 11, kReach = kTaps - 1;
 constexpr int kPad = 16;  // numbers before a row of scratch: at least kReach, and whole vectors
 
 struct LossTask {  // its scratch; every row has `stride` numbers and begins after kPad of them
@@ -29,14 +28,6 @@ SG_FN F window_sum(const F (&w)[kReach / 2 + 1], const float* p, int64_t step) {
   F sum = load_anywhere(p + kReach / 2 * step) * w[kReach / 2];
   for (int k = 0; k < kReach / 2; k++) sum += (load_anywhere(p + k * step) + load_anywhere(p + (kReach - k) * step)) * w[k];
   return sum;
-}
-
-struct Similarity { F value, slopes[3]; };
-SG_FN Similarity similarity(const F (&mean)[5], float c1, float c2) {
-  const F ma = mean[0], mb = mean[1], aa = mean[2] - ma * ma, bb = mean[3] - mb * mb, ab = mean[4] - ma * mb;
-  const F a1 = ma * mb * 2.0f + c1, a2 = ab * 2.0f + c2, b1 = ma * ma + mb * mb + c1, b2 = aa + bb + c2;
-  const F inverse = 1.0f / (b1 * b2), S = a1 * a2 * inverse;
-  return {S, {(mb * (a2 - a1) * inverse - ma * S * (1.0f / b1 - 1.0f / b2)) * 2.0f, -S / b2, a1 * inverse * 2.0f}};
 }
 
 int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
@@ -59,9 +50,7 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
     for (float*& p : s.spread) p = arena.take<float>((rows + reach) * stride);
   }
   if (arena.failed()) { arena.give_back(); return SG_MEMORY; }
-  const float scale = 1.0f / (l.reference * l.reference), floor2 = l.floor * l.floor;
-  const float share = (1.0f - l.ssim_weight) / ((float)V * R * C);
-  const float ssim_share = -l.ssim_weight / ((float)V * valid_rows * valid_columns);
+  const float share = absolute_share(l), ssim_share = similarity_share(l);
 
   parallel(V * tasks, [&](int task) {
     LossTask& s = all[task];
@@ -74,8 +63,8 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
     for (int y = larger(0, first); y < smaller(R, end + reach); y++)
       for (int x = 0; x < C; x += kWidth) {
         const int64_t at = image + (int64_t)y * C + x;
-        store(row(s.a, y) + x, root(load_some(l.power + at, C - x) * scale + floor2) - l.floor);
-        store(row(s.truth, y) + x, root(load_some(l.truth + at, C - x) * scale));
+        store(row(s.a, y) + x, rendered_amplitude(load_some(l.power + at, C - x), l));
+        store(row(s.truth, y) + x, true_amplitude(load_some(l.truth + at, C - x), l));
       }
     s.similar = 0.0;
     auto clear = [&](float* p) { for (int64_t x = 0; x < stride; x += kWidth) store(p + x, splat(0.0f)); };
@@ -97,7 +86,7 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
       for (int x = 0; x < valid_columns; x += kWidth) {
         F means[5];
         for (int q = 0; q < 5; q++) means[q] = window_sum(w, s.blurred[q] + kPad + x, 1);
-        const Similarity found = similarity(means, l.c1, l.c2);
+        const Similarity<F> found = similarity(means, l.c1, l.c2);
         total += load_some((const float*)&found.value, valid_columns - x);
         for (int q = 0; q < 3; q++) store_some(s.slopes[q] + kPad + x, found.slopes[q], valid_columns - x);
       }
@@ -112,13 +101,13 @@ int32_t amplitude_loss(sg_context* context, const sg_loss* loss) {
       for (int x = 0; x < C; x += kWidth) {
         const F a = load(row(s.a, y) + x), t = load(row(s.truth, y) + x);  // beyond the end both are 0: the root of a square is exact
         total += absolute(a - t);
-        F slope = choose(a > t, splat(share), choose(a < t, splat(-share), splat(0.0f)));
+        F slope = absolute_slope(a, t, share);
         if (reach) {
           F sums[3];
           for (int q = 0; q < 3; q++) sums[q] = window_sum(w, row(s.spread[q], y - kReach) + x, stride);
-          slope += (sums[0] + a * sums[1] * 2.0f + t * sums[2]) * ssim_share;
+          slope += similarity_slope(sums, a, t) * ssim_share;
         }
-        store_some(l.d_power + image + (int64_t)y * C + x, slope * (0.5f * scale) / (a + l.floor), C - x);
+        store_some(l.d_power + image + (int64_t)y * C + x, power_slope(slope, a, l), C - x);
       }
       s.absolute += sum(total);
     }

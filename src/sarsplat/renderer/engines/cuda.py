@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.abi import api
-from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, Capacity
+from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, TILE, Capacity
 from sarsplat.renderer.engines.cpu import FAULTS, LIMITS
 from sarsplat.renderer.engines.cuda_lattices import State, cut_into_tiles, smallest_lattice, tiles_of, total
 from sarsplat.renderer.engines.passes import within
@@ -22,9 +22,10 @@ from sarsplat.renderer.engines.passes import within
 # of csrc/cuda_state.cuh
 _THREADS, _WARPS = 256, 8
 _SPLAT_FLOATS = 8
+_PAIR_FLOATS = 23  # of cuda_project.cuh
 _CHUNK = 128
-_TOGETHER = 4
-"""The most channels to a launch, of csrc/cuda_pixels.cuh."""
+_TOGETHER, _MOST_GROUPS, _WINDOW = 4, 15, 11
+"""Of csrc/cuda_pixels.cuh and cuda_training.cuh: the most channels and parameters to a launch; of loss_math.h."""
 
 _MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
 """Largest side and most rays of a view's lattice, as on the CPU engine."""
@@ -37,12 +38,12 @@ _RANKED = 1 << 15
 _NOTHING = (1 << 63) - 1
 """The largest key, and more than there is of anything."""
 
-_BACKWARD = ("h", "returns", "slot_moments", "pixel_moments", "planes")
+_BACKWARD = ("h", "returns", "slot_moments", "pixel_moments", "planes", "pair gradients")
 """What of the state only a backward pass needs."""
 
 _OPERATIONS: dict[str, dict[str, float]] = {
     "adam": LIMITS["adam"],
-    "amplitude_loss": {"ssim_weight": 0},
+    "amplitude_loss": {},
     "normal_lobes": {},
 }
 """The operations of one structure that there are kernels for, and the largest of some numbers that they take."""
@@ -115,14 +116,25 @@ class Pass:
 
     # ---- operations of one structure
     def _adam(self, step: ctypes.Structure) -> None:
-        for group in step.groups[: step.count]:
-            self._launch("step_adam", -(-group.rows * group.columns // _THREADS), group, step)
+        for first in range(0, step.count, _MOST_GROUPS):
+            groups = step.groups[first : min(first + _MOST_GROUPS, step.count)]
+            blocks = sum(-(-group.rows * group.columns // _THREADS) for group in groups)
+            together = (api.adam_group * _MOST_GROUPS)(*groups)
+            self._launch("step_adam", blocks, together, step, c_int32(first), c_int32(len(groups)))
 
     def _amplitude_loss(self, loss: ctypes.Structure) -> None:
-        blocks = -(-loss.views * loss.rows * loss.columns // _THREADS)
-        sums = c_void_p(self._new("sums", blocks).data_ptr())
-        self._launch("amplitude_loss", blocks, loss, sums)
-        self._launch("sum_loss", 1, loss, sums, c_int64(blocks))
+        of_pixels, of_windows = (
+            loss.views * -(-(loss.rows - reach) // TILE) * -(-(loss.columns - reach) // TILE)
+            for reach in (0, _WINDOW - 1)
+        )
+        sums, similar, slopes = c_void_p(self._new("sums", of_pixels).data_ptr()), c_void_p(), c_void_p()
+        if loss.ssim_weight > 0:
+            windows = (loss.rows - _WINDOW + 1) * (loss.columns - _WINDOW + 1)
+            slopes = c_void_p(self._new("slopes", 3, loss.views, windows).data_ptr())
+            similar = c_void_p(self._new("similar", of_windows).data_ptr())
+            self._launch("similarity_slopes", of_windows, loss, slopes, similar)
+        self._launch("amplitude_loss", of_pixels, loss, slopes, sums)
+        self._launch("sum_loss", 1, loss, sums, c_int64(of_pixels), similar, c_int64(of_windows))
 
     def _normal_lobes(self, lobes: ctypes.Structure) -> None:
         kernel = "normal_lobes_backward" if lobes.d_amplitudes else "normal_lobes"
@@ -169,11 +181,13 @@ class Pass:
     def _project_backward(
         self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure
     ) -> None:
-        planes = gradients.planes or self._new("planes", problem.views * problem.gaussians, 4).data_ptr()
-        self._state.planes = planes
-        blocks = -(-problem.gaussians // _THREADS)
-        self._launch("project_gaussians_backward", blocks, problem, self._state, seeds, gradients)
-        self._launch("sum_shift", problem.views, problem, self._state, c_void_p(gradients.shift))
+        pairs = problem.views * problem.gaussians
+        self._state.planes = gradients.planes or self._new("planes", pairs, 4).data_ptr()
+        shares = c_void_p(self._new("pair gradients", pairs, _PAIR_FLOATS).data_ptr())
+        self._over_pairs("project_pairs_backward", problem, problem, self._state, seeds, shares)
+        self._launch("project_gaussians_backward", -(-problem.gaussians // _THREADS), problem, shares, gradients)
+        if gradients.shift:
+            self._launch("sum_shift", problem.views, problem, self._state, c_void_p(gradients.shift))
 
     def _attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]:
         bounds = self._begin(problem)

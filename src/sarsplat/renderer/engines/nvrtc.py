@@ -54,7 +54,7 @@ class Compiler(Protocol):
 def sources() -> dict[str, str]:
     """Every file that the engine's source includes, by name."""
     paths = (SOURCES / MAIN, *sorted(SOURCES.glob("cuda_*.cuh")))
-    shared = (SOURCES / name for name in ("api.h", "pair_math.h", "gaussian_math.h", "lobe_math.h", "adam_math.h"))
+    shared = (SOURCES / "api.h", *sorted(SOURCES.glob("*_math.h")))
     return {path.name: path.read_text(encoding="utf-8") for path in (*paths, *shared)} | {"cstdint": _CSTDINT}
 
 

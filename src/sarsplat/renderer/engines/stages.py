@@ -47,6 +47,11 @@ class _OfGaussians(Stage):
         self.problem.of_views = self.of_views or len(self.views)
         return self.problem
 
+    def new_gradients(self, saved: list[Any]) -> list[Tensor | None]:
+        """Room for the gradients: of what is given, and of the shift, which takes a kernel of its own, if needed."""
+        *others, shift = [None if t is None else torch.empty_like(t) for t in saved]
+        return [*others, shift if self.needed[-1] else None]
+
     def accept(self, inputs: Tensors, fault: str, index: int) -> None:
         """Raise what the kernel rejected, if anything."""
         if not fault:
@@ -90,7 +95,7 @@ class Render(_OfGaussians):
         if d_images is None:
             shape = self.problem.views, self.problem.channels, self.grid.rows, self.grid.columns
             d_images = saved[0].new_zeros(shape)
-        results = [None if t is None else torch.empty_like(t) for t in saved]
+        results = self.new_gradients(saved)
         seeds = d_images, d_cross_sections, d_transmittance
         gradients = api.gradients(*map(pointer, (*seeds, *results, self.planes)))
         point_at(self.problem, saved)
@@ -114,7 +119,7 @@ class Project(_OfGaussians):
             None if k in (3, 4) else _by_view(saved[0], self.problem, width).zero_() if grad is None else grad
             for k, (grad, width) in enumerate(zip(grads, _WIDTHS, strict=True))  # neither range nor tilt
         ]
-        results = [None if t is None else torch.empty_like(t) for t in saved]
+        results = self.new_gradients(saved)
         gradients = api.gradients(**dict(zip(ARRAYS, map(pointer, results), strict=True)))
         point_at(self.problem, saved)
         self.kernel.backward("project", self.problem, api.projection(*map(pointer, seeds)), gradients)
