@@ -136,6 +136,8 @@ def _is(value: object, kind: Any) -> bool:
             return False
         if isinstance(value, Iterator):
             return True
+        if (of := getattr(value, "item_type", None)) is not None:  # it says so, and may not be looked through
+            return of in _items(kind)
         values = [*value]
         return len(values) == (_fixed(kind) or len(values)) and all(_fits(item, _items(kind)) for item in values)
     if not isinstance(origin, type) or origin is Any or getattr(origin, "_is_protocol", False):

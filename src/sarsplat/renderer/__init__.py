@@ -17,6 +17,7 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
+from sarsplat.renderer.chosen_views import ChosenViews
 from sarsplat.renderer.covariances import render_covariances
 from sarsplat.renderer.echoes import Echo, GroundEcho
 from sarsplat.renderer.echoes.echo import all_visible, check_echoes
@@ -134,7 +135,7 @@ def render(
     agree, "auto" is an error for tensors on that GPU.
     """
     rays = rays or RayGrid.for_image(grid)
-    views = tuple(views)
+    views = views if isinstance(views, ChosenViews) else tuple(views)
     check_options(
         imaging_weight=imaging_weight,
         first_return_depth=first_return_depth,

@@ -9,11 +9,13 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+from jaxtyping import Int64
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import ALLOWED, STRONGEST
+from sarsplat.renderer.chosen_views import ChosenViews
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
 from sarsplat.renderer.engines.cpu import FAULTS
 
@@ -102,6 +104,8 @@ class Bounds:
 
     def capacity(self, gaussians: int, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Capacity | None:
         """What a rendering of so many Gaussians takes at most; None if that is too much to allocate unasked."""
+        chosen = views.numbers if isinstance(views, ChosenViews) else None
+        of = views.all if isinstance(views, ChosenViews) else views
         deviations = math.sqrt(2 * math.log(max(1.0, self.optical_depth / MIN_RAY_DEPTH)))
         reach = [
             _MARGIN * deviations * math.sqrt((self.scale_m / spacing) ** 2 + CELL_WIDENING)
@@ -111,12 +115,13 @@ class Bounds:
             _MARGIN * math.sqrt(IMAGE_CUT * (self.scale_m**2 + variance)) / spacing
             for spacing, variance in zip(grid.spacing_m, grid.response_variance_m2, strict=True)
         ]
-        lattices = tuple(_lattice(view, rays, self.low_m, self.high_m, (reach[0], reach[1])) for view in views)
+        lattices = tuple(_lattice(view, rays, self.low_m, self.high_m, (reach[0], reach[1])) for view in of)
         sides = [max(columns for *_, columns in lattices), max(rows for *_, rows, _ in lattices)]
         tiles = {"rays": _most_tiles(reach, sides), "pixels": _most_tiles(on_pixels, (grid.columns, grid.rows))}
         slots = len(views) * gaussians * max(tiles.values())
-        points = sum(rows * columns for *_, rows, columns in lattices)
-        return Capacity(lattices, tiles, self.broken) if max(slots, points) <= _MOST else None
+        sizes = [rows * columns for *_, rows, columns in lattices]
+        points = sum(sizes) if chosen is None else len(views) * math.prod(sides)
+        return Capacity(lattices, tiles, self.broken, chosen) if max(slots, points) <= _MOST else None
 
 
 @dataclass(frozen=True)
@@ -126,16 +131,19 @@ class Capacity:
     Parameters
     ----------
     lattices : tuple of (k0x, k0y, rows, columns)
-        Rays of each view that hold every footprint.
+        Rays of each view that hold every footprint; of all views that may be chosen.
     tiles : dict of str to int
         Tiles that one footprint touches at most, by plane.
     broken : Tensor
         Where to say that this was not enough.
+    chosen : Tensor, int64 [V], or None
+        Which of the lattices are those of the views, if only the device knows.
     """
 
     lattices: tuple[tuple[int, int, int, int], ...]
     tiles: dict[str, int]
     broken: Tensor
+    chosen: Int64[Tensor, " v"] | None = None
 
 
 # A training asks for the same few views again and again.

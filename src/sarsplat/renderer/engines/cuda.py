@@ -13,10 +13,20 @@ import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
+from sarsplat.renderer.chosen_views import NotRecordable
 from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, TILE, Capacity
 from sarsplat.renderer.engines.cpu import FAULTS, LIMITS
-from sarsplat.renderer.engines.cuda_lattices import State, cut_into_tiles, smallest_lattice, tiles_of, total
+from sarsplat.renderer.engines.cuda_lattices import (
+    State,
+    ViewLattice,
+    begins,
+    cut_into_tiles,
+    largest,
+    smallest_lattice,
+    tiles_of,
+    total,
+)
 from sarsplat.renderer.engines.passes import within
 
 # of csrc/cuda_state.cuh
@@ -92,6 +102,8 @@ class Pass:
 
     def lattice(self, view: int) -> ctypes.Structure:
         """Where the rays of a view stand."""
+        if self._capacity is not None and self._capacity.chosen is not None:
+            raise NotRecordable("asks where the rays of a view stand")
         return api.lattice(*self._lattices[view])
 
     def trace(
@@ -287,7 +299,10 @@ class Pass:
             for v, (_, _, rows, columns) in enumerate(self._lattices):
                 if max(rows, columns) > _MAX_SIDE or rows * columns > _MAX_RAYS:
                     return "lattice", v
-        self._rays = cut_into_tiles(self._lattices, 0.5)
+        if self._capacity is None or self._capacity.chosen is None:
+            self._rays = cut_into_tiles(self._lattices, 0.5)
+        else:
+            self._rays = cut_into_tiles([largest(self._lattices)] * len(self._capacity.chosen), 0.5)
         return None
 
     def _pixels(self, problem: ctypes.Structure) -> list[ctypes.Structure]:
@@ -358,9 +373,11 @@ class Pass:
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
     ) -> Tensor:
         """Count the tiles of every Gaussian and the other way round; the number of slots, still on the device."""
-        device = self._launcher.device
-        stream = torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
-        plane.lattices = self._keep(f"{name} lattices", _sent(b"".join(lattices), device, stream)).data_ptr()
+        if name == "rays" and self._capacity is not None and self._capacity.chosen is not None:
+            there = self._chosen_lattices(lattices, self._capacity.chosen)
+        else:
+            there = self._sent(b"".join(lattices))
+        plane.lattices = self._keep(f"{name} lattices", there).data_ptr()
         counts = self._new(f"{name} counts", problem.views * problem.gaussians, dtype=torch.int64)
         plane.counts, plane.tiles = counts.data_ptr(), total(lattices)[1]
         in_tile = self._new(f"{name} in tile", plane.tiles + 1, dtype=torch.int32).zero_()
@@ -371,6 +388,15 @@ class Pass:
         ends = self._keep(f"{name} ends", torch.cumsum(counts, 0))
         plane.ends = ends.data_ptr()
         return ends[-1] if len(ends) else counts.sum()
+
+    def _chosen_lattices(self, places: Sequence[ctypes.Structure], chosen: Tensor) -> Tensor:
+        """The chosen views' lattices, each with room for the largest; `places` says where those begin."""
+        alone = [cut_into_tiles([lattice], 0.5)[0] for lattice in self._lattices]
+        return _words(self._sent(b"".join(alone))).index_select(0, chosen).add_(_words(self._sent(begins(places))))
+
+    def _sent(self, content: bytes) -> Tensor:
+        device = self._launcher.device
+        return _sent(content, device, torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0)
 
     def _list(
         self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool
@@ -417,6 +443,11 @@ def _sent(content: bytes, device: torch.device, stream: int) -> Tensor:
     """On the device, as soon as the stream gets there; from pinned memory, for the CPU waits for any other copy."""
     array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
     return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)
+
+
+def _words(lattices: Tensor) -> Tensor:
+    """A row of int32 for each lattice."""
+    return lattices.view(torch.int32).view(-1, ctypes.sizeof(ViewLattice) // 4)
 
 
 def _in_groups(channels: ctypes.Structure) -> Iterator[tuple[int, str, int]]:

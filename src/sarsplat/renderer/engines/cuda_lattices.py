@@ -40,6 +40,16 @@ def cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float)
     return cut
 
 
+def largest(lattices: Sequence[tuple[int, int, int, int]]) -> tuple[int, int, int, int]:
+    """One that has room for each of these."""
+    return 0, 0, max(rows for *_, rows, _ in lattices), max(columns for *_, columns in lattices)
+
+
+def begins(lattices: Sequence[ctypes.Structure]) -> bytes:
+    """What is added to lattices that are alone, for them to begin with the tiles and points of these."""
+    return b"".join(ViewLattice(0, 0, 0, 0, 0, one.first_tile, one.first_point) for one in lattices)
+
+
 def tiles_of(lattice: ctypes.Structure) -> int:
     return lattice.tiles_x * -(-lattice.rows // TILE)
 

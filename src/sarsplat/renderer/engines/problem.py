@@ -15,6 +15,7 @@ from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import FARTHEST, FLATTEST, MAX_SCALE, STEEPEST, STRONGEST
+from sarsplat.renderer.chosen_views import by_view
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.engines.abi import api
 
@@ -35,7 +36,7 @@ def point_at(problem: ctypes.Structure, inputs: Sequence[Tensor | None]) -> None
 
 def directions_to(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
     """Unit vectors towards the radar, of the dtype and on the device of `like`."""
-    return torch.stack([_direction(view, like.dtype, like.device) for view in views])
+    return by_view(_direction, views, like.dtype, like.device)
 
 
 # A training asks for the same few views again and again, and a GPU should not be sent them each time.
@@ -46,11 +47,14 @@ def _direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Te
 
 
 @lru_cache(maxsize=4096)
-def _frame_and_basis(view: View, degree: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Radar frame [3, 3] and harmonics towards the radar, float32."""
-    look = view.look
-    frame, basis = torch.from_numpy(look.frame), harmonic_basis(torch.from_numpy(look.way_out), degree)
-    return frame.float().to(device), basis.float().to(device)
+def _frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
+    return torch.from_numpy(view.look.frame).float().to(device)
+
+
+@lru_cache(maxsize=4096)
+def _basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
+    """Harmonics towards the radar."""
+    return harmonic_basis(torch.from_numpy(view.look.way_out), degree).float().to(device)
 
 
 def problem_of(
@@ -60,13 +64,13 @@ def problem_of(
     rays: RayGrid,
     p_min: float,
     peak: bool = False,
-) -> tuple[ctypes.Structure, tuple[Tensor, ...]]:
+) -> tuple[ctypes.Structure, tuple[Tensor | None, ...]]:
     """The kernel's view of a call, and the tensors it points at that must outlive it."""
     means, _, _, _, harmonics, amplitudes, _ = inputs
     assert means is not None
     degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
-    by_view = zip(*(_frame_and_basis(view, degree, means.device) for view in views))
-    frames, basis = (torch.stack(part) for part in by_view)
+    frames = by_view(_frame, views, means.device)
+    basis = None if harmonics is None else by_view(_basis, views, degree, means.device)
     problem = new_problem(len(views), len(means), grid=grid, rays=rays, peak=peak)
     problem.coefficients = 0 if harmonics is None else harmonics.shape[1]
     problem.channels = 1 if amplitudes is None else amplitudes.shape[2]

@@ -1,0 +1,55 @@
+"""Views of which only the device knows which ones they are, so that a recorded step renders others every time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+from sarsplat.geometry import View
+
+
+class NotRecordable(Exception):
+    """What a step does depends on numbers that only the CPU knows, so it cannot be recorded."""
+
+
+class ChosenViews(Sequence[View]):
+    """V of the views of a training, which may be rendered but not looked at.
+
+    Parameters
+    ----------
+    views : tuple of View
+        All of them, K.
+    numbers : Tensor, int64 [V]
+        Which are rendered; on the device, and other ones when the launches are run again.
+    """
+
+    item_type = View
+
+    def __init__(self, views: tuple[View, ...], numbers: Int64[Tensor, " v"]) -> None:
+        self.all, self.numbers = views, numbers
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __getitem__(self, which: Any) -> Any:
+        if which == slice(0, len(self)):
+            return self
+        raise NotRecordable("looks at single views on the CPU")
+
+
+def by_view(of_view: Callable[..., Tensor], views: Sequence[View], *arguments: object) -> Tensor:
+    """What a function says of each view, stacked: `of_view(view, *arguments)`."""
+    if isinstance(views, ChosenViews):
+        return _table(of_view, views.all, *arguments).index_select(0, views.numbers)
+    return torch.stack([of_view(view, *arguments) for view in views])
+
+
+# While a step is recorded nothing may come from the CPU: the steps before it have made the tables.
+@lru_cache(maxsize=32)
+def _table(of_view: Callable[..., Tensor], views: tuple[View, ...], *arguments: object) -> Tensor:
+    return torch.stack([of_view(view, *arguments) for view in views])
