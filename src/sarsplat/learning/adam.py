@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -63,13 +63,31 @@ class EngineAdam:
 
     def step(self, gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
         """As the function `step`."""
+        for group, decay in zip(self._groups, decays, strict=True):
+            group.decay = decay
+        (self._call.beta1_power, self._call.beta2_power), self._call.now = powers(count), None
+        self._run(gradients)
+
+    def step_told(self, gradients: Sequence[Tensor], now: Float[Tensor, " n"]) -> None:
+        """The same with the decays, and then the `powers`, from where the engine is."""
+        self._call.now = now.data_ptr()
+        self._run(gradients)
+
+    def _run(self, gradients: Sequence[Tensor]) -> None:
         gradients = [gradient.contiguous() for gradient in gradients]  # kept alive until the call is over
-        for group, gradient, decay in zip(self._groups, gradients, decays, strict=True):
-            group.gradient, group.decay = gradient.data_ptr(), decay
-        self._call.beta1_power, self._call.beta2_power = BETA1**count, BETA2**count
+        for group, gradient in zip(self._groups, gradients, strict=True):
+            group.gradient = gradient.data_ptr()
         self._new_pass().run("adam", self._call)
-        # the engine wrote behind torch's back: whoever kept the old values for a backward pass is notified
+        self.tell_torch()
+
+    def tell_torch(self) -> None:
+        """The engine wrote behind torch's back: whoever kept the old values for a backward pass is notified."""
         torch.autograd.graph.increment_version([tensor.value for tensor in self._tensors])
+
+
+def powers(count: int) -> tuple[float, float]:
+    """What the moments of the `count`-th step have not seen yet, as shares."""
+    return BETA1**count, BETA2**count
 
 
 def _group(tensor: Stepped) -> dict[str, Any]:
@@ -82,9 +100,16 @@ def _group(tensor: Stepped) -> dict[str, Any]:
     }
 
 
-def stepper(new_pass: NewPass | None, tensors: Sequence[Stepped]) -> Callable[..., None]:
-    """`step` of these parameters, by an engine's passes if it steps tables of as many columns."""
+class PlainAdam:
+    """`step` of parameters in plain torch."""
+
+    def __init__(self, tensors: Sequence[Stepped]) -> None:
+        self.step = partial(step, tensors)
+
+
+def stepper(new_pass: NewPass | None, tensors: Sequence[Stepped]) -> EngineAdam | PlainAdam:
+    """What steps these parameters: an engine's passes, if it steps tables of as many columns."""
     columns = max(len(tensor.rates) for tensor in tensors)
     if new_pass is None or not new_pass().has("adam", {"columns": columns}):
-        return partial(step, tensors)
-    return EngineAdam(new_pass, tensors).step
+        return PlainAdam(tensors)
+    return EngineAdam(new_pass, tensors)

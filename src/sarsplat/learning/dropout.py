@@ -27,12 +27,17 @@ def share_dropped(config: Config, views: int) -> float:
     return max(config.dropout, min(_MOST, (config.few_views / views) ** 2))
 
 
-def dropped(count: int, share: float, seed: int, step: int, device: torch.device) -> Bool[Tensor, " {count}"]:
+def dropped(
+    count: int, share: float, seed: int, step: int | Int64[Tensor, " 1"], device: torch.device
+) -> Bool[Tensor, " {count}"]:
     """Which of `count` Gaussians are dropped, a share (0 to 1) of them at random; made on the device.
 
     A hash of seed, step and row decides, not a generator's state, which would have to be copied to the device.
     """
-    mixed = _rows(count, device) + _signed(seed * _SEED + step * _STEP)
+    if isinstance(step, Tensor):  # which wraps around by itself
+        mixed = step * _signed(_STEP) + _signed(seed * _SEED) + _rows(count, device)
+    else:
+        mixed = _rows(count, device) + _signed(seed * _SEED + step * _STEP)
     for factor, shift in zip(_MIX, (30, 27), strict=True):
         mixed.bitwise_xor_(mixed >> shift).mul_(_signed(factor))
     return (mixed >> 32).bitwise_and_(2**_BITS - 1) < share * 2**_BITS

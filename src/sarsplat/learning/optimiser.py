@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -37,7 +37,7 @@ class Optimiser:
             for name, tensor in parameters.items()
         }
         self._steps = 0
-        self._adam: Callable[..., None] | None = None
+        self._adam: adam.EngineAdam | adam.PlainAdam | None = None
         self._source: Int64[Tensor, " n"] | None = None
 
     @property
@@ -70,17 +70,30 @@ class Optimiser:
 
     def step(self, iteration: int) -> None:
         """One update, with the rates of this iteration; gradients are cleared."""
-        if self._adam is None:
-            tensors = [self._stepped(name, tensor) for name, tensor in self._parameters.items()]
-            self._adam = adam.stepper(passes_for("auto", self._parameters), tensors)
-        self._steps += 1
         gradients = []
         for name, tensor in self._parameters.items():
             if tensor.grad is None:
                 raise ValueError(f"{name} has no gradient")
             gradients.append(tensor.grad)
             tensor.grad = None
-        self._adam(gradients, [self._decay(name, iteration) for name in self._parameters], self._steps)
+        self._steps += 1
+        self.stepper.step(gradients, [self._decay(name, iteration) for name in self._parameters], self._steps)
+
+    @property
+    def stepper(self) -> adam.EngineAdam | adam.PlainAdam:
+        """What steps the parameters where they are now; another one once they are elsewhere, or learned otherwise."""
+        if self._adam is None:
+            tensors = [self._stepped(name, tensor) for name, tensor in self._parameters.items()]
+            self._adam = adam.stepper(passes_for("auto", self._parameters), tensors)
+        return self._adam
+
+    def numbers(self, iteration: int) -> list[float]:
+        """What `EngineAdam.step_told` needs of the next step, the one of this iteration."""
+        return [*(self._decay(name, iteration) for name in self._parameters), *adam.powers(self._steps + 1)]
+
+    def stepped(self) -> None:
+        """Count a step that the device has made by itself."""
+        self._steps += 1
 
     @torch.no_grad()
     def constrain(self) -> None:
@@ -91,11 +104,16 @@ class Optimiser:
     def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
         """Re-index the moments: row k takes those of row `source`[k], or zeros unless `kept`[k] (a new Gaussian)."""
         for name in self.rows:
-            self.state[name] = {moment: followed(value, source, kept) for moment, value in self.state[name].items()}
+            moments = {moment: followed(value, source, kept) for moment, value in self.state[name].items()}
+            if len(source) == len(self.state[name][_MOMENTS[0]]):
+                for moment, value in moments.items():
+                    self.state[name][moment].copy_(value)
+            else:
+                self.state[name], self._adam = moments, None
         inherited = torch.where(kept, source, -1)
         if self._source is not None:
             inherited = torch.where(kept, self._source[source], -1)
-        self._source, self._adam = inherited, None
+        self._source = inherited
 
     def take_moves(self) -> Int64[Tensor, " n"] | None:
         """Index of each row when this was last called, −1 for a new one; None if no rows have moved since."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,21 +16,27 @@ from torch import Tensor
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.learning.adam import EngineAdam
 from sarsplat.learning.device import usable_device
 from sarsplat.learning.dropout import dropped, share_dropped
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.observations import Batch, Observation, observations_of
 from sarsplat.learning.optimiser import Optimiser, followed
+from sarsplat.learning.recorded_steps import RecordedSteps
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, Strategy, strategies_of
-from sarsplat.learning.strategies.strategy import of_rows
+from sarsplat.learning.strategies.strategy import Configured, of_rows
 from sarsplat.learning.training_images import ViewQueue
 from sarsplat.processes import Processes
 from sarsplat.renderer import Rendering
+from sarsplat.renderer.chosen_views import NotRecordable
+from sarsplat.renderer.engines.choice import recorder_for
 from sarsplat.settings.config import Config
+
+_log = logging.getLogger("sarsplat")
 
 
 class Trainer:
@@ -80,6 +87,7 @@ class Trainer:
         self._penalty_unit = self._observation.minimise(loss, self.model)
         self.iteration = 0
         self.terms: dict[str, Tensor] = {}
+        self._recorded = self._recorder(loss)
 
     def _learn(self, model: SceneModel) -> None:
         """Begin with this model."""
@@ -107,15 +115,57 @@ class Trainer:
         `check` reports what was out of range on a GPU.
         """
         self._look()
-        chosen, step, share = self._queue.next(), self.iteration + 1, share_dropped(self.config, len(self.views))
-        left_out = dropped(len(self.model), share, self.config.seed, step, self.device) if share else None
+        chosen, step = self._queue.next(), self.iteration + 1
+        loss, rendering = self._by_itself(chosen, step) or self._launch_by_launch(chosen, step)
+        self.iteration += 1
+        self._each_strategy("step_post_backward", step, chosen, rendering)
+        return loss
+
+    def _launch_by_launch(self, chosen: Sequence[int], step: int) -> tuple[Tensor, Rendering]:
+        loss, total, rendering = self._compared(chosen, step, step)
+        self._each_strategy("step_pre_backward", step, chosen, rendering)
+        total.backward()
+        self.optimiser.step(self.iteration)
+        return loss, _done(rendering)
+
+    def _by_itself(self, chosen: Sequence[int], step: int) -> tuple[Tensor, Rendering] | None:
+        """The step, made by a device that was told what changes; None where it has to be told every launch."""
+        if self._recorded is None:
+            return None
+        model, stepper = self.model, self.optimiser.stepper
+        assert isinstance(stepper, EngineAdam)
+
+        def program(chosen: Tensor, now: Tensor, rates: Tensor) -> tuple[Tensor, Rendering, dict[str, Tensor]]:
+            loss, total, rendering = self._compared(chosen, step, now)
+            stepper.step_told(torch.autograd.grad(total, list(model.parameters.values())), rates)
+            return loss, _done(rendering), self.terms
+
+        kind = self._factor, model.degree(self.iteration), self._rays, self._wants_plane_gradients(step)
+        kept = [tensor for part in model.parts for tensor in part.state().values()]
+        things = stepper, self.images.truth, self.images.views, *model.parameters.values(), *kept
+        rates = self.optimiser.numbers(self.iteration)
+        try:
+            loss, rendering, self.terms = self._recorded.run((kind, things), program, chosen, step, rates)
+        except (NotRecordable, RuntimeError, SarsplatError) as error:
+            self._recorded = None
+            _log.info("steps are made launch by launch, because they cannot be recorded: %s", error)
+            return None
+        self.optimiser.stepped()
+        stepper.tell_torch()
+        return loss.clone(), rendering
+
+    def _compared(
+        self, chosen: Sequence[int] | Tensor, step: int, now: int | Tensor
+    ) -> tuple[Tensor, Tensor, Rendering]:
+        """The loss alone, and with all else that is minimised, and what was rendered; `now` is the step, too."""
+        share = share_dropped(self.config, len(self.views))
         batch = Batch(
             chosen,
             self.model.degree(self.iteration),
             self._rays,
             self._bounds,
-            dropped=left_out,
-            plane_gradients=any(strategy.wants_plane_gradients(step) for strategy in self.strategies),
+            dropped=dropped(len(self.model), share, self.config.seed, now, self.device) if share else None,
+            plane_gradients=self._wants_plane_gradients(step),
             processes=self._processes,
         )
         loss, rendering = self._observation.compared(self.model, self.images, batch)
@@ -129,13 +179,24 @@ class Trainer:
         if (penalty := self.model.penalty()) is not None:
             terms = {"priors": penalty} | terms
         self.terms = {name: term.detach() for name, term in terms.items()}
-        self._each_strategy("step_pre_backward", step, chosen, rendering)
-        sum(terms.values(), loss).backward()
-        loss, rendering = loss.detach(), _done(rendering)
-        self.optimiser.step(self.iteration)
-        self.iteration += 1
-        self._each_strategy("step_post_backward", step, chosen, rendering)
-        return loss
+        return loss.detach(), sum(terms.values(), loss), rendering
+
+    def _wants_plane_gradients(self, step: int) -> bool:
+        return any(strategy.wants_plane_gradients(step) for strategy in self.strategies)
+
+    def _recorder(self, loss: Loss | None) -> RecordedSteps[tuple[Tensor, Rendering, dict[str, Tensor]]] | None:
+        """What records steps that are ours alone, where the device can and all that changes can be told."""
+        recorder = recorder_for(next(iter(self.model.parameters.values())))
+        law = scattering_named(self.config.scattering)
+        ours = loss is None and law.__module__.startswith("sarsplat.") and self._processes is None
+        ours = ours and all(isinstance(one, Configured) and not one.acts_before for one in self.strategies)
+        views, rates = self._queue.size, len(self.model.parameters) + 2
+        if recorder is None or not RecordedSteps.has_room(views, rates):
+            return None
+        if not ours or not self._observation.recordable or not isinstance(self.optimiser.stepper, EngineAdam):
+            _log.info("steps are made launch by launch: only those of images, with nothing of one's own, are recorded")
+            return None
+        return RecordedSteps(recorder, views, rates)
 
     def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
         """Let all strategies act; what they remember of single Gaussians follows where others move rows."""

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 
 import torch
+from jaxtyping import Float32, Int64
+from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.snapshot import Snapshot
+from sarsplat.renderer.chosen_views import ChosenViews
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
@@ -47,6 +51,19 @@ class TrainingImages:
         self.truth = power.to(device)
         self.numbers = torch.arange(len(self.views), device=device)
 
+    def views_of(self, chosen: Sequence[int] | Int64[Tensor, " v"]) -> Sequence[View]:
+        """From where some of them were taken."""
+        return ChosenViews(self.views, chosen) if isinstance(chosen, Tensor) else [self.views[i] for i in chosen]
+
+    def of(
+        self, chosen: Sequence[int] | Int64[Tensor, " v"]
+    ) -> tuple[Int64[Tensor, " v"], Float32[Tensor, "v rows columns"]]:
+        """Numbers and β⁰ of some of them."""
+        if isinstance(chosen, Tensor):
+            return chosen, self.truth.index_select(0, chosen)
+        # stacked: much faster than an index
+        return torch.stack([self.numbers[i] for i in chosen]), torch.stack([self.truth[i] for i in chosen])
+
     def through(self, windows: Windows) -> TrainingImages:
         """The images cut to windows."""
         looked = copy(self)
@@ -75,6 +92,11 @@ class ViewQueue:
     def __init__(self, views: int, per_step: int, generator: torch.Generator) -> None:
         self.waiting: list[int] = []
         self._views, self._count, self._generator = views, min(per_step, views), generator
+
+    @property
+    def size(self) -> int:
+        """Of a batch."""
+        return self._count
 
     def next(self) -> list[int]:
         """View indices of the next step."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -27,8 +27,8 @@ from sarsplat.settings.config import Config
 class Batch:
     """What a step looks at, and how it is rendered."""
 
-    chosen: Sequence[int]
-    """Numbers of the training images."""
+    chosen: Sequence[int] | Int64[Tensor, " v"]
+    """Numbers of the training images; on the device where only that knows them."""
     degree: int
     """Of the harmonics in use."""
     rays: RayGrid
@@ -68,6 +68,9 @@ class Observation(ABC):
 
     takes: ClassVar[frozenset[str]] = frozenset({"strategies", "processes"})
     """Which of these fields of `Inputs` it can be combined with."""
+
+    recordable: ClassVar[bool] = False
+    """Whether `compared` takes a batch that the device chooses."""
 
     images: TrainingImages
     """At the finest level."""

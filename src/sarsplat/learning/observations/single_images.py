@@ -22,6 +22,7 @@ class SingleImages(Observation):
     """β⁰ of each training image, compared by the configuration's loss or one of the user's own."""
 
     order = 2
+    recordable = True
 
     def __init__(self, dataset: Dataset, config: Config, device: torch.device) -> None:
         super().__init__(dataset, config, device)
@@ -47,18 +48,18 @@ class SingleImages(Observation):
         return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
 
     def compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:
+        numbers, truth = images.of(batch.chosen)
         rendered, rendering = model.render(
-            [images.views[i] for i in batch.chosen],
+            images.views_of(batch.chosen),
             images.grid,
             batch.degree,
             rays=batch.rays,
-            numbers=torch.stack([images.numbers[i] for i in batch.chosen]),
+            numbers=numbers,
             plane_gradients=batch.plane_gradients,
             bounds=batch.bounds,
             dropped=batch.dropped,
             processes=batch.processes,
         )
-        truth = torch.stack([images.truth[i] for i in batch.chosen])  # much faster than an index
         return self._loss(channel_of(rendered, model.power_channel), truth), rendering
 
 

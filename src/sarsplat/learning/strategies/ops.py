@@ -28,10 +28,15 @@ def rearrange(
 ) -> None:
     """Make row k of every per-Gaussian tensor from row `source`[k]; `kept` are those that are still the same Gaussian.
 
-    The leaves are replaced in `params`; moments and state of the others become 0.
+    The leaves are replaced in `params` unless there are as many rows as before; moments and state of the others
+    become 0.
     """
     for name in optimizers.rows:
-        params[name] = params[name].detach()[source].requires_grad_()
+        rows = params[name].detach()[source]
+        if len(rows) == len(params[name]):
+            params[name].detach().copy_(rows)
+        else:
+            params[name] = rows.requires_grad_()
     optimizers.follow(source, kept)
     state.follow(source, kept)
 

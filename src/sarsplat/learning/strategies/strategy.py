@@ -211,6 +211,9 @@ class Configured(Strategy):
     order: ClassVar[int]
     """Those with a smaller one act before it."""
 
+    acts_before: ClassVar[bool] = False
+    """Whether it has anything to do before a step's gradients, which cannot be recorded, then."""
+
     @classmethod
     @abstractmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:

@@ -29,6 +29,13 @@ extern "C" __global__ void __launch_bounds__(kThreads) normal_lobes_backward(sg_
   for (int k = 0; k < 3; k++) l.d_parameters[3 * i + k] = sum.parameters[k];
 }
 
+// What changes from step to step comes with the arguments of this launch, so that those of all others can stay as they are.
+constexpr int kMostWords = 992;  // of 4 bytes: arguments are 4 KB at the most
+struct Words { int32_t of[kMostWords]; };
+extern "C" __global__ void __launch_bounds__(kThreads) tell(Words words, int32_t count, int32_t* to) {
+  for (int k = thread(); k < count; k += kThreads) to[k] = words.of[k];
+}
+
 // Parameters of a training, a block for kThreads numbers of one of them.
 constexpr int kMostGroups = 15;  // of a launch: arguments are 4 KB at the most
 struct AdamGroups { sg_adam_group of[kMostGroups]; };

@@ -16,6 +16,7 @@ from sarsplat.renderer.checks import check_for_cpu, check_for_cuda
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.engines.cuda_device import device, require_cuda
 from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.engines.recorder import CudaRecorder, Recorder
 from sarsplat.renderer.engines.trial import objection
 
 Tensors = Mapping[str, Tensor | None]
@@ -35,6 +36,8 @@ class Engine:
         passes over them; a `SarsplatError` says why not.
     takes_bounds : bool
         Its passes can be made with a `Capacity`, and then wait for nothing.
+    recorder : callable, optional
+        Given a device, what records steps there.
     objection : callable
         Given the device, why "auto" must not take the engine there; "" if nothing speaks against it.
     """
@@ -42,6 +45,7 @@ class Engine:
     device_type: str
     prepare: Callable[[Tensors, ImageGrid | None, str], NewPass]
     takes_bounds: bool = False
+    recorder: Callable[[torch.device], Recorder] | None = None
     objection: Callable[[torch.device], str] = lambda device: ""
 
 
@@ -55,7 +59,14 @@ def _on_cuda(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> 
     return partial(cuda.Pass, device(check_for_cuda(tensors)))
 
 
-ENGINES = {"cpu": Engine("cpu", _on_cpu), "cuda": Engine("cuda", _on_cuda, takes_bounds=True, objection=objection)}
+def _recorder(where: torch.device) -> Recorder:
+    return CudaRecorder(device(where.index or 0))
+
+
+ENGINES = {
+    "cpu": Engine("cpu", _on_cpu),
+    "cuda": Engine("cuda", _on_cuda, takes_bounds=True, recorder=_recorder, objection=objection),
+}
 """Engines by name. Beside them there are "reference", which is plain torch, and "auto", which chooses."""
 
 
@@ -84,6 +95,12 @@ def passes_for(
     """
     chosen = chosen_engine(name, next(tensor for tensor in tensors.values() if tensor is not None))
     return ENGINES[chosen].prepare(tensors, grid, instruction_set) if chosen in ENGINES else None
+
+
+def recorder_for(like: Tensor) -> Recorder | None:
+    """What records steps on the device of a tensor; None where nothing does."""
+    engine = ENGINES.get(chosen_engine("auto", like))
+    return None if engine is None or engine.recorder is None else engine.recorder(like.device)
 
 
 def chosen_engine(name: str, like: Tensor) -> str:

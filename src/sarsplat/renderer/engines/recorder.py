@@ -1,0 +1,97 @@
+"""Steps that a GPU does by itself: their launches are recorded once, and then run again as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ctypes import c_int32, c_void_p
+from typing import Protocol, TypeVar
+
+import torch
+from torch import Tensor
+
+from sarsplat.renderer.engines.cuda import Launcher
+
+T = TypeVar("T")
+
+MOST_WORDS = 992
+"""That can be told at a time, of csrc/cuda_training.cuh."""
+
+_Words = c_int32 * MOST_WORDS
+
+
+class Recorder(Protocol):
+    """What records on one device: a GPU, or the tests' emulation of one."""
+
+    launcher: Launcher
+
+    def rehearse(self, program: Callable[[], T]) -> T:
+        """Run a program where it would be recorded, so that all that is made once has been made."""
+        ...
+
+    def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
+        """Record a program without running it.
+
+        Returns the tensors that it gives, and what runs it again, with other numbers in the same places. Once that is
+        forgotten, so are all tensors of the program.
+        """
+        ...
+
+
+class CudaRecorder:
+    """Records on one GPU, as a graph of CUDA."""
+
+    def __init__(self, launcher: Launcher) -> None:
+        self.launcher, self._stream = launcher, torch.cuda.Stream(launcher.device)
+
+    def rehearse(self, program: Callable[[], T]) -> T:
+        """As `Recorder.rehearse`."""
+        usual = torch.cuda.current_stream(self.launcher.device)
+        self._stream.wait_stream(usual)
+        with torch.cuda.stream(self._stream):
+            result = program()
+        usual.wait_stream(self._stream)
+        return result
+
+    def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
+        """As `Recorder.record`."""
+        graph = torch.cuda.CUDAGraph()
+
+        def recorded() -> T:
+            graph.capture_begin(capture_error_mode="thread_local")
+            try:
+                return program()
+            finally:
+                graph.capture_end()
+
+        return self.rehearse(recorded), graph.replay
+
+
+class Told:
+    """Numbers on a device that change from step to step, and reach it with the arguments of a launch.
+
+    Parameters
+    ----------
+    recorder : Recorder
+        Whose device it is.
+    sizes : dict of str to (torch.dtype, int)
+        What there is to tell, by name: a type of 4 or 8 bytes, and how many numbers.
+    """
+
+    def __init__(self, recorder: Recorder, sizes: dict[str, tuple[torch.dtype, int]]) -> None:
+        self._launcher, self._words = recorder.launcher, _Words()
+        self._there = torch.zeros(MOST_WORDS, dtype=torch.int32, device=self._launcher.device)
+        self._here = torch.frombuffer(self._words, dtype=torch.int32)
+        self.tensors: dict[str, Tensor] = {}
+        self._at: dict[str, Tensor] = {}
+        begin = 0
+        for name, (dtype, count) in sorted(sizes.items(), key=lambda item: -item[1][0].itemsize):  # so they are aligned
+            end = begin + count * dtype.itemsize // 4
+            self.tensors[name], self._at[name] = (w[begin:end].view(dtype) for w in (self._there, self._here))
+            begin = end
+        self._count = c_int32(begin)
+
+    def tell(self, **numbers: Tensor) -> None:
+        """Let the tensors have these numbers, which are on the CPU, from now on."""
+        for name, values in numbers.items():
+            self._at[name].copy_(values)
+        self._launcher.launch("tell", 1, 256, self._words, self._count, c_void_p(self._there.data_ptr()))

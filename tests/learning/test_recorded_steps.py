@@ -1,0 +1,82 @@
+"""Steps that a GPU makes by itself: the same bits as launch by launch, for as long as what it was told suffices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from emulated_cuda import Emulator
+from emulated_recorder import EmulatedRecorder
+from torch import Tensor
+
+from sarsplat import Dataset, preset
+from sarsplat.learning import Trainer
+from sarsplat.renderer.engines import choice, cuda
+from sarsplat.settings import Config
+from sarsplat.settings.sections import Densification, Relocation
+
+STEPS = 30
+DENSITY = Densification(
+    start=4,
+    stop=20,
+    every=8,
+    gradient=1e-4,
+    split_above=0.16,
+    max_extent=0.3,
+    min_scattering=0.01,
+    max_gaussians=300,
+)
+
+
+def small(name: str, **changes: Any) -> Config:
+    few = {"iterations": STEPS, "gaussians": 50, "harmonics_every": 7, "views_per_step": 2}
+    return replace(preset(name), **few | changes)
+
+
+CONFIGS = {
+    "default": small("default"),
+    "quick": small("quick"),
+    "speckled": small("speckled"),
+    "paper": small("paper", views_per_step=1),
+    "measured": small("measured"),
+    "density": small("paper", densification=DENSITY),
+    "levels": small("default", coarsest=2, relocation=Relocation(rounds=8)),
+}
+
+
+@pytest.fixture
+def recorder(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[EmulatedRecorder]:
+    """On the CPU, an emulated GPU that records steps."""
+    recorder = EmulatedRecorder(Emulator(library))
+    engine = choice.Engine(
+        "cpu", lambda *_: partial(cuda.Pass, recorder.launcher), takes_bounds=True, recorder=lambda _: recorder
+    )
+    monkeypatch.setitem(choice.ENGINES, "cuda", engine)
+    monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))
+    choice._fitting.cache_clear()
+    yield recorder
+    choice._fitting.cache_clear()
+
+
+def state_of(trainer: Trainer) -> dict[str, Tensor]:
+    return dict(trainer.snapshot(0.0).tensors)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_steps_run_again_are_steps(name: str, dataset: Dataset, recorder: EmulatedRecorder) -> None:
+    by_itself, launched = (Trainer(dataset, CONFIGS[name]) for _ in range(2))
+    launched._recorded = None
+    for step in range(STEPS):
+        losses = [trainer.step() for trainer in (by_itself, launched)]
+        assert torch.equal(*losses), step
+        assert {k: float(v) for k, v in by_itself.terms.items()} == {k: float(v) for k, v in launched.terms.items()}
+    assert by_itself._recorded is not None
+    assert recorder.replays > STEPS // 2
+    mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
+    assert [name for name, tensor in theirs.items() if not torch.equal(mine[name], tensor)] == []
+    print(name, recorder.records, recorder.replays)

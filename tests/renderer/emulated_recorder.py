@@ -1,0 +1,84 @@
+"""What `CudaRecorder` does, for the emulated GPU: operations of torch and launches, recorded and run again."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import torch
+from emulated_cuda import Emulator
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+
+T = TypeVar("T")
+
+_FROM_THE_CPU = ("_local_scalar_dense", "lift_fresh", "nonzero", "is_nonzero", "equal", "masked_select", "pin_memory")
+"""What would make a CPU wait for a GPU, or the other way round: while a graph is recorded, CUDA refuses it."""
+
+
+class EmulatedRecorder(TorchDispatchMode):
+    """Records on the emulated GPU.
+
+    What is recorded is run at the same time, so that there is something to look at; the first run of it is left out
+    instead.
+    """
+
+    def __init__(self, launcher: Emulator) -> None:
+        super().__init__()
+        self.launcher, self.records, self.replays = launcher, 0, 0
+        self._steps: list[Callable[[], object]] = []
+        self._kept: list[object] = []
+
+    def rehearse(self, program: Callable[[], T]) -> T:
+        return program()
+
+    def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
+        self._steps, self._kept = [], []
+        usual = self.launcher.launch
+
+        def launch(name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
+            copies = [type(argument).from_buffer_copy(argument) for argument in arguments]
+            self._steps.append(lambda: usual(name, blocks, threads, *copies))
+            usual(name, blocks, threads, *arguments)
+
+        self.launcher.launch = launch
+        try:
+            with self:
+                result = program()
+        finally:
+            del self.launcher.launch
+        self.records += 1
+        steps, kept, run = self._steps, self._kept, [0]
+
+        @torch.no_grad()
+        def again() -> None:
+            run[0] += 1
+            if run[0] > 1:
+                self.replays += 1
+                for step in steps:
+                    step()
+            assert kept  # lives as long as this
+
+        return result, again
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name, kwargs = func.overloadpacket.__name__, kwargs or {}
+        if name in _FROM_THE_CPU:
+            raise RuntimeError(f"{name}: operation not permitted when stream is capturing")
+        result = func(*args, **kwargs)
+        inputs, outputs = ([t for t in tree_leaves(of) if isinstance(t, Tensor)] for of in ((args, kwargs), result))
+        self._kept += [args, kwargs, result]
+        if "empty" in name:
+            return result
+        there = {t.untyped_storage().data_ptr() for t in inputs}
+
+        def again() -> None:
+            new = [t for t in tree_leaves(func(*args, **kwargs)) if isinstance(t, Tensor)]
+            for before, now in zip(outputs, new, strict=True):
+                if before.untyped_storage().data_ptr() not in there:
+                    before.copy_(now)
+
+        self._steps.append(again)
+        return result
