@@ -155,7 +155,7 @@ def _shift(gaussians: Gaussians, views: Sequence[View], shift: Tensor | None) ->
 
 def _ray_ends(step: Render | Attenuate, transmittance: Tensor) -> RayEnds:
     """T_end of the rays of all views, and where they are."""
-    lattices, (dx, dy) = [step.kernel.lattice(view) for view in range(step.problem.views)], step.rays.spacing_m
+    lattices, (dx, dy) = step.kernel.lattices(step.problem.views), step.rays.spacing_m
     sizes = [(lattice.rows, lattice.columns) for lattice in lattices]
     return RayEnds(transmittance, sizes, [((lattice.k0x + 0.5) * dx, (lattice.k0y + 0.5) * dy) for lattice in lattices])
 

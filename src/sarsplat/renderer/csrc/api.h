@@ -134,13 +134,19 @@ struct sg_axis {          // places first + k step, m; of cells, the edges befor
   int32_t count;
 };
 
-struct sg_patches { sg_axis rows, columns; };  // that the rays of a view make on the ground, in slant range and azimuth
+struct sg_patches {       // that the rays of a view make on the ground
+  sg_axis rows, columns;  // in slant range and azimuth
+  int64_t first;          // of the rays, among those of all views
+};
 
 struct sg_ground {        // see ground.h; forward, or with d_lit backward
   int32_t views;
   sg_axis rows, columns;  // centres of the pixels
   double std[2];          // of the response: (azimuth, range)
-  const sg_patches* patches;   // [V]
+  const sg_patches* patches;   // [of_views]
+  int32_t of_views;       // V; or of so many, among which a GPU is told which are the views'
+  const int64_t* chosen;  // [V] which patches are the views', or null: they are in order
+  int64_t pitch;          // rays from a view's first one on, if they are chosen: then all views have as many
   const float* transmittance;  // T_end of all views' lattices one after the other
   const float* shift;     // [V, 2], or null
   float* lit;             // out [V, rows, columns]

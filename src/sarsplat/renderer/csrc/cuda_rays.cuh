@@ -179,14 +179,12 @@ extern "C" __global__ void __launch_bounds__(kThreads, kResident - 1) attenuate_
   }
 }
 
-// T_end and, unless null, the range at which the two-way optical depth reaches `depth`, ray by ray, of the view that begins
-// at first_tile; NaN where it never does
-extern "C" __global__ void __launch_bounds__(kThreads)
-trace_tiles(sg_problem p, State s, int32_t first_tile, float depth, float* transmittance, float* first_return) {
-  const auto [lattice, ray, first, count] = tile(s.rays, p.views, first_tile + blockIdx.x);
+// T_end and, unless null, the range at which the two-way optical depth reaches `depth`, ray by ray of all views; NaN where it
+// never does
+extern "C" __global__ void __launch_bounds__(kThreads) trace_tiles(sg_problem p, State s, float depth, float* transmittance, float* first_return) {
+  const auto [lattice, ray, first, count] = tile(s.rays, p.views, blockIdx.x);
   if (!ray.inside) return;
-  const int64_t at = ray.index - lattice.first_point;
-  transmittance[at] = s.transmittance[ray.index];
+  transmittance[ray.index] = s.transmittance[ray.index];
   if (!first_return) return;
   const float stop = -logf(p.min_transmittance);
   float sum_tau = 0.0f, found = __int_as_float(0x7fc00000);
@@ -201,7 +199,7 @@ trace_tiles(sg_problem p, State s, int32_t first_tile, float depth, float* trans
     if (before < depth && sum_tau >= depth)
       found = splat.extra + s.slope[2 * j] * ((float)ray.x - g.x) + s.slope[2 * j + 1] * ((float)ray.y - g.y);
   }
-  first_return[at] = found;
+  first_return[ray.index] = found;
 }
 
 }  // namespace SG_ISA

@@ -1,5 +1,5 @@
 // ground.h: how much of the ground each pixel sees, and the gradient of that. The twin in torch, with the formula, is
-// `LitGround.plain` in lit_ground.py.
+// `LitGround.plain` in lit_ground.py; the GPU's kernels are in cuda_ground.cuh.
 //
 // lit = 1 - R (1 - T) X^T, where row i of R, and row j of X, hold the integrals of the response of pixel i, or j, over the
 // patches that the rays' cells make on the ground: bands, because a response sees few patches. Every product is one of a
@@ -125,14 +125,13 @@ int32_t lit_ground(sg_context* context, const sg_ground* ground) {
   Arena& arena = context->arena;
   arena.reset();
   GroundView* views = arena.take<GroundView>(g.views);
-  int64_t stripe = 0, rays = 0;
+  int64_t stripe = 0;
   int stripes = 1;
   for (int v = 0; v < g.views && !arena.failed(); v++) {
     const sg_patches& p = g.patches[v];
     views[v] = {band_of(arena, g.rows, p.rows, g.std[1], g.d_shift != nullptr),
                 band_of(arena, g.columns, p.columns, g.std[0], g.d_shift != nullptr),
-                g.transmittance + rays, arena.take<float>((int64_t)p.columns.count * g.rows.count + 1), nullptr};
-    rays += (int64_t)p.rows.count * p.columns.count;
+                g.transmittance + p.first, arena.take<float>((int64_t)p.columns.count * g.rows.count + 1), nullptr};
     stripe = stripe > p.rows.count ? stripe : p.rows.count;
     stripe = stripe > p.columns.count ? stripe : p.columns.count;
     stripes = larger(stripes, (larger(p.columns.count, g.rows.count) + kStripe - 1) / kStripe);

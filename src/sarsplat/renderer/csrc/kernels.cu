@@ -13,3 +13,4 @@
 #include "cuda_pixels.cuh"
 #include "cuda_loss.cuh"
 #include "cuda_training.cuh"
+#include "cuda_ground.cuh"

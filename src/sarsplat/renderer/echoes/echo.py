@@ -26,6 +26,8 @@ from sarsplat.renderer.rendering import RayMap
 class RayEnds:
     """T_end of the rays of all views, row by row, one view after the other.
 
+    Of `ChosenViews`, sizes and origins are those of all that may be chosen, and each of the V views has as many rays.
+
     Parameters
     ----------
     transmittance : Tensor [R]

@@ -16,6 +16,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.renderer.chosen_views import by_view
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.echoes.lit_ground import lit_ground
 from sarsplat.renderer.echoes.lit_terrain import lit_terrain
@@ -131,7 +132,7 @@ def _law(ground: Ground, log_sine: Float[Tensor, "v 1 1"]) -> Float[Tensor, "v 1
 def _numbers(ground: Ground, views: Sequence[View]) -> Float[Tensor, "k v 1 1"]:
     """`_of_view` of each."""
     table = ground.gamma0
-    return torch.stack([_of_view(view, table.device) for view in views]).to(table).T[..., None, None]
+    return by_view(_of_view, views, table.device).to(table).T[..., None, None]
 
 
 # A training asks for the same few views again and again, and a GPU should not be sent them each time.

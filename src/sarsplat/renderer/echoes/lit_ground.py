@@ -11,13 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any
 
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer.chosen_views import ChosenViews
 from sarsplat.renderer.echoes.echo import RayEnds
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
@@ -55,22 +57,26 @@ def lit_ground(
     new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """Share of each pixel's ground that the radar sees, through the response; differentiable by T_end and shift."""
+    chosen, every = (views.numbers, views.all) if isinstance(views, ChosenViews) else (None, views)
     (dx, dy), patches = rays.spacing_m, []
-    for view, (rows, columns), (x, y) in zip(views, ends.sizes, ends.origins, strict=True):
+    for view, (rows, columns), (x, y) in zip(every, ends.sizes, ends.origins, strict=True):
         down = Axis(*view.look.rows_on_ground(y - dy / 2, dy, height_m), rows)
         patches.append((down, Axis(x - dx / 2, dx, columns)))
-    return LitGround(patches, grid).on(new_pass, ends.transmittance, shift)
+    return LitGround(patches, grid, chosen).on(new_pass, ends.transmittance, shift)
 
 
 class LitGround(Operation):
-    """`lit_ground` of rays that make such patches on the ground; on engines, sums do not depend on threads."""
+    """`lit_ground` of rays that make such patches on the ground; on engines, sums do not depend on threads.
+
+    If views are chosen on the device, there are patches of all that may be, and each view has as many rays.
+    """
 
     operation = "lit_ground"
     names = ("transmittance", "shift")
     optional = ("shift",)
 
-    def __init__(self, patches: _Patches, grid: ImageGrid) -> None:
-        self.patches, self.grid = patches, grid
+    def __init__(self, patches: _Patches, grid: ImageGrid, chosen: Int64[Tensor, " v"] | None = None) -> None:
+        self.patches, self.grid, self.chosen = patches, grid, chosen
 
     def plain(
         self, transmittance: Float[Tensor, " rays"], shift: Float[Tensor, "v 2"] | None
@@ -84,14 +90,26 @@ class LitGround(Operation):
             images.append(1 - along_range @ (1 - part.view(down.count, across.count)) @ along_azimuth.T)
         return torch.stack(images)
 
-    def numbers(self, *inputs: Tensor | None) -> dict[str, Any]:
-        rows, columns = pixel_axes(self.grid)
-        patches = [{"rows": down.numbers, "columns": across.numbers} for down, across in self.patches]
-        sizes = {"views": len(patches), "rows": rows.numbers, "columns": columns.numbers}
-        return sizes | {"std": stds(self.grid), "patches": patches}
+    def numbers(self, transmittance: Tensor, shift: Tensor | None) -> dict[str, Any]:
+        (rows, columns), sizes = pixel_axes(self.grid), [down.count * across.count for down, across in self.patches]
+        alone = self.chosen is not None
+        firsts = [0] * len(sizes) if alone else accumulate(sizes[:-1], initial=0)
+        return {
+            **{"views": self._views, "rows": rows.numbers, "columns": columns.numbers, "std": stds(self.grid)},
+            **{"of_views": len(sizes), "chosen": self.chosen},
+            "pitch": len(transmittance) // self._views if alone else 0,
+            "patches": [
+                {"rows": down.numbers, "columns": across.numbers, "first": first}
+                for (down, across), first in zip(self.patches, firsts, strict=True)
+            ],
+        }
 
     def outputs(self, transmittance: Tensor, shift: Tensor | None) -> dict[str, Tensor]:
-        return {"lit": transmittance.new_empty(len(self.patches), self.grid.rows, self.grid.columns)}
+        return {"lit": transmittance.new_empty(self._views, self.grid.rows, self.grid.columns)}
+
+    @property
+    def _views(self) -> int:
+        return len(self.patches) if self.chosen is None else len(self.chosen)
 
 
 def pixel_axes(grid: ImageGrid) -> tuple[Axis, Axis]:

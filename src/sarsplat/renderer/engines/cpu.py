@@ -178,17 +178,24 @@ class Pass:
         """Fill in what such an operation gives."""
         self._call(operation, call)
 
-    def lattice(self, view: int) -> ctypes.Structure:
-        """Where the rays of a view stand."""
-        lattice = api.lattice()
-        self._functions["lattice"](self._context, view, lattice)
-        return lattice
+    def lattices(self, views: int) -> list[ctypes.Structure]:
+        """Where the rays of the views stand."""
+        lattices = [api.lattice() for _ in range(views)]
+        for view, lattice in enumerate(lattices):
+            self._functions["lattice"](self._context, view, lattice)
+        return lattices
 
-    def trace(
-        self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
-    ) -> None:
-        """Fill T_end and, unless None, the first-return range of a view's rays."""
-        self._call("trace", problem, view, depth, transmittance, first_return)
+    def ray_count(self, views: int) -> int:
+        """How many rays they have."""
+        return sum(lattice.rows * lattice.columns for lattice in self.lattices(views))
+
+    def trace(self, problem: ctypes.Structure, depth: float, transmittance: int, first_return: int | None) -> None:
+        """Fill T_end and, unless None, the first-return ranges of the rays of all views, one after the other."""
+        at = 0
+        for view, lattice in enumerate(self.lattices(problem.views)):
+            ranges = None if first_return is None else first_return + at
+            self._call("trace", problem, view, depth, transmittance + at, ranges)
+            at += 4 * lattice.rows * lattice.columns
 
     def statistics(self, problem: ctypes.Structure) -> ctypes.Structure:
         """Visited blocks and live lanes of the last forward pass."""

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer.chosen_views import NotRecordable
 from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, TILE, Capacity
 from sarsplat.renderer.engines.cpu import FAULTS, LIMITS
+from sarsplat.renderer.engines.cuda_ground import lit_ground
 from sarsplat.renderer.engines.cuda_lattices import (
     State,
     ViewLattice,
@@ -24,7 +24,6 @@ from sarsplat.renderer.engines.cuda_lattices import (
     cut_into_tiles,
     largest,
     smallest_lattice,
-    tiles_of,
     total,
 )
 from sarsplat.renderer.engines.passes import within
@@ -54,6 +53,7 @@ _BACKWARD = ("h", "returns", "slot_moments", "pixel_moments", "planes", "pair gr
 _OPERATIONS: dict[str, dict[str, float]] = {
     "adam": LIMITS["adam"],
     "amplitude_loss": {},
+    "lit_ground": {},
     "normal_lobes": {},
 }
 """The operations of one structure that there are kernels for, and the largest of some numbers that they take."""
@@ -100,23 +100,18 @@ class Pass:
         with self._memory():
             getattr(self, f"_{step}_backward")(problem, *arguments)
 
-    def lattice(self, view: int) -> ctypes.Structure:
-        """Where the rays of a view stand."""
-        if self._capacity is not None and self._capacity.chosen is not None:
-            raise NotRecordable("asks where the rays of a view stand")
-        return api.lattice(*self._lattices[view])
+    def lattices(self, views: int) -> list[ctypes.Structure]:
+        """Where the rays of the views stand; if they are chosen on the device, of all that may be."""
+        return [api.lattice(*lattice) for lattice in self._lattices]
 
-    def trace(
-        self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
-    ) -> None:
-        """Fill T_end and, unless None, the first-return range of a view's rays."""
-        rays = self._rays[view]
-        self._launch(
-            "trace_tiles",
-            tiles_of(rays),
-            *(problem, self._state, c_int32(rays.first_tile), c_float(depth)),
-            *(c_void_p(transmittance), c_void_p(first_return)),
-        )
+    def ray_count(self, views: int) -> int:
+        """How many rays `trace` has room for."""
+        return total(self._rays)[0]
+
+    def trace(self, problem: ctypes.Structure, depth: float, transmittance: int, first_return: int | None) -> None:
+        """Fill T_end and, unless None, the first-return ranges of the rays of all views, one after the other."""
+        arrays = c_void_p(transmittance), c_void_p(first_return)
+        self._launch("trace_tiles", total(self._rays)[1], problem, self._state, c_float(depth), *arrays)
 
     def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
         """Whether it does an operation of one structure, given the numbers in that."""
@@ -147,6 +142,9 @@ class Pass:
             self._launch("similarity_slopes", of_windows, loss, slopes, similar)
         self._launch("amplitude_loss", of_pixels, loss, slopes, sums)
         self._launch("sum_loss", 1, loss, sums, c_int64(of_pixels), similar, c_int64(of_windows))
+
+    def _lit_ground(self, ground: ctypes.Structure) -> None:
+        lit_ground(ground, self._new, self._sent, self._launch)
 
     def _normal_lobes(self, lobes: ctypes.Structure) -> None:
         kernel = "normal_lobes_backward" if lobes.d_amplitudes else "normal_lobes"

@@ -22,14 +22,16 @@ class Pass(Protocol):
         """Run the adjoint of the last forward call; that of "project" keeps nothing: of any problem."""
         ...
 
-    def lattice(self, view: int) -> ctypes.Structure:
-        """Where the rays of a view stand."""
+    def lattices(self, views: int) -> list[ctypes.Structure]:
+        """Where the rays of the views stand; if they are chosen on the device, of all that may be."""
         ...
 
-    def trace(
-        self, problem: ctypes.Structure, view: int, depth: float, transmittance: int, first_return: int | None
-    ) -> None:
-        """Fill T_end and, unless None, the first-return range of a view's rays."""
+    def ray_count(self, views: int) -> int:
+        """How many rays `trace` fills; if views are chosen on the device, each has room for the largest lattice."""
+        ...
+
+    def trace(self, problem: ctypes.Structure, depth: float, transmittance: int, first_return: int | None) -> None:
+        """Fill T_end and, unless None, the first-return ranges of the rays of all views, one after the other."""
         ...
 
     def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:

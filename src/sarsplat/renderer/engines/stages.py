@@ -214,14 +214,10 @@ def _by_view(like: Tensor, problem: Any, width: int | None) -> Tensor:
 def _traced(kernel: Pass, problem: Any, depth: float | None, ends: bool, like: Tensor) -> tuple[Tensor, Tensor]:
     """T_end of the rays of all views, one after the other, and first returns; of none that are not asked for."""
     asked = ends or depth is not None
-    sizes = [kernel.lattice(v).rows * kernel.lattice(v).columns for v in range(problem.views)] if asked else []
-    transmittance = like.new_empty(sum(sizes))
-    first_return = like.new_empty(0 if depth is None else sum(sizes))
-    at = 0
-    for v, size in enumerate(sizes):
-        returns = None if depth is None else first_return[at:].data_ptr()
-        kernel.trace(problem, v, depth or 0.0, transmittance[at:].data_ptr(), returns)
-        at += size
+    count = kernel.ray_count(problem.views) if asked else 0
+    transmittance, first_return = like.new_empty(count), like.new_empty(0 if depth is None else count)
+    if asked:
+        kernel.trace(problem, depth or 0.0, transmittance.data_ptr(), pointer(None if depth is None else first_return))
     return transmittance, first_return
 
 
