@@ -122,7 +122,7 @@ class Target(Part):
             yield config.sparsity * len(filled) * column_means(filled[:, None]).sum()
         if config.directional_std is not None and scattering.shape[1] > 1:
             uniform = self._scattering(p, 0)
-            upwards = p["means"].new_tensor([[0.0, 0.0, 1.0]])
+            upwards = torch.eye(3, dtype=scattering.dtype, device=scattering.device)[2:]  # nothing comes from the CPU
             level = uniform.amplitudes(upwards, p["quaternions"], p["scales"])[0, :, uniform.power_channel]
             yield normal_nats(scattering[:, 1:] / (config.directional_std * level[:, None].detach()), 1.0)
 

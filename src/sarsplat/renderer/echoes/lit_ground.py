@@ -92,12 +92,12 @@ class LitGround(Operation):
 
     def numbers(self, transmittance: Tensor, shift: Tensor | None) -> dict[str, Any]:
         (rows, columns), sizes = pixel_axes(self.grid), [down.count * across.count for down, across in self.patches]
-        alone = self.chosen is not None
-        firsts = [0] * len(sizes) if alone else accumulate(sizes[:-1], initial=0)
+        in_order = self.chosen is None
+        firsts = accumulate(sizes[:-1], initial=0) if in_order else [0] * len(sizes)
         return {
             **{"views": self._views, "rows": rows.numbers, "columns": columns.numbers, "std": stds(self.grid)},
             **{"of_views": len(sizes), "chosen": self.chosen},
-            "pitch": len(transmittance) // self._views if alone else 0,
+            "pitch": 0 if in_order else len(transmittance) // self._views,
             "patches": [
                 {"rows": down.numbers, "columns": across.numbers, "first": first}
                 for (down, across), first in zip(self.patches, firsts, strict=True)
