@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,9 +18,10 @@ from sarsplat import Dataset, preset
 from sarsplat.learning import Trainer
 from sarsplat.renderer.engines import choice, cuda
 from sarsplat.settings import Config
-from sarsplat.settings.sections import Densification, Relocation
+from sarsplat.settings.sections import Densification, FlatGround, Relocation, Surroundings
 
 STEPS = 30
+SELDOM = Surroundings(texture_rounds=2, azimuth_rounds=2)
 DENSITY = Densification(
     start=4,
     stop=20,
@@ -43,7 +44,10 @@ CONFIGS = {
     "quick": small("quick"),
     "speckled": small("speckled"),
     "paper": small("paper", views_per_step=1),
-    "measured": small("measured"),
+    "measured": small("measured", harmonics_every=20, surroundings=SELDOM),
+    "azimuths": small("measured", harmonics_every=STEPS, views_per_step=5, surroundings=SELDOM),
+    "ground": small("default", ground=FlatGround()),
+    "ground of one kind": small("quick", ground=FlatGround(pitch=0.0), views_per_step=3),
     "density": small("paper", densification=DENSITY),
     "levels": small("default", coarsest=2, relocation=Relocation(rounds=8)),
 }
@@ -69,6 +73,9 @@ def state_of(trainer: Trainer) -> dict[str, Tensor]:
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_steps_run_again_are_steps(name: str, dataset: Dataset, recorder: EmulatedRecorder) -> None:
+    if name == "azimuths":
+        uncertain = (replace(entry, azimuth_std_deg=2.0) for entry in dataset.entries)
+        dataset = replace(dataset, entries=tuple(uncertain))
     by_itself, launched = (Trainer(dataset, CONFIGS[name]) for _ in range(2))
     launched._recorded = None
     for step in range(STEPS):
