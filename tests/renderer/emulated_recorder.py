@@ -39,7 +39,7 @@ class EmulatedRecorder(TorchDispatchMode):
         usual = self.launcher.launch
 
         def launch(name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
-            copies = [type(argument).from_buffer_copy(argument) for argument in arguments]
+            copies = [type(argument).from_buffer_copy(argument) for argument in arguments]  # type: ignore[attr-defined]
             self._steps.append(lambda: usual(name, blocks, threads, *copies))
             usual(name, blocks, threads, *arguments)
 
