@@ -181,6 +181,17 @@ class Trainer:
         self.terms = {name: term.detach() for name, term in terms.items()}
         return loss.detach(), sum(terms.values(), loss), rendering
 
+    @property
+    def records(self) -> bool:
+        """Whether the device makes steps by itself, as it was recorded to; they can be asked for one by one instead."""
+        return self._recorded is not None
+
+    @records.setter
+    def records(self, wanted: bool) -> None:
+        if wanted > self.records:
+            raise SarsplatError("steps cannot be recorded here, or not any more; leave records as it is")
+        self._recorded = self._recorded if wanted else None
+
     def _wants_plane_gradients(self, step: int) -> bool:
         return any(strategy.wants_plane_gradients(step) for strategy in self.strategies)
 
