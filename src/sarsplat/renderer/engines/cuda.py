@@ -42,8 +42,8 @@ _MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
 
 _MAX_PAIRS = 1 << 31
 
-_RANKED = 1 << 15
-"""Of up to so many Gaussians, a tile's list is put in order by counting who is in front, which goes with its square."""
+_RANKED = 1 << 16
+"""A tile's list of up to so many is put in order by counting who is in front, which goes with its square."""
 
 _NOTHING = (1 << 63) - 1
 """The largest key, and more than there is of anything."""
@@ -310,14 +310,17 @@ class Pass:
 
     def _arrange(self, problem: ctypes.Structure, planes: dict[str, list[ctypes.Structure]]) -> None:
         """List the Gaussians of every tile of these planes: on rays front to back."""
-        counted = [self._count(name, getattr(self._state, name), tiles, problem) for name, tiles in planes.items()]
+        for name, tiles in planes.items():
+            self._count(name, getattr(self._state, name), tiles, problem)
         if self._capacity is not None:
-            numbers = [self._pairs * self._capacity.tiles[name] for name in planes]
+            numbers = [[self._pairs * self._capacity.tiles[name], problem.gaussians] for name in planes]
         else:
-            numbers = torch.stack(counted).tolist()
-        for name, slots in zip(planes, numbers, strict=True):
+            counted = ((self._arrays[f"{name} counts"], self._arrays[f"{name} in tile"]) for name in planes)
+            found = torch.stack([n for count, listed in counted for n in (count.sum(), listed.max().long())])
+            numbers = found.view(-1, 2).tolist()  # here the CPU waits for the GPU
+        for name, (slots, longest) in zip(planes, numbers, strict=True):
             plane = getattr(self._state, name)
-            self._list(name, plane, slots, problem, by_depth=name == "rays")
+            self._list(name, plane, slots, problem, by_depth=name == "rays", ranked=longest <= _RANKED)
 
     def _attenuate_tiles(
         self, problem: ctypes.Structure, channels: ctypes.Structure, outputs: ctypes.Structure
@@ -371,8 +374,8 @@ class Pass:
 
     def _count(
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
-    ) -> Tensor:
-        """Count the tiles of every Gaussian and the other way round; the number of slots, still on the device."""
+    ) -> None:
+        """Count the tiles of every Gaussian, and the Gaussians of every tile."""
         if name == "rays" and self._capacity is not None and self._capacity.chosen is not None:
             there = self._chosen_lattices(lattices, self._capacity.chosen)
         else:
@@ -387,7 +390,6 @@ class Pass:
         plane.starts = self._keep(f"{name} starts", torch.cumsum(in_tile, 0)).data_ptr()
         ends = self._keep(f"{name} ends", torch.cumsum(counts, 0))
         plane.ends = ends.data_ptr()
-        return ends[-1] if len(ends) else counts.sum()
 
     def _chosen_lattices(self, places: Sequence[ctypes.Structure], chosen: Tensor) -> Tensor:
         """The chosen views' lattices, each with room for the largest; `places` says where those begin."""
@@ -399,11 +401,10 @@ class Pass:
         return _sent(content, device, torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0)
 
     def _list(
-        self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool
+        self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool, ranked: bool
     ) -> None:
         """List the Gaussians of every tile."""
         self._chunks[name] = slots // _CHUNK + plane.tiles
-        ranked = problem.gaussians <= _RANKED
         keys = self._new(f"{name} keys", slots, dtype=torch.int64)
         if not ranked:
             keys.fill_(_NOTHING)  # what is not used comes last
