@@ -32,8 +32,8 @@ from sarsplat.learning.strategies.strategy import Configured, of_rows
 from sarsplat.learning.training_images import ViewQueue
 from sarsplat.processes import Processes
 from sarsplat.renderer import Rendering
-from sarsplat.renderer.chosen_views import NotRecordable
 from sarsplat.renderer.engines.choice import recorder_for
+from sarsplat.renderer.engines.on_device import NotRecordable
 from sarsplat.settings.config import Config
 
 _log = logging.getLogger("sarsplat")

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer.chosen_views import NotRecordable
 from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, TILE, Capacity
 from sarsplat.renderer.engines.cpu import FAULTS, LIMITS
@@ -27,6 +26,7 @@ from sarsplat.renderer.engines.cuda_lattices import (
     tiles_of,
     total,
 )
+from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded
 from sarsplat.renderer.engines.passes import within
 
 # of csrc/cuda_state.cuh
@@ -442,6 +442,8 @@ class Pass:
 @lru_cache(maxsize=256)
 def _sent(content: bytes, device: torch.device, stream: int) -> Tensor:
     """On the device, as soon as the stream gets there; from pinned memory, for the CPU waits for any other copy."""
+    if being_recorded():
+        raise NotRecordable("lattices are sent in every step")
     array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
     return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)
 
