@@ -27,7 +27,7 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command line does, before torch is loaded
 
 import torch
-from clock import Clock
+from clock import Clock, spread
 from gpu import ALL_SIDES, Gpu
 from naive_torch import count_pairs
 from results import RESULTS, machine, save
@@ -77,7 +77,7 @@ def of_scenes(gpu: Gpu) -> Found:
 
 
 def of_steps(gpu: Gpu) -> Found:
-    """A training step: as a whole and per view, by kernel, and whether a second training learns the same bits."""
+    """A training step, launch by launch: in all, per view and by kernel, and whether a second one has the same bits."""
     steps = {
         "default": ("default", "demo"),
         "paper": ("paper", "demo"),
@@ -85,7 +85,7 @@ def of_steps(gpu: Gpu) -> Found:
         "default with ground": ("default", "ground"),
     }
     for name, (preset, kind) in steps.items():
-        trainer, again = gpu.trainer(preset, kind), gpu.trainer(preset, kind)
+        trainer, again = (gpu.trainer(preset, kind, recorded=False) for _ in range(2))
         for _ in range(gpu.few(WARM_UP, 1)):
             trainer.step()
             again.step()
@@ -95,11 +95,41 @@ def of_steps(gpu: Gpu) -> Found:
         yield name, size | gpu.paced(trainer.step, trainer.config.views_per_step, gpu.few(100, 1))
 
 
+def of_recording(gpu: Gpu) -> Found:
+    """Steps that the GPU makes by itself beside the same ones launch by launch: bits after 50, and time."""
+    steps = {name: (name, "demo") for name in ("default", "quick", "speckled", "paper")}
+    steps |= {"measured": ("measured", "ground")}
+    steps |= {f"default with {kind}": ("default", kind) for kind in ("ground", "terrain")}
+    for name, (preset, kind) in steps.items():
+        by_itself, launched = gpu.trainer(preset, kind), gpu.trainer(preset, kind, recorded=False)
+        losses = [[trainer.step() for trainer in (by_itself, launched)] for _ in range(gpu.few(50, 4))]
+        learned, other = by_itself.model.parameters, launched.model.parameters
+        same = all(torch.equal(*pair) for pair in losses)
+        same = same and all(torch.equal(other[key], tensor) for key, tensor in learned.items())
+        times = {
+            f"{how}_ms": 1e3 * spread(gpu.seconds(trainer.step, gpu.few(100, 1)))["median"]
+            for how, trainer in (("recorded", by_itself), ("launched", launched))
+        }
+        busy = gpu.busy_ms(by_itself.step, gpu.few(20, 1))
+        yield name, {"recorded": by_itself.records, "same_bits": same, "busy_ms": busy, **times}
+
+
+def of_the_paper(gpu: Gpu) -> Found:
+    """The paper's training of the demo's images, a tenth of it and whole, from the first step to the last."""
+    for iterations in (gpu.few(3_000, 3), gpu.few(30_000, 4)):
+        trainer = gpu.trainer("paper", iterations=iterations)
+        begun = time.perf_counter()
+        for _ in range(iterations):
+            trainer.step()
+        gpu.synchronise()
+        yield f"{iterations} iterations", {"training_s": time.perf_counter() - begun, "gaussians": len(trainer.model)}
+
+
 def of_kernels(gpu: Gpu) -> Found:
     """Time by kernel: steps of the demo with coarse and with fine rays and of the paper; many views, many Gaussians."""
     steps = {"demo, 2 rays": ("default", 1.0), "demo, 4 rays": ("default", 0.0), "paper": ("paper", 1.0)}
     for name, (preset, fine_from) in steps.items():
-        trainer = gpu.trainer(preset, fine_from=fine_from)
+        trainer = gpu.trainer(preset, recorded=False, fine_from=fine_from)
         for _ in range(gpu.few(WARM_UP, 1)):
             trainer.step()
         size = {"gaussians": len(trainer.model), "side": trainer.grid.rows}
@@ -147,7 +177,7 @@ def of_waits(gpu: Gpu) -> Found:
 
 
 def of_a_village(gpu: Gpu) -> Found:
-    """A village of 640 × 640 pixels with the preset `quick`, stage by stage; and its points' scores."""
+    """A village of 640 × 640 pixels with two presets, stage by stage; and its points' scores."""
     from village import village
 
     from sarsplat import Dataset, DatasetEntry
@@ -162,12 +192,12 @@ def of_a_village(gpu: Gpu) -> Found:
     yield "simulated", {"side": side, "faces": len(mesh.faces), **clock.spent}
     entries = tuple(DatasetEntry(view, "train", f"{k:03}") for k, view in enumerate(views))
     dataset = Dataset(grid, entries, images, target="village", truth_mesh=truth)
-    run, stages = gpu.trained(dataset, "quick", gpu.device)
-    yield "quick", stages
     yardstick = Yardstick.of(grid)
     surface = visible_surface(mesh, views, yardstick.ray_spacing_m, samples=gpu.few(200_000, 1000))
-    scores = point_metrics(run.points, surface.triangles, surface.samples, yardstick)
-    yield "scores", {f"f1@{threshold:g}": value for threshold, value in scores.f1.items()}
+    for preset in ("quick", "default"):
+        run, stages = gpu.trained(dataset, preset, gpu.device)
+        scores = point_metrics(run.points, surface.triangles, surface.samples, yardstick)
+        yield preset, stages | {f"f1@{threshold:g}": value for threshold, value in scores.f1.items()}
 
 
 def of_the_sanitizer(gpu: Gpu) -> Found:
@@ -192,11 +222,13 @@ Section = Callable[[Gpu], Found]
 SECTIONS: dict[str, tuple[Section, float]] = {
     "machine": (of_the_machine, 10),
     "scenes": (of_scenes, 60),
+    "recording": (of_recording, 60),
     "steps": (of_steps, 45),
     "kernels": (of_kernels, 60),
     "demo": (of_the_demo, 40),
     "waits": (of_waits, 30),
-    "village": (of_a_village, 90),
+    "paper": (of_the_paper, 30),
+    "village": (of_a_village, 120),
     "sanitizer": (of_the_sanitizer, 120),
 }
 """What is measured, in the order of its worth, and about how many seconds each takes."""

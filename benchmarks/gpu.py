@@ -183,8 +183,11 @@ class Gpu:
                 raise RuntimeError(f"sarsplat {' '.join(words)} ended with {code}")
         return read_dataset(self.folder / kind)
 
-    def trainer(self, preset: str, kind: str = "demo", **changes: Any) -> Any:
-        """A training before its first step, with all degrees of harmonics in use, as for most of a training."""
+    def trainer(self, preset: str, kind: str = "demo", recorded: bool = True, **changes: Any) -> Any:
+        """A training before its first step, with all degrees of harmonics in use, as for most of a training.
+
+        Unless `recorded`, its steps are made launch by launch.
+        """
         from sarsplat.learning.method import Inputs
         from sarsplat.learning.method_sar_gs import METHOD
 
@@ -192,7 +195,9 @@ class Gpu:
         if self.quick:
             changes |= {"gaussians": 60, "views_per_step": 2}
         config = replace(METHOD.preset(preset, dataset), harmonics_every=1, **changes)
-        return METHOD.trainer(dataset, config, Inputs(), torch.device(self.device), None)
+        trainer = METHOD.trainer(dataset, config, Inputs(), torch.device(self.device), None)
+        trainer.records = trainer.records and recorded
+        return trainer
 
     def trained(self, dataset: Any, preset: str, where: str) -> tuple[Any, dict[str, Any]]:
         """A run with its points and normals, computed there, and the seconds of these."""

@@ -224,12 +224,25 @@ def cuda(device: dict[str, Any]) -> str:
             f"{there['chamfer_m']:.4f} and {here['chamfer_m']:.4f} m."
         )
         said += stages(there, "After it")
-    if village := found["village"].get("quick"):
-        side = found["village"]["simulated"]["side"]
+    for preset, village in found["village"].items():
+        if preset != "simulated":
+            side = found["village"]["simulated"]["side"]
+            seconds = f"{village['training_s']:.1f} s"
+            said.append(f"A village of {side} × {side} pixels is trained by the preset `{preset}` in {seconds}.")
+            said += stages(village, "After that")
+    if recording := found["recording"]:
+        bits = "the same bits" if all(one["same_bits"] for one in recording.values()) else "OTHER BITS"
+        times = [
+            f"`{name}` {one['recorded_ms']:.2f} instead of {one['launched_ms']:.2f} ms"
+            for name, one in recording.items()
+            if one["recorded"]
+        ]
         said.append(
-            f"A village of {side} × {side} pixels is trained by the preset `quick` in {village['training_s']:.1f} s."
+            f"Steps that the GPU makes by itself, instead of launch by launch, take: {', '.join(times)}; they learn "
+            f"{bits}."
         )
-        said += stages(village, "After that")
+    for name, one in found["paper"].items():
+        said.append(f"The paper's training takes {one['training_s']:.1f} s for {name}.")
     if found["waits"]:
         counts = ", ".join(f"`{name}` {sum(lines.values())}" for name, lines in found["waits"].items())
         said.append(f"So often a training step makes Python wait for the GPU: {counts}.")

@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 import torch
 from emulated_cuda import Emulator
+from emulated_recorder import EmulatedRecorder
 from torch.profiler import DeviceType
 
 from programs import ROOT
@@ -39,7 +40,10 @@ def suite(module: Callable[[str], ModuleType]) -> ModuleType:
 def emulator(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulator]:
     """On the CPU, all that a GPU would do is emulated."""
     emulator = Emulator(library)
-    engine = choice.Engine("cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True)
+    recorder = EmulatedRecorder(emulator)
+    engine = choice.Engine(
+        "cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True, recorder=lambda _: recorder
+    )
     monkeypatch.setitem(choice.ENGINES, "cuda", engine)
     monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))  # so "auto" is not
     choice._fitting.cache_clear()
@@ -104,6 +108,11 @@ def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_pa
         assert scene["gradients"] < 1e-4
         assert scene["same_bits"]
     assert found["steps"].keys() == {"default", "paper", "measured", "default with ground"}
+    for name, part in found["recording"].items():
+        assert part["same_bits"]
+        assert part["recorded"] == (name in ("default", "quick", "speckled", "paper"))
+        assert min(part["recorded_ms"], part["launched_ms"]) > 0
+    assert [part["training_s"] > 0 for part in found["paper"].values()] == [True, True]
     assert found["waits"].keys() == {*PRESETS, "default with ground", "default with terrain"}
     paced = [part for name in ("steps", "kernels") for part in found[name].values() if "views" in part]
     assert len(paced) == 4 + 5
@@ -121,6 +130,8 @@ def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_pa
         "a training step: demo, 4 rays",
         "a training step: preset measured",
         "memcheck, racecheck find no fault",
+        "Steps that the GPU makes by itself, instead of launch by launch, take: `default` ",
+        "they learn the same bits",
     ):
         assert said in text
     assert not [word for word in ("nan", "FAULTS", "Not measured") if word in text]

@@ -77,12 +77,12 @@ def test_steps_run_again_are_steps(name: str, dataset: Dataset, recorder: Emulat
         uncertain = (replace(entry, azimuth_std_deg=2.0) for entry in dataset.entries)
         dataset = replace(dataset, entries=tuple(uncertain))
     by_itself, launched = (Trainer(dataset, CONFIGS[name]) for _ in range(2))
-    launched._recorded = None
+    launched.records = False
     for step in range(STEPS):
         losses = [trainer.step() for trainer in (by_itself, launched)]
         assert torch.equal(*losses), step
         assert {k: float(v) for k, v in by_itself.terms.items()} == {k: float(v) for k, v in launched.terms.items()}
-    assert by_itself._recorded is not None
+    assert by_itself.records
     assert recorder.replays > STEPS // 2
     mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
     assert [name for name, tensor in theirs.items() if not torch.equal(mine[name], tensor)] == []

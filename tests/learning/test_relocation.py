@@ -51,7 +51,7 @@ def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     for _ in range(69):
         trainer.step()
     images, rendering = trainer.model.render(trainer.views, trainer.grid, 0)
-    before, means = images.detach(), trainer.gaussians.means
+    before, means = images.detach(), trainer.gaussians.means.clone()
     rows = pairs(rendering.cross_sections[..., 0].detach().mean(0), 0.01, generator())
     ops.relocate(trainer.model.parameters, trainer.optimiser, State(), *rows, generator())
     assert trainer.optimiser.take_moves() is not None

@@ -6,11 +6,14 @@ import ctypes
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import pytest
 import torch
 from emulated_cuda import Emulator
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
+
+from sarsplat.renderer.engines import cuda, on_device
 
 T = TypeVar("T")
 
@@ -39,16 +42,16 @@ class EmulatedRecorder(TorchDispatchMode):
         usual = self.launcher.launch
 
         def launch(name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
-            copies = [type(argument).from_buffer_copy(argument) for argument in arguments]
+            copies = [type(argument).from_buffer_copy(argument) for argument in arguments]  # type: ignore[attr-defined]
             self._steps.append(lambda: usual(name, blocks, threads, *copies))
             usual(name, blocks, threads, *arguments)
 
-        self.launcher.launch = launch
-        try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(self.launcher, "launch", launch)
+            for module in (on_device, cuda):
+                patch.setattr(module, "being_recorded", lambda: True)
             with self:
                 result = program()
-        finally:
-            del self.launcher.launch
         self.records += 1
         steps, kept, run = self._steps, self._kept, [0]
 

@@ -103,7 +103,7 @@ class Options:
     masks
         Folder of masks of the training images, from which dsr learns; `sarsplat simulate --masks` writes them.
     device
-        Where to train; auto uses a GPU if a usable one is present.
+        Where to train; auto uses a GPU if a usable one is present and not slower.
     view
         Show the training in the browser while it goes on; its result is the same.
     port

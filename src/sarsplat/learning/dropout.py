@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
 
+from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.settings.config import Config
 
 _STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03
@@ -43,7 +42,7 @@ def dropped(
     return (mixed >> 32).bitwise_and_(2**_BITS - 1) < share * 2**_BITS
 
 
-@lru_cache(maxsize=4)
+@kept_on_device(maxsize=4)
 def _rows(count: int, device: torch.device) -> Int64[Tensor, " {count}"]:
     return torch.arange(count, device=device) * _signed(_STEP * _STEP)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -17,6 +16,7 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError, advised, shown
 from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.settings.config import Config
 
@@ -122,7 +122,7 @@ def _blurred(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v fewer_
     return rows.T @ (images @ columns)
 
 
-@lru_cache(maxsize=16)
+@kept_on_device(maxsize=16)
 def _window_matrix(size: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "{size} {size-10}"]:
     """A window in every column, each one further down."""
     matrix = torch.zeros(size, size - SSIM_WINDOW + 1, dtype=torch.float64, device="cpu")

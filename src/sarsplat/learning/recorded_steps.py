@@ -50,8 +50,8 @@ class RecordedSteps(Generic[T]):
     ) -> T:
         """One step: what the program gives, whose tensors the next step may change.
 
-        `kind` is all that decides about the launches of the program: values, and things that must be the very same ones.
-        The program gets the other three as tensors.
+        `kind` is all that decides about the launches of the program: values, and things that must be the very same. The
+        program gets the other three as tensors.
 
         Raises
         ------

@@ -32,8 +32,8 @@ from sarsplat.learning.strategies.strategy import Configured, of_rows
 from sarsplat.learning.training_images import ViewQueue
 from sarsplat.processes import Processes
 from sarsplat.renderer import Rendering
-from sarsplat.renderer.chosen_views import NotRecordable
 from sarsplat.renderer.engines.choice import recorder_for
+from sarsplat.renderer.engines.on_device import NotRecordable
 from sarsplat.settings.config import Config
 
 _log = logging.getLogger("sarsplat")
@@ -125,6 +125,7 @@ class Trainer:
         loss, total, rendering = self._compared(chosen, step, step)
         self._each_strategy("step_pre_backward", step, chosen, rendering)
         total.backward()
+        self._gather(step, rendering)
         self.optimiser.step(self.iteration)
         return loss, _done(rendering)
 
@@ -137,11 +138,14 @@ class Trainer:
 
         def program(chosen: Tensor, now: Tensor, rates: Tensor) -> tuple[Tensor, Rendering, dict[str, Tensor]]:
             loss, total, rendering = self._compared(chosen, step, now)
-            stepper.step_told(torch.autograd.grad(total, list(model.parameters.values())), rates)
+            gradients = torch.autograd.grad(total, list(model.parameters.values()))
+            self._gather(step, rendering)
+            stepper.step_told(gradients, rates)
             return loss, _done(rendering), self.terms
 
         kind = self._factor, model.degree(self.iteration), self._rays, self._wants_plane_gradients(step)
         kept = [tensor for part in model.parts for tensor in part.state().values()]
+        kept += [tensor for state in self._states for tensor in state.rows.values()]
         things = stepper, self.images.truth, self.images.views, *model.parameters.values(), *kept
         rates = self.optimiser.numbers(self.iteration)
         try:
@@ -181,6 +185,17 @@ class Trainer:
         self.terms = {name: term.detach() for name, term in terms.items()}
         return loss.detach(), sum(terms.values(), loss), rendering
 
+    @property
+    def records(self) -> bool:
+        """Whether the device makes steps by itself, as it was recorded to; they can be asked for one by one instead."""
+        return self._recorded is not None
+
+    @records.setter
+    def records(self, wanted: bool) -> None:
+        if wanted > self.records:
+            raise SarsplatError("steps cannot be recorded here, or not any more; leave records as it is")
+        self._recorded = self._recorded if wanted else None
+
     def _wants_plane_gradients(self, step: int) -> bool:
         return any(strategy.wants_plane_gradients(step) for strategy in self.strategies)
 
@@ -197,6 +212,13 @@ class Trainer:
             _log.info("steps are made launch by launch: only those of images, with nothing of one's own, are recorded")
             return None
         return RecordedSteps(recorder, views, rates)
+
+    def _gather(self, step: int, rendering: Rendering) -> None:
+        """Let strategies add up what they need of every step."""
+        if self._wants_plane_gradients(step):
+            seen = of_rows(rendering, lambda rows: rows[:, : len(self.model)])
+            for strategy, state in zip(self.strategies, self._states, strict=True):
+                strategy.gather(state, step, seen, self.images.grid)
 
     def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
         """Let all strategies act; what they remember of single Gaussians follows where others move rows."""

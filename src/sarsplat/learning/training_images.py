@@ -14,7 +14,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.renderer.chosen_views import ChosenViews
+from sarsplat.renderer.engines.chosen_views import ChosenViews
 
 _FAINTEST = 1e-30
 """Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""

@@ -17,12 +17,12 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
-from sarsplat.renderer.chosen_views import ChosenViews
 from sarsplat.renderer.covariances import render_covariances
 from sarsplat.renderer.echoes import Echo, GroundEcho
 from sarsplat.renderer.echoes.echo import all_visible, check_echoes
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.choice import ENGINES, chosen_engine, passes_for
+from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.operations import render_with
 from sarsplat.renderer.reference import render_reference

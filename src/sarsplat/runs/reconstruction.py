@@ -13,6 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.learning.device import device_named
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.method import Inputs
+from sarsplat.learning.quicker import quicker
 from sarsplat.learning.trainer import Trainer
 from sarsplat.processes import Processes
 from sarsplat.progress import progress
@@ -72,7 +73,8 @@ def reconstruct(
     strategies : sequence
         For `sar-gs`: what else happens between steps, besides what the configuration says.
     device : {"auto", "cpu", "cuda"}
-        Where to train; "auto" is a GPU if there is one that passes the CUDA engine's check.
+        Where to train; "auto" is a GPU if there is one that passes the CUDA engine's check, unless steps are quicker
+        on the CPU, which is tried and said.
     on_step : callable, optional
         Called after every step (`Step`), by the first process. If it returns True, the training ends there, and the run
         is what has been learned so far. An exception ends it too; what has been learned is then kept in `out`.
@@ -116,16 +118,21 @@ def reconstruct(
     warn(suspicions(dataset))
     saved = begun if begun is not None and RunFolder(begun.folder).checkpoint_path is not None else None
     learned = None if saved is None else lambda: saved.reconstruction
+    if device == "auto" and begun is not None and begun.trained_on == "cpu":
+        on = device_named("cpu")  # as it was begun
+    note = ""
+    if device == "auto" and on.type == "cuda" and begun is None and not (loss or strategies):
+        on, note = quicker(lambda where: chosen.trainer(dataset, config, inputs, where, None), on)
     trainer = chosen.trainer(dataset, config, inputs, on, learned)
     follows = processes is not None and not processes.leads
-    heading, note = chosen.about(trainer.config, dataset.grid)
+    heading, about = chosen.about(trainer.config, dataset.grid)
     by_tiles = chosen.by_tiles(config)
     steps = steps_of(cast(Trainer, trainer)) if by_tiles else config.iterations
     with progress(f"reconstruct ({heading})", steps, quiet or follows) as shown:
-        if note is not None:
-            shown.note(note)
+        for said in filter(None, (about, note)):
+            shown.note(said)
         where = None if dataset.path is None else dataset.path.resolve()
-        new = Run(method, trainer.config, dataset.fingerprint(), dataset_path=where)
+        new = Run(method, trainer.config, dataset.fingerprint(), dataset_path=where, trained_on=on.type)
         folder = None if out is None else Path(out)
         training: Training[Any]
         if by_tiles:

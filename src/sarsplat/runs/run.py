@@ -61,6 +61,8 @@ class Run(Result):
         Where it renders and extracts points, "cpu" or "cuda"; results come back as arrays either way.
     images : Dataset or None
         The dataset it was made from, where that is in memory.
+    trained_on : str
+        The kind of device that it was begun on, "cpu" or "cuda"; "" if that is not known.
     """
 
     method: str
@@ -71,6 +73,7 @@ class Run(Result):
     memory: InMemory | None = None
     device: str = "cpu"
     images: Dataset | None = field(default=None, compare=False, repr=False)
+    trained_on: str = ""
 
     @cached_property
     def snapshot(self) -> Snapshot:
@@ -166,7 +169,8 @@ class Run(Result):
             raise SarsplatError(f"{path} was made from another dataset than {dataset}; give the one it was made from")
         where = None if header.dataset is None else Path(header.dataset)
         on = device_named(device).type
-        return cls(header.method, config, header.dataset_fingerprint, path, where, device=on, images=dataset)
+        made_from = header.dataset_fingerprint, path, where
+        return cls(header.method, config, *made_from, device=on, images=dataset, trained_on=header.trained_on)
 
     @classmethod
     @checks_arguments
@@ -311,7 +315,8 @@ class Run(Result):
 
     def write_header(self) -> None:
         """Write the `config.json` of its folder."""
-        RunFolder(self.folder).write_header(self.method, self.config, self.dataset_path, self.fingerprint, self.target)
+        made_from = self.dataset_path, self.fingerprint, self.target
+        RunFolder(self.folder).write_header(self.method, self.config, *made_from, self.trained_on)
 
     def write_results(self) -> None:
         """Write the results into its folder (`RunFolder.write_results`)."""

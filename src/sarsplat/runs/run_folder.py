@@ -86,6 +86,8 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     method: str
     target: str = ""
     """What its dataset shows."""
+    trained_on: str = ""
+    """Kind of the device that it was begun on; "" if that is not known."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +101,18 @@ class RunFolder:
         """Its settings, and the dataset that it was made from."""
         return read_header(self.path)
 
-    def write_header(self, method: str, config: AnyConfig, dataset: Path | None, fingerprint: str, target: str) -> None:
+    def write_header(
+        self,
+        method: str,
+        config: AnyConfig,
+        dataset: Path | None,
+        fingerprint: str,
+        target: str,
+        trained_on: str,
+    ) -> None:
         """Write `config.json`."""
         where = None if dataset is None else str(dataset)
-        header = Header(SCHEMA, SCHEMA_VERSION, where, fingerprint, config.as_dict(), method, target)
+        header = Header(SCHEMA, SCHEMA_VERSION, where, fingerprint, config.as_dict(), method, target, trained_on)
         write_json(self.path / HEADER, header)
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 import torch
@@ -14,6 +13,7 @@ from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, Response
 from sarsplat.learning.parts.part import Learned, Nuisance, Parameters, Shot
+from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.settings.config import Config
 
 
@@ -50,7 +50,7 @@ def with_side_lobes(
     return images + azimuth * (images @ along_azimuth) + slant_range * (along_range @ images)
 
 
-@lru_cache(maxsize=16)
+@kept_on_device(maxsize=16)
 def _matrices(grid: ImageGrid, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
     """Side-lobe matrices along rows and columns; symmetric, and copied to a device only once."""
     response = grid.response if math.isfinite(grid.response.main_lobe) else TAYLOR

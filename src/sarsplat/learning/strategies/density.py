@@ -46,11 +46,20 @@ class DensityControl(Configured):
         c = self._config
         return c.start <= step < c.stop and step % c.every == 0
 
+    def gather(self, state: State, step: int, rendering: Rendering, grid: ImageGrid) -> None:
+        if not self.wants_plane_gradients(step):
+            return
+        assert rendering.plane_gradients is not None
+        half = 0.5 * grid.columns * grid.spacing_m[0]  # per half image width: the unit of 3DGS's threshold
+        slopes = rendering.plane_gradients
+        total = torch.stack([slopes[..., 0] + slopes[..., 2], slopes[..., 1], slopes[..., 3]], dim=-1)
+        lit = (rendering.lit_area > 0).float()
+        state.rows["gradient"] += (total.norm(dim=-1) * half * lit).sum(0)
+        state.rows["seen"] += lit.sum(0)
+
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        if self.wants_plane_gradients(step):
-            gather(state, info.rendering, info.images.grid)
         if self.due(step):
             info.check()
             pruned, cloned, divided = self.decide(info.model.target(0).detach(), info.images.grid, state)
@@ -87,15 +96,3 @@ class DensityControl(Configured):
             grows = torch.zeros_like(grows).index_fill(0, strongest[:room], True)
         large = size > c.split_above * grid.cell_m
         return pruned, grows & ~large, grows & large
-
-
-def gather(state: State, rendering: Rendering, grid: ImageGrid) -> None:
-    """Add one step's gradients."""
-    assert rendering.plane_gradients is not None
-    gradient, seen = state.rows["gradient"], state.rows["seen"]
-    half = 0.5 * grid.columns * grid.spacing_m[0]  # per half image width: the unit of 3DGS's threshold
-    slopes = rendering.plane_gradients
-    total = torch.stack([slopes[..., 0] + slopes[..., 2], slopes[..., 1], slopes[..., 3]], dim=-1)
-    lit = (rendering.lit_area > 0).float()
-    gradient += (total.norm(dim=-1) * half * lit).sum(0)
-    seen += lit.sum(0)

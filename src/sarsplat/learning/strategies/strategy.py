@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.geometry import RayGrid, View
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.optimiser import Optimiser, followed
 from sarsplat.learning.training_images import TrainingImages
@@ -192,6 +192,13 @@ class Strategy(ABC):
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
         """Called after the images of a step are rendered, before their gradients are computed; changes no parameter."""
+        return
+
+    def gather(self, state: State, step: int, rendering: Rendering, grid: ImageGrid) -> None:
+        """Add what a step with gradients on the planes shows, once they are there, to tensors of the state, in place.
+
+        A GPU that makes steps by itself does this, too: it may depend on the step only as `wants_plane_gradients` does.
+        """
         return
 
     @abstractmethod

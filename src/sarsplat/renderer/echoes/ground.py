@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import ClassVar
 
 import torch
@@ -16,11 +15,12 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.renderer.chosen_views import by_view
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.echoes.lit_ground import lit_ground
 from sarsplat.renderer.echoes.lit_terrain import lit_terrain
 from sarsplat.renderer.echoes.terrain_cells import before_terrain, cells_of
+from sarsplat.renderer.engines.chosen_views import by_view
+from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.renderer.places import at_places
 
 
@@ -136,7 +136,7 @@ def _numbers(ground: Ground, views: Sequence[View]) -> Float[Tensor, "k v 1 1"]:
 
 
 # A training asks for the same few views again and again, and a GPU should not be sent them each time.
-@lru_cache(maxsize=4096)
+@kept_on_device(maxsize=4096)
 def _of_view(view: View, device: torch.device) -> Float64[Tensor, " 7"]:
     """Of θ: tan, ln sin and sin; and how x and y on the ground grow with azimuth and with slant range."""
     look = view.look
@@ -144,7 +144,7 @@ def _of_view(view: View, device: torch.device) -> Float64[Tensor, " 7"]:
     return torch.tensor(numbers, dtype=torch.float64, device=device)
 
 
-@lru_cache(maxsize=16)
+@kept_on_device(maxsize=16)
 def _axes(grid: ImageGrid, device: torch.device) -> tuple[Float64[Tensor, "1 1 w"], Float64[Tensor, "1 h 1"]]:
     """Azimuth and slant range of the pixels, m."""
     x, r = torch.from_numpy(grid.azimuth_m), torch.from_numpy(grid.range_m)

@@ -19,8 +19,8 @@ from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer.chosen_views import ChosenViews
 from sarsplat.renderer.echoes.echo import RayEnds
+from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
 

@@ -15,8 +15,8 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import ALLOWED, STRONGEST
-from sarsplat.renderer.chosen_views import ChosenViews
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
+from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.engines.cpu import FAULTS
 
 TILE = 16

@@ -26,6 +26,7 @@ from sarsplat.renderer.engines.cuda_lattices import (
     smallest_lattice,
     total,
 )
+from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded
 from sarsplat.renderer.engines.passes import within
 
 # of csrc/cuda_state.cuh
@@ -41,8 +42,8 @@ _MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
 
 _MAX_PAIRS = 1 << 31
 
-_RANKED = 1 << 15
-"""Of up to so many Gaussians, a tile's list is put in order by counting who is in front, which goes with its square."""
+_RANKED = 1 << 16
+"""A tile's list of up to so many is put in order by counting who is in front, which goes with its square."""
 
 _NOTHING = (1 << 63) - 1
 """The largest key, and more than there is of anything."""
@@ -308,14 +309,17 @@ class Pass:
 
     def _arrange(self, problem: ctypes.Structure, planes: dict[str, list[ctypes.Structure]]) -> None:
         """List the Gaussians of every tile of these planes: on rays front to back."""
-        counted = [self._count(name, getattr(self._state, name), tiles, problem) for name, tiles in planes.items()]
+        for name, tiles in planes.items():
+            self._count(name, getattr(self._state, name), tiles, problem)
         if self._capacity is not None:
-            numbers = [self._pairs * self._capacity.tiles[name] for name in planes]
+            numbers = [[self._pairs * self._capacity.tiles[name], problem.gaussians] for name in planes]
         else:
-            numbers = torch.stack(counted).tolist()
-        for name, slots in zip(planes, numbers, strict=True):
+            counted = ((self._arrays[f"{name} counts"], self._arrays[f"{name} in tile"]) for name in planes)
+            found = torch.stack([n for count, listed in counted for n in (count.sum(), listed.max().long())])
+            numbers = found.view(-1, 2).tolist()  # here the CPU waits for the GPU
+        for name, (slots, longest) in zip(planes, numbers, strict=True):
             plane = getattr(self._state, name)
-            self._list(name, plane, slots, problem, by_depth=name == "rays")
+            self._list(name, plane, slots, problem, by_depth=name == "rays", ranked=longest <= _RANKED)
 
     def _attenuate_tiles(
         self, problem: ctypes.Structure, channels: ctypes.Structure, outputs: ctypes.Structure
@@ -369,8 +373,8 @@ class Pass:
 
     def _count(
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
-    ) -> Tensor:
-        """Count the tiles of every Gaussian and the other way round; the number of slots, still on the device."""
+    ) -> None:
+        """Count the tiles of every Gaussian, and the Gaussians of every tile."""
         if name == "rays" and self._capacity is not None and self._capacity.chosen is not None:
             there = self._chosen_lattices(lattices, self._capacity.chosen)
         else:
@@ -385,7 +389,6 @@ class Pass:
         plane.starts = self._keep(f"{name} starts", torch.cumsum(in_tile, 0)).data_ptr()
         ends = self._keep(f"{name} ends", torch.cumsum(counts, 0))
         plane.ends = ends.data_ptr()
-        return ends[-1] if len(ends) else counts.sum()
 
     def _chosen_lattices(self, places: Sequence[ctypes.Structure], chosen: Tensor) -> Tensor:
         """The chosen views' lattices, each with room for the largest; `places` says where those begin."""
@@ -397,11 +400,10 @@ class Pass:
         return _sent(content, device, torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0)
 
     def _list(
-        self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool
+        self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool, ranked: bool
     ) -> None:
         """List the Gaussians of every tile."""
         self._chunks[name] = slots // _CHUNK + plane.tiles
-        ranked = problem.gaussians <= _RANKED
         keys = self._new(f"{name} keys", slots, dtype=torch.int64)
         if not ranked:
             keys.fill_(_NOTHING)  # what is not used comes last
@@ -439,6 +441,8 @@ class Pass:
 @lru_cache(maxsize=256)
 def _sent(content: bytes, device: torch.device, stream: int) -> Tensor:
     """On the device, as soon as the stream gets there; from pinned memory, for the CPU waits for any other copy."""
+    if being_recorded():
+        raise NotRecordable("lattices are sent in every step")
     array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
     return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float
@@ -15,9 +14,10 @@ from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE
 from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import FARTHEST, FLATTEST, MAX_SCALE, STEEPEST, STRONGEST
-from sarsplat.renderer.chosen_views import by_view
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.engines.abi import api
+from sarsplat.renderer.engines.chosen_views import by_view
+from sarsplat.renderer.engines.on_device import kept_on_device
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")
 """Inputs by their names in a problem."""
@@ -40,18 +40,18 @@ def directions_to(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
 
 
 # A training asks for the same few views again and again, and a GPU should not be sent them each time.
-@lru_cache(maxsize=4096)
+@kept_on_device(maxsize=4096)
 def _direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " 3"]:
     """The unit vector towards the radar."""
     return torch.from_numpy(view.look.way_out).to(device, dtype)
 
 
-@lru_cache(maxsize=4096)
+@kept_on_device(maxsize=4096)
 def _frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
     return torch.from_numpy(view.look.frame).float().to(device)
 
 
-@lru_cache(maxsize=4096)
+@kept_on_device(maxsize=4096)
 def _basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
     """Harmonics towards the radar."""
     return harmonic_basis(torch.from_numpy(view.look.way_out), degree).float().to(device)

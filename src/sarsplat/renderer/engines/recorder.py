@@ -22,7 +22,10 @@ _Words = c_int32 * MOST_WORDS
 class Recorder(Protocol):
     """What records on one device: a GPU, or the tests' emulation of one."""
 
-    launcher: Launcher
+    @property
+    def launcher(self) -> Launcher:
+        """What queues launches there."""
+        ...
 
     def rehearse(self, program: Callable[[], T]) -> T:
         """Run a program where it would be recorded, so that all that is made once has been made."""

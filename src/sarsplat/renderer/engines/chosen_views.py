@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -11,10 +10,7 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from sarsplat.geometry import View
-
-
-class NotRecordable(Exception):
-    """What a step does depends on numbers that only the CPU knows, so it cannot be recorded."""
+from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device
 
 
 class ChosenViews(Sequence[View]):
@@ -49,7 +45,6 @@ def by_view(of_view: Callable[..., Tensor], views: Sequence[View], *arguments: o
     return torch.stack([of_view(view, *arguments) for view in views])
 
 
-# While a step is recorded nothing may come from the CPU: the steps before it have made the tables.
-@lru_cache(maxsize=32)
+@kept_on_device(maxsize=32)
 def _table(of_view: Callable[..., Tensor], views: tuple[View, ...], *arguments: object) -> Tensor:
     return torch.stack([of_view(view, *arguments) for view in views])

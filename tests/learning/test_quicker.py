@@ -1,0 +1,70 @@
+"""Where a training is quicker is found by trying, and said if it is not the GPU."""
+
+from __future__ import annotations
+
+import time
+import warnings
+
+import pytest
+import torch
+
+from sarsplat import Dataset, Run, reconstruct
+from sarsplat.errors import SarsplatError
+from sarsplat.learning.quicker import quicker
+from sarsplat.runs import reconstruction
+
+GPU = torch.device("cuda", 0)
+
+
+class Taking:
+    """A training whose steps take so many seconds."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.steps = seconds, 0
+        warnings.warn("as ever", UserWarning, stacklevel=1)
+
+    def step(self) -> None:
+        self.steps += 1
+        time.sleep(self.seconds)
+
+    def check(self) -> None:
+        pass
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("on_gpu", "on_cpu", "chosen"), [(0.001, 0.02, "cuda"), (0.02, 0.001, "cpu")])
+def test_the_quicker_one(on_gpu: float, on_cpu: float, chosen: str) -> None:
+    made: list[tuple[str, Taking]] = []
+
+    def make(where: torch.device) -> Taking:
+        made.append((where.type, Taking(on_gpu if where == GPU else on_cpu)))
+        return made[-1][1]
+
+    where, said = quicker(make, GPU)  # type: ignore[arg-type]
+    assert where.type == chosen
+    assert [kind for kind, _ in made] == ["cuda", "cpu"]
+    if chosen == "cuda":
+        assert said == ""
+        assert made[1][1].steps < 5  # it is not waited for
+    else:
+        assert said.startswith("training on the CPU: a step takes 1.")
+        assert " ms there, and 2" in said
+        assert said.endswith("device cuda takes the GPU nevertheless")
+
+
+def test_a_reconstruction_says_so_and_goes_on_where_it_began(
+    dataset: Dataset, config, tmp_path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named, asked = reconstruction.device_named, []
+    monkeypatch.setattr(reconstruction, "device_named", lambda name: GPU if name == "auto" else named(name))
+    monkeypatch.setattr(
+        reconstruction, "quicker", lambda make, gpu: asked.append(gpu) or (torch.device("cpu"), "on the CPU: said")
+    )
+    run = reconstruct(dataset, config, tmp_path / "run", on_step=lambda step: step.iteration == 21)
+    assert "on the CPU: said" in capsys.readouterr().out
+    assert (asked, run.trained_on, Run.load(tmp_path / "run").trained_on) == ([GPU], "cpu", "cpu")
+    reconstruct(dataset, config, tmp_path / "run", resume=True)  # on the CPU again, without a question
+    assert len(asked) == 1
+    with pytest.raises((SarsplatError, RuntimeError, AssertionError)):
+        reconstruct(dataset, config, loss=lambda a, b: (a - b).abs().mean())  # of one's own: on the GPU, unasked
+    assert len(asked) == 1
