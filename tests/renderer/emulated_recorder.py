@@ -50,10 +50,10 @@ class EmulatedRecorder(TorchDispatchMode):
             patch.setattr(self.launcher, "launch", launch)
             for module in (on_device, cuda):
                 patch.setattr(module, "being_recorded", lambda: True)
-            with self:
+            with self, on_device.read_meanwhile() as things:
                 result = program()
         self.records += 1
-        steps, kept, run = self._steps, self._kept, [0]
+        steps, kept, run = self._steps, [self._kept, things], [0]
 
         @torch.no_grad()
         def again() -> None:

@@ -26,7 +26,7 @@ from sarsplat.renderer.engines.cuda_lattices import (
     smallest_lattice,
     total,
 )
-from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded
+from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded, is_read
 from sarsplat.renderer.engines.passes import within
 
 # of csrc/cuda_state.cuh
@@ -397,7 +397,8 @@ class Pass:
 
     def _sent(self, content: bytes) -> Tensor:
         device = self._launcher.device
-        return _sent(content, device, torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0)
+        stream = torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
+        return is_read(_sent(content, device, stream))
 
     def _list(
         self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool, ranked: bool

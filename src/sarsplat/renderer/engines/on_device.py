@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -22,6 +23,28 @@ def being_recorded() -> bool:
     return torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
 
 
+_read: list[list[object]] = []
+"""What records that are being made read of all that is kept."""
+
+
+@contextmanager
+def read_meanwhile() -> Iterator[list[object]]:
+    """What is asked for of all that is kept, in a list: a record needs that for longer than it may be kept here."""
+    things: list[object] = []
+    _read.append(things)
+    try:
+        yield things
+    finally:
+        _read[:] = (other for other in _read if other is not things)
+
+
+def is_read(thing: T) -> T:
+    """Let it live as long as the records that are being made."""
+    for things in _read:
+        things.append(thing)
+    return thing
+
+
 def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Decorate a function of hashable arguments that makes one tensor or several: the latest results are kept.
 
@@ -39,7 +62,8 @@ def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
                     torch.cuda.current_stream(tensor.device).synchronize()
             return result
 
-        return wraps(make)(lru_cache(maxsize=maxsize)(made))  # type: ignore[return-value]
+        latest = lru_cache(maxsize=maxsize)(made)
+        return wraps(make)(lambda *arguments, **named: is_read(latest(*arguments, **named)))
 
     return decorate
 

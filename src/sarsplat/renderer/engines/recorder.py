@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from sarsplat.renderer.engines.cuda import Launcher
+from sarsplat.renderer.engines.on_device import read_meanwhile
 
 T = TypeVar("T")
 
@@ -66,7 +67,14 @@ class CudaRecorder:
             finally:
                 graph.capture_end()
 
-        return self.rehearse(recorded), graph.replay
+        with read_meanwhile() as things:
+            result = self.rehearse(recorded)
+
+        def again() -> None:
+            assert things is not None  # they live as long as this
+            graph.replay()
+
+        return result, again
 
 
 class Told:
