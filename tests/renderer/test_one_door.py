@@ -91,7 +91,7 @@ def test_what_an_engine_has_not_is_left_to_plain_torch() -> None:
         assert cpus.has(one.operation, {"passes": 16})
     assert not cpus.has("stack_likelihood", {"passes": 17})
     assert not cpus.has("no such kernel", {})
-    assert gpus.has("lit_ground", {}) and not gpus.has("lit_terrain", {})
+    assert gpus.has("lit_ground", {}) and not gpus.has("stack_likelihood", {})
     assert [gpus.has("adam", {"columns": columns}) for columns in (16, 17)] == [True, False]
 
 

@@ -51,6 +51,12 @@ inline void __syncwarp() { emulator::meet(emulator::WARP, 0); }
 inline int __ffs(unsigned x) { return __builtin_ffs((int)x); }
 inline int __clz(unsigned x) { return x ? __builtin_clz(x) : 32; }
 inline unsigned atomicAdd(unsigned* at, unsigned value) { return (*at += value) - value; }
+inline unsigned long long atomicAdd(unsigned long long* at, unsigned long long value) { return (*at += value) - value; }
+inline unsigned atomicMax(unsigned* at, unsigned value) {
+  const unsigned before = *at;
+  if (value > before) *at = value;
+  return before;
+}
 inline unsigned atomicSub(unsigned* at, unsigned value) { return (*at -= value) + value; }
 inline unsigned long long atomicMin(unsigned long long* at, unsigned long long value) {
   const unsigned long long before = *at;

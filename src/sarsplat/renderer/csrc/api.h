@@ -160,6 +160,7 @@ struct sg_terrain_patches {  // where the rays of a view end
   sg_axis across;          // azimuths of the edges before their columns
   const float *low, *high; // [rows, columns] slant range where the lower and the upper edge of a cell end
   int32_t traced_first[2], traced[2];  // (row, column) among the cells of the first ray whose T_end is given, and how many there are
+  int64_t first;           // of those rays, among those of all views
   float x[4], y[4];        // the place of a cell's centre on the lattice of gamma0: a constant, and per column, row and slant range
 };
 
@@ -169,7 +170,10 @@ struct sg_terrain {      // see terrain.h; forward, or with d_lit backward
   double std[2];          // of the response: (azimuth, range)
   double cell;            // height of a cell across the line of sight
   int32_t places[2];      // of gamma0: (ny, nx)
-  const sg_terrain_patches* patches;  // [V]
+  const sg_terrain_patches* patches;  // [of_views]
+  int32_t of_views;       // these three as in sg_ground
+  const int64_t* chosen;
+  int64_t pitch;
   const float* transmittance;  // T_end of all views' rays one after the other
   const float* gamma0;    // [V, ny, nx]
   const float* shift;     // [V, 2], or null

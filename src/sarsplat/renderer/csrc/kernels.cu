@@ -14,3 +14,4 @@
 #include "cuda_loss.cuh"
 #include "cuda_training.cuh"
 #include "cuda_ground.cuh"
+#include "cuda_terrain.cuh"

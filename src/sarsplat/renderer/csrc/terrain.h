@@ -1,5 +1,5 @@
 // terrain.h: what terrain returns where rays end on it, and the gradient of that. The twin in torch, with the formula, is
-// `LitTerrain.plain` in lit_terrain.py.
+// `LitTerrain.plain` in lit_terrain.py; the GPU's kernels are in cuda_terrain.cuh.
 //
 // lit = R(gamma0 T) X^T: X is the band of ground.h; R means the response of a pixel over what each cell covers of the slant
 // range, and is never written down. Forward, the tasks are stripes of columns, backward whole views, whose places are
@@ -141,13 +141,12 @@ int32_t lit_terrain(sg_context* context, const sg_terrain* terrain) {
   const int stripes = (pixels + kStripe - 1) / kStripe;
   const float std = (float)(t.std[1] / t.rows.step);
   const Table table = table_of(arena, std);
-  int64_t rays = 0, widest = 0;
+  int64_t widest = 0;
   for (int v = 0; v < t.views && !arena.failed(); v++) {
     const sg_terrain_patches& p = t.patches[v];
-    views[v] = {band_of(arena, t.columns, p.across, t.std[0], t.d_shift != nullptr), t.gamma0 + v * count, t.transmittance + rays,
+    views[v] = {band_of(arena, t.columns, p.across, t.std[0], t.d_shift != nullptr), t.gamma0 + v * count, t.transmittance + p.first,
                 arena.take<float>((int64_t)p.across.count * pixels + 1), t.d_shift ? arena.take<double>(stripes + 1) : nullptr,
                 backward ? arena.take<double>(count) : nullptr};
-    rays += (int64_t)p.traced[0] * p.traced[1];
     widest = widest > p.across.count ? widest : p.across.count;
   }
   if (arena.failed()) { arena.give_back(); return SG_MEMORY; }

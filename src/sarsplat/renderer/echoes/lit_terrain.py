@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -133,18 +134,22 @@ class LitTerrain(Operation):
         return torch.stack(images)
 
     def numbers(self, transmittance: Tensor, gamma0: Tensor, shift: Tensor | None) -> dict[str, Any]:
-        rows, columns = pixel_axes(self.grid)
+        (rows, columns), sizes = pixel_axes(self.grid), [math.prod(patch.traced[1]) for patch in self.patches]
         return {
             **{"views": len(self.patches), "rows": rows.numbers, "columns": columns.numbers, "std": stds(self.grid)},
-            **{"cell": self.height_m, "places": tuple(gamma0.shape[1:])},
-            "patches": [self._patch(patch, *gamma0.shape[1:]) for patch in self.patches],
+            **{"cell": self.height_m, "places": tuple(gamma0.shape[1:]), "of_views": len(self.patches)},
+            "patches": [
+                self._patch(patch, first, gamma0)
+                for patch, first in zip(self.patches, accumulate(sizes, initial=0), strict=False)
+            ],
         }
 
-    def _patch(self, patch: _Patches, ny: int, nx: int) -> dict[str, Any]:
+    def _patch(self, patch: _Patches, first_ray: int, gamma0: Tensor) -> dict[str, Any]:
         (first, traced), cells, pitch_m = patch.traced, patch.cells, self.pitch_m
+        (low, high), (_, ny, nx) = cells.edges(gamma0.device), gamma0.shape
         return {
-            **{"rows": len(cells.low_m), "across": patch.across.numbers, "low": cells.low_m, "high": cells.high_m},
-            **{"traced_first": first, "traced": traced},
+            **{"rows": len(cells.low_m), "across": patch.across.numbers, "low": low, "high": high},
+            **{"traced_first": first, "traced": traced, "first": first_ray},
             **{
                 name: (along[0] / pitch_m + (count - 1) / 2, *(slope / pitch_m for slope in along[1:]))
                 for name, along, count in (("x", patch.along_x, nx), ("y", patch.along_y, ny))

@@ -11,7 +11,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -53,6 +53,17 @@ class Cells:
     first: tuple[int, int]
     low_m: Float[Tensor, "rows columns"]
     high_m: Float[Tensor, "rows columns"]
+
+    _copies: dict[torch.device, tuple[Tensor, Tensor]] = field(default_factory=dict, init=False, repr=False)
+
+    def edges(self, device: torch.device) -> tuple[Tensor, Tensor]:
+        """`low_m` and `high_m` there; copied once."""
+        if device.type == "cpu":
+            return self.low_m, self.high_m
+        if device not in self._copies:
+            self._copies[device] = self.low_m.to(device), self.high_m.to(device)
+            torch.cuda.current_stream(device).synchronize()  # other threads use other streams
+        return self._copies[device]
 
     @property
     def bytes(self) -> int:

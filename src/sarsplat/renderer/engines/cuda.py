@@ -16,7 +16,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, TILE, Capacity
 from sarsplat.renderer.engines.cpu import FAULTS, LIMITS
-from sarsplat.renderer.engines.cuda_ground import lit_ground
+from sarsplat.renderer.engines.cuda_ground import lit_ground, lit_terrain
 from sarsplat.renderer.engines.cuda_lattices import (
     State,
     ViewLattice,
@@ -55,6 +55,7 @@ _OPERATIONS: dict[str, dict[str, float]] = {
     "adam": LIMITS["adam"],
     "amplitude_loss": {},
     "lit_ground": {},
+    "lit_terrain": {},
     "normal_lobes": {},
 }
 """The operations of one structure that there are kernels for, and the largest of some numbers that they take."""
@@ -146,6 +147,9 @@ class Pass:
 
     def _lit_ground(self, ground: ctypes.Structure) -> None:
         lit_ground(ground, self._new, self._sent, self._launch)
+
+    def _lit_terrain(self, terrain: ctypes.Structure) -> None:
+        lit_terrain(terrain, self._new, self._sent, self._launch)
 
     def _normal_lobes(self, lobes: ctypes.Structure) -> None:
         kernel = "normal_lobes_backward" if lobes.d_amplitudes else "normal_lobes"

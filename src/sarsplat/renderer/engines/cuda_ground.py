@@ -1,4 +1,4 @@
-"""How much of the ground pixels see, on a GPU: the arrays of its kernels, and their launches."""
+"""How much of the ground pixels see, and what terrain returns, on a GPU: arrays of the kernels, and their launches."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from torch import Tensor
 
 from sarsplat.renderer.engines.abi import SOURCES, api, structures
 
-_State = structures((SOURCES / "cuda_ground.cuh").read_text(encoding="utf-8"), ("GroundState",))["GroundState"]
+_GroundState, _TerrainState = (
+    structures((SOURCES / f"cuda_{name.lower()}.cuh").read_text(encoding="utf-8"), (f"{name}State",))[f"{name}State"]
+    for name in ("Ground", "Terrain")
+)
 
 # of csrc/cuda_state.cuh and csrc/cuda_ground.cuh
 _THREADS, _ROWS, _COLUMNS = 256, 8, 32
@@ -37,7 +40,7 @@ def lit_ground(
     pixels = ground.views, ground.rows.count + ground.columns.count
     azimuth_std, range_std = ground.std
     widths = [_width(axis, std) for p in patches for axis, std in ((p.rows, range_std), (p.columns, azimuth_std))]
-    state = _State(width=max(1, *widths), columns=columns)
+    state = _GroundState(width=max(1, *widths), columns=columns)
     for name in ("first", "end"):
         setattr(state, name, new(name, *pixels, dtype=torch.int32).data_ptr())
     for name in ("weight", "slope") if ground.d_shift else ("weight",):
@@ -62,6 +65,73 @@ def lit_ground(
     over("see_ground_backward", rows, columns)
     if ground.d_shift:
         launch("sum_ground_shift", 2 * ground.views, there, state, c_int32(blocks))
+
+
+def lit_terrain(
+    terrain: ctypes.Structure, new: New, sent: Callable[[bytes], Tensor], launch: Callable[..., None]
+) -> None:
+    """Fill in what terrain returns, or the gradients of that."""
+    patches, views, columns = terrain.patches[: terrain.of_views], terrain.views, terrain.columns.count
+    rows, across = max(one.rows for one in patches), max(one.across.count for one in patches)
+    traced = [max(one.traced[axis] for one in patches) for axis in range(2)]
+    places, cells = terrain.places[0] * terrain.places[1], max(one.rows * one.across.count for one in patches)
+    there = api.terrain.from_buffer_copy(terrain)
+    on_device = sent(ctypes.string_at(terrain.patches, ctypes.sizeof(api.terrain_patches) * terrain.of_views))
+    there.patches = ctypes.cast(on_device.data_ptr(), type(there.patches))
+
+    # columns alone, as if the ground were level
+    level = api.ground(
+        views=views, columns=terrain.columns, std=terrain.std, shift=terrain.shift, chosen=terrain.chosen
+    )
+    bands = (api.patches * terrain.of_views)(*(api.patches(columns=one.across) for one in patches))
+    bands_there = sent(bytes(bands))
+    level.patches = ctypes.cast(bands_there.data_ptr(), type(level.patches))
+    ground = _GroundState(width=max(1, *(_width(one.across, terrain.std[0]) for one in patches)), columns=across)
+    for name in ("first", "end"):
+        setattr(ground, name, new(name, views, columns, dtype=torch.int32).data_ptr())
+    for name in ("weight", "slope") if terrain.d_shift else ("weight",):
+        setattr(ground, name, new(name, views, columns, ground.width).data_ptr())
+    launch("weigh_ground", -(-views * columns * ground.width // _THREADS), level, ground)
+
+    state = _TerrainState(cells=cells, columns=across)
+
+    def arrays(*names: str, of: tuple[int, ...], dtype: torch.dtype = torch.float32) -> list[Tensor]:
+        made = [new(name, views, *of, dtype=dtype) for name in names]
+        for name, array in zip(names, made, strict=True):
+            setattr(state, name, array.data_ptr())
+        return made
+
+    def over(kernel: str, rows: int, columns: int, *states: ctypes.Structure) -> None:
+        blocks = _blocks(rows, columns)
+        launch(kernel, views * blocks, there, *states, c_int32(blocks))
+
+    arrays("returned", of=(cells,))
+    over("return_cells", rows, across, state)
+    if not terrain.d_lit or terrain.d_shift:
+        arrays("reached", "ahead", of=(cells,))
+        arrays("seen", of=(terrain.rows.count, across))
+        strips = -(-across // _COLUMNS)
+        launch("reach_cells", views * strips, there, state, c_int32(strips))
+        over("see_cells", terrain.rows.count, across, state)
+    if not terrain.d_lit:
+        over("light_terrain", terrain.rows.count, columns, ground, state)
+        return
+    arrays("told", of=(cells,))
+    arrays("between", of=(terrain.rows.count, across))
+    (largest,), (sums,) = arrays("largest", of=(), dtype=torch.int32), arrays("sums", of=(places,), dtype=torch.int64)
+    largest.zero_()
+    sums.zero_()
+    shares = _blocks(terrain.rows.count, across), _blocks(rows, across)
+    if terrain.d_shift:
+        arrays("azimuth", of=shares[:1])
+        arrays("range", of=shares[1:])
+    over("light_terrain_backward", terrain.rows.count, across, ground, state)
+    over("see_cells_backward", rows, across, state)
+    over("tell_rays", *traced, state)
+    over("tell_places", rows, across, state)
+    launch("write_places", -(-views * places // _THREADS), there, state)
+    if terrain.d_shift:
+        launch("sum_terrain_shift", views, there, state, *map(c_int32, shares))
 
 
 def _width(patches: Any, std: float) -> int:
