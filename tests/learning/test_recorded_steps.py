@@ -19,6 +19,7 @@ from sarsplat.learning import Trainer
 from sarsplat.renderer.engines import choice, cuda
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, FlatGround, Relocation, Surroundings
+from terrains import hill
 
 STEPS = 30
 SELDOM = Surroundings(texture_rounds=2, azimuth_rounds=2)
@@ -48,6 +49,7 @@ CONFIGS = {
     "azimuths": small("measured", harmonics_every=STEPS, views_per_step=5, surroundings=SELDOM),
     "ground": small("default", ground=FlatGround()),
     "ground of one kind": small("quick", ground=FlatGround(pitch=0.0), views_per_step=3),
+    "terrain": small("default", ground=FlatGround(), coarsest=1),
     "density": small("paper", densification=DENSITY),
     "levels": small("default", coarsest=2, relocation=Relocation(rounds=8)),
 }
@@ -76,6 +78,8 @@ def test_steps_run_again_are_steps(name: str, dataset: Dataset, recorder: Emulat
     if name == "azimuths":
         uncertain = (replace(entry, azimuth_std_deg=2.0) for entry in dataset.entries)
         dataset = replace(dataset, entries=tuple(uncertain))
+    if name == "terrain":
+        dataset = replace(dataset, ground=True, terrain=hill(-0.5, width_m=4.0))
     by_itself, launched = (Trainer(dataset, CONFIGS[name]) for _ in range(2))
     launched.records, records = False, 0
     for step in range(STEPS):

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.echoes.echo import RayEnds
-from sarsplat.renderer.engines.chosen_views import ChosenViews
+from sarsplat.renderer.engines.chosen_views import candidates
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
 
@@ -57,8 +57,7 @@ def lit_ground(
     new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """Share of each pixel's ground that the radar sees, through the response; differentiable by T_end and shift."""
-    chosen, every = (views.numbers, views.all) if isinstance(views, ChosenViews) else (None, views)
-    (dx, dy), patches = rays.spacing_m, []
+    (every, chosen), (dx, dy), patches = candidates(views), rays.spacing_m, []
     for view, (rows, columns), (x, y) in zip(every, ends.sizes, ends.origins, strict=True):
         down = Axis(*view.look.rows_on_ground(y - dy / 2, dy, height_m), rows)
         patches.append((down, Axis(x - dx / 2, dx, columns)))

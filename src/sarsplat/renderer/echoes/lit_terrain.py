@@ -16,7 +16,7 @@ from itertools import accumulate
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
@@ -24,6 +24,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer.echoes.echo import RayEnds
 from sarsplat.renderer.echoes.lit_ground import Axis, pixel_axes, seen, stds
 from sarsplat.renderer.echoes.terrain_cells import Cells, cells_of
+from sarsplat.renderer.engines.chosen_views import candidates
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.places import at_places
@@ -86,25 +87,36 @@ def lit_terrain(
     new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """β⁰ of terrain with these γ⁰, which each view may have of its own; differentiable by T_end, γ⁰ and shift."""
+    every, chosen = candidates(views)
     patches = [
         _Patches.of(cells, view, rays, size, origin)
         for cells, view, size, origin in zip(
-            cells_of(terrain, views, grid, rays, shift), views, ends.sizes, ends.origins, strict=True
+            cells_of(terrain, views, grid, rays, shift), every, ends.sizes, ends.origins, strict=True
         )
     ]
-    operation = LitTerrain(patches, pitch_m, grid, rays.spacing_m[1])
+    operation = LitTerrain(patches, pitch_m, grid, rays.spacing_m[1], chosen)
     return operation.on(new_pass, ends.transmittance, gamma0, shift)
 
 
 class LitTerrain(Operation):
-    """`lit_terrain` of rays that make such patches on it; on engines, sums do not depend on threads."""
+    """`lit_terrain` of rays that make such patches on it; on engines, sums do not depend on threads.
+
+    If views are chosen on the device, there are patches of all that may be, and each view has as many rays.
+    """
 
     operation = "lit_terrain"
     names = ("transmittance", "gamma0", "shift")
     optional = ("shift",)
 
-    def __init__(self, patches: Sequence[_Patches], pitch_m: float, grid: ImageGrid, height_m: float) -> None:
-        self.patches, self.pitch_m, self.grid, self.height_m = patches, pitch_m, grid, height_m
+    def __init__(
+        self,
+        patches: Sequence[_Patches],
+        pitch_m: float,
+        grid: ImageGrid,
+        height_m: float,
+        chosen: Int64[Tensor, " v"] | None = None,
+    ) -> None:
+        self.patches, self.pitch_m, self.grid, self.height_m, self.chosen = patches, pitch_m, grid, height_m, chosen
 
     def plain(
         self,
@@ -135,13 +147,13 @@ class LitTerrain(Operation):
 
     def numbers(self, transmittance: Tensor, gamma0: Tensor, shift: Tensor | None) -> dict[str, Any]:
         (rows, columns), sizes = pixel_axes(self.grid), [math.prod(patch.traced[1]) for patch in self.patches]
+        in_order = self.chosen is None
+        firsts = accumulate(sizes[:-1], initial=0) if in_order else [0] * len(sizes)
         return {
-            **{"views": len(self.patches), "rows": rows.numbers, "columns": columns.numbers, "std": stds(self.grid)},
+            **{"views": len(gamma0), "rows": rows.numbers, "columns": columns.numbers, "std": stds(self.grid)},
             **{"cell": self.height_m, "places": tuple(gamma0.shape[1:]), "of_views": len(self.patches)},
-            "patches": [
-                self._patch(patch, first, gamma0)
-                for patch, first in zip(self.patches, accumulate(sizes, initial=0), strict=False)
-            ],
+            **{"chosen": self.chosen, "pitch": 0 if in_order else len(transmittance) // len(gamma0)},
+            "patches": [self._patch(patch, first, gamma0) for patch, first in zip(self.patches, firsts, strict=True)],
         }
 
     def _patch(self, patch: _Patches, first_ray: int, gamma0: Tensor) -> dict[str, Any]:
@@ -157,7 +169,7 @@ class LitTerrain(Operation):
         }
 
     def outputs(self, transmittance: Tensor, gamma0: Tensor, shift: Tensor | None) -> dict[str, Tensor]:
-        return {"lit": transmittance.new_empty(len(self.patches), self.grid.rows, self.grid.columns)}
+        return {"lit": transmittance.new_empty(len(gamma0), self.grid.rows, self.grid.columns)}
 
 
 def _everywhere(patch: _Patches, traced: Float[Tensor, " n"]) -> Float[Tensor, "rows columns"]:

@@ -12,14 +12,17 @@ import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Look, RayGrid, Terrain, View
+from sarsplat.renderer.engines.chosen_views import ChosenViews, by_view, candidates
+from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded, is_read, kept_on_device
 from sarsplat.renderer.places import at_places
 
 RESPONSE_END = 6.0
@@ -61,9 +64,11 @@ class Cells:
         if device.type == "cpu":
             return self.low_m, self.high_m
         if device not in self._copies:
+            if being_recorded():
+                raise NotRecordable("has more terrain than is kept")
             self._copies[device] = self.low_m.to(device), self.high_m.to(device)
             torch.cuda.current_stream(device).synchronize()  # other threads use other streams
-        return self._copies[device]
+        return is_read(self._copies[device])
 
     @property
     def bytes(self) -> int:
@@ -101,8 +106,11 @@ def cells_of(
     SarsplatError
         If a view needs too many rays.
     """
+    every, chosen = candidates(views)
+    if shift is not None and chosen is not None:
+        raise NotRecordable("asks how far images are displaced, since terrain beyond their edges may be seen")
     steps = 0 if shift is None else 1 + int(shift.detach().abs().max() / (_MARGIN * min(grid.spacing_m)))
-    return [_kept.get(terrain, view, _with_margin(grid, _MARGIN * steps), rays) for view in views]
+    return [_kept.get(terrain, view, _with_margin(grid, _MARGIN * steps), rays) for view in every]
 
 
 def before_terrain(
@@ -110,9 +118,11 @@ def before_terrain(
 ) -> Float[Tensor, "v n"]:
     """1 for Gaussians whose centres a view may see, 0 for those below the terrain, or behind where their ray ends."""
     means = means.detach()
-    heights = torch.from_numpy(terrain.heights_m).to(means)
+    heights = _heights(terrain, means.dtype, means.device)
     ground = at_places(heights, means[:, 0] / terrain.pitch_m[0], means[:, 1] / terrain.pitch_m[1], 1.0)
     above, seen = means[:, 2] >= ground, []
+    if isinstance(views, ChosenViews):
+        return (above & _before_ends(means, ends, views, rays)).to(means)
     for view, cells in zip(views, ends, strict=True):
         x, y, z = (means @ torch.from_numpy(view.look.frame).to(means).T).unbind(1)
         column, row = (
@@ -125,6 +135,42 @@ def before_terrain(
         seen.append(above.clone())
         seen[-1][inside] &= z[inside] <= end
     return torch.stack(seen).to(means)
+
+
+def _before_ends(
+    means: Float[Tensor, "n 3"], ends: Sequence[Cells], views: ChosenViews, rays: RayGrid
+) -> Bool[Tensor, "v n"]:
+    """Whether Gaussians are not behind where their rays end: of all that may be chosen, and nothing is waited for."""
+    numbers, farthest = _farthest(tuple(ends), means.dtype, means.device)
+    first_column, first_row, rows, columns, begin = numbers.index_select(0, views.numbers).T[..., None]
+    x, y, z = (means @ by_view(_frame, views, means.dtype, means.device).mT).unbind(-1)
+    column = (x / rays.spacing_m[0]).floor().long() - first_column
+    row = (y / rays.spacing_m[1]).floor().long() - first_row
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    at = (begin + row * columns + column).where(inside, 0)
+    return ~inside | (z <= farthest.index_select(0, at.reshape(-1)).view(at.shape))
+
+
+@kept_on_device(maxsize=16)
+def _heights(terrain: Terrain, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "ny nx"]:
+    return torch.from_numpy(terrain.heights_m).to(device, dtype)
+
+
+@kept_on_device(maxsize=1024)
+def _frame(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "3 3"]:
+    return torch.from_numpy(view.look.frame).to(device, dtype)
+
+
+@kept_on_device(maxsize=2)
+def _farthest(
+    ends: tuple[Cells, ...], dtype: torch.dtype, device: torch.device
+) -> tuple[Int64[Tensor, "v 5"], Float[Tensor, " cells"]]:
+    """The larger slant range of every cell; the first column and row of each view, how many rows and columns, begin."""
+    edges = [torch.maximum(cells.low_m, cells.high_m).reshape(-1) for cells in ends]
+    begins = accumulate(map(len, edges), initial=0)
+    numbers = [(*cells.first, *cells.low_m.shape, begin) for cells, begin in zip(ends, begins, strict=False)]
+    farthest = torch.cat([*edges, torch.zeros(1)]).to(device, dtype)  # the last is of no cell
+    return torch.tensor(numbers, dtype=torch.int64, device=device), farthest
 
 
 def _with_margin(grid: ImageGrid, pixels: int) -> ImageGrid:

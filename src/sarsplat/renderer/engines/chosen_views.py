@@ -38,6 +38,11 @@ class ChosenViews(Sequence[View]):
         raise NotRecordable("looks at single views on the CPU")
 
 
+def candidates(views: Sequence[View]) -> tuple[Sequence[View], Int64[Tensor, " v"] | None]:
+    """All that may be chosen, and which are; without a choice the views themselves, and None."""
+    return (views.all, views.numbers) if isinstance(views, ChosenViews) else (views, None)
+
+
 def by_view(of_view: Callable[..., Tensor], views: Sequence[View], *arguments: object) -> Tensor:
     """What a function says of each view, stacked: `of_view(view, *arguments)`."""
     if isinstance(views, ChosenViews):
