@@ -24,7 +24,9 @@ SIZES, FIRST = ((20, 24), (0, 0), (200, 9)), ((-10, -8), (0, 0), (3, -70))
 """The second view has no Gaussians; the last one's rays reach beyond the cells."""
 
 
-def everything(new_pass: NewPass | None, shifted: bool, places: tuple[int, int]) -> dict[str, Tensor]:
+def everything(
+    new_pass: NewPass | None, shifted: bool, places: tuple[int, int], weight: float = 0.5
+) -> dict[str, Tensor]:
     dtype, generator = torch.float64 if new_pass is None else torch.float32, torch.Generator().manual_seed(0)
     left = torch.rand(sum(rows * columns for rows, columns in SIZES), generator=generator)
     gamma0 = torch.rand(len(VIEWS), *places, generator=generator) + 0.1
@@ -35,6 +37,7 @@ def everything(new_pass: NewPass | None, shifted: bool, places: tuple[int, int])
     ends = RayEnds(leaves["left"], SIZES, origins)
     found = lit_terrain(ends, VIEWS, GRID, RAYS, hill(), leaves["gamma0"], 0.9, leaves.get("shift"), new_pass)
     seeds = torch.randn(found.shape, generator=generator).to(dtype)
+    seeds[1] = weight
     gradients = torch.autograd.grad((found * seeds).sum(), list(leaves.values()))
     return {"lit": found.detach()} | {f"d {name}": one for name, one in zip(leaves, gradients, strict=True)}
 
@@ -52,3 +55,15 @@ def test_as_the_twin_and_the_same_bits_however_it_is_run(places: tuple[int, int]
         for schedule in SCHEDULES:
             again = everything(partial(cuda.Pass, Emulator(library, schedule)), shifted, places)
             assert all(torch.equal(again[name], one) for name, one in found.items()), schedule
+
+
+@pytest.mark.parametrize("weight", [0.0, torch.nan, torch.inf, 1e-30, 1e30])
+def test_gradients_of_any_size(weight: float, library: Path) -> None:
+    """Of a view that does not matter, too, and of one whose images have become no numbers."""
+    found = everything(partial(cuda.Pass, Emulator(library)), False, (7, 9), weight)["d gamma0"]
+    right = everything(None, False, (7, 9), weight)["d gamma0"]
+    for v in range(len(VIEWS)):
+        scale = float(right[v].abs().max())
+        assert (
+            bool(found[v].isnan().all()) if scale != scale else float((found[v] - right[v]).abs().max()) <= 4e-6 * scale
+        )

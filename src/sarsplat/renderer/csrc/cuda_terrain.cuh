@@ -10,6 +10,8 @@ namespace SG_ISA {
 constexpr float kShortCell = 0.25f;      // standard deviations: over less, differences of integrals have too few digits
 constexpr float kPointsApart = 0.28867513f;  // 1/2 -+ 1/sqrt 12: two points whose mean is the integral's
 
+constexpr int kInfinite = 0x7f800000, kNoNumber = 0x7fc00000;  // bits
+
 struct TerrainState {
   int64_t cells;          // of a view at most
   int32_t columns;        // of cells at most
@@ -19,7 +21,7 @@ struct TerrainState {
   float* seen;            // [V, rows, columns of cells] R(gamma0 T)
   float* between;         // [V, rows, columns of cells] dL/dlit X
   float *azimuth, *range;  // [V, blocks] of the gradient of the shift
-  unsigned* largest;      // [V] bits of the largest |dL/d returned|
+  unsigned* largest;      // [V] bits of the largest |dL/d returned|, infinite if any is no number
   int64_t* sums;          // [V, places]
 };
 
@@ -185,7 +187,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) see_cells_backward(sg_ter
   const int view = blockIdx.x / blocks;
   const sg_terrain_patches p = cells_of(t, view);
   const Entry e = this_entry(view, blocks, p.rows, p.across.count);
-  float moved = 0.0f;
+  float moved = 0.0f, largest = 0.0f;
   if (e.inside) {
     const int64_t cell = (int64_t)e.y * p.across.count + e.x;
     const float low = p.low[cell], high = p.high[cell];
@@ -203,8 +205,10 @@ extern "C" __global__ void __launch_bounds__(kThreads) see_cells_backward(sg_ter
     }
     s.told[view * s.cells + cell] = told;
     moved *= s.returned[view * s.cells + cell];
-    atomicMax(s.largest + view, __float_as_uint(fabsf(told)));
+    largest = told == told ? fabsf(told) : __int_as_float(kInfinite);
   }
+  largest = -warp_min(-largest);
+  if (lane() == 0 && largest > 0.0f) atomicMax(s.largest + view, __float_as_uint(largest));
   if (!s.range) return;
   moved = block_sum(moved);
   if (thread() == 0) s.range[blockIdx.x] = moved;
@@ -235,7 +239,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) tell_places(sg_terrain t,
   const Entry e = this_entry(view, blocks, p.rows, p.across.count);
   if (!e.inside) return;
   const float told = s.told[view * s.cells + (int64_t)e.y * p.across.count + e.x];
-  if (told == 0.0f) return;
+  if (told == 0.0f || s.largest[view] == kInfinite) return;
   const CellPlaces c = places_of_cell(t, p, e.y, e.x);
   const double unit = unit_of(t, s, view, p), seed = (double)told * left_of_cell(t, p, e.y, e.x) * t.cell;
   for (int k = 0; k < 4; k++)
@@ -245,7 +249,8 @@ extern "C" __global__ void __launch_bounds__(kThreads) write_places(sg_terrain t
   const int64_t n = this_number();
   if (n >= (int64_t)t.views * places_of(t)) return;
   const int view = (int)(n / places_of(t));
-  t.d_gamma0[n] = (float)((double)s.sums[n] / unit_of(t, s, view, cells_of(t, view)));
+  const bool all_are_numbers = s.largest[view] < kInfinite;
+  t.d_gamma0[n] = all_are_numbers ? (float)((double)s.sums[n] / unit_of(t, s, view, cells_of(t, view))) : __int_as_float(kNoNumber);
 }
 
 extern "C" __global__ void __launch_bounds__(kThreads) sum_terrain_shift(sg_terrain t, TerrainState s, int32_t of_columns, int32_t of_cells) {

@@ -5,6 +5,7 @@
 // project     Gaussians to footprints, placed on both planes; tiles are counted, listed and put in order
 // attenuate   rays front to back: lit areas, and cross-sections
 // splat       footprints to images of one or several channels
+// ground      what of it a pixel sees behind all Gaussians, level or terrain
 //
 // A whole rendering is these steps on arrays of one pass (cuda.py), and its gradient their adjoints in reverse order.
 // No float is ever added atomically: every sum has a fixed order, and results are bit-identical from run to run.
