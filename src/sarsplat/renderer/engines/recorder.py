@@ -34,8 +34,8 @@ class Recorder(Protocol):
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
         """Record a program without running it.
 
-        Returns the tensors that it gives, and what runs it again, with other numbers in the same places. Once that is
-        forgotten, so are all tensors of the program.
+        Returns the tensors that it gives, and what runs it again, with other numbers in the same places; until another
+        program is recorded.
         """
         ...
 
@@ -45,6 +45,7 @@ class CudaRecorder:
 
     def __init__(self, launcher: Launcher) -> None:
         self.launcher, self._stream = launcher, torch.cuda.Stream(launcher.device)
+        self._latest: torch.cuda.CUDAGraph | None = None
 
     def rehearse(self, program: Callable[[], T]) -> T:
         """As `Recorder.rehearse`."""
@@ -56,17 +57,20 @@ class CudaRecorder:
         return result
 
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
-        """As `Recorder.record`."""
+        """As `Recorder.record`. Programs share their memory: each is the last to be run until the next is recorded."""
         graph = torch.cuda.CUDAGraph()
+        memory = None if self._latest is None else self._latest.pool()
 
         def recorded() -> T:
-            graph.capture_begin(capture_error_mode="thread_local")
+            graph.capture_begin(pool=memory, capture_error_mode="thread_local")
             try:
                 return program()
             finally:
                 graph.capture_end()
 
-        return self.rehearse(recorded), graph.replay
+        result = self.rehearse(recorded)
+        self._latest = graph  # alive, so that its memory is
+        return result, graph.replay
 
 
 class Told:
