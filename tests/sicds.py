@@ -4,8 +4,6 @@ Where a scatterer lies in an image follows from its range and range rate at the 
 (`sicd_places`), so that sarkit's projections can be held against it.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

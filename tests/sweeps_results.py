@@ -1,7 +1,5 @@
 """What a sweep has made, to compare two of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The benchmark of chips: what it draws, makes and writes, on made-up chips of two classes."""
 
-from __future__ import annotations
-
 import csv
 from concurrent.futures import Future
 from dataclasses import replace

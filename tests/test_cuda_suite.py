@@ -1,7 +1,5 @@
 """The GPU's measuring program without a GPU: the emulator in its place, in small; and its time, errors and files."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -1,7 +1,5 @@
 """Imports run one way, need no more than they say, and offer the public names."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import json

@@ -1,7 +1,5 @@
 """Lines of progress where there is no terminal."""
 
-from __future__ import annotations
-
 import io
 import re
 import time

@@ -1,7 +1,5 @@
 """What the package needs: declared once, pinned once, used, and not under the GPL, the AGPL or the LGPL."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib

@@ -1,7 +1,5 @@
 """A box on the ground, seen from twelve sides, with masks."""
 
-from __future__ import annotations
-
 import pytest
 
 from datasets import box_dataset

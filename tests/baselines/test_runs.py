@@ -1,7 +1,5 @@
 """What all methods share: trainings that can be stopped and resumed, runs that every command understands."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """SAR-NeRF: closed forms, gradients, invariances, and a sphere that it must learn."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

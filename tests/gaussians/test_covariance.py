@@ -1,7 +1,5 @@
 """Rotation and covariance from quaternion and scales."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from scipy.spatial.transform import Rotation

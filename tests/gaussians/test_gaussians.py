@@ -1,7 +1,5 @@
 """Gaussians as one would handle a tensor: indexed, joined and moved, with gradients."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Real spherical harmonics: an orthonormal basis, with the signs of 3D Gaussian splatting's files."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -1,7 +1,5 @@
 """Covariances between polarisations: what a Gaussian's parameters mean, and their gradients."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """A scattering law of one's own: rendered, trained, saved and read like ours, here and by an entry point."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Laws of scattering: what they say, what they refuse, and that every one of them goes all the way round."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

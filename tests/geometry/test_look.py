@@ -1,7 +1,5 @@
 """What follows from the direction of a view, by numerical checks that know only the frame's definition."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

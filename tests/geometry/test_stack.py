@@ -1,7 +1,5 @@
 """Stacks: what their channels may be, and how far they resolve elevations."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

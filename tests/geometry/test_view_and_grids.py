@@ -1,7 +1,5 @@
 """Frames, angles and pixel positions (docs/reference/conventions.md §1)."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """The box of what stands out from the ground, from the images alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 

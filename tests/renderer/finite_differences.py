@@ -1,7 +1,5 @@
 """A Jacobian against central differences: gradcheck, but along some directions instead of one for each element."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import torch

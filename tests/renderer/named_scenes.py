@@ -1,7 +1,5 @@
 """Tiny named scenes for the renderer's tests: each is there for one thing that could go wrong."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Each step of a rendering alone, on the named scenes: an engine's values and gradients against its float64 twin's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 

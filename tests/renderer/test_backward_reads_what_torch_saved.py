@@ -1,7 +1,5 @@
 """The backward pass reads the tensors that torch hands it, not memory it remembers from the forward pass."""
 
-from __future__ import annotations
-
 import threading
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Several channels to a Gaussian: in the reference, in the CPU engine, and from a law of scattering of one's own."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

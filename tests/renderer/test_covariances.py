@@ -1,7 +1,5 @@
 """Covariances of an interferometric stack, against closed forms and rays that are marched through a scene."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The CPU engine against the float64 reference: every output, every gradient, every instruction set."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Loading the CPU engine: without torch's threads it works on one; without the library the reference still renders."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

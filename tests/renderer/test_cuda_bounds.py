@@ -1,7 +1,5 @@
 """A CUDA rendering with bounds: the same as without, no wait for the device, and what breaks them is reported."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

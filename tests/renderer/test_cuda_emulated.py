@@ -1,7 +1,5 @@
 """The CUDA engine's kernels, emulated on the CPU, against the float64 reference; and all that surrounds them."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The CUDA engine on a GPU, against the float64 reference; and its source in NVRTC's hands, which needs no GPU."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from functools import partial

@@ -1,7 +1,5 @@
 """An echo of one's own is one class: it is told what a rendering knows, and is added to the images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The ground is where rays end: its level, its shadows, what it hides, and what it costs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

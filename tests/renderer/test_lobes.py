@@ -1,7 +1,5 @@
 """γ⁰ in a lobe by both engines, the CUDA one emulated, against the law itself in float64."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Covariances as few images: the engine's cross-sections of pairs, and pairs that share an image."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

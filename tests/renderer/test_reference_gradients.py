@@ -1,7 +1,5 @@
 """The reference renderer's gradients against finite differences in float64, cuts off."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from finite_differences import check_gradients

@@ -1,7 +1,5 @@
 """The CPU engine gives the same bits for any number of threads, any order of calls, and keeps no memory."""
 
-from __future__ import annotations
-
 import gc
 import os
 from dataclasses import replace

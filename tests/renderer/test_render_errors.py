@@ -1,7 +1,5 @@
 """Wrong input is named, with its value and what to do."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace

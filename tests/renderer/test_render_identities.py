@@ -1,7 +1,5 @@
 """What every renderer must satisfy, whatever its arithmetic (docs/concepts/image-model.md, identities)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Processes that share the views of a rendering get the bits of one that has them all."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier

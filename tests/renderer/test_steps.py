@@ -1,7 +1,5 @@
 """The public steps project, attenuate and splat: against their twins, against `render`, and on their own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

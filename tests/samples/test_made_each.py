@@ -1,7 +1,5 @@
 """Work shared among processes: in order, the same as alone, and failures come back as they are."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

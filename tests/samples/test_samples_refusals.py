@@ -1,7 +1,5 @@
 """What is asked of runs for samples that cannot be had: one sentence each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sets of chips as files: read back by the importers, and the same after any stop."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

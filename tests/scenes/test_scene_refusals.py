@@ -1,7 +1,5 @@
 """What is refused of scenes and of simulations, each in one sentence."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A configuration comes back as it was, and takes nothing that would fail an hour later."""
 
-from __future__ import annotations
-
 import json
 import math
 import pydoc

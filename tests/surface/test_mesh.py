@@ -1,7 +1,5 @@
 """The surface as points with normals and as a mesh: a ball of surface Gaussians, bright on one side."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

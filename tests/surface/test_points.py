@@ -1,7 +1,5 @@
 """Which of the returns that rays have become points."""
 
-from __future__ import annotations
-
 import re
 from contextlib import AbstractContextManager
 from dataclasses import replace

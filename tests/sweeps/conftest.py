@@ -1,7 +1,5 @@
 """A plan whose runs take a moment: images without a surface, few Gaussians, no reports."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Processes that do runs: the same bits, and nothing is lost whoever is killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """A Ray cluster of two nodes: the same bits as in this process, also when a node dies."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator
