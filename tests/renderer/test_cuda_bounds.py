@@ -8,6 +8,7 @@ import pytest
 import torch
 from emulated_cuda import Emulator, guarded, render_on
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
+from test_cpu_engine import everything as all_of
 from test_cpu_engine import relative
 
 from sarsplat.errors import SarsplatError
@@ -25,15 +26,8 @@ def bounds_of(gaussians: Gaussians) -> Bounds:
     return Bounds((*low.tolist(),), (*high.tolist(),), scale_m, depth)
 
 
-def everything(scene: Scene, renderer, **options) -> dict[str, torch.Tensor]:
-    """Images, cross-sections and every gradient, by name."""
-    leaves = scene.leaves(torch.float32)
-    rendering = scene.call(renderer, leaves, **options)
-    generator = torch.Generator().manual_seed(7)
-    outputs = {"images": rendering.images, "cross_sections": rendering.cross_sections}
-    loss = sum((t * torch.randn(t.shape, generator=generator)).sum() for t in outputs.values())
-    gradients = torch.autograd.grad(loss, list(leaves.values()))
-    return {name: t.detach() for name, t in outputs.items()} | dict(zip(leaves, gradients, strict=True))
+everything = partial(all_of, norms={}, of=("images", "cross_sections"))
+"""Of which none depends on how wide the lattice is."""
 
 
 @pytest.mark.parametrize("name", MATRIX)

@@ -16,8 +16,7 @@ import pytest
 import step_cases
 import torch
 from emulated_cuda import Emulator, render_on
-from test_cpu_engine import judged
-from test_cuda_emulated import everything, same_bits
+from test_cpu_engine import everything, judged, same_bits
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.learning import device as training_device

@@ -9,19 +9,17 @@ from typing import Any
 import pytest
 import torch
 from emulated_cuda import Emulator
-from finite_differences import check_gradients
-from named_scenes import GRADCHECK, GRID, MATRIX, VIEWS, Scene, cloud
+from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from step_cases import STEPS, check, found_by, judged, projection_of, tensors_of
 from test_cpu_engine import AVAILABLE, relative
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
+from sarsplat.gaussians import Harmonics, NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid
-from sarsplat.renderer import Footprints, Waves, attenuate, project, render, splat
+from sarsplat.renderer import Footprints, attenuate, project, render, splat
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
-from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
 RAYS = RayGrid.for_image(GRID)
 
@@ -101,71 +99,7 @@ def test_the_reference_by_steps(law):
         assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), key
 
 
-# ---- finite differences of the twins ---------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", GRADCHECK)
-def test_finite_differences_of_every_twin(name):
-    scene = GRADCHECK[name]()
-    g = scene.gaussians.to(torch.float64)
-    shift = scene.shift.double()
-
-    def footprints(*tensors):
-        p = project_reference(g.with_tensors(**dict(zip(g.tensors(), tensors))), scene.views, scene.grid,
-                              rays=scene.rays, shift=tensors[-1])  # fmt: skip
-        return p.rays.centers, p.rays.roots, p.optical_depth, p.pixels.centers, p.pixels.roots, p.amplitudes
-
-    check_gradients(footprints, tuple(t.clone().requires_grad_() for t in (*g.tensors().values(), shift)))
-    p = project_reference(g, scene.views, scene.grid, rays=scene.rays, shift=shift)
-
-    def seen(centers, roots, depth):
-        made = replace(p, rays=Footprints(centers, roots), optical_depth=depth)
-        found = attenuate_reference(made, scene.rays, first_return_depth=0.5, cuts=False)
-        return found.lit_area, *(ray_map.transmittance for ray_map in found.ray_maps)
-
-    check_gradients(seen, tuple(t.clone().requires_grad_() for t in (p.rays.centers, p.rays.roots, p.optical_depth)))
-    cross_sections = torch.randn(2, len(g), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
-
-    def images(centers, roots, cross_sections):
-        made = Footprints(centers, roots)
-        return [splat_reference(made, cross_sections, scene.grid, imaging_weight=scene.imaging_weight, cuts=False)]
-
-    check_gradients(
-        images, tuple(t.clone().requires_grad_() for t in (p.pixels.centers, p.pixels.roots, cross_sections))
-    )
-    numbers = torch.tensor([[2.0], [-3.0]], dtype=torch.float64)
-    slopes = torch.randn(2, len(g), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-
-    def waves(centers, roots, cross_sections, slopes):
-        made, turned = Footprints(centers, roots), Waves(numbers, slopes)
-        return [splat_reference(made, cross_sections, scene.grid, waves=turned, cuts=False)]
-
-    check_gradients(
-        waves, tuple(t.clone().requires_grad_() for t in (p.pixels.centers, p.pixels.roots, cross_sections, slopes))
-    )
-
-
 # ---- channels --------------------------------------------------------------------------------------------------------
-def splat_with_gradients(footprints: Footprints, cross_sections: Tensor, seeds: Tensor, grid=GRID) -> list[Tensor]:
-    leaves = [t.detach().clone().requires_grad_() for t in (footprints.centers, footprints.roots, cross_sections)]
-    images = splat(Footprints(*leaves[:2]), leaves[2], grid, engine="cpu")
-    return [images.detach(), *torch.autograd.grad(images, leaves, seeds)]
-
-
-@pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 9])
-def test_channels_are_single_splats(channels):
-    pixels = project(cloud(60, 1), VIEWS, GRID).pixels
-    generator = torch.Generator().manual_seed(channels)
-    cross_sections = torch.randn(3, 60, channels, generator=generator)
-    seeds = torch.randn(3, channels, GRID.rows, GRID.columns, generator=generator)
-    images, d_centers, d_roots, d_cross_sections = splat_with_gradients(pixels, cross_sections, seeds)
-    singles = [
-        splat_with_gradients(pixels, cross_sections[..., c : c + 1], seeds[:, c : c + 1]) for c in range(channels)
-    ]
-    assert torch.equal(images, torch.cat([single[0] for single in singles], dim=1))
-    assert relative(d_cross_sections, torch.cat([single[3] for single in singles], dim=2).double()) <= 1e-6
-    assert relative(d_centers, sum(single[1].double() for single in singles)) <= 1e-5
-    assert relative(d_roots, sum(single[2].double() for single in singles)) <= 1e-5
-
-
 @pytest.mark.parametrize("engine", ["cpu", "reference"])
 @pytest.mark.parametrize("channels", [1, 2])
 def test_complex_amplitudes_are_two_channels(channels, engine):
@@ -182,21 +116,6 @@ def test_complex_amplitudes_are_two_channels(channels, engine):
     assert relative(*(torch.view_as_real(g.resolve_conj()).double() for g in (found, expected))) <= 1e-5
 
 
-def test_finite_differences_of_complex_amplitudes():
-    pixels, generator = project(cloud(4, 1).to(torch.float64), VIEWS[:1], GRID).pixels, torch.Generator().manual_seed(1)
-    cross_sections = torch.randn(1, 4, 1, generator=generator, dtype=torch.complex128).requires_grad_()
-    assert torch.autograd.gradcheck(lambda sections: splat(pixels, sections, GRID), (cross_sections,))
-    with pytest.raises(SarsplatError, match=r"cross_sections is torch.complex64 on cpu but footprints.centers"):
-        splat(pixels, cross_sections.to(torch.complex64), GRID)
-
-
-def test_a_dark_gaussian_has_a_gradient():
-    pixels = project(cloud(5, 1), VIEWS, GRID).pixels
-    cross_sections = torch.zeros(3, 5, 1, requires_grad=True)
-    splat(pixels, cross_sections, GRID).sum().backward()
-    assert (cross_sections.grad > 0).all()
-
-
 # ---- on their own ----------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("name", ["many", "many views"])
@@ -208,21 +127,6 @@ def test_same_bits_for_any_number_of_threads(name, step, threads):
         found = found_by(cpu.Pass, step, name)
         for key, value in expected.items():
             assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), (count, key)
-
-
-@pytest.mark.parametrize("engine", ["cpu", "reference"])
-def test_no_gaussians(engine):
-    p = project(cloud(0, 0), VIEWS, GRID, engine=engine)
-    assert p.rays.roots.shape == p.pixels.roots.shape == (3, 0, 3)
-    found = attenuate(p, RAYS, first_return_depth=1.0, engine=engine)
-    assert found.lit_area.shape == (3, 0)
-    assert found.ray_maps[0].transmittance.shape == (0, 0)
-    cross_sections = torch.zeros(3, 0, 2, requires_grad=True)
-    images = splat(p.pixels, cross_sections, GRID, engine=engine)
-    assert images.shape == (3, 2, GRID.rows, GRID.columns)
-    assert not images.any()
-    images.sum().backward()
-    assert cross_sections.grad.shape == (3, 0, 2)
 
 
 def test_gradients_of_gradients_are_refused():
@@ -301,7 +205,7 @@ def test_values_out_of_range(by):
             by.project(wrong, VIEWS, GRID)
 
 
-TEN = cloud(10, 0)
+TEN, WIDE = cloud(10, 0), ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
 
 
 @pytest.mark.parametrize(
@@ -349,6 +253,11 @@ TEN = cloud(10, 0)
             lambda p, x: project(TEN, VIEWS, GRID, shift=torch.zeros(3)),
             r"shift has shape \(3,\); .* it must be \(3, 2\)",
         ),
+        (
+            lambda p, x: splat(p.pixels, x.to(torch.complex128), GRID),
+            "cross_sections is torch.complex128 on cpu but footprints.centers",
+        ),
+        (lambda p, x: splat(p.pixels, x, WIDE, engine="cpu"), "an image of 80000 × 1 pixels is too large"),
         (lambda p, x: project(TEN.to(torch.float64), VIEWS, GRID, engine="cpu"), "the CPU engine takes torch.float32"),
     ],
 )
@@ -364,20 +273,3 @@ def test_lattices_that_are_too_large(by):
         SarsplatError, match=r"(view 0 would .* remove distant or wide ones|reference would need too many)"
     ):
         by.attenuate(p, RAYS)
-
-
-def test_images_that_are_too_large():
-    p = project(cloud(10, 0), VIEWS, GRID)
-    wide = ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
-    with pytest.raises(SarsplatError, match="an image of 80000 × 1 pixels is too large"):
-        splat(p.pixels, torch.ones(3, 10, 1), wide, engine="cpu")
-
-
-def test_tensors_changed_before_backward():
-    g: Gaussians = cloud(10, 1)
-    g.means.requires_grad_()
-    p = project(g, VIEWS, GRID)
-    with torch.no_grad():
-        g.scales.mul_(2.0)
-    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
-        p.rays.roots.sum().backward()
