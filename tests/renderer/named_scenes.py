@@ -31,7 +31,7 @@ class Scene:
     gain: Tensor | None = None
     imaging_weight: str = "area"
     ground: Ground | None = None
-    first_return_depth: float = 0.5
+    first_return_depth: float | None = 0.5
 
     def options(self) -> dict[str, object]:
         """What is not differentiable."""
@@ -94,6 +94,13 @@ def cloud(
     )
     harmonics = Harmonics(normal(count, (degree + 1) ** 2).float(), p_min)
     return Gaussians(*(tensor.float() for tensor in tensors), scattering=harmonics)
+
+
+def changed(gaussians: Gaussians, name: str, index: tuple[int, ...], value: float) -> Gaussians:
+    """The same with one number, or one row, of a tensor replaced."""
+    tensor = gaussians.tensors()[name].clone()
+    tensor[index] = value
+    return gaussians.with_tensors(**{name: tensor})
 
 
 def with_scales(gaussians: Gaussians, scales: tuple[float, float, float]) -> Gaussians:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Gaussians, Harmonics, SarsplatError
+from sarsplat import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View, radar_frame
 from sarsplat.renderer import render, render_covariances
 
@@ -301,19 +301,3 @@ def test_engines_agree() -> None:
     for name, judged in found[0].items():
         tolerance = 1e-5 if name == "images" else 1e-4
         assert float((found[1][name] - judged).norm()) <= tolerance * float(judged.norm()), name
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ((0.0, (0.0,)), "wavelength_m is 0.0; give 0.0001 to 100 metres"),
-        ((0.03, ()), r"offsets_rad is \(\); give the b/R of each pass"),
-        ((0.03, (0.0, 0.3)), "an offset is 0.3; give b/R in radians"),
-        ((0.03, (0.0, float("nan"))), "an offset is nan"),
-        ((0.03, (0.001, 0.001)), "two passes are the same"),
-        ((0.03, (0.0, 0.001), "both"), "transmit is 'both'; give one of each, one"),
-    ],
-)
-def test_stacks_that_are_refused(settings: tuple, words: str) -> None:
-    with pytest.raises(SarsplatError, match=words):
-        Stack(*settings)

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 import torch
 from emulated_cuda import Emulator, guarded, render_on
-from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
+from named_scenes import GRID, MATRIX, VIEWS, Scene, changed, cloud
 from test_cpu_engine import everything as all_of
 from test_cpu_engine import relative
 
@@ -55,13 +55,6 @@ def test_the_lattice_holds_every_ray_that_is_touched_and_few_more(library):
         assert wide.numel() < 4 * tight.numel()
 
 
-def changed(name: str, index: tuple[int, ...], value: float) -> Gaussians:
-    scene = cloud(40, 0)
-    tensor = scene.tensors()[name].clone()
-    tensor[index] = value
-    return scene.with_tensors(**{name: tensor})
-
-
 BROKEN = {
     "moved out": (("means", (3, 0), 40.0), "a Gaussian has left its bounds, Bounds.low_m"),
     "moved out of the other side": (("means", (3, 1), -40.0), "a Gaussian has left its bounds"),
@@ -87,8 +80,8 @@ def arrays_are_guarded():
 def test_what_breaks_them_is_reported_and_no_memory_is_harmed(name, library):
     change, message = BROKEN[name]
     bounds, emulated = bounds_of(cloud(40, 0)), partial(render_on, Emulator(library))
-    everything(Scene(changed(*change)), emulated, bounds=bounds)  # as if nothing were wrong
-    everything(Scene(changed("means", (7, 2), math.inf)), emulated, bounds=bounds)
+    everything(Scene(changed(cloud(40, 0), *change)), emulated, bounds=bounds)  # as if nothing were wrong
+    everything(Scene(changed(cloud(40, 0), "means", (7, 2), math.inf)), emulated, bounds=bounds)
     with pytest.raises(SarsplatError, match=message):  # still the first
         bounds.check()
 

@@ -8,20 +8,15 @@ from functools import partial
 import pytest
 import torch
 from emulated_cuda import Emulator, render_on
-from named_scenes import GRID, VIEWS, cloud
+from named_scenes import GRID, VIEWS, changed, cloud
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MIN_SCALE, Gaussians
+from sarsplat.gaussians import MIN_SCALE
 from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import render
 from sarsplat.renderer.reference import render_reference
 
-
-def changed(name: str, index: tuple[int, ...], value: float) -> Gaussians:
-    scene = cloud(10, 0)
-    tensor = scene.tensors()[name].clone()
-    tensor[index] = value
-    return scene.with_tensors(**{name: tensor})
+TEN = cloud(10, 0)
 
 
 def by(engine: str, request: pytest.FixtureRequest) -> Callable:
@@ -53,13 +48,13 @@ def by(engine: str, request: pytest.FixtureRequest) -> Callable:
     ],
 )
 def test_values_out_of_range(name, index, value, message, engine, request):
-    scene = changed(name, index, value).to(torch.float64 if engine == "reference" else torch.float32)
+    scene = changed(TEN, name, index, value).to(torch.float64 if engine == "reference" else torch.float32)
     with pytest.raises(SarsplatError, match=message):
         by(engine, request)(scene, VIEWS, GRID)
 
 
 def test_limits_themselves_are_allowed():
-    scene = changed("optical_depth", (2,), 40.0)
+    scene = changed(TEN, "optical_depth", (2,), 40.0)
     scene.scales[4] = MIN_SCALE
     assert torch.isfinite(render(scene, VIEWS, GRID, engine="cpu").images).all()
 
@@ -88,7 +83,7 @@ ANY, CPU, REFERENCE, BOTH = ("auto", "cpu", "reference"), ("cpu",), ("reference"
             (ANY, {"gain": torch.ones(3, device="meta")}, "gain is on torch's meta device"),
             (
                 ANY,
-                {"gaussians": cloud(10, 0).to("meta")},
+                {"gaussians": TEN.to("meta")},
                 "means is on torch's meta device, which holds no values",
             ),
             (
@@ -103,14 +98,14 @@ ANY, CPU, REFERENCE, BOTH = ("auto", "cpu", "reference"), ("cpu",), ("reference"
             (("auto",), {"views": []}, "there are no views to render; give at least one View"),
             (
                 CPU,
-                {"gaussians": cloud(10, 0).to(torch.float64)},
+                {"gaussians": TEN.to(torch.float64)},
                 "means is torch.float64 on cpu; the CPU engine takes torch.float32",
             ),
             (CPU, {"gain": torch.ones(3).double()}, "gain is torch.float64 on cpu; the CPU"),
             (REFERENCE, {"plane_gradients": True}, r"needs another engine \(cpu, cuda\)"),
             (
                 BOTH,
-                {"gaussians": changed("means", (0, 0), 1e6)},
+                {"gaussians": changed(TEN, "means", (0, 0), 1e6)},
                 r"view 0 would need too many rays .* reach 1e\+06 m .* remove distant or wide ones",
             ),
             (BOTH, {"rays": RayGrid((1e-5, 1e-5))}, "too many rays at a spacing of"),
@@ -124,20 +119,20 @@ ANY, CPU, REFERENCE, BOTH = ("auto", "cpu", "reference"), ("cpu",), ("reference"
     ],
 )
 def test_arguments(engine, options, message, request):
-    whole = {"gaussians": cloud(10, 0), "views": VIEWS, "grid": GRID} | options
+    whole = {"gaussians": TEN, "views": VIEWS, "grid": GRID} | options
     with pytest.raises(SarsplatError, match=message):
         by(engine, request)(**whole)
 
 
 def test_engine_works_after_an_error():
-    expected = render(cloud(10, 0), VIEWS, GRID, engine="cpu").images
+    expected = render(TEN, VIEWS, GRID, engine="cpu").images
     with pytest.raises(SarsplatError, match="too many rays"):
-        render(changed("means", (0, 0), 1e6), VIEWS, GRID, engine="cpu")
-    assert torch.equal(render(cloud(10, 0), VIEWS, GRID, engine="cpu").images, expected)
+        render(changed(TEN, "means", (0, 0), 1e6), VIEWS, GRID, engine="cpu")
+    assert torch.equal(render(TEN, VIEWS, GRID, engine="cpu").images, expected)
 
 
 def test_engine_auto_follows_the_dtype():
-    scene = cloud(10, 0)
+    scene = TEN
     assert torch.equal(render(scene, VIEWS, GRID).images, render(scene, VIEWS, GRID, engine="cpu").images)
     double = scene.to(torch.float64)
     assert torch.equal(render(double, VIEWS, GRID).images, render_reference(double, VIEWS, GRID).images)
@@ -159,13 +154,13 @@ def test_engine_auto_follows_the_dtype():
 )
 def test_gaussians_that_do_not_fit_together(name, tensor, message):
     with pytest.raises(SarsplatError, match=message):
-        cloud(10, 0).with_tensors(**{name: tensor})
+        TEN.with_tensors(**{name: tensor})
     with pytest.raises(SarsplatError, match=r"p_min -0.1 must be finite and at least 0"):
-        replace(cloud(10, 0).scattering, p_min=-0.1)
+        replace(TEN.scattering, p_min=-0.1)
 
 
 def test_torch_defaults_do_not_matter():
-    scene = cloud(10, 0)
+    scene = TEN
     expected = render(scene, VIEWS, GRID, first_return_depth=0.1)
     torch.set_default_dtype(torch.float64)
     try:
