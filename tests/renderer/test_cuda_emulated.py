@@ -5,11 +5,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import step_cases
 import torch
+from chain import chained, steps_of
 from emulated_cuda import SCHEDULES, Emulator, guarded, mutated, render_on, without_barrier
 from named_scenes import GRID, MATRIX, VIEWS, cloud
 from test_cpu_engine import check, everything, judged, relative, same_bits, traced
+from test_steps import STEPPED
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer import render
@@ -31,11 +32,14 @@ def test_matches_the_reference_and_backwards_bit_for_bit(name, library):
     assert same_bits(everything(scene, partial(render_on, Emulator(library, "backwards")), norms), found)
 
 
-@pytest.mark.parametrize("name", MATRIX)
-@pytest.mark.parametrize("step", step_cases.STEPS)
-def test_every_step_matches_its_twin(step, name, library):
-    found = step_cases.found_by(partial(cuda.Pass, Emulator(library, "shuffled")), step, name)
-    step_cases.check(step, name, found)
+def chain_on(library: Path, schedule: str) -> partial:
+    return partial(chained, steps_of(partial(cuda.Pass, Emulator(library, schedule))))
+
+
+@pytest.mark.parametrize("name", STEPPED)
+def test_a_chain_of_steps_matches_the_reference(name, library):
+    scene, _, norms, *_ = judged(name)
+    check(name, everything(scene, chain_on(library, "shuffled"), norms))
 
 
 def test_plane_gradients_and_a_second_backward(emulated):
@@ -69,12 +73,10 @@ def test_memory_is_written_before_it_is_read_and_never_beyond_its_end(name, emul
     """Nor do the schedules of steps differ."""
     scene, _, norms, *_ = judged(name)
     expected = everything(scene, emulated, norms)
-    steps = {step: step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, name) for step in step_cases.STEPS}
-    backwards = partial(cuda.Pass, Emulator(library, "backwards"))
+    by_steps = everything(scene, chain_on(library, "in order"), norms)
     with guarded():
         assert same_bits(everything(scene, emulated, norms), expected)
-        for step, once in steps.items():
-            assert same_bits(step_cases.found_by(backwards, step, name), once), step
+        assert same_bits(everything(scene, chain_on(library, "backwards"), norms), by_steps)
 
 
 # ---- the emulator tells right from wrong ----------------------------------------------------------------------------

@@ -8,85 +8,34 @@ from typing import Any
 
 import pytest
 import torch
+from chain import chained, steps_of
 from emulated_cuda import Emulator
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
-from step_cases import STEPS, check, found_by, judged, projection_of, tensors_of
-from test_cpu_engine import AVAILABLE, relative
+from test_cpu_engine import AVAILABLE, check, everything, judged, outputs_of, relative, same_bits, traced
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Harmonics, NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid
-from sarsplat.renderer import Footprints, attenuate, project, render, splat
+from sarsplat.renderer import Footprints, Waves, attenuate, project, render, splat
 from sarsplat.renderer.engines import cpu, cuda
-from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
+from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.reference import splat_reference
 
 RAYS = RayGrid.for_image(GRID)
+STEPPED = [name for name in MATRIX if "ground" not in name and "terrain" not in name]  # which are no steps
+
+
+def emulated(request: pytest.FixtureRequest) -> NewPass:
+    return partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
 
 
 @pytest.mark.parametrize("instruction_set", AVAILABLE)
-@pytest.mark.parametrize("name", MATRIX)
-@pytest.mark.parametrize("step", STEPS)
-def test_matches_its_twin(step, name, instruction_set):
-    check(step, name, found_by(partial(cpu.Pass, instruction_set), step, name))
-
-
-def test_the_scenes_have_something_to_compare():
-    for step in STEPS:
-        for name in set(MATRIX) - {"none", "all outside"}:
-            expected, _ = judged(step, name)
-            gradients = [key for key in expected if key.startswith("d ")]
-            assert len(gradients) == {"project": 6, "attenuate": 3, "splat": 3, "waves": 4}[step]
-            assert all(float(expected[key].norm()) > 0 for key in gradients), (step, name)
-
-
-# ---- the chain is the fused pass -------------------------------------------------------------------------------------
-def chained(scene: Scene, leaves: dict[str, Tensor], **engine: str) -> dict[str, Tensor]:
-    """What `render` returns, step by step."""
-    fields = scene.gaussians.tensors()
-    gaussians = scene.gaussians.with_tensors(**{name: leaves.get(name, tensor) for name, tensor in fields.items()})
-    rays = scene.rays or RayGrid.for_image(scene.grid)
-    p = project(gaussians, scene.views, scene.grid, rays=rays, shift=leaves.get("shift"), **engine)
-    lit = attenuate(p, rays, first_return_depth=scene.first_return_depth, **engine)
-    cross_sections = leaves.get("amplitudes", p.amplitudes) * lit.lit_area[..., None]
-    images = splat(p.pixels, cross_sections, scene.grid, imaging_weight=scene.imaging_weight, **engine)
-    if "gain" in leaves:
-        images = images * leaves["gain"][:, None, None, None]
-    return collected(images, cross_sections, lit.lit_area, lit.ray_maps)
-
-
-def fused(scene: Scene, leaves: dict[str, Tensor], **engine: str) -> dict[str, Tensor]:
-    r = scene.call(render, leaves, **engine)
-    return collected(r.images, r.cross_sections, r.lit_area, r.ray_maps)
-
-
-def collected(images, cross_sections, lit_area, ray_maps) -> dict[str, Tensor]:
-    maps = {
-        part: torch.cat([getattr(m, part).flatten() for m in ray_maps]) for part in ("transmittance", "first_return")
-    }
-    return {"images": images, "cross_sections": cross_sections, "lit_area": lit_area} | maps
-
-
-def with_gradients(outputs: dict[str, Tensor], leaves: dict[str, Tensor]) -> dict[str, Tensor]:
-    generator, loss = torch.Generator().manual_seed(5), torch.zeros(())
-    for name in ("images", "cross_sections", "transmittance"):
-        norm = float(outputs[name].detach().norm()) or 1.0
-        loss = loss + (outputs[name] * torch.randn(outputs[name].shape, generator=generator)).sum() / norm
-    gradients = torch.autograd.grad(loss, list(leaves.values()))
-    return {name: t.detach().nan_to_num() for name, t in outputs.items()} | dict(zip(leaves, gradients, strict=True))
-
-
-@pytest.mark.parametrize("name", MATRIX)
-def test_the_chain_is_the_fused_pass(name):
-    scene = replace(MATRIX[name](), ground=None)  # which is no step
-    found, expected = (
-        with_gradients(run(scene, leaves, engine="cpu"), leaves)
-        for run in (chained, fused)
-        for leaves in [scene.leaves(torch.float32)]
-    )
-    for key, value in expected.items():
-        assert found[key].shape == value.shape, key
-        assert relative(found[key], value.double()) <= (1e-6 if key in ("images", "cross_sections") else 3e-6), key
+@pytest.mark.parametrize("name", STEPPED)
+def test_a_chain_of_steps_matches_the_reference(name, instruction_set):
+    scene, _, norms, _, maps = judged(name)
+    steps = steps_of(partial(cpu.Pass, instruction_set))
+    check(name, everything(scene, traced(maps, partial(chained, steps)), norms))
 
 
 @pytest.mark.parametrize("law", [Harmonics, NormalLobes])
@@ -94,9 +43,33 @@ def test_the_reference_by_steps(law):
     single = replace(cloud(20, 1), scattering=law(torch.randn(20, 1 if law is Harmonics else 3)))
     scene = Scene(single.to(torch.float64))
     leaves = scene.leaves(torch.float64)
-    found, expected = chained(scene, leaves), fused(scene, leaves)
+    public = SimpleNamespace(project=project, attenuate=attenuate, splat=splat)
+    found, expected = (outputs_of(scene.call(by, leaves)) for by in (partial(chained, public), render))
     for key, value in expected.items():
         assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), key
+
+
+@pytest.mark.parametrize("engine", [*AVAILABLE, "cuda"])
+@pytest.mark.parametrize("name", ["overlap", "partly outside", "one pixel", "many views", "peak weight", "many"])
+def test_phases_that_turn_across_footprints(name, engine, request):
+    """By up to some turns."""
+    scene, generator = MATRIX[name](), torch.Generator().manual_seed(96)
+    pixels = project(scene.gaussians, scene.views, scene.grid).pixels
+    views, n, _ = pixels.centers.shape
+    parts, slopes = torch.randn(views, n, 6, generator=generator), torch.randn(views, n, 2, generator=generator)
+    inputs = pixels.centers, pixels.roots, parts, slopes * pixels.roots.median()
+    numbers = torch.randn(views, 3, generator=generator)
+    seeds = torch.randn(views, 6, scene.grid.rows, scene.grid.columns, generator=generator)
+    found = []
+    new_pass = partial(cpu.Pass, engine) if engine != "cuda" else emulated(request)
+    for step, dtype in ((steps_of(new_pass).splat, torch.float32), (splat_reference, torch.float64)):
+        leaves = [tensor.detach().to(dtype).requires_grad_() for tensor in inputs]
+        waves = Waves(numbers.to(dtype), leaves[3])
+        images = step(Footprints(*leaves[:2]), leaves[2], scene.grid, waves=waves, imaging_weight=scene.imaging_weight)
+        found.append([images, *torch.autograd.grad(images, leaves, seeds.to(dtype))])
+    for tolerance, mine, expected in zip((1e-5, *[1e-4] * 4), *found, strict=True):
+        assert expected.norm() > 0
+        assert relative(mine, expected.detach()) <= tolerance
 
 
 # ---- channels --------------------------------------------------------------------------------------------------------
@@ -117,16 +90,14 @@ def test_complex_amplitudes_are_two_channels(channels, engine):
 
 
 # ---- on their own ----------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("name", ["many", "many views"])
-def test_same_bits_for_any_number_of_threads(name, step, threads):
+def test_same_bits_for_any_number_of_threads(name, threads):
     threads(1)
-    expected = found_by(cpu.Pass, step, name)
+    scene, chain = MATRIX[name](), partial(chained, steps_of(cpu.Pass))
+    expected = everything(scene, chain, {})
     for count in (2, 3, 7):
         threads(count)
-        found = found_by(cpu.Pass, step, name)
-        for key, value in expected.items():
-            assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), (count, key)
+        assert same_bits(everything(scene, chain, {}), expected), count
 
 
 def test_gradients_of_gradients_are_refused():
@@ -167,11 +138,11 @@ def by(request: pytest.FixtureRequest) -> SimpleNamespace:
     if request.param != "cuda":
         steps: dict[str, Callable[..., Any]] = {"project": project, "attenuate": attenuate, "splat": splat}
         return SimpleNamespace(**{name: partial(step, engine=request.param) for name, step in steps.items()})
-    new_pass = partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
+    steps = steps_of(emulated(request))
     return SimpleNamespace(
-        project=partial(project_with, new_pass, rays=RAYS, shift=None),
-        attenuate=partial(attenuate_with, new_pass, first_return_depth=None),
-        splat=partial(splat_with, new_pass, imaging_weight="area"),
+        project=partial(steps.project, rays=RAYS, shift=None),
+        attenuate=partial(steps.attenuate, first_return_depth=None),
+        splat=partial(steps.splat, imaging_weight="area"),
     )
 
 
@@ -187,9 +158,11 @@ def by(request: pytest.FixtureRequest) -> SimpleNamespace:
     ],
 )
 def test_projections_out_of_range(by, name, index, value, message):
-    tensors = tensors_of(project(cloud(10, 0), VIEWS, GRID))
+    p = project(cloud(10, 0), VIEWS, GRID)
+    field, _, part = name.partition(".")
+    wrong = bad(getattr(p.rays, part) if part else getattr(p, field), index, value)
     with pytest.raises(SarsplatError, match=message):
-        by.attenuate(projection_of(tensors | {name: bad(tensors[name], index, value)}), RAYS)
+        by.attenuate(replace(p, **{field: replace(p.rays, **{part: wrong}) if part else wrong}), RAYS)
 
 
 def test_values_out_of_range(by):
