@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -136,27 +135,6 @@ def test_engine_auto_follows_the_dtype():
     assert torch.equal(render(scene, VIEWS, GRID).images, render(scene, VIEWS, GRID, engine="cpu").images)
     double = scene.to(torch.float64)
     assert torch.equal(render(double, VIEWS, GRID).images, render_reference(double, VIEWS, GRID).images)
-
-
-@pytest.mark.parametrize(
-    ("name", "tensor", "message"),
-    [
-        ("means", torch.zeros(10, 2), r"means has shape \(10, 2\); for 10 Gaussians it must be \(10, 3\)"),
-        ("scales", torch.zeros(9, 3), r"scales has shape \(9, 3\); for 10 Gaussians it must be \(10, 3\)"),
-        ("optical_depth", torch.zeros(10, 1), r"optical_depth has shape \(10, 1\); .* it must be \(10,\)"),
-        ("scattering", torch.zeros(10, 5), r"scattering has shape \(10, 5\); .* K = 1, 4, 9 or 16"),
-        (
-            "scales",
-            torch.zeros(10, 3, dtype=torch.float64),
-            "scales is torch.float64 on cpu but means is torch.float32",
-        ),
-    ],
-)
-def test_gaussians_that_do_not_fit_together(name, tensor, message):
-    with pytest.raises(SarsplatError, match=message):
-        TEN.with_tensors(**{name: tensor})
-    with pytest.raises(SarsplatError, match=r"p_min -0.1 must be finite and at least 0"):
-        replace(TEN.scattering, p_min=-0.1)
 
 
 def test_torch_defaults_do_not_matter():
