@@ -2,7 +2,6 @@
 
 import inspect
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
@@ -203,9 +202,7 @@ def test_a_law_that_could_not_be_called_is_not_registered(law: type[Scattering],
         (lambda count: Spoilt(torch.ones(count, 3).double()), r"returned torch.float64 \[\d+, 3\]"),
     ],
 )
-def test_a_law_that_starts_with_something_else_is_refused(
-    dataset: Dataset, monkeypatch: pytest.MonkeyPatch, start: Callable[[int], object], said: str
-) -> None:
+def test_a_law_that_starts_with_something_else_is_refused(dataset: Dataset, monkeypatch, start, said) -> None:
     register_scattering(Spoilt)
     monkeypatch.setattr(Spoilt, "initial", classmethod(lambda cls, count, gamma0, p_min: start(count)))
     with pytest.raises(SarsplatError, match=rf"Spoilt.initial\(\d+, …\) ({said}); it must return a Spoilt whose"):

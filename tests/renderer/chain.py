@@ -14,8 +14,8 @@ from sarsplat.renderer.operations import attenuate_with, project_with, splat_wit
 
 def steps_of(new_pass: NewPass) -> SimpleNamespace:
     """The steps with an engine."""
-    steps = {"project": project_with, "attenuate": attenuate_with, "splat": splat_with}
-    return SimpleNamespace(**{name: partial(step, new_pass) for name, step in steps.items()})
+    ours = partial(project_with, new_pass), partial(attenuate_with, new_pass), partial(splat_with, new_pass)
+    return SimpleNamespace(project=ours[0], attenuate=ours[1], splat=ours[2])
 
 
 def chained(

@@ -35,11 +35,7 @@ class Scene:
 
     def options(self) -> dict[str, object]:
         """What is not differentiable."""
-        return {
-            "rays": self.rays,
-            "imaging_weight": self.imaging_weight,
-            "first_return_depth": self.first_return_depth,
-        }
+        return {"rays": self.rays, "imaging_weight": self.imaging_weight, "first_return_depth": self.first_return_depth}
 
     def leaves(self, dtype: torch.dtype) -> dict[str, Tensor]:
         """Differentiable arguments by name, as fresh leaves."""

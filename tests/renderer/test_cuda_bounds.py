@@ -89,10 +89,7 @@ def test_what_breaks_them_is_reported_and_no_memory_is_harmed(name, library):
 @pytest.mark.usefixtures("guarded")
 @pytest.mark.parametrize(
     ("name", "value", "message"),
-    [
-        ("scales", 8.0, "a Gaussian has left its bounds"),
-        ("means", math.nan, r"^means\[0\] was out of range"),
-    ],
+    [("scales", 8.0, "a Gaussian has left its bounds"), ("means", math.nan, r"^means\[0\] was out of range")],
 )
 def test_a_footprint_of_more_tiles_than_there_is_room_for(name, value, message, library):
     """A single Gaussian in a wide image, so that there is no room of others to take."""

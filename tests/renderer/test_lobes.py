@@ -53,9 +53,7 @@ def double(scene: Gaussians) -> Gaussians:
 
 @pytest.mark.parametrize("log_exponent", [(0.7, 0.7), (0.0, 3.5), (-8.0, 8.0)])
 @pytest.mark.parametrize("count", [0, 1, 37, 2100])
-def test_values_and_gradients_are_those_of_the_law(
-    count: int, log_exponent: tuple[float, float], amplitudes_towards: Towards
-) -> None:
+def test_values_and_gradients_are_those_of_the_law(count, log_exponent, amplitudes_towards):
     scene = gaussians(count, log_exponent)
     judge = double(scene)
     found, wanted = amplitudes_towards(scene, VIEWS), judge.amplitudes(directions_to(VIEWS, judge.means))

@@ -80,11 +80,7 @@ ANY, CPU, REFERENCE, BOTH = ("auto", "cpu", "reference"), ("cpu",), ("reference"
             (ANY, {"first_return_depth": 0.0}, r"first_return_depth 0.0 must be a positive two-way optical depth"),
             (ANY, {"first_return_depth": float("nan")}, r"first_return_depth nan must be a positive"),
             (ANY, {"gain": torch.ones(3, device="meta")}, "gain is on torch's meta device"),
-            (
-                ANY,
-                {"gaussians": TEN.to("meta")},
-                "means is on torch's meta device, which holds no values",
-            ),
+            (ANY, {"gaussians": TEN.to("meta")}, "means is on torch's meta device, which holds no values"),
             (
                 ("cpu", "reference"),
                 {"amplitudes": torch.ones(3, 10, 1, dtype=torch.complex64)},

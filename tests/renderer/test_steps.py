@@ -136,8 +136,8 @@ NAN, INF = float("nan"), float("inf")
 def by(request: pytest.FixtureRequest) -> SimpleNamespace:
     """The steps with an engine; that of CUDA is emulated."""
     if request.param != "cuda":
-        steps: dict[str, Callable[..., Any]] = {"project": project, "attenuate": attenuate, "splat": splat}
-        return SimpleNamespace(**{name: partial(step, engine=request.param) for name, step in steps.items()})
+        public: dict[str, Callable[..., Any]] = {"project": project, "attenuate": attenuate, "splat": splat}
+        return SimpleNamespace(**{name: partial(step, engine=request.param) for name, step in public.items()})
     steps = steps_of(emulated(request))
     return SimpleNamespace(
         project=partial(steps.project, rays=RAYS, shift=None),
@@ -205,19 +205,13 @@ TEN, WIDE = cloud(10, 0), ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
             lambda p, x: splat(p.pixels, x.double(), GRID),
             "cross_sections is torch.float64 on cpu but footprints.centers",
         ),
-        (
-            lambda p, x: splat(p, x, GRID),
-            "Projection; give Footprints, such as Projection.pixels",
-        ),
+        (lambda p, x: splat(p, x, GRID), "Projection; give Footprints, such as Projection.pixels"),
         (lambda p, x: splat(p.pixels, x, GRID, imaging_weight="round"), "imaging_weight 'round' is unknown"),
         (
             lambda p, x: splat(Footprints(p.pixels.centers[:0], p.pixels.roots[:0]), x[:0], GRID),
             r"shape \(0, 10, 2\), which has no views",
         ),
-        (
-            lambda p, x: attenuate(p.rays, RAYS),
-            "Footprints; give what sarsplat.project returned",
-        ),
+        (lambda p, x: attenuate(p.rays, RAYS), "Footprints; give what sarsplat.project returned"),
         (lambda p, x: attenuate(p, GRID), "give a RayGrid, such as"),
         (lambda p, x: attenuate(p, RAYS, first_return_depth=0), "first_return_depth 0 must be a positive"),
         (lambda p, x: project(TEN, VIEWS, GRID, engine="gpu"), "engine 'gpu' is unknown"),

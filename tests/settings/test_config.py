@@ -130,8 +130,7 @@ def test_records_made_in_python_are_checked_too() -> None:
     with pytest.raises(SarsplatError, match=r"^iterations is 0; it must be a whole number"):
         replace(preset("default"), iterations=0)
     with pytest.raises(
-        SarsplatError,
-        match=r"^scattering is 'waves'; it must be one of harmonics, normal-lobes, polarimetric, or",
+        SarsplatError, match=r"^scattering is 'waves'; it must be one of harmonics, normal-lobes, polarimetric, or"
     ):
         Config(scattering="waves")  # type: ignore[arg-type]
     whole = Config(p_min=0, scale_bounds=[1, 2])  # type: ignore[arg-type]

@@ -187,9 +187,7 @@ def stored_normals(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])
-def test_a_write_that_fails_leaves_nothing(
-    ball: Ball, tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_write_that_fails_leaves_nothing(ball: Ball, tmp_path, ending, monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
