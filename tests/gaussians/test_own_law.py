@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from datasets import FEW_POINTS, box_dataset
+from datasets import FEW_POINTS
 from sarsplat import Run, preset, reconstruct
 from sarsplat.data import Dataset, read_gaussians_ply, write_gaussians_ply
 from sarsplat.errors import SarsplatError
@@ -43,25 +43,20 @@ def forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SCATTERINGS, "_entries", dict(SCATTERINGS._entries))
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return box_dataset(tmp_path_factory.mktemp("box"), ImageGrid(20, 26, (0.3, 0.25), (0.45, 0.3)))
-
-
 def scene(law: Scattering) -> Gaussians:
     n = len(law.parameters)
     return Gaussians(torch.randn(n, 3), torch.randn(n, 4), torch.full((n, 3), 0.2), torch.ones(n), law)
 
 
 @pytest.mark.usefixtures("forgotten")
-def test_registered_it_is_trained_saved_and_read(dataset: Dataset, tmp_path: Path) -> None:
+def test_registered_it_is_trained_saved_and_read(small_box: Dataset, tmp_path: Path) -> None:
     short = replace(preset("default"), iterations=40, gaussians=200, points=FEW_POINTS)
     with pytest.raises(
         SarsplatError, match=r"scattering is 'fan'; it must be one of .* a law that is registered first"
     ):
-        reconstruct(dataset, short, scattering="fan", quiet=True)
+        reconstruct(small_box, short, scattering="fan", quiet=True)
     assert register_scattering(Fan) is Fan
-    run = reconstruct(dataset, short, tmp_path / "run", scattering="fan", quiet=True)
+    run = reconstruct(small_box, short, tmp_path / "run", scattering="fan", quiet=True)
     assert run.history[-1].loss < 0.8 * run.history[0].loss
     assert run.config.scattering == "fan"
     law = Run.load(tmp_path / "run").gaussians.scattering
@@ -127,7 +122,7 @@ def test_what_a_law_returns_is_checked_before_an_engine_reads_it(engine, wrong, 
 
 
 @pytest.mark.usefixtures("forgotten")
-def test_what_cannot_be_registered_or_trained(dataset: Dataset) -> None:
+def test_what_cannot_be_registered_or_trained(small_box: Dataset) -> None:
     @dataclass(frozen=True)
     class Other(Scattering):
         kind: ClassVar[str] = "harmonics"
@@ -146,9 +141,9 @@ def test_what_cannot_be_registered_or_trained(dataset: Dataset) -> None:
     with pytest.raises(
         SarsplatError, match=r"cannot start with the scattering law Other; give it a class method initial"
     ):
-        reconstruct(dataset, replace(preset("default"), iterations=1), scattering=Other.kind, quiet=True)
+        reconstruct(small_box, replace(preset("default"), iterations=1), scattering=Other.kind, quiet=True)
     with pytest.raises(SarsplatError, match="sar-nerf uses no scattering; omit 'harmonics'"):
-        reconstruct(dataset, method="sar-nerf", scattering=Harmonics.kind, quiet=True)
+        reconstruct(small_box, method="sar-nerf", scattering=Harmonics.kind, quiet=True)
 
 
 class _OfKind(Scattering):
@@ -202,14 +197,14 @@ def test_a_law_that_could_not_be_called_is_not_registered(law: type[Scattering],
         (lambda count: Spoilt(torch.ones(count, 3).double()), r"returned torch.float64 \[\d+, 3\]"),
     ],
 )
-def test_a_law_that_starts_with_something_else_is_refused(dataset: Dataset, monkeypatch, start, said) -> None:
+def test_a_law_that_starts_with_something_else_is_refused(small_box: Dataset, monkeypatch, start, said) -> None:
     register_scattering(Spoilt)
     monkeypatch.setattr(Spoilt, "initial", classmethod(lambda cls, count, gamma0, p_min: start(count)))
     with pytest.raises(SarsplatError, match=rf"Spoilt.initial\(\d+, …\) ({said}); it must return a Spoilt whose"):
-        reconstruct(dataset, replace(preset("default"), iterations=1), scattering="spoilt", quiet=True)
+        reconstruct(small_box, replace(preset("default"), iterations=1), scattering="spoilt", quiet=True)
 
 
-def test_the_command_line_knows_the_law_of_a_package(dataset: Dataset, tmp_path: Path, beside) -> None:
+def test_the_command_line_knows_the_law_of_a_package(small_box: Dataset, tmp_path: Path, beside) -> None:
     text = inspect.getsource(sys.modules[__name__]).partition("@pytest.fixture")[0].replace("from datasets", "# ")
     site = tmp_path / "site"
     (site / "fans-1.0.dist-info").mkdir(parents=True)
@@ -218,7 +213,7 @@ def test_the_command_line_knows_the_law_of_a_package(dataset: Dataset, tmp_path:
     names = "[sarsplat.scattering]\nfan = fans:Fan\nfun = fans:Fan\n"
     (site / "fans-1.0.dist-info" / "entry_points.txt").write_text(names)
     few = "--preset quick --iterations 2 --gaussians 20 --points.voxel 0.3 --points.rays-per-pixel 2"
-    reconstruct = f"reconstruct {dataset.path} {few} --scattering"
+    reconstruct = f"reconstruct {small_box.path} {few} --scattering"
     done = beside(site, f"{reconstruct} fan --out run", "info run/gaussians.ply", f"{reconstruct} fun --out wrong")
     assert [code for code, _, _ in done] == [0, 0, 2]
     assert "fan, 3 numbers each" in done[1][1]

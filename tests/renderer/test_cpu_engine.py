@@ -83,6 +83,7 @@ def traced(maps: list, renderer=render):
 
 
 def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
+    expected = expected.detach()
     difference = float((found.detach().double() - expected).norm())
     return difference / float(expected.norm()) if difference else 0.0
 
