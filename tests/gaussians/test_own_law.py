@@ -51,9 +51,7 @@ def scene(law: Scattering) -> Gaussians:
 @pytest.mark.usefixtures("forgotten")
 def test_registered_it_is_trained_saved_and_read(small_box: Dataset, tmp_path: Path) -> None:
     short = replace(preset("default"), iterations=40, gaussians=200, points=FEW_POINTS)
-    with pytest.raises(
-        SarsplatError, match=r"scattering is 'fan'; it must be one of .* a law that is registered first"
-    ):
+    with pytest.raises(SarsplatError, match=r"scattering is 'fan'; it must be one of .* registered first"):
         reconstruct(small_box, short, scattering="fan", quiet=True)
     assert register_scattering(Fan) is Fan
     run = reconstruct(small_box, short, tmp_path / "run", scattering="fan", quiet=True)
@@ -73,16 +71,12 @@ def test_without_registration_it_is_rendered_but_no_file_is_written(tmp_path: Pa
     gaussians = scene(Fan(torch.randn(5, 3).requires_grad_()))
     images = render(gaussians, [View(20, 30)], ImageGrid(12, 10, (0.3, 0.3), (0.4, 0.4))).images
     assert torch.autograd.grad(images.sum(), gaussians.scattering.parameters)[0].abs().sum() > 0
-    with pytest.raises(
-        SarsplatError, match=r"^the scattering law Fan \('fan'\) is not registered, .* decorate the class"
-    ):
+    with pytest.raises(SarsplatError, match=r"^the scattering law Fan \('fan'\) is not registered, .* decorate"):
         write_gaussians_ply(tmp_path / "a.ply", gaussians)
     assert not list(tmp_path.iterdir())
     register_scattering(Fan)
     write_gaussians_ply(tmp_path / "a.ply", gaussians)
-    with pytest.raises(
-        SarsplatError, match=r"law Fan cannot be made again from its settings \(.*not JSON serializable"
-    ):
+    with pytest.raises(SarsplatError, match=r"law Fan cannot be made again from its settings \(.*not JSON"):
         write_gaussians_ply(
             tmp_path / "b.ply", replace(gaussians, scattering=Fan(torch.zeros(5, 3), width=torch.ones(())))
         )
@@ -128,9 +122,7 @@ def test_what_cannot_be_registered_or_trained(small_box: Dataset) -> None:
         kind: ClassVar[str] = "harmonics"
         amplitudes = Fan.amplitudes
 
-    with pytest.raises(
-        SarsplatError, match=r"the scattering law 'harmonics' is sarsplat.*Harmonics already; give yours"
-    ):
+    with pytest.raises(SarsplatError, match=r"the scattering law 'harmonics' is sarsplat.*Harmonics already"):
         register_scattering(Other)
     for thing in (Scattering, dict, "fan", Fan(torch.ones(1, 3))):
         with pytest.raises(SarsplatError, match=r"^law is .*; give a class derived from Scattering with a kind, a str"):
@@ -138,9 +130,7 @@ def test_what_cannot_be_registered_or_trained(small_box: Dataset) -> None:
     Other.kind = "without a start"
     register_scattering(Other)
     register_scattering(Other)  # as a notebook's cell does that runs again
-    with pytest.raises(
-        SarsplatError, match=r"cannot start with the scattering law Other; give it a class method initial"
-    ):
+    with pytest.raises(SarsplatError, match=r"cannot start with the scattering law Other; give it a class"):
         reconstruct(small_box, replace(preset("default"), iterations=1), scattering=Other.kind, quiet=True)
     with pytest.raises(SarsplatError, match="sar-nerf uses no scattering; omit 'harmonics'"):
         reconstruct(small_box, method="sar-nerf", scattering=Harmonics.kind, quiet=True)

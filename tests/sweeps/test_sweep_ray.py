@@ -9,7 +9,6 @@ import pytest
 
 from sarsplat import SarsplatError, sweep
 from sarsplat.sweeps import Means
-from sweeps_results import results
 
 ray = pytest.importorskip("ray", reason="the extra `ray` is not installed")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
@@ -29,7 +28,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     made.shutdown()
 
 
-def test_a_node_that_dies_costs_no_run(place, plan, cluster):
+def test_a_node_that_dies_costs_no_run(place, plan, cluster, results):
     plan |= {"seeds": [0, 1, 2, 3], "settings": {**plan["settings"], "iterations": 400, "checkpoint_every": 50}}
     (second,) = cluster.worker_nodes
     killed = threading.Event()
