@@ -114,10 +114,7 @@ REFUSED: Refusals = [
         lambda _: Gaussians.cat([scene(), scene().to(torch.float64)]),
         "of torch.float64 on cpu cannot be joined to those of torch.float32 on cpu",
     ),
-    (
-        lambda _: Gaussians.cat([replace(scene(), scattering=LOBES), scene()]),
-        "normal-lobes and harmonics cannot be joined",
-    ),
+    (lambda _: Gaussians.cat([replace(scene(), scattering=LOBES), scene()]), "normal-lobes and harmonics cannot be"),
     (
         lambda _: Gaussians(*list(WHOLE.values())[:4], scattering=Harmonics(WHOLE["scattering"])),
         "^means is torch.int64; give floating-point numbers, such as torch.float32$",

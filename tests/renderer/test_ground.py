@@ -175,10 +175,7 @@ def test_the_ground_reaches_past_the_farthest_corner_of_the_images():
         (lambda: Ground(torch.ones(3)), r"the ground's gamma0 has shape \(3,\); give one number, or a lattice"),
         (lambda: Ground(torch.ones(()), 0.0), "the ground's pitch_m is 0.0; give a positive, finite number of metres"),
         (lambda: Ground(torch.ones(()), 1.0, math.nan), "the ground's height_m is nan; give a finite number of metres"),
-        (
-            lambda: Ground(torch.ones(()), exponent=torch.ones(1)),
-            r"the ground's exponent has shape \(1,\); give one num",
-        ),
+        (lambda: Ground(torch.ones(()), exponent=torch.ones(1)), r"the ground's exponent has shape \(1,\); give one"),
         (lambda: render(cloud(5, 0), VIEWS, GRID, ground=0.3), "ground is 0.3; give an object of the class Ground"),
         (
             lambda: render(cloud(5, 0), VIEWS, GRID, ground=Ground(torch.ones((), dtype=torch.float64))),
