@@ -1,7 +1,5 @@
 """A run is stale when what it depends on has changed, and only then."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What is done is not done again, what failed is a row, and tables say what the rows hold."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
