@@ -16,10 +16,10 @@ from sarsplat.report.boards import point_boards
 from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
+from sarsplat.report.images import target_window
 from sarsplat.report.residual import Difference, Window
 from sarsplat.report.sides import SIDES, Raster
 from sarsplat.report.views import evenly
-from sarsplat.report.window import target_window
 from sarsplat.runs.log import LogLine
 
 

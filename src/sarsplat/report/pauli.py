@@ -7,11 +7,9 @@ from jaxtyping import Complex, Float64
 
 from sarsplat.data.evenly import evenly_chosen
 from sarsplat.report.figure import Block, Figure
-from sarsplat.report.images import Part, view_name
+from sarsplat.report.images import Part, address, indexed, target_window, view_name
 from sarsplat.report.interferogram import averaged
 from sarsplat.report.phases import window_of
-from sarsplat.report.raster import data_uri, indexed, png
-from sarsplat.report.window import target_window
 from sarsplat.runs import Run
 
 PAULI = frozenset(("HH", "VV"))
@@ -55,8 +53,8 @@ def pauli_figure(run: Run) -> Figure:
         for index, image in zip(shown, images, strict=True):
             colours = indexed(np.sqrt(part.of_images(image.clip(min=0)) / brightest), 0, 1)
             title = f"azimuth {round(train.views[index].azimuth_deg, 1):g}°"
-            picture = data_uri(png(np.ascontiguousarray(np.moveaxis(colours, 0, -1))))
-            panels.append(part.panel(title, f"{name}: polarisations, {view_name(train.views[index])}", picture))
+            picture = address(np.ascontiguousarray(np.moveaxis(colours, 0, -1)))
+            panels.append(part.panel(title, f"{name}: polarisations, {view_name(train.views[index])}", image=picture))
         blocks.append(Block(name, tuple(panels)))
     return Figure("Polarisations", _text(window), tuple(blocks))
 

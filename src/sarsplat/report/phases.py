@@ -9,11 +9,9 @@ from jaxtyping import Float
 
 from sarsplat.colours import COHERENCE, PHASE, gradient, ramp
 from sarsplat.report.figure import Block, ColourBar, Figure, Panel, colour_bar
-from sarsplat.report.images import Part, power_bar, view_name
+from sarsplat.report.images import Part, address, indexed, power_bar, target_window, view_name
 from sarsplat.report.interferogram import Interferogram, Pair, averaged, spread_m
 from sarsplat.report.layover import Slice
-from sarsplat.report.raster import data_uri, indexed, png
-from sarsplat.report.window import target_window
 from sarsplat.runs import Run
 from sarsplat.settings.sections import Passes
 
@@ -58,7 +56,7 @@ def _block(
     part: Part, name: str, power: Float[np.ndarray, "r c"], shown: Interferogram, peak: float, drawing: str
 ) -> Block:
     def panel(title: str, indices: np.ndarray, colours: str) -> Panel:
-        return part.panel(title, f"{name}: {title}", data_uri(png(indices, ramp(colours))))
+        return part.panel(title, f"{name}: {title}", image=address(indices, ramp(colours)))
 
     return Block(
         name,

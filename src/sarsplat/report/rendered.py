@@ -15,9 +15,9 @@ from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.animation import ANIMATIONS, write_animation
 from sarsplat.report.frames import Framing
+from sarsplat.report.images import target_window
 from sarsplat.report.look import Look, decibel_png
 from sarsplat.report.sheet import contact_sheet
-from sarsplat.report.window import target_window
 
 SHEET = "contact-sheet.png"
 """The file that marks a folder of rendered images."""

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int64
 
 from sarsplat.colours import hollow
 from sarsplat.report.figure import Block, Panel, axis, scale_bar
-from sarsplat.report.raster import data_uri, indexed, png
+from sarsplat.report.images import address, indexed
 
 Corner = Float[np.ndarray, " 3"]
 Seen = Int64[np.ndarray, "rows columns"]
@@ -74,7 +74,7 @@ class Raster:
         def picture(points: Seen) -> str:
             covered, shades = points >= 0, np.zeros(points.shape, np.uint8)
             shades[covered] = np.maximum(indexed(values[points[covered]], *limits), 1)  # 0: nothing is there
-            return data_uri(png(shades, hollow(colours)))
+            return address(shades, hollow(colours))
 
         size, panels = self.high - self.low, []
         names = ("x, m", "y, m", "z, m")

@@ -13,9 +13,8 @@ from sarsplat.errors import counted
 from sarsplat.evaluation import IMAGE_METRICS, Metric
 from sarsplat.evaluation.metrics import ImagePair
 from sarsplat.report.figure import Block, Figure, Panel
-from sarsplat.report.images import Part, difference_bar, power_bar, view_name
+from sarsplat.report.images import Part, difference_bar, power_bar, target_window, view_name
 from sarsplat.report.residual import Difference, Stack, fitted
-from sarsplat.report.window import target_window
 from sarsplat.runs import Run
 
 _VIEWS = 8

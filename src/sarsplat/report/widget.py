@@ -22,11 +22,9 @@ from sarsplat.geometry import View
 from sarsplat.progress import stage
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
 from sarsplat.report.figure import ColourBar, Panel, colour_bar
-from sarsplat.report.images import Part, difference_bar, power_bar
-from sarsplat.report.raster import data_uri, indexed, png
+from sarsplat.report.images import Part, address, difference_bar, indexed, png, power_bar, target_window
 from sarsplat.report.residual import Difference, fitted
 from sarsplat.report.views import evenly
-from sarsplat.report.window import target_window
 from sarsplat.runs import Run
 
 _BYTES = 900_000
@@ -194,7 +192,7 @@ def _sheet(images: UInt8[np.ndarray, "v rows columns"]) -> dict[str, Any]:
     filled = np.zeros((across * down, rows, columns), np.uint8)
     filled[:count] = images
     sheet = filled.reshape(down, across, rows, columns).swapaxes(1, 2).reshape(down * rows, across * columns)
-    return {"uri": data_uri(png(sheet)), "across": across}
+    return {"uri": address(sheet), "across": across}
 
 
 def _quantised(points: Real[np.ndarray, "p 3"], low: np.ndarray, high: np.ndarray) -> UInt8[np.ndarray, "p six"]:
