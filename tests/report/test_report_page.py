@@ -184,7 +184,7 @@ def test_corrections_of_azimuths_are_drawn_where_there_are_any(tmp_path: Path) -
 def test_of_many_gaussians_fewer_directions_are_rendered(tmp_path: Path) -> None:
     run = make_run(tmp_path, make_dataset(tmp_path, measured=True), None)
     few, many = (widget(SimpleNamespace(**vars(run) | {"gaussians": range(n)})) for n in (100, 4000))
-    assert few is not None and many is not None and len(many.data["views"]) < len(few.data["views"])
+    assert few is not None and many is not None and len(many["data"]["views"]) < len(few["data"]["views"])
 
 
 def test_the_progress_of_a_report_is_shown_unless_it_is_to_be_quiet(

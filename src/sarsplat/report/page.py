@@ -15,7 +15,6 @@ from sarsplat.errors import counted
 from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
 from sarsplat.report.figure import Figure
 from sarsplat.report.scores import Row, ScoreTable, score_tables
-from sarsplat.report.widget import Widget
 from sarsplat.runs import Run
 from sarsplat.version import program_version
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     import jinja2
 
 
-def page(run: Run, figures: list[Figure], training: list[Figure], widget: Widget | None) -> str:
+def page(run: Run, figures: list[Figure], training: list[Figure], widget: dict[str, Any] | None) -> str:
     """The whole page as HTML: figures come before the scores, those of the training after them."""
     metrics, dataset = run.metrics, run.dataset
     paper = paper_beside(dataset)

@@ -13,8 +13,7 @@ from sarsplat.data import new_folder, write_bytes, write_tiff
 from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.report.animation import ANIMATIONS, write_animation
-from sarsplat.report.frames import Framing
+from sarsplat.report.animation import ANIMATIONS, frame, write_animation
 from sarsplat.report.images import target_window
 from sarsplat.report.look import Look, decibel_png
 from sarsplat.report.sheet import contact_sheet
@@ -51,8 +50,8 @@ class Rendered:
         ending = out.suffix.lower()
         require_output(out, len(self.views))
         if ending in ANIMATIONS:
-            framing = Framing(self.grid, self.look)
-            frames = [framing.shades(image, view) for image, view in zip(self.images, self.views, strict=True)]
+            taken = zip(self.images, self.views, strict=True)
+            frames = [frame(image, view, self.grid, self.look) for image, view in taken]
             write_animation(out, frames, self.look.palette(), seconds)
             return f"{counted(len(frames), 'frame')}, {seconds:g} s, {out.stat().st_size / 1e6:.1f} MB"
         if ending in IMAGES:

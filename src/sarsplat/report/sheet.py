@@ -19,6 +19,7 @@ from sarsplat.radiometry import bright_level, to_db
 from sarsplat.report.figure import scale_bar
 from sarsplat.report.images import block_means, target_window
 from sarsplat.report.look import Look
+from sarsplat.report.views import evenly
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,8 +62,8 @@ def contact_sheet(
     if len(images) == 0:
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
     every = len(images)
-    chosen = np.unique(np.linspace(0, every - 1, min(every, _MOST)).round().astype(int))
-    if len(chosen) < every:
+    if every > _MOST:
+        chosen = evenly(every, _MOST)
         images, views = images[chosen], [views[index] for index in chosen]
     columns = min(len(views), _MAX_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
     lines = math.ceil(len(views) / columns)

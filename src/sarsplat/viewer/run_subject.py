@@ -106,7 +106,7 @@ class RunSubject(Subject):
             noise=None,
         )
         covariances = self.run.render_covariances([view], two)[0]
-        parts = Pair(0, 1, pair.cycle_m).of_covariances(covariances, two.plane_phases(view, self.grid))
+        parts = Pair(0, 1, pair.cycle_m).of(covariances, two.plane_phases(view, self.grid))
         return Interferogram.of(parts), pair
 
     def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
