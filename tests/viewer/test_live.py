@@ -15,7 +15,7 @@ from sarsplat.runs import reconstruct
 pytest.importorskip("viser")
 
 from sarsplat.viewer import live, viewer
-from sarsplat.viewer.scene import OwnScene
+from sarsplat.viewer.scene import scene_of
 
 
 def test_a_watched_training_learns_the_same_bits(dataset, config, finished, monkeypatch):
@@ -44,7 +44,7 @@ def test_the_page_shows_the_newest_state(dataset, config):
     for _ in range(2):
         for _ in range(5):
             trainer.step()
-        viewer.show(live.TrainingSubject(dataset, trainer))
+        viewer.show(live.training_subject(dataset, trainer))
         assert viewer.wait(60)
         pictures.append(viewer._controls._rows[0][1].image.copy())
     viewer.close()
@@ -112,6 +112,6 @@ def test_gaussians_of_ones_own_loop_are_shown_and_followed(finished, monkeypatch
 
 def test_gaussians_are_shown_on_a_grid_of_ones_own(finished):
     view = View(10.0, 20.0)
-    scene = OwnScene(finished.gaussians, finished.grid, [view])
+    scene = scene_of(finished.gaussians, finished.grid, [view])
     assert scene.views == [(view, "train")]
     np.testing.assert_allclose(scene.render(view), finished.render([view])[0], rtol=0.05, atol=0.05 * scene.peak)

@@ -4,31 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
 from typing import Any
 
 from sarsplat.data import Dataset
 from sarsplat.learning import Trainer
 from sarsplat.runs import Step
-from sarsplat.viewer.scene import OfScene
-from sarsplat.viewer.subject import Cloud, dataset_subject
+from sarsplat.viewer.scene import SceneAlone
+from sarsplat.viewer.subject import dataset_subject
 from sarsplat.viewer.viewer import Viewer
 
 
-class TrainingSubject(OfScene):
+def training_subject(dataset: Dataset, trainer: Trainer) -> SceneAlone:
     """A training as it is between two steps; what is shown is copied."""
-
-    surface = None  # its normals would take seconds
-
-    def __init__(self, dataset: Dataset, trainer: Trainer) -> None:
-        images = dataset_subject(dataset)
-        title = f"{dataset.target}: training, {trainer.iteration:,} steps, {trainer.gaussian_count:,} Gaussians"
-        super().__init__(title, images.grid, images.train_views, images.peak, dataset)
-        self.look_at(trainer.model, trainer.model.degree(trainer.iteration))
-
-    @cached_property
-    def clouds(self) -> list[Cloud]:
-        return [self.gaussian_cloud]
+    title = f"{dataset.target}: training, {trainer.iteration:,} steps, {trainer.gaussian_count:,} Gaussians"
+    images = dataset_subject(dataset)
+    scene = SceneAlone(title, images.grid, images.train_views, images.peak, dataset)
+    scene.look_at(trainer.model, trainer.model.degree(trainer.iteration))
+    return scene
 
 
 @contextmanager
@@ -40,4 +32,4 @@ def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator
     """
     with Viewer(dataset_subject(dataset), port) as viewer:
         say(f"open {viewer.address} in a browser on this machine to watch the training")
-        yield lambda step: viewer.keep_up(lambda: TrainingSubject(dataset, step.trainer))
+        yield lambda step: viewer.keep_up(lambda: training_subject(dataset, step.trainer))

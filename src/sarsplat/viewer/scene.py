@@ -32,6 +32,7 @@ class OfScene(Subject):
         self._model, self._groundless, self._degree = model.copy(), model.copy(ground=False), degree
         self.scene, self.target = (part.detach() for part in (self._model.scene(degree), self._model.target(degree)))
         self.has_ground = model.ground() is not None
+        self._nearest: dict[str, np.ndarray] = {}
 
     @property
     def maps_grid(self) -> ImageGrid:
@@ -50,10 +51,6 @@ class OfScene(Subject):
         towards = self.target.means.new_tensor(view.look.way_out)[None]
         gamma0: Float[np.ndarray, " n"] = self.target.gamma0(towards)[0].cpu().numpy()[self._nearest[cloud.name]]
         return gamma0
-
-    @cached_property
-    def _nearest(self) -> dict[str, np.ndarray]:
-        return {}
 
     def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
         if not self.has_ground or (ground and shadow):
@@ -77,24 +74,22 @@ class OfScene(Subject):
         return self._shares(self.scene, len(self.target), view, pixel)
 
 
-class OwnScene(OfScene):
-    """Gaussians that no run holds, copied; grid, views and the power shown white are chosen unless given."""
+class SceneAlone(OfScene):
+    """Gaussians that no run holds."""
 
     surface = None  # its normals would take seconds
-
-    def __init__(
-        self,
-        gaussians: Gaussians,
-        grid: ImageGrid | None = None,
-        views: Sequence[View] | None = None,
-        peak: float | None = None,
-    ) -> None:
-        config, snapshot = own_scene(gaussians, grid, views, peak, 0.0)
-        super().__init__(
-            f"{len(gaussians):,} Gaussians", snapshot.grid, snapshot.views, peak or snapshot.brightest, None
-        )
-        self.look_at(SceneModel.saved(snapshot, config), config.harmonics_degree)
 
     @cached_property
     def clouds(self) -> list[Cloud]:
         return [self.gaussian_cloud]
+
+
+def scene_of(
+    gaussians: Gaussians, grid: ImageGrid | None = None, views: Sequence[View] | None = None, peak: float | None = None
+) -> SceneAlone:
+    """Gaussians of one's own; grid, views and the power shown white are chosen unless given."""
+    config, snapshot = own_scene(gaussians, grid, views, peak, 0.0)
+    peak = peak or snapshot.brightest
+    scene = SceneAlone(f"{len(gaussians):,} Gaussians", snapshot.grid, snapshot.views, peak, None)
+    scene.look_at(SceneModel.saved(snapshot, config), config.harmonics_degree)
+    return scene

@@ -64,6 +64,9 @@ class Subject:
     scatters = False
     """Whether the clouds have a γ⁰."""
 
+    knows_errors = False
+    """Whether `error_m` can be asked."""
+
     knows_phases = False
     """Whether `interferogram` can be asked."""
 
@@ -123,11 +126,6 @@ class Subject:
     def gamma0(self, cloud: Cloud, view: View) -> Float[np.ndarray, " n"]:
         """γ⁰ of every place of a cloud towards the radar, linear; asked only if `scatters`."""
         raise NotImplementedError
-
-    @property
-    def knows_errors(self) -> bool:
-        """Whether `error_m` is known for any cloud."""
-        return False
 
     def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"]:
         """Distance of every place of a cloud from the true surface, m; asked only if `knows_errors`."""
