@@ -17,7 +17,7 @@ from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
 from sarsplat.report.images import target_window
-from sarsplat.report.residual import Difference, Window
+from sarsplat.report.residual import Difference, window
 from sarsplat.report.views import evenly
 from sarsplat.runs.log import LogLine
 
@@ -91,10 +91,10 @@ def test_speckle_alone_gives_residuals_of_one_sigma(looks: float, cells: float) 
 
 
 def test_the_window_of_a_residual_holds_a_resolution_cell() -> None:
-    window = Window.of(ImageGrid(128, 128, spacing_m=(0.2031, 0.2021), resolution_m=(0.3229, 0.3013)))
-    assert (window.rows, window.columns) == (3, 3)
-    assert window.independent == pytest.approx(9 * 0.2031 / 0.3229 * 0.2021 / 0.3013)
-    assert Window.of(ImageGrid(64, 64, spacing_m=(0.1, 0.1), resolution_m=(0.42, 0.1))).columns == 5
+    *size, independent = window(ImageGrid(128, 128, spacing_m=(0.2031, 0.2021), resolution_m=(0.3229, 0.3013)))
+    assert size == [3, 3]
+    assert independent == pytest.approx(9 * 0.2031 / 0.3229 * 0.2021 / 0.3013)
+    assert window(ImageGrid(64, 64, spacing_m=(0.1, 0.1), resolution_m=(0.42, 0.1)))[1] == 5
 
 
 @pytest.mark.parametrize(("low", "high"), [(-6.0, 6.0), (0.0, 1e-4), (3.2, 7.9), (12.0, -3.0), (0.0, 4500.0)])

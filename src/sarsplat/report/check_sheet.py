@@ -41,21 +41,9 @@ _SHADOW = " Blue: dark beside it; shadow should lie below the target."
 
 
 def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[str, ...]] = ()) -> bytes:
-    """Evenly chosen images of a dataset with target and shadow outlined and directions marked, as PNG.
+    """Evenly chosen images of a dataset with target and shadow outlined and directions marked, at most so many, as PNG.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Its images.
-    most : int
-        Largest number of images.
-    orientations : sequence of (str, ...)
-        A table to show below the images; see `Examination.orientations`.
-
-    Raises
-    ------
-    SarsplatError
-        If the number is not positive.
+    `orientations` is a table to show below the images; see `Examination.orientations`.
     """
     if most < 1:
         raise SarsplatError(f"a sheet of {most} images cannot be drawn; ask for at least one")

@@ -22,10 +22,9 @@ from sarsplat.report.curves import azimuths_figure, curves_figure
 from sarsplat.report.figure import Figure
 from sarsplat.report.interferogram import phases_figure
 from sarsplat.report.layover import brightest_layover, slice_figure
-from sarsplat.report.masks import masks_figure
 from sarsplat.report.page import page
 from sarsplat.report.pauli import PAULI, pauli_figure
-from sarsplat.report.views import chosen_views, unseen_figure
+from sarsplat.report.views import chosen_views, masks_figure, unseen_figure
 from sarsplat.report.widget import widget
 from sarsplat.runs import Run
 from sarsplat.scenes.surface_samples import surface_samples
