@@ -269,7 +269,7 @@ def test_no_mesh_no_points_and_black_pixels_are_results_not_errors(make):
         ({"mesh": "broken.ply"}, r"the true mesh cannot be used: .*broken\.ply"),
         ({"alignment": "soft"}, "'soft' is unknown; choose none or rigid"),
         ({"alignment": "rigid"}, "has no true mesh to align the points to"),
-        ({"lpips_weights": "here"}, "no usable LPIPS weights"),
+        ({"lpips_weights": "here"}, r"here holds no usable LPIPS weights .*alexnet_features_torchvision\.npz"),
         ({WEIGHTS_VARIABLE: "absent"}, "absent holds no usable LPIPS weights"),
         ({"masks": "absent"}, "is not a folder; give one that holds a mask for each image"),
     ],
