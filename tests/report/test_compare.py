@@ -10,8 +10,7 @@ from chromium import chromium
 from reports import MadeUpRun, make_dataset, make_metrics, make_run
 from sarsplat.errors import SarsplatError
 from sarsplat.report import compare, write_comparison
-from sarsplat.report.page import in_words
-from sarsplat.report.scores import compared_tables
+from sarsplat.report.page import compared_tables, in_words
 from sarsplat.runs.state import TrainingState
 
 

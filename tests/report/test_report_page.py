@@ -17,7 +17,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Scores
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report import write, write_report
-from sarsplat.report.scores import score_tables
+from sarsplat.report.page import score_tables
 from sarsplat.report.widget import widget
 
 

@@ -14,14 +14,14 @@ from sarsplat.runs import reconstruct
 
 pytest.importorskip("viser")
 
-from sarsplat.viewer import live, viewer
-from sarsplat.viewer.scene import scene_of
+from sarsplat.viewer import viewer
+from sarsplat.viewer.subject import scene_of, training_subject
 
 
 def test_a_watched_training_learns_the_same_bits(dataset, config, finished, monkeypatch):
     monkeypatch.setattr(viewer, "_SHARE", 1e9)  # drawn after every step
     said, drawn = [], []
-    with live.watched(dataset, 0, said.append) as show:
+    with viewer.watched(dataset, 0, said.append) as show:
 
         def after_step(step):
             show(step)
@@ -44,7 +44,7 @@ def test_the_page_shows_the_newest_state(dataset, config):
     for _ in range(2):
         for _ in range(5):
             trainer.step()
-        viewer.show(live.training_subject(dataset, trainer))
+        viewer.show(training_subject(dataset, trainer))
         assert viewer.wait(60)
         pictures.append(viewer._controls._rows[0][1].image.copy())
     viewer.close()
@@ -83,7 +83,7 @@ def test_a_port_in_use_is_told_before_anything_is_learned(dataset):
         port = taken.getsockname()[1]
         with (
             pytest.raises(SarsplatError, match=rf"port {port} of this machine cannot be used"),
-            live.watched(dataset, port, print),
+            viewer.watched(dataset, port, print),
         ):
             pass
 

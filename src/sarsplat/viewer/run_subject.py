@@ -18,8 +18,7 @@ from sarsplat.learning.model import SceneModel
 from sarsplat.radar import Surface, surface_of_run
 from sarsplat.report.interferogram import Interferogram, Pair, spread_m
 from sarsplat.runs import Run
-from sarsplat.viewer.scene import OfScene
-from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most, dataset_subject
+from sarsplat.viewer.subject import TRUTH, Cloud, OfScene, Subject, at_most, dataset_subject
 
 
 @checks_arguments

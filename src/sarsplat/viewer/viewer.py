@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from html import escape
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.colours import DARK, ERROR, HEIGHT, STRENGTH, rgb
+from sarsplat.data import Dataset
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radar import Pixel
 from sarsplat.radiometry import to_db
+from sarsplat.runs import Step
 from sarsplat.viewer.controls import BY_ERROR, BY_GAMMA0, Choices, Controls
 from sarsplat.viewer.newest import Newest
 from sarsplat.viewer.pictures import (
@@ -32,10 +35,17 @@ from sarsplat.viewer.pictures import (
     phase_panel,
     power_panel,
 )
-from sarsplat.viewer.scene import scene_of
 from sarsplat.viewer.server import HOST, start_server, stop_server
 from sarsplat.viewer.stage import Stage
-from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject
+from sarsplat.viewer.subject import (
+    TRUTH,
+    Cloud,
+    Contributors,
+    Subject,
+    dataset_subject,
+    scene_of,
+    training_subject,
+)
 
 _MARGIN = 1.4  # of the part of an image around the target: its shadow is behind it
 _GAMMA0_DB = 30.0  # shown below the strongest
@@ -304,6 +314,18 @@ class Viewer:
         if lit is None:
             return f"{where}. Nothing is known to be there. {took}"
         return f"{where}. {escape(_who(lit, subject.scatters))} {took}".replace("-", "−")
+
+
+@contextmanager
+def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator[Callable[[Step[Any]], None]]:
+    """A page that shows a training; call the yielded function after each step, which leaves the training unchanged.
+
+    The page is drawn while the training waits, at most for 3 % of its time (`Viewer.keep_up`). `say` gets a sentence
+    with the page's address. Raises `SarsplatError` if the port is taken; 0 takes any free one.
+    """
+    with Viewer(dataset_subject(dataset), port) as viewer:
+        say(f"open {viewer.address} in a browser on this machine to watch the training")
+        yield lambda step: viewer.keep_up(lambda: training_subject(dataset, step.trainer))
 
 
 def _first_view(subject: Subject) -> View:
