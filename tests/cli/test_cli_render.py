@@ -163,7 +163,7 @@ def test_without_opencv_other_animations_are_offered(run: Path, tmp_path: Path, 
 
 def test_a_run_of_one_grazing_angle_needs_the_ends_of_its_sweep() -> None:
     from sarsplat.errors import SarsplatError
-    from sarsplat.report.sweep import sweep_views
+    from sarsplat.report.rendered import sweep_views
 
     known = [View(azimuth, 17.0) for azimuth in (0, 90)]
     with pytest.raises(SarsplatError, match=r"all training views have the grazing angle 17°.*--grazing 10 60"):

@@ -173,7 +173,7 @@ def _swept(
     incidence: Sequence[str],
 ) -> list[View]:
     """The views of a sweep, with the angles that were given."""
-    from sarsplat.report.sweep import sweep_views
+    from sarsplat.report.rendered import sweep_views
 
     if grazing and incidence:
         raise SarsplatError("both --grazing and --incidence were given, two ways to give one angle; leave out one")
