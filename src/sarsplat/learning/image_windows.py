@@ -36,18 +36,13 @@ class Windows:
 
     They are stacked like whole images, as large as the largest: beyond its own pixels, a part is black, in truth and as
     rendered.
-
-    Parameters
-    ----------
-    rows, columns : tuple of slice
-        The pixels of each image.
-    grids : tuple of ImageGrid
-        Where these lie.
     """
 
     rows: tuple[slice, ...]
     columns: tuple[slice, ...]
+    """The pixels of each image."""
     grids: tuple[ImageGrid, ...]
+    """Where these lie."""
 
     @classmethod
     def around(

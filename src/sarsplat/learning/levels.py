@@ -24,21 +24,14 @@ _UNTIL = 0.75
 
 @dataclass(frozen=True)
 class Levels:
-    """The schedule of levels: blocks of pixels that each iteration's images are averaged over.
-
-    Parameters
-    ----------
-    coarsest : int
-        Factor of the first level, a power of two.
-    grid : ImageGrid
-        Of the images themselves.
-    iterations : int
-        Of the whole training.
-    """
+    """The schedule of levels: blocks of pixels that each iteration's images are averaged over."""
 
     coarsest: int
+    """Factor of the first level, a power of two."""
     grid: ImageGrid
+    """Of the images themselves."""
     iterations: int
+    """Of the whole training."""
 
     @classmethod
     def of(cls, config: Config, frame: SceneFrame) -> Levels:

@@ -16,16 +16,11 @@ from sarsplat.learning.snapshot import Snapshot
 
 @dataclass(frozen=True)
 class Tile:
-    """A rectangle on the ground; those at the edge of the scene have no end there.
-
-    Parameters
-    ----------
-    low, high : (float, float)
-        Its corners (x, y), m; the upper ones are the next tile's.
-    """
+    """A rectangle on the ground; those at the edge of the scene have no end there."""
 
     low: tuple[float, float]
     high: tuple[float, float]
+    """Its corners (x, y), m; the upper ones are the next tile's."""
 
     def holds(self, means: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
         """Which of these centres are its own."""

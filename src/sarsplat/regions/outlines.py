@@ -27,16 +27,11 @@ _REACH = 1.0
 
 @dataclass(frozen=True)
 class Outline:
-    """Outlines of target and shadow in one image.
-
-    Attributes
-    ----------
-    target, shadow : numpy.ndarray, bool [rows, columns]
-        Where the target is, and where it is dark beside it along range, on whichever side; perhaps nowhere.
-    """
+    """Outlines of target and shadow in one image."""
 
     target: Bool[np.ndarray, "rows columns"]
     shadow: Bool[np.ndarray, "rows columns"]
+    """Where the target is, and where it is dark beside it along range, on whichever side; perhaps nowhere."""
 
 
 def levels_db(

@@ -7,21 +7,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class TrainingState:
-    """How far a training is.
-
-    Attributes
-    ----------
-    done : int
-        Iterations done: those of the newest checkpoint, from which everything is made and a training goes on.
-    planned : int
-        Iterations asked for; as many as are done if the Gaussians were trained elsewhere.
-    has_results : bool
-        Whether its points have been extracted.
-    """
+    """How far a training is."""
 
     done: int
+    """Iterations done: those of the newest checkpoint, from which everything is made and a training goes on."""
     planned: int
+    """Iterations asked for; as many as are done if the Gaussians were trained elsewhere."""
     has_results: bool
+    """Whether its points have been extracted."""
 
     @property
     def trained(self) -> bool:

@@ -24,44 +24,31 @@ _NO_RESULT = ("preset", "checkpoint_every")
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """One run: a dataset, a method, settings and a seed.
-
-    Attributes
-    ----------
-    dataset : str
-        The dataset's folder.
-    method : str
-        Name of the method.
-    config : dict
-        All its settings, the seed among them.
-    masks, mesh, align, reports, device
-        As in `Plan`; of `masks` also those that the method learns from.
-    labels : dict
-        What tables call it: dataset, method, preset, and each setting that the plan names.
-    seed : int
-        Of the training.
-    recipe : str
-        Digest of data, method and settings.
-    code : str
-        Digest of what a training by that method runs.
-    scoring : str
-        Digest of how it is scored, code included.
-    """
+    """One run: a dataset, a method, settings and a seed."""
 
     dataset: str
+    """The dataset's folder."""
     method: str
+    """Name of the method."""
     config: dict[str, Any]
+    """All its settings, the seed among them."""
     masks: str | None
     mesh: str | None
     align: str
     reports: bool
     device: str
+    """As in `Plan`; of `masks` also those that the method learns from."""
     labels: dict[str, Any]
+    """What tables call it: dataset, method, preset, and each setting that the plan names."""
     seed: int
+    """Of the training."""
     fingerprint: str
     recipe: str
+    """Digest of data, method and settings."""
     code: str
+    """Digest of what a training by that method runs."""
     scoring: str
+    """Digest of how it is scored, code included."""
 
     def words(self, names: Collection[str]) -> str:
         """What it is called in a line, by labels of these names."""

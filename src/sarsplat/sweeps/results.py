@@ -57,15 +57,10 @@ class Result:
 
 @dataclass(frozen=True)
 class Spread:
-    """One figure over the seeds.
-
-    Attributes
-    ----------
-    values : tuple of float
-        One for each seed, at least one.
-    """
+    """One figure over the seeds."""
 
     values: tuple[float, ...]
+    """One for each seed, at least one."""
 
     @property
     def mean(self) -> float:
@@ -85,25 +80,17 @@ class Spread:
 
 @dataclass(frozen=True)
 class Line:
-    """What differs in nothing but the seed.
-
-    Attributes
-    ----------
-    labels : dict
-        What tables call it; of several test sets, the set as well.
-    spreads : dict of str to Spread
-        By the metric's key; unknown ones are absent.
-    done, of : int
-        Runs that are finished, and all of them.
-    older : bool
-        Whether some are of older code.
-    """
+    """What differs in nothing but the seed."""
 
     labels: Mapping[str, Any]
+    """What tables call it; of several test sets, the set as well."""
     spreads: Mapping[str, Spread]
+    """By the metric's key; unknown ones are absent."""
     done: int
     of: int
+    """Runs that are finished, and all of them."""
     older: bool
+    """Whether some are of older code."""
 
 
 class Results:

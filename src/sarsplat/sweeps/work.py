@@ -27,42 +27,29 @@ ROWS, RUNS = "rows", "runs"
 
 
 class Row(msgspec.Struct):
-    """The result row of a run.
-
-    Attributes
-    ----------
-    address, recipe, code, scoring
-        As of its `Cell`.
-    state : {"finished", "failed"}
-        Whether there are scores.
-    reason : str
-        Why it failed: one sentence.
-    passing : bool
-        Whether it failed for what may pass, such as a full disk: it is tried again by the next sweep.
-    scores : dict
-        Scores by dotted key, as `images.test.psnr_db` and `points.visible.cd_m`; those that are None are absent.
-    yardstick_m : float
-        What the points were scored with.
-    iterations : int
-        Iterations done.
-    took_s : float
-        Time of training, scoring and report, s, since it was last begun.
-    warnings : list of str
-        What was warned of.
-    """
+    """The result row of a run."""
 
     address: str
     recipe: str
     code: str
     scoring: str
+    """As of its `Cell`."""
     state: str
+    """Whether there are scores."""
     reason: str = ""
+    """Why it failed: one sentence."""
     passing: bool = False
+    """Whether it failed for what may pass, such as a full disk: it is tried again by the next sweep."""
     scores: dict[str, float] = {}
+    """Scores by dotted key, as `images.test.psnr_db` and `points.visible.cd_m`; those that are None are absent."""
     yardstick_m: float = 0.0
+    """What the points were scored with."""
     iterations: int = 0
+    """Iterations done."""
     took_s: float = 0.0
+    """Time of training, scoring and report, s, since it was last begun."""
     warnings: list[str] = []
+    """What was warned of."""
 
     def settles(self, cell: Cell) -> bool:
         """Whether nothing is left to do for a run."""

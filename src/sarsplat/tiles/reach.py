@@ -43,16 +43,11 @@ NOWHERE = Window((math.inf, math.inf), (-math.inf, -math.inf))
 
 @dataclass(frozen=True)
 class Boxes:
-    """Rectangles around footprints on one plane, a point of its lattice wider than they are.
-
-    Parameters
-    ----------
-    low, high : Tensor [2, N]
-        Corners, m; what touches nothing has its low one above its high one.
-    """
+    """Rectangles around footprints on one plane, a point of its lattice wider than they are."""
 
     low: Float[Tensor, "2 n"]
     high: Float[Tensor, "2 n"]
+    """Corners, m; what touches nothing has its low one above its high one."""
 
     def overlapping(self, window: Window) -> Int64[Tensor, " k"]:
         """Indices of the boxes that overlap a window."""

@@ -46,15 +46,6 @@ class Observation(ABC):
     """Base of the observations: the training images of a dataset, on a device.
 
     To add one, put a file with a class derived from this one into this folder.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        Its training images are learned from.
-    config : Config
-        How.
-    device : torch.device
-        Where the images are kept.
     """
 
     order: ClassVar[int]
