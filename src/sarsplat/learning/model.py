@@ -42,21 +42,9 @@ _REGION = ("normals", "offsets", "low", "high")
 class SceneModel:
     """The parameters of a scene, and how its parts render images with them.
 
-    Parameters
-    ----------
-    config : Config
-        The reconstruction's configuration, which says what parts there are.
-    frame : SceneFrame
-        What the dataset fixes.
-    parameters : dict of str to Tensor
-        Those that the parts declare; copied to leaves, some of which row operations replace.
-    device : torch.device or str
-        Where the parameters are copied to, and rendered.
-
-    Raises
-    ------
-    ValueError, KeyError
-        If the parameters are not those, or not finite.
+    `config` says what parts there are, `frame` what the dataset fixes. The `parameters` that the parts declare are
+    copied to leaves on the device, some of which row operations replace; ValueError or KeyError if they are not those,
+    or not finite.
     """
 
     def __init__(
@@ -99,10 +87,8 @@ class SceneModel:
     def saved(cls, snapshot: Snapshot, config: Config, device: torch.device | str = "cpu") -> SceneModel:
         """The model that a snapshot holds (`tensors`).
 
-        Raises
-        ------
-        ValueError, KeyError, TypeError, IndexError, RuntimeError, SarsplatError
-            If the tensors are not those of a model with this configuration.
+        Raises ValueError, KeyError, TypeError, IndexError, RuntimeError or SarsplatError if the tensors are not those
+        of a model with this configuration.
         """
         arrays = [snapshot.tensors[f"region/{name}"].numpy() for name in _REGION]
         if arrays[0].shape != (len(arrays[1]), 3) or arrays[2].shape != (3,) or arrays[3].shape != (3,):

@@ -18,16 +18,9 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 class Optimiser:
     """Adam for all parameters of a training; its moments are saved, restored and re-indexed with them.
 
-    A step is one call of the device's engine, or plain torch where there is none.
-
-    Parameters
-    ----------
-    parameters : dict of str to Tensor
-        Leaves, float32, contiguous and on one device; stepped in place. After `follow` it must hold the new ones.
-    learned : mapping of str to Learned
-        How each is learned.
-    iterations : int
-        Length of the training, by which rates decay.
+    A step, in place, is one call of the device's engine, or plain torch where there is none. Parameters are leaves,
+    float32, contiguous and on one device; after `follow` the dictionary must hold the new ones. Rates decay by the
+    length of the training, `iterations`.
     """
 
     def __init__(self, parameters: dict[str, Tensor], learned: Mapping[str, Learned], iterations: int) -> None:

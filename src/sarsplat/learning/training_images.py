@@ -86,10 +86,7 @@ class ViewQueue:
     def restore(self, snapshot: Snapshot) -> None:
         """Continue with the views and the state of the generator that a snapshot holds.
 
-        Raises
-        ------
-        ValueError, KeyError, TypeError, RuntimeError
-            If it does not hold them.
+        Raises ValueError, KeyError, TypeError or RuntimeError if it does not hold them.
         """
         if len(snapshot.views) != self._views:
             raise ValueError(f"it has {len(snapshot.views)} views for {self._views} training images")

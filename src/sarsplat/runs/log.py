@@ -29,13 +29,7 @@ def log_text(lines: Iterable[LogLine]) -> bytes:
 
 
 def read_log(path: Path) -> list[LogLine]:
-    """The lines up to the first that a crash has torn; none if there is no file.
-
-    Raises
-    ------
-    SarsplatError
-        If the file is longer than 4 MiB.
-    """
+    """The lines up to the first that a crash has torn; none if there is no file. Refused if longer than 4 MiB."""
     if not path.is_file():
         return []
     with open_file(path) as file:

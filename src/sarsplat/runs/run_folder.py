@@ -174,13 +174,7 @@ class RunFolder:
 
 
 def read_header(path: Path) -> Header:
-    """The header of a run's folder.
-
-    Raises
-    ------
-    SarsplatError
-        If it is missing, or not a run of this version.
-    """
+    """The header of a run's folder; refused if it is missing, or not a run of this version."""
     header = path / HEADER
     if not header.is_file():
         if (path / "dataset.json").is_file():

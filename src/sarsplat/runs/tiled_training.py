@@ -131,13 +131,7 @@ def steps_of(trainer: Trainer) -> int:
 
 
 def begin_of_tiles(trainer: Trainer) -> int:
-    """The first iteration that is one of tiles.
-
-    Raises
-    ------
-    SarsplatError
-        If the coarsest images are too fine for the whole.
-    """
+    """The first iteration that is one of tiles; refused if the coarsest images are too fine for the whole."""
     tiles, coarsest = trainer.config.tiles, trainer.model.levels.coarsest
     if tiles > coarsest:
         limit = "the setting coarsest" if coarsest == trainer.config.coarsest else "the scene's size"

@@ -208,13 +208,7 @@ def train(
 
     `training` is at its beginning; `new` is the run as it will be, with settings and the dataset's fingerprint. An
     exception leaves a checkpoint, from which a run shows what it has learned; only a finished one gets its points,
-    which may take longer than the training.
-
-    Raises
-    ------
-    SarsplatError
-        If `out` exists (to resume: does not), another process is writing it, or dataset or settings are not those the
-        run was started with.
+    which may take longer than the training. Refusals are those of `reconstruct`.
     """
     config = training.trainer.config
     if resume and overwrite:

@@ -50,29 +50,13 @@ _DARKEST_DB = -30.0  # of the brightest vertex: black
 def surface_mesh(
     points: Real[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], seen: Seen, cell: float
 ) -> trimesh.Trimesh:
-    """The surface through oriented points, with what the radar saw of it.
+    """The surface through points [P, 3], m, with unit normals that point outwards; vertices have what the radar saw.
 
-    Parameters
-    ----------
-    points, normals : numpy.ndarray [P, 3]
-        Surface points, m, and unit normals that point outwards.
-    seen : Seen
-        Gives the γ⁰ of the vertices.
-    cell : float
-        Side of a resolution cell, m: voxels are a quarter of it, and no vertex is farther than a fifth from a point;
-        where points are sparse, of 7.5 times their spacing.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        World frame, m; faces are counter-clockwise seen from outside. Vertices have the attribute `gamma0` (γ⁰, linear)
-        and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of less than 1 % of the area
-        and 12 squares of such sides are left out. Without faces where the points make no surface.
-
-    Raises
-    ------
-    SarsplatError
-        If scikit-image or trimesh is missing.
+    Voxels are a quarter of a resolution cell, and no vertex is farther than a fifth from a point; where points are
+    sparse, of 7.5 times their spacing. World frame, m; faces are counter-clockwise seen from outside. Vertices have the
+    attribute `gamma0` (γ⁰, linear) and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of
+    less than 1 % of the area and 12 squares of such sides are left out. Without faces where the points make no surface.
+    Refused if scikit-image or trimesh is missing.
     """
     try:
         import trimesh

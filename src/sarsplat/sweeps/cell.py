@@ -69,10 +69,7 @@ class Cell(msgspec.Struct, frozen=True):
 def cells_of(plan: Plan, base: Path) -> list[Cell]:
     """Every run of a plan, in its order; patterns are below the folder `base`.
 
-    Raises
-    ------
-    SarsplatError
-        If there is no dataset, method or preset of a name, or a setting is unknown or out of its range.
+    Refused if there is no dataset, method or preset of a name, or a setting is unknown or out of its range.
     """
     return [cell for part in plan.each_part() for cell in _cells(part.at(base), base)]
 

@@ -68,16 +68,9 @@ def row_of(cell: Cell, out: Path) -> Row | None:
 
 
 def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
-    """Do a run unless that was done; None if another process is doing it.
+    """Do a run of the sweep in `out` unless that was done; None if another process is doing it.
 
-    Parameters
-    ----------
-    cell : Cell
-        What to do.
-    out : Path
-        Folder of the sweep.
-    again : bool
-        Whether a failed one is tried again.
+    A failed one is tried `again` only if that is asked for.
     """
     with ExitStack() as stack:
         try:

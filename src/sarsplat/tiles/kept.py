@@ -58,12 +58,7 @@ def tiles_kept_in(folder: str | Path) -> Iterator[None]:
 class KeptTiles:
     """The tiles of one image, each a file that is whole or absent; none where no folder was named.
 
-    Parameters
-    ----------
-    gaussians : Gaussians
-        The scene.
-    settings : object
-        What else the image depends on: tensors, and things whose `repr` says all of them.
+    `settings` is what else than the scene the image depends on: tensors, and things whose `repr` says all of them.
     """
 
     def __init__(self, gaussians: Gaussians, *settings: object) -> None:

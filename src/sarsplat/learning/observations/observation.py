@@ -73,13 +73,7 @@ class Observation(ABC):
 
     @classmethod
     def refuse(cls, config: Config, dataset: Dataset, inputs: Inputs) -> None:
-        """Refuse what it cannot be combined with, which would otherwise be left out in silence.
-
-        Raises
-        ------
-        SarsplatError
-            If the configuration or the inputs ask for it, or the dataset does not have what it learns from.
-        """
+        """Refuse what it cannot be combined with, which would be left out in silence, and unfit datasets."""
         for name, value in cls.goes_with.items():
             if (asked := getattr(config, name)) != value:
                 said, remedy = ("on", "off") if value is None else (shown(asked), shown(value))

@@ -17,19 +17,10 @@ from sarsplat.settings.config import Config
 
 
 class PartsOfImages(SingleImages):
-    """The parts of single images that show the Gaussians in a tile.
+    """The parts of single images that show the Gaussians in a tile; `whole` is the scene's training where tiles begin.
 
     Learned are these Gaussians, and those around the tile that its images show, or that shade these. What is not of
     single Gaussians, as the ground, stays as the whole scene has taught it.
-
-    Parameters
-    ----------
-    dataset, config, device
-        As of `Observation`.
-    whole : Snapshot
-        The training of the whole scene, where it ends and tiles begin.
-    tile : Tile
-        Which.
     """
 
     order = 3

@@ -242,10 +242,7 @@ class _Spread(torch.autograd.Function):
 def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ()) -> Scattering:
     """The configuration's law of scattering, as a training starts with it; in the polarisations of stacks, if any.
 
-    Raises
-    ------
-    SarsplatError
-        If a law of one's own starts with something else.
+    Refused if a law of one's own starts with something else.
     """
     kind = scattering_named(config.scattering)
     made = kind.initial(count, gamma0, config.p_min)
@@ -265,15 +262,10 @@ def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ())
 
 
 def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, float, float]:
-    """Smallest, first and largest standard deviation of a Gaussian, m; the smallest at least `MIN_SCALE`.
+    """Smallest, first and largest standard deviation of a Gaussian, m; refused if they cannot be rendered.
 
     The largest grows with the scene, whose flat surfaces are larger too: where the training begins with blocks of
     `coarsest` × `coarsest` pixels, by that number's sixth root.
-
-    Raises
-    ------
-    SarsplatError
-        If the first or the largest cannot be rendered.
     """
     smallest, first, largest = (
         cells * cell_m

@@ -68,20 +68,13 @@ class Maps:
 
     No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
     ground from one image to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
-    that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is
-    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the difference in azimuth. Images of
-    all grazing angles count the same: bumps, and corners between walls and ground, are seen under each.
+    that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is (n + Σ w_k r_k) / (n + Σ
+    w_k). The weights w_k = exp(−Δ_k / reach) fall with the difference in azimuth. Images of all grazing angles count
+    the same: bumps, and corners between walls and ground, are seen under each.
 
-    Parameters
-    ----------
-    tensors : dict of str to Tensor
-        Of the K training images `ratio`, float32 [K, rows, columns]: measured over rendered power, smoothed; `shift_m`,
-        float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth and grazing.
-        KeyError or ValueError if they are not.
-    grid : ImageGrid
-        Of all images.
-    settings : Surroundings
-        n and the reach.
+    The tensors are, of the K training images, `ratio`, float32 [K, rows, columns]: measured over rendered power,
+    smoothed; `shift_m`, float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth
+    and grazing.
     """
 
     def __init__(self, tensors: dict[str, Tensor], grid: ImageGrid, settings: Surroundings) -> None:
