@@ -48,11 +48,6 @@ class Target(Part):
 
     order = 10
 
-    @classmethod
-    def wanted(cls, config: Config) -> bool:
-        """Every model has a target."""
-        return True
-
     def __init__(self, config: Config, frame: SceneFrame, device: torch.device) -> None:
         super().__init__(config, frame, device)
         self._cell_m = frame.cell_m

@@ -16,7 +16,7 @@ from torch.nn.functional import grid_sample
 from sarsplat.errors import counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.shown import ground_radius_m
-from sarsplat.learning.parts.part import Nuisance, Parameters, Shot
+from sarsplat.learning.parts.part import Parameters, Part, Shot
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings
 
@@ -33,10 +33,11 @@ _LARGEST = 2**27
 """Numbers in all maps together; with more of them they are coarser."""
 
 
-class Texture(Nuisance):
+class Texture(Part):
     """The factor that `Maps` are, once it has been estimated: not learned by steps, but saved."""
 
     order = 70
+    section = "surroundings"
     name = "texture"
     estimated = True
     maps: Maps | None = None
