@@ -13,12 +13,13 @@ from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
+from sarsplat.learning.method import Trainable
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.training_images import ViewQueue
 from sarsplat.regions.target_region import target_region
 
 
-class BaselineTrainer:
+class BaselineTrainer(Trainable):
     """The state of a baseline's training and how it advances by one step.
 
     `model` is that of the dataset's scene (`scene_of`), or of the scene saved with a training that is resumed.
@@ -38,11 +39,6 @@ class BaselineTrainer:
         self._optimiser = self.model.optimiser()
         self._rates = [group["lr"] for group in self._optimiser.param_groups]
 
-    @property
-    def gaussian_count(self) -> None:
-        """None: baselines have no Gaussians."""
-        return None
-
     def step(self) -> Float32[Tensor, ""]:
         """One step of the optimiser on a few views; returns the loss."""
         chosen = torch.tensor(self._queue.next(), device="cpu")
@@ -55,11 +51,6 @@ class BaselineTrainer:
         self._optimiser.step()
         self.iteration += 1
         return loss.detach()
-
-    @property
-    def terms(self) -> dict[str, Tensor]:
-        """None: a baseline minimises a single number."""
-        return {}
 
     @property
     def learning_rates(self) -> dict[str, float]:

@@ -12,7 +12,6 @@ from scipy.ndimage import affine_transform, gaussian_filter, label
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import to_db
-from sarsplat.regions.multilook import multilooked
 
 _SURE_DB = 3.0
 """What is brighter than the ground by more is not speckle …"""
@@ -121,7 +120,10 @@ def _levels(
             "target is looked for; say where it is with --target-box (in Python target_box_m), or give images that "
             "show the origin"
         )
-    power, grid = multilooked(power, grid, math.ceil(4 * half / grid.cell_m / _SIDE))
+    if (factor := math.ceil(4 * half / grid.cell_m / _SIDE)) > 1:
+        grid = grid.multilooked(factor)
+        whole = power[:, : grid.rows * factor, : grid.columns * factor]
+        power = whole.reshape(len(power), grid.rows, factor, grid.columns, factor).mean(axis=(2, 4))
     axis = np.linspace(-half, half, 2 * math.ceil(2 * half / grid.cell_m) + 1)
     return above_ground_db(power, grid), grid, axis
 

@@ -16,7 +16,7 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.runs.log import LogLine, read_log
 from sarsplat.runs.state import TrainingState
-from sarsplat.settings.config import OWN_LOOP, AnyConfig
+from sarsplat.settings.config import AnyConfig
 
 if TYPE_CHECKING:
     from sarsplat.learning.method import Reconstruction
@@ -141,9 +141,7 @@ class RunFolder:
         settings, newest = self.header.config, self.checkpoint_path
         done = 0 if newest is None else int(newest.stem)
         planned = settings.get("iterations")
-        if settings.get("preset") == OWN_LOOP or not isinstance(planned, int):
-            planned = done
-        return TrainingState(done, planned, (self.path / POINTS).is_file())
+        return TrainingState(done, planned if isinstance(planned, int) else done, (self.path / POINTS).is_file())
 
     @property
     def points(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:

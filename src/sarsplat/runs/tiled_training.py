@@ -20,8 +20,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.method import Inputs
-from sarsplat.learning.observations.parts_of_images import PartsOfImages, rows_in
-from sarsplat.learning.scene_tiles import Tile, merged, tiles_of
+from sarsplat.learning.observations.parts_of_images import PartsOfImages, Tile, merged, rows_in, tiles_of
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.trainer import Trainer
 from sarsplat.progress import Reporter

@@ -84,7 +84,7 @@ class Part(ABC):
     """Parts with a smaller one come before it: they make what it changes."""
 
     section: ClassVar[str] = ""
-    """The field of `Config` that holds its settings: where it is None, there is no such part. Without one, all have it."""
+    """The field of `Config` with its settings, None where a model lacks this part. Without one, every model has it."""
 
     name: ClassVar[str] = ""
     """What its state is saved under; only for parts that have any."""
