@@ -190,7 +190,6 @@ class MeshRenderer:
         return torch.stack([w * power[:, k : k + ends[1] : parts_across] for k, w in enumerate(across)]).sum(0)
 
     def _averaged(self, mask: Float[Tensor, " fine"]) -> Float[Tensor, "rows columns"]:
-        """Share of each pixel of the image, from the mapping plane."""
         (across, along), (beside, beyond) = self._parts, self._margins
         rows, columns = self.grid.rows, self.grid.columns
         fine = mask.reshape(rows + 2 * beyond, along, columns + 2 * beside, across)

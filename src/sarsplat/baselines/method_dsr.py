@@ -144,7 +144,6 @@ class Dsr(Baseline):
         return total / len(chosen) + smooth + flat
 
     def optimiser(self) -> torch.optim.Adam:
-        """Adam, with a rate for the vertices and one for scattering, ground and noise."""
         others = [one for name, one in self.named_parameters() if name != "moved"]
         groups: list[dict[str, Any]] = [{"params": [self.moved]}, {"params": others, "lr": self.config.scattering_rate}]
         return torch.optim.Adam(groups, self.config.learning_rate, betas=self.config.betas)
@@ -159,7 +158,6 @@ class Dsr(Baseline):
         return self.renderer.layers(points, self.faces, self.log_gamma0.exp(), view)
 
     def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
-        """Vertices, m, world frame, and triangles, counter-clockwise seen from outside."""
         return self._points().detach().double().cpu().numpy(), self.faces.cpu().numpy()
 
     def _points(self) -> Float[Tensor, "n 3"]:

@@ -144,7 +144,6 @@ class SarNerf(Baseline):
         return _mean((_amplitude(power / brightest) - (images / brightest).sqrt()) ** 2)
 
     def optimiser(self) -> torch.optim.Adam:
-        """Adam, slower for the noise floor."""
         rate = self.config.learning_rate
         groups = [{"params": list(self.field.parameters()), "lr": rate}]
         if self.log_noise is not None:
@@ -207,7 +206,6 @@ class SarNerf(Baseline):
     def _columns(
         self, rays: Rays, offsets: Float64[Tensor, "a k"], part: slice, direction: Float[Tensor, " 3"]
     ) -> Float[Tensor, "c r"]:
-        """Power of some azimuth columns, in units of `Scene.unit`."""
         places = rays.places(offsets, part, self._like)
         inside = self._inside(places)
         # elsewhere there is nothing to compute

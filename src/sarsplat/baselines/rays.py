@@ -51,7 +51,6 @@ class Rays:
         *,
         whole: bool,
     ) -> Rays:
-        """Rays through a box; of the `whole` image, or only of the pixels in which the box appears."""
         turn = view.look.frame
         middle, half = turn @ (low_m + high_m) / 2, np.abs(turn) @ (high_m - low_m) / 2
         columns = slice(0, grid.columns) if whole else _within(grid.azimuth_m, grid.spacing_m[0], middle[0], half[0])

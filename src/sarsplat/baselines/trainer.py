@@ -40,7 +40,6 @@ class BaselineTrainer(Trainable):
         self._rates = [group["lr"] for group in self._optimiser.param_groups]
 
     def step(self) -> Float32[Tensor, ""]:
-        """One step of the optimiser on a few views; returns the loss."""
         chosen = torch.tensor(self._queue.next(), device="cpu")
         factor = self.model.rate(self.iteration)
         for group, rate in zip(self._optimiser.param_groups, self._rates, strict=True):
@@ -54,21 +53,17 @@ class BaselineTrainer(Trainable):
 
     @property
     def learning_rates(self) -> dict[str, float]:
-        """Learning rates of the next step, by group of parameters."""
         factor = self.model.rate(self.iteration)
         return {f"group {index}": rate * factor for index, rate in enumerate(self._rates)}
 
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views in the current state, linear power."""
         return self.model.images(views)
 
     def check(self) -> None:
-        """Wait for the device."""
         if self._device.type == "cuda":
             torch.cuda.synchronize(self._device)
 
     def snapshot(self, seconds: float) -> Snapshot:
-        """Everything the next step depends on; `seconds` is how long the training has taken so far."""
         scene = self._scene
         tensors = {f"model/{name}": tensor for name, tensor in self.model.state_dict().items()}
         for index, state in self._optimiser.state_dict()["state"].items():
@@ -86,7 +81,6 @@ class BaselineTrainer(Trainable):
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue from a snapshot, whose tensors must be those of this training."""
         self._queue.restore(snapshot)
         self.model.load_state_dict(snapshot.like("model", self.model.state_dict()))
         groups = self._optimiser.state_dict()["param_groups"]
@@ -127,7 +121,6 @@ def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
 
 
 def saved_scene(snapshot: Snapshot) -> Scene:
-    """The scene that a snapshot of a baseline's training holds."""
     kept = snapshot.part("scene")
     masks = kept["masks"].numpy() if "masks" in kept else None
     if masks is not None and masks.dtype != np.uint8:

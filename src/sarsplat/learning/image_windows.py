@@ -60,7 +60,6 @@ class Windows:
         return replace(self.grids[0], rows=rows, columns=columns)
 
     def of(self, images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v some few"]:
-        """These parts of the images, stacked."""
         parts = zip(images, self.rows, self.columns, strict=True)
         return torch.stack([_filled(image[rows, columns], self.stack) for image, rows, columns in parts])
 

@@ -35,7 +35,6 @@ class Levels:
 
     @classmethod
     def of(cls, config: Config, frame: SceneFrame) -> Levels:
-        """The levels that a configuration asks for, given the target's size and its images."""
         grid, (width_m, depth_m, _) = frame.grid, frame.region.high - frame.region.low
         shown_m = (grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1])  # a box may be given, of any size
         across_m, factor = min(math.sqrt(width_m * depth_m), *shown_m), 1

@@ -125,7 +125,6 @@ class GaussianReconstruction(Reconstruction):
         return surface_mesh(points, normals, self._seen, self.grid.cell_m)
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views, linear power."""
         grid = grid or self.grid
         rays = self._rays(grid)
         images, done = np.empty((len(views), grid.rows, grid.columns), np.float32), 0
@@ -218,7 +217,6 @@ class GaussianReconstruction(Reconstruction):
         return Seen.of(self.gaussians, self.snapshot.views, self.grid)
 
     def write(self, folder: Path) -> None:
-        """Write `gaussians.ply`."""
         write_gaussians_ply(folder / "gaussians.ply", self.gaussians)
 
     @property

@@ -110,7 +110,6 @@ class SceneModel:
         return model
 
     def tensors(self) -> dict[str, Tensor]:
-        """The model as a snapshot keeps it."""
         region = {f"region/{name}": torch.from_numpy(getattr(self.frame.region, name)) for name in _REGION}
         learned = {f"model/{name}": tensor.detach() for name, tensor in self.parameters.items()}
         state = {f"part/{part.name}/{name}": tensor for part in self.parts for name, tensor in part.state().items()}
@@ -145,7 +144,6 @@ class SceneModel:
         self.windows, self.learned = windows, self._learned()
 
     def _learned(self) -> dict[str, Learned]:
-        """How each parameter is learned (shape, rates, range), by name."""
         learned = {name: how for part in self.parts for name, how in part.learned.items()}
         if self.windows is None:
             return learned

@@ -51,7 +51,6 @@ class Optimiser:
         return adam.Stepped(tensor, mean, square, rates, low, high, learned.logarithmic)
 
     def relearn(self, learned: Mapping[str, Learned]) -> None:
-        """Replace rates and ranges of the parameters."""
         self._learned, self._adam = learned, None
 
     def rates(self, iteration: int) -> dict[str, float]:
@@ -77,7 +76,6 @@ class Optimiser:
 
     @torch.no_grad()
     def constrain(self) -> None:
-        """Bring every parameter into its range."""
         for name, tensor in self._parameters.items():
             tensor.clamp_(self._columns(name, self._learned[name].low), self._columns(name, self._learned[name].high))
 
@@ -101,7 +99,6 @@ class Optimiser:
         return moments | {"step": torch.tensor(float(self._steps), device="cpu")}
 
     def load(self, tensors: dict[str, Tensor]) -> None:
-        """Restore what `tensors` returned."""
         self._steps = int(tensors["step"])
         if self._steps < 0:
             raise ValueError(f"the optimiser made {self._steps} steps")

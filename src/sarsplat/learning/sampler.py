@@ -98,7 +98,6 @@ class Sampler:
         self._backdrop = torch.from_numpy(ground).repeat_interleave(self._parts, 0).repeat_interleave(self._parts, 1)
 
     def __call__(self, view: View, seed: int) -> Complex64[np.ndarray, "rows columns"]:
-        """Complex amplitudes √β⁰·e^jψ."""
         rng = np.random.default_rng(seed)
         shot = self._model.shot([view], self._grid, rng=rng)
         if self._speckle == "response":

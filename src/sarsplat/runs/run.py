@@ -74,7 +74,6 @@ class Run(Result):
 
     @cached_property
     def snapshot(self) -> Snapshot:
-        """The newest state of its training."""
         if self.memory is not None:
             return self.memory.snapshot
         if (checkpoint := RunFolder(self.folder).checkpoint_path) is None:
@@ -83,7 +82,6 @@ class Run(Result):
 
     @property
     def files(self) -> RunFolder | None:
-        """Its folder, file by file; None if it is in memory only."""
         return None if self.path is None else RunFolder(self.path)
 
     # ---- what it was made from --------------------------------------------------------------------------------------
@@ -310,9 +308,7 @@ class Run(Result):
             self.memory.metrics = scores
 
     def write_header(self) -> None:
-        """Write the `config.json` of its folder."""
         RunFolder(self.folder).write_header(self.method, self.config, self.dataset_path, self.fingerprint, self.target)
 
     def write_results(self) -> None:
-        """Write the results into its folder (`RunFolder.write_results`)."""
         RunFolder(self.folder).write_results(self.reconstruction, self.about)

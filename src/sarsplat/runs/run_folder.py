@@ -76,8 +76,6 @@ class Metrics(TypedDict):
 
 
 class Header(msgspec.Struct, forbid_unknown_fields=True):
-    """What `config.json` holds."""
-
     schema: str
     schema_version: int
     dataset: str | None
@@ -96,18 +94,15 @@ class RunFolder:
 
     @property
     def header(self) -> Header:
-        """Its settings, and the dataset that it was made from."""
         return read_header(self.path)
 
     def write_header(self, method: str, config: AnyConfig, dataset: Path | None, fingerprint: str, target: str) -> None:
-        """Write `config.json`."""
         where = None if dataset is None else str(dataset)
         header = Header(SCHEMA, SCHEMA_VERSION, where, fingerprint, config.as_dict(), method, target)
         write_json(self.path / HEADER, header)
 
     @property
     def checkpoint_path(self) -> Path | None:
-        """The newest checkpoint, if there is one."""
         return next(reversed(self._checkpoints()), None)
 
     def _checkpoints(self) -> list[Path]:
@@ -127,17 +122,14 @@ class RunFolder:
 
     @property
     def log_path(self) -> Path:
-        """Its `metrics.jsonl`."""
         return self.path / "metrics.jsonl"
 
     @property
     def history(self) -> list[LogLine]:
-        """The lines of its log (`read_log`)."""
         return read_log(self.log_path)
 
     @property
     def state(self) -> TrainingState:
-        """How far its training is."""
         settings, newest = self.header.config, self.checkpoint_path
         done = 0 if newest is None else int(newest.stem)
         planned = settings.get("iterations")
@@ -163,11 +155,9 @@ class RunFolder:
 
     @property
     def metrics(self) -> Metrics | None:
-        """The scores of the last evaluation; None before."""
         return read_json(self.path / METRICS, Metrics) if (self.path / METRICS).is_file() else None
 
     def write_metrics(self, metrics: Metrics) -> None:
-        """Write `metrics.json`."""
         write_json(self.path / METRICS, metrics)
 
 

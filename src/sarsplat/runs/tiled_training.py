@@ -124,7 +124,6 @@ def _give_back_memory() -> None:
 
 
 def steps_of(trainer: Trainer) -> int:
-    """How many steps a training by tiles takes in all."""
     iterations, begin = trainer.config.iterations, begin_of_tiles(trainer)
     return begin + trainer.config.tiles**2 * (iterations - begin)
 

@@ -104,7 +104,6 @@ class _Planes:
 
     @classmethod
     def through(cls, points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], cell: float) -> _Planes:
-        """The planes through oriented points."""
         tree = cKDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)  # the fastest to make and ask
         spacing = 0.0
         if len(points) > 1:
@@ -186,7 +185,6 @@ def _zero_surface(
 
 
 def _distinct(voxels: Int64[np.ndarray, "v 3"]) -> Int64[np.ndarray, "o 3"]:
-    """Unique rows, sorted."""
     order, first = _sorted(voxels)
     return voxels[order[first]]
 

@@ -75,7 +75,6 @@ def imported_by(roots: Iterable[str]) -> dict[str, Path]:
 
 @cache
 def _file(name: str) -> Path | None:
-    """The source of a module; None if there is no such module."""
     try:
         spec = find_spec(name)
     except (ImportError, ValueError):
@@ -85,7 +84,6 @@ def _file(name: str) -> Path | None:
 
 @cache
 def _nodes(path: Path) -> Sequence[ast.AST]:
-    """All nodes of a file's syntax tree, the root first."""
     return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
 
 
@@ -160,7 +158,6 @@ def _drop_words(nodes: Sequence[ast.AST]) -> None:
 
 
 def _called(call: ast.Call) -> str:
-    """The name of a function, whatever it is of."""
     name = getattr(call.func, "id", None) or getattr(call.func, "attr", "")
     return str(name)
 

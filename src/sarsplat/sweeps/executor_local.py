@@ -105,5 +105,4 @@ def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, 
 
 
 def _processors() -> int:
-    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

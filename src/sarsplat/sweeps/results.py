@@ -41,12 +41,10 @@ class Result:
 
     @property
     def finished(self) -> bool:
-        """Whether it has scores."""
         return self.row is not None and self.row.state == "finished"
 
     @property
     def reason(self) -> str:
-        """Why it failed, if it did."""
         return "" if self.row is None else self.row.reason
 
     @property
@@ -64,7 +62,6 @@ class Spread:
 
     @property
     def mean(self) -> float:
-        """Mean over the seeds."""
         return statistics.fmean(self.values)
 
     @property
@@ -113,7 +110,6 @@ class Results:
 
     @property
     def failed(self) -> list[Result]:
-        """Runs that failed."""
         return [one for one in self.results if one.row is not None and one.row.state == "failed"]
 
     def lines(self) -> list[Line]:
@@ -187,7 +183,6 @@ def _result(cell: Cell, row: Row | None) -> Result:
 
 
 def _rows(out: Path) -> Iterable[Row]:
-    """The rows of a sweep, the latest last."""
     for path in sorted((out / ROWS).glob("*.json"), key=lambda path: (path.stat().st_mtime, path.name)):
         try:
             yield read_json(path, Row)
@@ -196,7 +191,6 @@ def _rows(out: Path) -> Iterable[Row]:
 
 
 def _sets(one: Result) -> list[str]:
-    """Test sets of a run."""
     keys = (name.split(".") for name in (one.row.scores if one.row else {}))
     return [*dict.fromkeys(parts[1] for parts in keys if parts[0] == "images")]
 

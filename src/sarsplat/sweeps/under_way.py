@@ -41,7 +41,6 @@ class Live:
         self._thread.join()
 
     def ended(self, cell: Cell) -> None:
-        """A run has ended."""
         with self._one_at_a_time:
             self._left.pop(cell.address, None)
             self._reporter.advance(1, cell.words(self._names))

@@ -57,7 +57,6 @@ class Row(msgspec.Struct):
 
 
 def row_path(cell: Cell, out: Path) -> Path:
-    """Path of the result row of a run."""
     return out / ROWS / f"{cell.address}.json"
 
 

@@ -118,7 +118,6 @@ class Plan:
 
 
 def _halved(rows: slice, columns: slice) -> list[tuple[slice, slice]]:
-    """Two halves of a part, along its longer side."""
     if rows.stop - rows.start >= columns.stop - columns.start:
         middle = (rows.start + rows.stop) // 2
         return [(slice(rows.start, middle), columns), (slice(middle, rows.stop), columns)]

@@ -72,7 +72,6 @@ class PartsOfImages(SingleImages):
         model.look_through(self._windows)
 
     def of_tile(self, snapshot: Snapshot, model: SceneModel) -> Snapshot:
-        """A state of the tile's training without what is around the tile."""
         return with_some(snapshot, rows_in(model), self.tile.holds(model.parameters["means"]))
 
 

@@ -33,7 +33,6 @@ class Shifts(Part):
         return {"shift": torch.zeros(len(train), 2, device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """Prior: shifts are small."""
         if self.settings.shift_std:
             yield normal_nats(p["shift"], self.settings.shift_std * self.frame.cell_m)
 
@@ -68,7 +67,6 @@ class Gains(Part):
         return {"log_gain": torch.zeros(len(train), device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """Prior: gains are near 1."""
         if self.settings.gain_std:
             yield normal_nats(p["log_gain"], self.settings.gain_std)
 

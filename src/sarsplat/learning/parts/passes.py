@@ -89,7 +89,6 @@ class PhaseScreen(Part):
         return {"phase_screen": start.flatten(1)}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """Prior: phases are small."""
         yield normal_nats(p["phase_screen"], self.settings.screen_std)
 
     def phases(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p h w"] | None:

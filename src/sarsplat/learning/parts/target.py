@@ -178,7 +178,6 @@ class Target(Part):
 
     @property
     def _coarsest_m(self) -> float:
-        """Resolution cell of the coarsest images looked at, m."""
         return self._levels.grid_at(self._levels.coarsest).cell_m
 
     @cached_property
@@ -276,7 +275,6 @@ def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, f
 
 
 def _cells(train: Dataset) -> float:
-    """How many resolution cells the target covers in an image."""
     if train.ground:
         shown = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
     else:
@@ -285,7 +283,6 @@ def _cells(train: Dataset) -> float:
 
 
 def _start_scales_m(config: Config, cell_m: float) -> list[float]:
-    """Standard deviations of a Gaussian at the start, m."""
     smallest, first, _ = scales_m(config, cell_m)
     if not scattering_named(config.scattering).oriented:
         return [first] * 3

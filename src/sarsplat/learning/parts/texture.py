@@ -104,7 +104,6 @@ class Maps:
         grid: ImageGrid,
         settings: Surroundings,
     ) -> Maps:
-        """Maps estimated from the ratios of measured to rendered power, which are smoothed here."""
         sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
