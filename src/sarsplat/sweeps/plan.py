@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from glob import escape, glob
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -124,18 +125,12 @@ class Plan(Record):
         """The datasets that the patterns mean, below a folder, with short names that differ."""
         found: dict[Path, None] = {}
         for pattern in self.datasets:
-            absolute = Path(pattern).is_absolute()
-            root, inner = (
-                (Path(Path(pattern).anchor), str(Path(pattern).relative_to(Path(pattern).anchor)))
-                if absolute
-                else (base, pattern)
-            )
-            matched = (
-                [path for path in sorted(root.glob(inner)) if (path / _MARK).is_file()] if inner.strip("./") else [base]
-            )
+            where = str(Path(escape(str(base))) / pattern)  # the pattern itself if it is absolute
+            matched = sorted(map(Path, glob(where, recursive=True, include_hidden=True)))
+            matched = [path for path in matched if (path / _MARK).is_file()] if pattern.strip("./") else [base]
             if not matched:
                 raise SarsplatError(
-                    f"no dataset is at {root / inner}; correct the pattern {shown(pattern)} of `datasets`"
+                    f"no dataset is at {base / pattern}; correct the pattern {shown(pattern)} of `datasets`"
                 )
             found |= dict.fromkeys(path.resolve() for path in matched)
         names = [path.name for path in found]
