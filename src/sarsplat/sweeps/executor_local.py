@@ -67,13 +67,7 @@ class Worker:
 
     def _started(self) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "sarsplat.sweeps.executor_local",
-                str(self._out),
-                "again" if self._again else "once",
-            ],
+            [sys.executable, "-m", "sarsplat.sweeps.executor_local", str(self._out), str(self._again)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={
@@ -138,4 +132,4 @@ def _listen(asked: SimpleQueue[bytes]) -> None:
 
 
 if __name__ == "__main__":
-    work(Path(sys.argv[1]), sys.argv[2] == "again")
+    work(Path(sys.argv[1]), sys.argv[2] == "True")

@@ -125,8 +125,8 @@ class Plan(Record):
         """The datasets that the patterns mean, below a folder, with short names that differ."""
         found: dict[Path, None] = {}
         for pattern in self.datasets:
-            where = str(Path(escape(str(base))) / pattern)  # the pattern itself if it is absolute
-            matched = sorted(map(Path, glob(where, recursive=True, include_hidden=True)))
+            where = str(Path(escape(str(base))) / pattern)  # an absolute pattern as it is, which `Path.glob` refuses
+            matched = sorted(map(Path, glob(where, recursive=True, include_hidden=True)))  # noqa: PTH207
             matched = [path for path in matched if (path / _MARK).is_file()] if pattern.strip("./") else [base]
             if not matched:
                 raise SarsplatError(
