@@ -12,7 +12,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.report import compare, write_comparison
 from sarsplat.report.page import in_words
 from sarsplat.report.scores import compared_tables
-from sarsplat.runs.state import TrainingState
+from sarsplat.runs.run_folder import TrainingState
 
 
 def two_runs(folder: Path, **changes: Any) -> list[Any]:

@@ -20,7 +20,7 @@ from sarsplat.report.residual import Difference, Window
 from sarsplat.report.sides import SIDES, Raster
 from sarsplat.report.views import evenly
 from sarsplat.report.window import target_window
-from sarsplat.runs.log import LogLine
+from sarsplat.runs.run_folder import LogLine
 
 
 def test_grey_levels_of_the_png() -> None:

@@ -46,41 +46,28 @@ Momentum = Annotated[float, Meta(ge=0, le=0.9999)]
 
 @dataclass(frozen=True)
 class DsrConfig(BaselineConfig):
-    """Settings of DSR.
-
-    Parameters
-    ----------
-    vertices : {642, 1352}
-        Of the template.
-    sigma : float
-        σ of the coverage, in squares of 1.58 longest sides of the target's box: √σ is the softness of edges.
-    gamma : float
-        How far a face may lie behind another and still be seen: e-fold in depth, in 99 longest sides of the box.
-    laplacian, flatten, lit, shadow, image : float
-        Weights of the losses.
-    learning_rate : float
-        Of the vertices, longest sides of the target's box per step; it falls tenfold in the whole training.
-    scattering_rate : float
-        Of the logarithms of scattering, ground and noise; it falls in the same way.
-    betas : (float, float)
-        Of Adam.
-    iterations, checkpoint_every, views_per_step, seed
-        See `BaselineConfig`.
-    """
+    """Settings of DSR."""
 
     vertices: Literal[642, 1352] = 642
+    """Of the template."""
     sigma: Softness = 1.2e-5
+    """σ of the coverage, in squares of 1.58 longest sides of the target's box: √σ is the softness of edges."""
     gamma: Softness = 1e-4
+    """How far a face may lie behind another and still be seen: e-fold in depth, in 99 longest sides of the box."""
     laplacian: NotNegative = 0.3
     flatten: NotNegative = 3e-4
     lit: NotNegative = 1.0
     shadow: NotNegative = 1.0
     image: NotNegative = 1.0
+    """Weights of the losses."""
     iterations: Count = 2000
     views_per_step: Count = 4
     learning_rate: Positive = 0.01
+    """Of the vertices, longest sides of the target's box per step; it falls tenfold in the whole training."""
     scattering_rate: Positive = 0.03
+    """Of the logarithms of scattering, ground and noise; it falls in the same way."""
     betas: tuple[Momentum, Momentum] = (0.5, 0.99)
+    """Of Adam."""
 
 
 class Dsr(Baseline):

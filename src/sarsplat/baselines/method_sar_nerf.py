@@ -51,28 +51,18 @@ _NOISE_RATE = 2e-3
 
 @dataclass(frozen=True)
 class SarNerfConfig(BaselineConfig):
-    """Settings of SAR-NeRF with its multi-layer perceptron.
-
-    Parameters
-    ----------
-    mode : {"published", "sound"}
-        The published image equation and loss, or those that hold in metres and for speckle.
-    rays : int
-        In elevation, for each azimuth column; if sound, over ground at least one per resolution cell.
-    learning_rate : float
-        Of Adam; it falls tenfold in the whole training.
-    surface_voxels : int
-        Along the longest side of the box in which the surface is looked for.
-    iterations, checkpoint_every, views_per_step, seed
-        See `BaselineConfig`.
-    """
+    """Settings of SAR-NeRF with its multi-layer perceptron."""
 
     mode: Literal["published", "sound"] = "published"
+    """The published image equation and loss, or those that hold in metres and for speckle."""
     rays: Annotated[int, Meta(ge=1, le=1000)] = 20
+    """In elevation, for each azimuth column; if sound, over ground at least one per resolution cell."""
     iterations: Count = 250_000
     checkpoint_every: Count = 10
     learning_rate: Positive = 5e-4
+    """Of Adam; it falls tenfold in the whole training."""
     surface_voxels: Annotated[int, Meta(ge=4, le=1024)] = 256
+    """Along the longest side of the box in which the surface is looked for."""
 
 
 class SarNerf(Baseline):

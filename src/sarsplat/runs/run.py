@@ -19,12 +19,19 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.learning.device import device_named
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.runs.log import LogLine, log_text
 from sarsplat.runs.methods import METHODS, method_named
 from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.runs.result import Result
-from sarsplat.runs.run_folder import HEADER, Metrics, RunFolder, read_header, require_replaceable
-from sarsplat.runs.state import TrainingState
+from sarsplat.runs.run_folder import (
+    HEADER,
+    LogLine,
+    Metrics,
+    RunFolder,
+    TrainingState,
+    log_text,
+    read_header,
+    require_replaceable,
+)
 from sarsplat.settings.config import DEFAULT_METHOD
 
 

@@ -16,8 +16,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.radiometry import LEAST_POWER, shade
-from sarsplat.runs.log import LogLine
-from sarsplat.runs.run_folder import HEADER
+from sarsplat.runs.run_folder import HEADER, LogLine
 from sarsplat.runs.training_loop import Step
 
 if TYPE_CHECKING:

@@ -24,9 +24,8 @@ from sarsplat.learning.observations.parts_of_images import PartsOfImages, Tile, 
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.trainer import Trainer
 from sarsplat.progress import Reporter
-from sarsplat.runs.log import LogLine
 from sarsplat.runs.run import Run
-from sarsplat.runs.run_folder import HEADER
+from sarsplat.runs.run_folder import HEADER, LogLine
 from sarsplat.runs.training_loop import Step, Training
 
 _FOLDER = "tiles"

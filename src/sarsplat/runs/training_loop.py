@@ -19,9 +19,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.learning.method import Trainable
 from sarsplat.processes import Processes
 from sarsplat.progress import Reporter
-from sarsplat.runs.log import LogLine, log_text
 from sarsplat.runs.run import InMemory, Run
-from sarsplat.runs.run_folder import ABOUT, HEADER, RunFolder, require_replaceable
+from sarsplat.runs.run_folder import ABOUT, HEADER, LogLine, RunFolder, log_text, require_replaceable
 from sarsplat.settings.config import AnyConfig, refuse_other_settings
 
 _LINES_PER_RUN = 200
