@@ -191,11 +191,7 @@ class NamedLoss:
     """None if it compares something else than images, which is compared by what observes it."""
     title: str
     unit: str
-
-    @property
-    def in_nats(self) -> bool:
-        """Whether it is a likelihood, in nats per pixel."""
-        return self.unit.startswith("nats")
+    """That of a likelihood begins with `nats`."""
 
 
 LOSSES = {

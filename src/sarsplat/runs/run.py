@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_bytes
+from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_bytes, write_json, write_points_ply
 from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, shown
@@ -23,7 +23,13 @@ from sarsplat.runs.methods import METHODS, method_named
 from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.runs.result import Result
 from sarsplat.runs.run_folder import (
+    ABOUT,
     HEADER,
+    METRICS,
+    POINTS,
+    SCHEMA,
+    SCHEMA_VERSION,
+    Header,
     LogLine,
     Metrics,
     RunFolder,
@@ -256,7 +262,7 @@ class Run(Result):
             write_bytes(files.log_path, log_text(self.history))
             copy.write_results()
             if self.metrics is not None:
-                files.write_metrics(self.metrics)
+                write_json(folder / METRICS, self.metrics)
         return replace(self, path=path, memory=None)
 
     @property
@@ -310,12 +316,20 @@ class Run(Result):
                 f"these are not the scores of a run ({error}); give what evaluate_run returns"
             ) from error
         if self.files is not None:
-            self.files.write_metrics(scores)
+            write_json(self.files.path / METRICS, scores)
         elif self.memory is not None:
             self.memory.metrics = scores
 
     def write_header(self) -> None:
-        RunFolder(self.folder).write_header(self.method, self.config, self.dataset_path, self.fingerprint, self.target)
+        where = None if self.dataset_path is None else str(self.dataset_path)
+        settings = self.config.as_dict()
+        header = Header(SCHEMA, SCHEMA_VERSION, where, self.fingerprint, settings, self.method, self.target)
+        write_json(self.folder / HEADER, header)
 
     def write_results(self) -> None:
-        RunFolder(self.folder).write_results(self.reconstruction, self.about)
+        """Write what other programs read: `points.ply`, `about.json`, and what else its method has."""
+        learned = self.reconstruction
+        learned.write(self.folder)
+        write_json(self.folder / ABOUT, self.about)
+        points = learned.points()
+        write_points_ply(self.folder / POINTS, points, normals=learned.normals_at(points))

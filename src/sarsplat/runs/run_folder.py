@@ -12,13 +12,11 @@ import msgspec
 import numpy as np
 from jaxtyping import Float32, Real
 
-from sarsplat.data import read_json, read_points_ply, read_versioned_json, write_json, write_points_ply
+from sarsplat.data import read_json, read_points_ply, read_versioned_json
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.errors import SarsplatError
-from sarsplat.settings.config import AnyConfig
 
 if TYPE_CHECKING:
-    from sarsplat.learning.method import Reconstruction
     from sarsplat.learning.snapshot import Snapshot
 
 SCHEMA = "sarsplat-run"
@@ -136,11 +134,6 @@ class RunFolder:
     def header(self) -> Header:
         return read_header(self.path)
 
-    def write_header(self, method: str, config: AnyConfig, dataset: Path | None, fingerprint: str, target: str) -> None:
-        where = None if dataset is None else str(dataset)
-        header = Header(SCHEMA, SCHEMA_VERSION, where, fingerprint, config.as_dict(), method, target)
-        write_json(self.path / HEADER, header)
-
     @property
     def checkpoint_path(self) -> Path | None:
         return next(reversed(self._checkpoints()), None)
@@ -194,13 +187,6 @@ class RunFolder:
         """The content of `points.ply`, if there is one: positions, and other columns."""
         return read_points_ply(self.path / POINTS) if (self.path / POINTS).is_file() else None
 
-    def write_results(self, learned: Reconstruction, about: dict[str, str]) -> None:
-        """Write what other programs read: `points.ply`, `about.json`, and what else its method has."""
-        learned.write(self.path)
-        write_json(self.path / ABOUT, about)
-        points = learned.points()
-        write_points_ply(self.path / POINTS, points, normals=learned.normals_at(points))
-
     def remove_results(self) -> None:
         """Remove what was made from the newest checkpoint."""
         with plain_os_errors("write", self.path):
@@ -210,9 +196,6 @@ class RunFolder:
     @property
     def metrics(self) -> Metrics | None:
         return read_json(self.path / METRICS, Metrics) if (self.path / METRICS).is_file() else None
-
-    def write_metrics(self, metrics: Metrics) -> None:
-        write_json(self.path / METRICS, metrics)
 
 
 def read_header(path: Path) -> Header:

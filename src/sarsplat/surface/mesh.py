@@ -154,7 +154,9 @@ def _zero_surface(
     band = _REACH * unit + 2 * voxel  # beyond what is kept: cubes at its rim are whole
     points = planes.oriented[:, :3]
     corner = points.min(axis=0) - band
-    occupied = _distinct(np.rint((points - corner) / voxel).astype(np.int64))
+    voxels = np.rint((points - corner) / voxel).astype(np.int64)
+    order, starts = _sorted(voxels)
+    occupied = voxels[order[starts]]
     margin = int(band / voxel) + 1  # cubes begin one before what is near, or end one behind
     bricks = _bricks(occupied, margin)
     vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
@@ -182,11 +184,6 @@ def _zero_surface(
         count += len(some)
     joined, owner = _welded(np.concatenate(vertices))
     return joined * voxel + corner, owner[np.concatenate(faces)]
-
-
-def _distinct(voxels: Int64[np.ndarray, "v 3"]) -> Int64[np.ndarray, "o 3"]:
-    order, first = _sorted(voxels)
-    return voxels[order[first]]
 
 
 def _sorted(voxels: Int64[np.ndarray, "v 3"]) -> tuple[Int64[np.ndarray, " v"], Int64[np.ndarray, " d"]]:

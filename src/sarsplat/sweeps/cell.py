@@ -101,11 +101,12 @@ def _of_dataset(
     fingerprint = f"{folder}: {unreadable}" if dataset is None else dataset.fingerprint()
     code = code_of(method, plan.device)
     scoring = digest([scoring_code(), masks, plan.mesh, plan.align])
+    where = f"settings of {method}{f' in {plan.name}' if plan.name else ''}"
     for preset, chosen in plan.each_choice(settings):
         labels = {"dataset": name, "method": method, "preset": preset, **chosen}
         if plan.name:
             labels = {"part": plan.name, **labels}
-        base = None if dataset is None else kind.preset(preset, dataset).with_settings(chosen, _where(plan, method))
+        base = None if dataset is None else kind.preset(preset, dataset).with_settings(chosen, where)
         for seed in plan.seeds:
             config = {**labels, "seed": seed} if base is None else replace(base, seed=seed).as_dict()
             decisive = {one: value for one, value in config.items() if one not in _NO_RESULT}
@@ -126,10 +127,6 @@ def _of_dataset(
                 code=code,
                 scoring=scoring,
             )
-
-
-def _where(plan: Plan, method: str) -> str:
-    return f"settings of {method}{f' in {plan.name}' if plan.name else ''}"
 
 
 def _fingerprint_of_masks(folder: Path, dataset: Dataset) -> str:

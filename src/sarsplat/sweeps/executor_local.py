@@ -82,7 +82,8 @@ class Worker:
 
 def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
     """Do runs on this machine, by default as many at a time as it has processors (see `Executor`)."""
-    count = min(means.processes or _processors(), len(cells))
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = min(means.processes or processors, len(cells))
     workers = [Worker(out, means.again) for _ in range(count)]
     idle: SimpleQueue[Worker] = SimpleQueue()
     for worker in workers:
@@ -106,10 +107,6 @@ def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, 
         pool.shutdown(cancel_futures=True)
         for worker in workers:
             worker.close()
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def work(out: Path, again: bool) -> None:

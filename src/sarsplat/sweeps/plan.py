@@ -113,10 +113,9 @@ class Plan(Record):
     def each_choice(self, settings: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
         """Every preset with every combination of the values of what is swept."""
         values = [value if isinstance(value, list) else [value] for value in settings.values()]
-        if (
-            empty := next((name for name, several in zip(settings, values, strict=True) if not several), None)
-        ) is not None:
-            raise SarsplatError(f"the setting {empty} is an empty list, so there is nothing to do; give its values")
+        for name, several in zip(settings, values, strict=True):
+            if not several:
+                raise SarsplatError(f"the setting {name} is an empty list, so there is nothing to do; give its values")
         for preset in (self.preset,) if isinstance(self.preset, str) else self.preset:
             for chosen in product(*values):
                 yield preset, dict(zip(settings, chosen, strict=True))

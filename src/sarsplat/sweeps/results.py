@@ -89,6 +89,13 @@ class Line:
     older: bool
     """Whether some are of older code."""
 
+    def texts(self, names: Sequence[str], metrics: Sequence[Metric[Any]]) -> list[str]:
+        """It as a row of a table: labels of these names, runs, and scores."""
+        runs = f"{self.done}/{self.of}{', older code' if self.older else ''}"
+        spreads = ((self.spreads.get(metric.key), metric) for metric in metrics)
+        scores = ("–" if spread is None else spread.text(metric) for spread, metric in spreads)
+        return [*(label_text(self.labels.get(name, "")) for name in names), runs, *scores]
+
 
 class Results:
     """The runs of a sweep as they are now.
@@ -106,7 +113,11 @@ class Results:
         rows = [*_rows(out)]
         here = {row.address: row for row in rows}
         older = {row.recipe: row for row in rows if row.state == "finished"}
-        self.results = [_result(cell, here.get(cell.address) or older.get(cell.recipe)) for cell in cells]
+        found = ((cell, here.get(cell.address) or older.get(cell.recipe)) for cell in cells)
+        self.results = [
+            Result(cell, row, row is not None and (row.address, row.scoring) != (cell.address, cell.scoring))
+            for cell, row in found
+        ]
 
     @property
     def failed(self) -> list[Result]:
@@ -137,10 +148,7 @@ class Results:
         for metric in shown:
             table.add_column(metric.heading, justify="right")
         for line in lines:
-            spreads = (line.spreads.get(metric.key) for metric in shown)
-            cells = ("–" if one is None else one.text(metric) for metric, one in zip(shown, spreads, strict=True))
-            runs = f"{line.done}/{line.of}{', older code' if line.older else ''}"
-            table.add_row(*(escape(label_text(line.labels.get(name, ""))) for name in names), runs, *cells)
+            table.add_row(*map(escape, line.texts(names, shown)))
         return table
 
     def csv(self) -> str:
@@ -176,10 +184,6 @@ def varying(lines: Sequence[Line]) -> list[str]:
 def label_text(value: Any) -> str:
     """A setting's value as tables have it."""
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _result(cell: Cell, row: Row | None) -> Result:
-    return Result(cell, row, row is not None and (row.address, row.scoring) != (cell.address, cell.scoring))
 
 
 def _rows(out: Path) -> Iterable[Row]:

@@ -51,10 +51,6 @@ class Row(msgspec.Struct):
     warnings: list[str] = []
     """What was warned of."""
 
-    def settles(self, cell: Cell) -> bool:
-        """Whether nothing is left to do for a run."""
-        return not self.passing and (self.address, self.scoring) == (cell.address, cell.scoring)
-
 
 def row_path(cell: Cell, out: Path) -> Path:
     return out / ROWS / f"{cell.address}.json"
@@ -62,8 +58,10 @@ def row_path(cell: Cell, out: Path) -> Path:
 
 def row_of(cell: Cell, out: Path) -> Row | None:
     """The row of a run, if it is finished or failed."""
-    path = row_path(cell, out)
-    return row if path.is_file() and (row := read_json(path, Row)).settles(cell) else None
+    if not (path := row_path(cell, out)).is_file():
+        return None
+    row = read_json(path, Row)
+    return None if row.passing or (row.address, row.scoring) != (cell.address, cell.scoring) else row
 
 
 def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
