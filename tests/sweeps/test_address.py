@@ -49,7 +49,15 @@ def code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str]
     def written(name: str, text: str) -> str:
         (tmp_path / "foreign" / f"{name}.py").write_text(text)
         importlib.invalidate_caches()
-        address.forget()
+        for cached in (
+            address.code,
+            address._file,
+            address._nodes,
+            address._imports,
+            address._statements,
+            address._lazy,
+        ):
+            cached.cache_clear()
         return address.code(("foreign.method",), "cpu")
 
     written("__init__", "")

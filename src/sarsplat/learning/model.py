@@ -96,16 +96,13 @@ class SceneModel:
         kept = snapshot.part("terrain")
         terrain = Terrain(kept["heights_m"].numpy(), tuple(kept["pitch_m"].tolist())) if kept else None
         frame = SceneFrame(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid, terrain, snapshot.stacks)
-        learned, state = snapshot.part("model"), snapshot.part("part")
+        learned = snapshot.part("model")
         model = cls(config, frame, learned, device)
         others = [learned[name] for name, how in model.learned.items() if not how.per_gaussian]
-        if not all(tensor.isfinite().all() for tensor in (*others, *state.values())):
+        if not all(tensor.isfinite().all() for tensor in (*others, *snapshot.part("part").values())):
             raise ValueError("numbers that are not finite")
         for part in model.parts:
-            prefix = f"{part.name}/"
-            part.load(
-                {name.removeprefix(prefix): t.to(model.device) for name, t in state.items() if name.startswith(prefix)}
-            )
+            part.load({name: t.to(model.device) for name, t in snapshot.part(f"part/{part.name}").items()})
         model.scene(config.harmonics_degree)  # the Gaussians' values are checked where they are used
         return model
 
@@ -113,16 +110,11 @@ class SceneModel:
         region = {f"region/{name}": torch.from_numpy(getattr(self.frame.region, name)) for name in _REGION}
         learned = {f"model/{name}": tensor.detach() for name, tensor in self.parameters.items()}
         state = {f"part/{part.name}/{name}": tensor for part in self.parts for name, tensor in part.state().items()}
-        terrain = self.frame.terrain
-        heights = (
-            {}
-            if terrain is None
-            else {
-                "terrain/heights_m": torch.from_numpy(terrain.heights_m),
-                "terrain/pitch_m": torch.tensor(terrain.pitch_m, dtype=torch.float64),
-            }
-        )
-        return learned | state | region | heights
+        kept = learned | state | region
+        if (terrain := self.frame.terrain) is not None:
+            kept["terrain/heights_m"] = torch.from_numpy(terrain.heights_m)
+            kept["terrain/pitch_m"] = torch.tensor(terrain.pitch_m, dtype=torch.float64)
+        return kept
 
     def __len__(self) -> int:
         """Number of the target's Gaussians."""

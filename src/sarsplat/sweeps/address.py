@@ -45,7 +45,7 @@ def scoring_code() -> str:
 @cache
 def code(roots: tuple[str, ...], device: str) -> str:
     """Digest of what modules and all that they import do, and of the device's engine; comments, docstrings and the
-    words of errors and warnings do not count, and neither do changes since it was first asked for, until `forget`.
+    words of errors and warnings do not count, and neither do changes since it was first asked for.
     """
     sources = {name: _statements(path) for name, path in imported_by(roots).items()}
     engine = [LIBRARY] if device == "cpu" else sorted((LIBRARY.parent / "csrc").glob("*.[ch]*"))
@@ -164,9 +164,3 @@ def _called(call: ast.Call) -> str:
 
 def _is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-
-
-def forget() -> None:
-    """Clear the caches of source files."""
-    for cached in (code, _file, _nodes, _imports, _statements, _lazy):
-        cached.cache_clear()
