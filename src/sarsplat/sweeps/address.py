@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
-from importlib.util import find_spec
+from importlib.util import find_spec, resolve_name
 from pathlib import Path
 from typing import Any
 
@@ -88,29 +88,24 @@ def _nodes(path: Path) -> Sequence[ast.AST]:
 
 
 @cache
-def _imports(name: str, path: Path) -> tuple[str, ...]:
-    return tuple(_imported(name, path))
-
-
-def _imported(name: str, path: Path) -> Iterator[str]:
+def _imports(name: str, path: Path) -> list[str]:
+    found: list[str] = []
     for node in _nodes(path):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             module = _absolute(node, name, path)
             lazy = _lazy(module)
-            for alias in node.names:
-                yield lazy.get(alias.name, f"{module}.{alias.name}")
-            yield module
+            found += (lazy.get(alias.name, f"{module}.{alias.name}") for alias in node.names)
+            found.append(module)
         elif isinstance(node, ast.Call):
-            yield from _discovered(node, name, path)
+            found += _discovered(node, name, path)
+    return found
 
 
 def _absolute(node: ast.ImportFrom, name: str, path: Path) -> str:
-    if not node.level:
-        return node.module or ""
-    package = name.split(".") if path.name.startswith("__init__") else name.split(".")[:-1]
-    return ".".join([*package[: len(package) - node.level + 1], *([node.module] if node.module else [])])
+    package = name if path.name.startswith("__init__") else name.rpartition(".")[0]
+    return resolve_name("." * node.level + (node.module or ""), package)
 
 
 @cache
