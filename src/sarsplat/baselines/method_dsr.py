@@ -21,7 +21,7 @@ from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
 from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss, ordered_sum
-from sarsplat.baselines.template import sphere
+from sarsplat.baselines.template import cube_sphere, icosphere
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW, TARGET, View
 from sarsplat.settings.kinds import Count, NotNegative, Positive
@@ -83,7 +83,7 @@ class Dsr(Baseline):
 
     def __init__(self, scene: Scene, config: DsrConfig) -> None:
         super().__init__(scene, config)
-        template = sphere(config.vertices)
+        template = icosphere(8) if config.vertices == 642 else cube_sphere(15)
         sides = scene.high_m - scene.low_m
         self._longest_m = float(sides.max())
         self._center_m = (scene.low_m + scene.high_m) / 2

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from sarsplat.errors import SarsplatError
-
 
 @dataclass(frozen=True, eq=False)
 class Template:
@@ -27,15 +25,6 @@ class Template:
     """Pairs of vertices, each edge once."""
     flaps: Int64[np.ndarray, "e 2"]
     """The two faces at each edge."""
-
-
-def sphere(vertices: int) -> Template:
-    """The template of 642 or 1,352 vertices; any other number is refused."""
-    if vertices == 642:
-        return icosphere(8)
-    if vertices == 1352:
-        return cube_sphere(15)
-    raise SarsplatError(f"there is no template sphere of {vertices} vertices; choose 642 or 1352")
 
 
 def icosphere(parts: int) -> Template:
