@@ -1,8 +1,4 @@
-"""DSR: a closed mesh deformed until it looks as the target does, through soft rasterisation in two planes.
-
-After Fu & Xu, "Differentiable SAR renderer and image-based target reconstruction", IEEE TIP 2022; what was not
-published is listed in docs/concepts/baselines-dsr.md.
-"""
+"""DSR: a closed mesh deformed until it looks as the target does (docs/concepts/baselines-dsr.md)."""
 
 from __future__ import annotations
 

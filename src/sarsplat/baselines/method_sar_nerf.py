@@ -1,7 +1,6 @@
 """SAR-NeRF: a field of attenuation and scattering, imaged along rays in azimuth, range and elevation.
 
-After Z. Lei, F. Xu et al., "SAR-NeRF: Neural Radiance Fields for Synthetic Aperture Radar Multi-View Representation".
-`docs/concepts/baselines-sar-nerf.md` lists every choice.
+`docs/concepts/baselines-sar-nerf.md` has its two equations, and lists every choice.
 """
 
 from __future__ import annotations
@@ -67,14 +66,6 @@ class SarNerfConfig(BaselineConfig):
 
 class SarNerf(Baseline):
     """SAR-NeRF on a scene.
-
-    With `config.mode` "published", the field gives an attenuation α per range cell and a scattering S ≤ 1, and
-
-        amplitude(a, r) = A·Σ_k S·exp(−Σ_{r' ≤ r} α)          power = amplitude²,  A the brightest training amplitude
-
-    With "sound", α is per metre, τ = 2·α·Δr, S is γ⁰, a ray stands for the height δy across the line of sight, and
-
-        β⁰(a, r) = Σ_k S·(δy/Δr)·exp(−Σ_{r' < r} τ)·(1 − exp(−τ))
 
     The field ends at the box of the target and, with ground, at that of all ground that images show; the published
     perceptron's does not end.

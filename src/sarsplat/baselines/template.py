@@ -1,8 +1,7 @@
 """Closed triangle meshes of the unit sphere, and which of their vertices and faces are neighbours.
 
-A solid is subdivided so that each of its edges becomes `parts` edges, then blown up to the sphere. The icosahedron
-gives 10·parts² + 2 vertices: 642 with 8 (three halvings). 1,352 is no such number, nor that of any geodesic polyhedron
-(10·T + 2 with T = 135, which is not h² + hk + k²); it is 6·parts² + 2 of the cube with 15, its squares cut in two.
+A solid is subdivided so that each of its edges becomes `parts` edges, then blown up to the sphere. The published 642
+vertices are those of the icosahedron with 8, and 1,352 of no icosphere, but of the cube with 15.
 """
 
 from __future__ import annotations

@@ -68,10 +68,7 @@ class Maps:
     """A factor on the power of rendered images: what images show more or less than the scene, as a map on the ground.
 
     No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
-    ground from one image to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
-    that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is (n + Σ w_k r_k) / (n + Σ
-    w_k). The weights w_k = exp(−Δ_k / reach) fall with the difference in azimuth. Images of all grazing angles count
-    the same: bumps, and corners between walls and ground, are seen under each.
+    ground from one image to the next (docs/concepts/measured-chips.md has the equation).
 
     The tensors are, of the K training images, `ratio`, float32 [K, rows, columns]: measured over rendered power,
     smoothed; `shift_m`, float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth
