@@ -11,7 +11,7 @@ from reports import MadeUpRun, make_dataset, make_metrics, make_run
 from sarsplat.errors import SarsplatError
 from sarsplat.report import compare, write_comparison
 from sarsplat.report.page import compared_tables, in_words
-from sarsplat.runs.state import TrainingState
+from sarsplat.runs.run_folder import TrainingState
 
 
 def two_runs(folder: Path, **changes: Any) -> list[Any]:

@@ -19,7 +19,7 @@ from sarsplat.report.figure import axis, nice, scale_bar
 from sarsplat.report.images import target_window
 from sarsplat.report.residual import Difference, window
 from sarsplat.report.views import evenly
-from sarsplat.runs.log import LogLine
+from sarsplat.runs.run_folder import LogLine
 
 
 def test_grey_levels_of_the_png() -> None:

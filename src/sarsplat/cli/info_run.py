@@ -12,8 +12,7 @@ from sarsplat.errors import counted
 if TYPE_CHECKING:
     import numpy as np
 
-    from sarsplat.runs.run_folder import RunFolder
-    from sarsplat.runs.state import TrainingState
+    from sarsplat.runs.run_folder import RunFolder, TrainingState
 
 
 def describe_run(path: Path) -> None:

@@ -62,7 +62,6 @@ class EngineAdam:
         self._groups = self._call.groups[: len(tensors)]
 
     def step(self, gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
-        """As the function `step`."""
         gradients = [gradient.contiguous() for gradient in gradients]  # kept alive until the call is over
         for group, gradient, decay in zip(self._groups, gradients, decays, strict=True):
             group.gradient, group.decay = gradient.data_ptr(), decay
@@ -73,7 +72,6 @@ class EngineAdam:
 
 
 def _group(tensor: Stepped) -> dict[str, Any]:
-    """A parameter for an engine."""
     ranges = {"rate": tensor.rates, "low": tensor.low, "high": tensor.high}
     return {
         **{"value": tensor.value, "mean": tensor.mean, "square": tensor.square, "logarithmic": tensor.logarithmic},

@@ -82,7 +82,6 @@ class Trainer:
         self.terms: dict[str, Tensor] = {}
 
     def _learn(self, model: SceneModel) -> None:
-        """Begin with this model."""
         self._observation.begin(model)
         self.model, self._bounds, self.images, self._factor = model, model.scene_bounds(), self._finest, 1
         self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)

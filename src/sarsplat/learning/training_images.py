@@ -48,7 +48,6 @@ class TrainingImages:
         self.numbers = torch.arange(len(self.views), device=device)
 
     def through(self, windows: Windows) -> TrainingImages:
-        """The images cut to windows."""
         looked = copy(self)
         looked.truth, looked.grid = windows.of(self.truth), windows.stack
         return looked
@@ -77,7 +76,6 @@ class ViewQueue:
         self._views, self._count, self._generator = views, min(per_step, views), generator
 
     def next(self) -> list[int]:
-        """View indices of the next step."""
         while len(self.waiting) < self._count:
             self.waiting += torch.randperm(self._views, generator=self._generator, device="cpu").tolist()
         chosen, self.waiting = self.waiting[: self._count], self.waiting[self._count :]
@@ -86,10 +84,7 @@ class ViewQueue:
     def restore(self, snapshot: Snapshot) -> None:
         """Continue with the views and the state of the generator that a snapshot holds.
 
-        Raises
-        ------
-        ValueError, KeyError, TypeError, RuntimeError
-            If it does not hold them.
+        Raises ValueError, KeyError, TypeError or RuntimeError if it does not hold them.
         """
         if len(snapshot.views) != self._views:
             raise ValueError(f"it has {len(snapshot.views)} views for {self._views} training images")
