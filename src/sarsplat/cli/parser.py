@@ -8,11 +8,9 @@ from contextlib import redirect_stderr
 from functools import partial, wraps
 from typing import Any
 
-from sarsplat.cli.commands import COMMANDS, IMPORT_SUMMARY, command, first_paragraph, summary
+from sarsplat.cli.commands import COMMANDS, IMPORT_SUMMARY, Command, command, first_paragraph, show_overview, summary
 from sarsplat.cli.mistakes import no_command, plain
 from sarsplat.errors import SarsplatError
-
-Command = Callable[..., int | None]
 
 _DESCRIPTION = (
     "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → render. "
@@ -53,8 +51,6 @@ def _chosen(
 ) -> tuple[str, Sequence[str]]:
     """The first of the names among the words, and the words after it; prints help if that is asked for instead."""
     if words and words[0] in ("-h", "--help"):
-        from sarsplat.cli.overview import show_overview
-
         show_overview(program, description, summaries())
         raise SystemExit(0)
     plain_names = {name.replace("_", "-"): name for name in names}
@@ -69,6 +65,8 @@ def _read(program: str, command: Command, words: Sequence[str]) -> Callable[[], 
 
     from sarsplat.cli.arguments import MARKERS
 
+    if {"-h", "--help"} & {*words}:
+        words = ["--help"]  # tyro's would lack what stands before it
     box = io.StringIO()
     try:
         with redirect_stderr(box):
