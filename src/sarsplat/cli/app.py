@@ -9,7 +9,7 @@ import warnings
 from typing import TextIO
 
 from sarsplat.cli import console, extras
-from sarsplat.cli.follower import ABANDONED
+from sarsplat.cli.ending import ABANDONED
 from sarsplat.errors import Abandoned, AssumptionWarning, SarsplatError, SarsplatWarning
 
 _MISUSED = 2
