@@ -15,7 +15,7 @@ import trimesh
 from datasets import FEW_POINTS
 from sarsplat import Run, preset, reconstruct
 from sarsplat.cli import main
-from sarsplat.cli.simulated_views import Raster, simulated_views
+from sarsplat.cli.simulated import Raster, simulated_views
 from sarsplat.data import Dataset, read_dataset, read_masks
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View

@@ -24,8 +24,7 @@ from sarsplat.cli.arguments import (
     pair,
     refuse_existing,
 )
-from sarsplat.cli.simulated_stack import asked_stack, refuse_with_stacks, simulated_signals
-from sarsplat.cli.simulated_views import simulated_views
+from sarsplat.cli.simulated import asked_stack, refuse_with_stacks, simulated_signals, simulated_views
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import Simulator, TargetName
 
