@@ -11,6 +11,7 @@ from typing import TextIO
 from sarsplat.cli import console, extras
 from sarsplat.cli.ending import ABANDONED
 from sarsplat.errors import Abandoned, AssumptionWarning, SarsplatError, SarsplatWarning
+from sarsplat.version import installed_version
 
 _MISUSED = 2
 _READER_LEFT = 141  # as shells have it
@@ -31,7 +32,7 @@ def run(words: list[str]) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     if words == ["--version"]:
-        console.say(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}")
+        console.say(f"sarsplat {installed_version('sarsplat') or '(running from source)'}")
         return 0
     with warnings.catch_warnings():
         warnings.simplefilter("default", SarsplatWarning)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from sarsplat.cli.arguments import Angles, views_from
@@ -127,13 +128,12 @@ def _offsets(passes: int | None, baseline: tuple[float, ...]) -> list[float]:
     return [*baseline] if len(baseline) == passes else [baseline[0] * (k / (passes - 1) - 0.5) for k in range(passes)]
 
 
-def refuse_with_stacks(**options: object) -> None:
+def refuse_with_stacks(options: Mapping[str, object], source: str) -> None:
     """Refuse options that the simulation of stacks has none of."""
-    for name, value in options.items():
-        if value:
-            raise SarsplatError(
-                f"--{name.replace('_', '-')} is for single images; leave it out, or --passes and --polarimetric"
-            )
+    if (name := next((name for name, value in options.items() if value), None)) is not None:
+        raise SarsplatError(f"--{name} is for single images; leave it out, or --passes and --polarimetric")
+    if source != "raycast":
+        raise SarsplatError(f"--source {source} makes no stacks; leave it out, or --passes and --polarimetric")
 
 
 def simulated_signals(

@@ -62,14 +62,9 @@ def watched(
 @contextmanager
 def following() -> Iterator[None]:
     """A training in a torchrun process that is not the first: silent, and ended by the first rather than by Ctrl-C."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SarsplatWarning)
-            yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with _handled(signal.SIG_IGN), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SarsplatWarning)
+        yield
 
 
 @contextmanager
@@ -96,9 +91,16 @@ def _interrupts() -> Iterator[Callable[[bool], int]]:
         holding = held
         return asked
 
-    before = {number: signal.signal(number, hold) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with _handled(hold):
         yield hold_back
+
+
+@contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> Iterator[None]:
+    """Ctrl-C and a polite kill are left to a handler inside the block."""
+    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, usual in before.items():
+            signal.signal(number, usual)
