@@ -46,3 +46,14 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("box")
     trimesh.creation.box(extents=(2.4, 1.2, 1.0)).apply_translation((0, 0, 0.5)).export(folder / "box.obj")
     return folder
+
+
+@pytest.fixture(scope="module")
+def workshop(box: Path) -> Path:
+    """A folder with a mesh, a dataset and an evaluated run."""
+    simulate = f"simulate --mesh {box}/box.obj --out {box}/dataset --azimuth 0:360:90 --grazing 30 60"
+    assert main([*simulate.split(), "--test-azimuth", "0:360:45", "--pixels", "32", "--masks"]) == 0
+    few = "--iterations 4 --points.voxel 0.3 --points.rays-per-pixel 2"
+    assert main(f"reconstruct {box}/dataset --out {box}/run {few}".split()) == 0
+    assert main(["evaluate", f"{box}/run"]) == 0
+    return box
