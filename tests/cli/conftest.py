@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -57,3 +59,27 @@ def workshop(box: Path) -> Path:
     assert main(f"reconstruct {box}/dataset --out {box}/run {few}".split()) == 0
     assert main(["evaluate", f"{box}/run"]) == 0
     return box
+
+
+@pytest.fixture
+def there(workshop: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the workshop."""
+    monkeypatch.chdir(workshop)
+
+
+@pytest.fixture
+def run(there: None, tmp_path: Path) -> Path:
+    """A copy of its run."""
+    return shutil.copytree("run", tmp_path / "run")
+
+
+@pytest.fixture
+def unfinished() -> Callable[[Path], None]:
+    """Lets a run's folder say that its training is to go on."""
+
+    def change(run: Path) -> None:
+        header = json.loads((run / "config.json").read_text())
+        header["config"]["iterations"] = 6000
+        (run / "config.json").write_text(json.dumps(header))
+
+    return change
