@@ -49,18 +49,8 @@ CONTRADICTED = 1
 class Option:
     """How a parameter is typed, where that does not follow from its annotation, default and description.
 
-    Parameters
-    ----------
-    kind : type, optional
-        What tyro reads.
-    value : callable, optional
-        Makes of that, and of the option's name, what the function is given.
-    name : str, optional
-        Of the option.
-    default : object, optional
-        What is taken as typed if nothing is; `Parameter.empty`: the function's own.
-    help : str, optional
-        What the option is for.
+    tyro reads a `kind`, of which `value` makes, with the option's name, what the function is given; `default` is taken
+    as typed if nothing is, or the function's own if it is `Parameter.empty`.
     """
 
     kind: Any = None

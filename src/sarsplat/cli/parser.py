@@ -21,12 +21,7 @@ _DESCRIPTION = (
 def parse(words: Sequence[str]) -> Callable[[], int | None]:
     """The command that the words ask for, ready to be called; asked for help, it is printed and the process ends.
 
-    What it returns is its exit code if that is not 0.
-
-    Raises
-    ------
-    SarsplatError
-        If they do not parse.
+    What it returns is its exit code if that is not 0. A SarsplatError says why words do not parse.
     """
     name, rest = _chosen("sarsplat", _DESCRIPTION, words, COMMANDS, lambda: {one: summary(one) for one in COMMANDS})
     return _importer(rest) if name == "import" else _read(f"sarsplat {name}", command(name), rest)
