@@ -53,7 +53,7 @@ def workers() -> list[int]:
     return [
         int(path.parent.name)
         for path in Path("/proc").glob("[0-9]*/cmdline")
-        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.sweeps.worker" in text
+        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.sweeps.executor_local" in text
     ]
 
 
