@@ -18,8 +18,8 @@ from PIL import Image
 from sarsplat import Run, View, radar_frame
 from sarsplat.colours import DARK, HEIGHT, POWER, colormap, ramp, rgb
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, to_db
+from sarsplat.report.boards import Raster, Side
 from sarsplat.report.rendered import asked_grid
-from sarsplat.report.sides import Raster, Side
 
 OUTPUT = Path(__file__).parent / "images" / "sweep.gif"
 GRAZING_DEG, FRAMES, FRAME_MS = 30.0, 60, 100
@@ -35,12 +35,12 @@ def surface(run: Run, points: np.ndarray, normals: np.ndarray, view: View) -> np
     middle, reach_m = bounds(points)
     raster = Raster(frame @ middle - reach_m, frame @ middle + reach_m, 2 * reach_m / PIXELS)
     width = max(1, round(WIDTH * run.grid.cell_m / raster.pixel_m))
-    seen, covered = raster.nearest(points @ frame.T, FROM_THE_RADAR, width)
+    seen = raster.nearest(points @ frame.T, FROM_THE_RADAR, width)
     lit = AMBIENT + (1 - AMBIENT) * np.clip(normals @ frame.T @ (LIGHT / np.linalg.norm(LIGHT)), 0, 1)
     height = np.clip(points[:, 2] / np.quantile(points[:, 2], 0.999), 0, 1)
     colours = ramp(HEIGHT)[np.rint(255 * height).astype(int), :3] * lit[:, None]
     shown = np.full((*seen.shape, 3), rgb(DARK.card), np.uint8)
-    shown[covered] = colours[seen[covered]].astype(np.uint8)
+    shown[seen >= 0] = colours[seen[seen >= 0]].astype(np.uint8)
     return np.asarray(Image.fromarray(shown).resize((PIXELS // 2, PIXELS // 2), Image.Resampling.BOX))
 
 

@@ -3,8 +3,6 @@
 Of a file of the library, those in its room that name it or test it by its name; of the kernels, the CPU engine's.
 """
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Made-up MSTAR chips: Phoenix files, and JPEGs with their labels."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

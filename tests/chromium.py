@@ -1,7 +1,5 @@
 """A headless Chromium over its DevTools protocol: enough to load a page, use it, look at it and watch the network."""
 
-from __future__ import annotations
-
 import base64
 import itertools
 import json

@@ -1,7 +1,5 @@
 """What all tests share."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 import os
@@ -162,25 +160,3 @@ def beside(
     for name in set(sys.modules) - before:
         if Path(getattr(sys.modules[name], "__file__", None) or "/").parent.name == "site":
             del sys.modules[name]
-
-
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """One of several processes tells the first what it counted."""
-    if (output := getattr(session.config, "workeroutput", None)) is not None:
-        output["shapes"] = dict(shapes.EXECUTED)
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_testnodedown(node: Any, error: object) -> None:
-    """The first process adds it up."""
-    shapes.EXECUTED.update(getattr(node, "workeroutput", {}).get("shapes", {}))
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """How much of what is written about shapes was seen to hold, below the slowest tests."""
-    calls = shapes.EXECUTED
-    if calls:
-        terminalreporter.write_line(
-            f"shape annotations of {len(calls)} functions and classes held in {calls.total()} calls"
-        )

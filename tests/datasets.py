@@ -1,7 +1,5 @@
 """Datasets for tests, made of an array of images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

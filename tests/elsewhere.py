@@ -1,7 +1,5 @@
 """What another writer would do: a lock belongs to a process and a thread, so a second thread will do."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager

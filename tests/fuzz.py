@@ -27,14 +27,7 @@ if TYPE_CHECKING:
 
 _MAX_SECONDS = 1.0
 _FREE_BYTES = 64 << 20
-_INSTRUMENTED = [
-    "sarsplat.data",
-    "sarsplat.importers",
-    "sarsplat.runs.run",
-    "sarsplat.scenes",
-    "tifffile",
-    "trimesh",
-]
+_INSTRUMENTED = ["sarsplat.data", "sarsplat.importers", "sarsplat.runs.run", "sarsplat.scenes", "tifffile", "trimesh"]
 
 
 @dataclass

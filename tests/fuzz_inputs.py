@@ -1,7 +1,5 @@
 """What strangers may hand to each reader: valid files of every kind, and structure-aware ways to spoil them."""
 
-from __future__ import annotations
-
 import io
 import json
 import random

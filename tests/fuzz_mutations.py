@@ -1,7 +1,5 @@
 """Ways to spoil a file: some know only of bytes, numbers and lines, some of JSON."""
 
-from __future__ import annotations
-
 import json
 import random
 import re

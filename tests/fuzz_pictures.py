@@ -1,7 +1,5 @@
 """What strangers may hand to the importers of pictures: tables, pictures of every kind, files of the SAMPLE set."""
 
-from __future__ import annotations
-
 import io
 import random
 import re

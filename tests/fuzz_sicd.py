@@ -1,7 +1,5 @@
 """SICDs that are spoilt: numbers, elements and attributes of their metadata."""
 
-from __future__ import annotations
-
 import random
 import re
 import tempfile

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from functools import cache
-from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import sarsplat
@@ -57,12 +56,3 @@ def _statements(node: ast.AST, for_types: bool) -> Iterator[ast.AST]:
             if for_types or not (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)):
                 yield child
                 yield from _statements(child, for_types)
-
-
-def circle(edges: dict[str, set[str]]) -> list[str]:
-    """Modules that import each other in this order, the first again at the end; empty if there is no such circle."""
-    try:
-        TopologicalSorter(edges).prepare()
-    except CycleError as error:
-        return list(reversed(error.args[1]))
-    return []

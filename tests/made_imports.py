@@ -1,7 +1,5 @@
 """Folders of pictures, passes, polarisations and chips, made up, and their imports into a folder `out` beside them."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from pathlib import Path

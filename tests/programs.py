@@ -1,7 +1,5 @@
 """Programs that an interpreter of their own runs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Phase history made up for tests: points on a flight around them, in GOTCHA's layout."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

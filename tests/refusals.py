@@ -1,7 +1,5 @@
 """What is refused: a room has one table of things to do in an empty folder and of words of the sentence they end in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -12,8 +12,7 @@ from sarsplat.data import Dataset, write_dataset
 from sarsplat.evaluation import IMAGE_METRICS, Yardstick, all_metrics, metrics_of_points
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.runs import Run
-from sarsplat.runs.log import LogLine
-from sarsplat.runs.state import TrainingState
+from sarsplat.runs.run_folder import LogLine, TrainingState
 from sarsplat.settings import preset
 
 GRID = ImageGrid(32, 32, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))

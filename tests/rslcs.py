@@ -1,7 +1,5 @@
 """RSLC files for tests, in the layout that NISAR describes, written with h5py."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

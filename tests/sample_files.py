@@ -1,7 +1,5 @@
 """Files as the public description of the SAMPLE set has them: names and variables."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A run of made-up chips: a bright block and its shadow on speckled ground, hardly trained."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

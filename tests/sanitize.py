@@ -4,8 +4,6 @@ Needs Debian's clang with its runtime, clang-16 or newer: apt-get install clang-
 wheel, which builds the engine otherwise, has no AddressSanitizer runtime.) Arguments are passed on to pytest.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

@@ -5,8 +5,6 @@ A function may refuse a wrong array in its own words (`SarsplatError`); one that
 missing check, and the test that saw it fails.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib

@@ -25,10 +25,7 @@ def plane(
     tilt, turn = np.radians([recording.tilt, recording.turn])
     normal = math.cos(tilt) * normal + math.sin(tilt) * np.cross(row, normal)
     column = np.cross(normal, row)
-    return (
-        math.cos(turn) * row + math.sin(turn) * column,
-        math.cos(turn) * column - math.sin(turn) * row,
-    )
+    return (math.cos(turn) * row + math.sin(turn) * column, math.cos(turn) * column - math.sin(turn) * row)
 
 
 def rate_along(scp: np.ndarray, arp: np.ndarray, velocity: np.ndarray, column: np.ndarray) -> float:

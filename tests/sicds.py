@@ -4,8 +4,6 @@ Where a scatterer lies in an image follows from its range and range rate at the 
 (`sicd_places`), so that sarkit's projections can be held against it.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import warnings
@@ -244,11 +242,7 @@ def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTre
         sicd["ImageData"][name] = value
     half = 1e-3
     corners = [(llh[0] + a * half, llh[1] + b * half) for a, b in ((1, -1), (1, 1), (-1, 1), (-1, -1))]
-    sicd["GeoData"] = {
-        "EarthModel": "WGS_84",
-        "SCP": {"ECF": scp, "LLH": llh},
-        "ImageCorners": np.array(corners),
-    }
+    sicd["GeoData"] = {"EarthModel": "WGS_84", "SCP": {"ECF": scp, "LLH": llh}, "ImageCorners": np.array(corners)}
     rate = rate_along(scp, arp, velocity, column)
     passing = math.copysign(1 / SPEED, velocity @ column)  # seconds for each metre along the columns
     coa = np.array([[1.0, passing]]) if recording.kind == "RGZERO" else np.array([[1.0]])

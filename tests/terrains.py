@@ -1,7 +1,5 @@
 """Terrain for tests: slopes, walls and hills, and GeoTIFFs of them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

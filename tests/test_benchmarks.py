@@ -1,7 +1,5 @@
 """`make bench` in small: the parts run, and docs/reference/performance.md can be made of what they find."""
 
-from __future__ import annotations
-
 import json
 import sys
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The benchmark of chips: what it draws, makes and writes, on made-up chips of two classes."""
 
-from __future__ import annotations
-
 import csv
 from concurrent.futures import Future
 from dataclasses import replace
@@ -73,9 +71,7 @@ def program(module, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.filterwarnings("ignore::sarsplat.SarsplatWarning")
-def test_networks_are_trained_once_and_written_as_they_finish(
-    program, chips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_networks_are_trained_once_and_written_as_they_finish(program, chips, tmp_path, monkeypatch) -> None:
     where = (chips, chips / "labels.csv", tmp_path / "work")
     arms = [name for name in program.ARMS if not name.startswith("sar-nerf")]
     wanted = [(program.EVENLY, arm, 0, 2) for arm in arms] + [(program.EVENLY, "ours-turned", 0, 1)]

@@ -1,7 +1,5 @@
 """What the tests' browser tells of requests, without which finding none would mean nothing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from chromium import chromium

@@ -1,7 +1,5 @@
 """One definition of every colour that has a meaning."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The GPU's measuring program without a GPU: the emulator in its place, in small; and its time, errors and files."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os
@@ -137,20 +135,11 @@ def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_pa
     assert not [word for word in ("nan", "FAULTS", "Not measured") if word in text]
 
 
-class Clock:
-    """Instead of time: it advances when it is told."""
-
-    now = 0.0
-
-    def monotonic(self) -> float:
-        return self.now
-
-
 @pytest.fixture
 def stub(suite: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A GPU for sections that ask nothing of it: its clock, and how to run them."""
-    clock = Clock()
-    monkeypatch.setattr(suite.time, "monotonic", clock.monotonic)
+    clock = SimpleNamespace(now=0.0)  # advances when it is told
+    monkeypatch.setattr(suite.time, "monotonic", lambda: clock.now)
 
     def run(seconds: float = 100.0, only: tuple[str, ...] = (), **sections: tuple[Any, float]) -> Path:
         monkeypatch.setattr(suite, "SECTIONS", sections)

@@ -1,7 +1,5 @@
 """The documentation tells the truth: its code runs, its links lead somewhere, its commands and names exist."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

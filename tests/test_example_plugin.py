@@ -1,7 +1,5 @@
 """The example of a plugin: installed as a package of its own, its importer and its format of exports are commands."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`benchmarks/guard.py`: which scores of the demo count as worse."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

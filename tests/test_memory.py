@@ -1,7 +1,5 @@
 """Memory: what is free, in a container too, and what is said of work that takes much of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

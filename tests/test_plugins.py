@@ -1,7 +1,5 @@
 """Plugins: found by file name and by entry point, imported when asked for, and broken ones named."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

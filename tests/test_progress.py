@@ -1,7 +1,5 @@
 """Lines of progress where there is no terminal."""
 
-from __future__ import annotations
-
 import io
 import re
 import time
@@ -13,9 +11,7 @@ from rich.progress import Progress
 from sarsplat import progress
 
 
-def test_the_time_left_is_told_once_something_is_done_here(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_time_left_is_told_once_something_is_done_here(monkeypatch, capsys) -> None:
     now = iter(range(0, 100, 10))
     monkeypatch.setattr(progress.time, "monotonic", lambda: float(next(now)))
     with progress.progress("sweep", 8) as reporter:
@@ -26,9 +22,7 @@ def test_the_time_left_is_told_once_something_is_done_here(
     assert lines == ["sweep: 4/8", "sweep: 4/8 running", "sweep: 6/8 box 30 s left"]
 
 
-def test_short_parts_of_long_work_are_not_silent_together(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_short_parts_of_long_work_are_not_silent_together(monkeypatch, capsys) -> None:
     now = iter(range(0, 100, 3))  # the work and its parts look at the clock when they begin, and at every step
     monkeypatch.setattr(progress.time, "monotonic", lambda: float(next(now)))
     with progress.progress("report", 2) as reporter:

@@ -1,7 +1,5 @@
 """Decibels, amplitudes and conversions of β⁰, against closed forms."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import re

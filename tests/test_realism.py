@@ -1,7 +1,5 @@
 """Statistics of generated chips: they see what they are meant to see."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The checker of shape annotations does check; otherwise every other test would pass in vain."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

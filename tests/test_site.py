@@ -1,7 +1,5 @@
 """The documentation as a site: it builds without a warning, leads everywhere, and asks nothing of other machines."""
 
-from __future__ import annotations
-
 import json
 import os
 import pkgutil

@@ -1,7 +1,5 @@
 """`make tables` in small: what has been done is not done again, and the tables say what the cells hold."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Ctrl-C while a library works."""
 
-from __future__ import annotations
-
 from programs import python
 
 PROGRAM = """

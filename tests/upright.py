@@ -1,7 +1,5 @@
 """Gaussians for tests: unturned, at given places."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

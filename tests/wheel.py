@@ -4,8 +4,6 @@ The wheel is installed with the versions of constraints.txt, and nothing of this
 README's first example has to print there what the reference engine says. Needs nothing installed but `packaging`.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from contextvars import ContextVar
 from datetime import timedelta
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Column
+
+T = TypeVar("T")
 
 _SECONDS_BETWEEN_LINES = 4.0  # what takes a second at a time is then heard of within five
 
@@ -22,7 +25,6 @@ _TRUSTED_S = 2.0
 
 _shown: ContextVar[Reporter | None] = ContextVar("_shown", default=None)
 """The progress that is being shown."""
-
 
 _tally: ContextVar[Tally | None] = ContextVar("_tally", default=None)
 """Where the time goes, if anybody asks."""
@@ -47,14 +49,17 @@ class Tally(dict[str, float]):
 
 
 @contextmanager
-def tally() -> Iterator[Tally]:
-    """Counts where the time of the block goes."""
-    counted = Tally()
-    before = _tally.set(counted)
+def _set(variable: ContextVar[Any], value: T) -> Iterator[T]:
+    before = variable.set(value)
     try:
-        yield counted
+        yield value
     finally:
-        _tally.reset(before)
+        variable.reset(before)
+
+
+def tally() -> AbstractContextManager[Tally]:
+    """Counts where the time of the block goes."""
+    return _set(_tally, Tally())
 
 
 class Reporter:
@@ -139,15 +144,11 @@ class _Within(Reporter):
 def progress(description: str, total: int, quiet: bool = False) -> Iterator[Reporter]:
     """Show progress of `total` steps while the block runs, unless `quiet`."""
     console = Console()
-    if quiet or not console.is_terminal:
-        with _as_shown(Reporter(total, None, description, quiet)) as reporter:
-            yield reporter
-        return
-    with (
-        Progress(*_columns(console.width, len(description)), console=console) as bar,
-        _as_shown(Reporter(total, bar, description)) as reporter,
-    ):
-        yield reporter
+    with ExitStack() as stack:
+        bar = None
+        if not quiet and console.is_terminal:
+            bar = stack.enter_context(Progress(*_columns(console.width, len(description)), console=console))
+        yield stack.enter_context(_set(_shown, Reporter(total, bar, description, quiet)))
 
 
 def _columns(width: int, described: int) -> Iterator[ProgressColumn]:
@@ -164,15 +165,6 @@ def _columns(width: int, described: int) -> Iterator[ProgressColumn]:
 
 def _text(template: str, widest: int) -> TextColumn:
     return TextColumn(template, table_column=Column(no_wrap=True, overflow="ellipsis", max_width=widest))
-
-
-@contextmanager
-def _as_shown(reporter: Reporter) -> Iterator[Reporter]:
-    before = _shown.set(reporter)
-    try:
-        yield reporter
-    finally:
-        _shown.reset(before)
 
 
 @contextmanager

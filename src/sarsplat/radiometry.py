@@ -22,9 +22,6 @@ DYNAMIC_RANGE_DB = 40.0
 LEAST_POWER = float(np.finfo(np.float32).tiny)
 """Smaller powers count as this one in decibels (−379 dB), so that nothing is −inf."""
 
-OF_THE_BRIGHTEST = "power, dB of the brightest 0.1 %"
-"""The meaning of 0 dB on sheets, in words; see `bright_level`."""
-
 Power = TypeVar("Power", bound=Any)
 """A number, an array or a tensor."""
 

@@ -1,7 +1,5 @@
 """SAR-NeRF: closed forms, gradients, invariances, and a sphere that it must learn."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -307,10 +305,7 @@ def test_a_box_that_no_image_shows_is_refused():
 
 @pytest.mark.parametrize(
     ("fields", "message"),
-    [
-        ({"high_m": LOW}, "is empty or not finite"),
-        ({"low_m": np.array([np.nan, 0, 0])}, "is empty or not finite"),
-    ],
+    [({"high_m": LOW}, "is empty or not finite"), ({"low_m": np.array([np.nan, 0, 0])}, "is empty or not finite")],
 )
 def test_a_scene_that_is_none_is_refused(fields, message):
     with pytest.raises(SarsplatError, match=message):

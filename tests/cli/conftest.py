@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -46,3 +48,38 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("box")
     trimesh.creation.box(extents=(2.4, 1.2, 1.0)).apply_translation((0, 0, 0.5)).export(folder / "box.obj")
     return folder
+
+
+@pytest.fixture(scope="module")
+def workshop(box: Path) -> Path:
+    """A folder with a mesh, a dataset and an evaluated run."""
+    simulate = f"simulate --mesh {box}/box.obj --out {box}/dataset --azimuth 0:360:90 --grazing 30 60"
+    assert main([*simulate.split(), "--test-azimuth", "0:360:45", "--pixels", "32", "--masks"]) == 0
+    few = "--iterations 4 --points.voxel 0.3 --points.rays-per-pixel 2"
+    assert main(f"reconstruct {box}/dataset --out {box}/run {few}".split()) == 0
+    assert main(["evaluate", f"{box}/run"]) == 0
+    return box
+
+
+@pytest.fixture
+def there(workshop: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the workshop."""
+    monkeypatch.chdir(workshop)
+
+
+@pytest.fixture
+def run(there: None, tmp_path: Path) -> Path:
+    """A copy of its run."""
+    return shutil.copytree("run", tmp_path / "run")
+
+
+@pytest.fixture
+def unfinished() -> Callable[[Path], None]:
+    """Lets a run's folder say that its training is to go on."""
+
+    def change(run: Path) -> None:
+        header = json.loads((run / "config.json").read_text())
+        header["config"]["iterations"] = 6000
+        (run / "config.json").write_text(json.dumps(header))
+
+    return change

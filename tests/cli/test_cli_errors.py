@@ -1,21 +1,23 @@
 """What a newcomer gets wrong first: one sentence on stderr, exit code 2, nothing written."""
 
+import signal
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sarsplat.cli import extras, main
+from terrains import write_geotiff
 
 SIMULATE, ONE_VIEW = "simulate --out new --target t72", "--azimuth 0 --grazing 45"
 
 MISTAKES = {
-    "simulate --out new --target t73": "--target 't73' is unknown; did you mean t72?",
     "simulate --out new": "neither --target nor --mesh",
     f"{SIMULATE} --mesh a.obj": "both --target and --mesh",
     "simulate --out new --mesh nowhere.obj": "nowhere.obj",
     f"{SIMULATE} --azimuth 0 --grazing 95": "95",
     f"{SIMULATE} --azimuth 0 --grazing nan": "nan",
-    f"{SIMULATE} --azimuth 0 --grazing low": "'low'",
     f"{SIMULATE} --grazing 45": "--azimuth is missing",
     f"{SIMULATE} {ONE_VIEW} --incidence 45": "leave out one of them",
     f"{SIMULATE} --random-views 3 --test-azimuth 5": "neither --test-grazing nor --test-incidence",
@@ -36,6 +38,9 @@ MISTAKES = {
     "export full new.ply": "not a run",
     "chips nowhere --out new": "does not exist",
     "chips --out new": "there are no runs",
+    f"{SIMULATE} --terrain full/dem.tif": "has no γ⁰; give that too, with --ground",
+    f"{SIMULATE} --ground 0.1 --terrain full/dem.tif --masks": "--masks are of a target on flat ground; leave out",
+    f"{SIMULATE} --ground 0.1 --terrain missing.tif": "missing.tif",
     "view empty": "is neither a run nor a dataset",
     "info nowhere": "does not exist",
     "info empty": "neither a dataset nor a run",
@@ -72,14 +77,9 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "picture.png").write_bytes(b"\x89PNG")
     (tmp_path / "full" / "broken.tif").write_bytes(b"II*\0nonsense")
+    write_geotiff(tmp_path / "full" / "dem.tif", np.zeros((4, 4), np.float32))
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.mark.parametrize("words", MISTAKES)
-def test_mistakes_are_reported_in_one_sentence(words: str, place: Path, refused) -> None:
-    assert MISTAKES[words] in refused(words)
-    assert {path.name for path in place.iterdir()} == {"empty", "full"}
 
 
 WORDS = {
@@ -123,40 +123,24 @@ WORDS = {
 
 
 @pytest.mark.parametrize(
-    ("words", "columns"), [*((words, "40") for words in WORDS), *((words, "200") for words in [*WORDS][::5])]
+    ("words", "columns"), [*((words, "40") for words in MISTAKES | WORDS), *((words, "200") for words in [*WORDS][::5])]
 )
-def test_words_that_do_not_parse_are_reported_in_one_sentence(
-    words: str, columns: str, place: Path, monkeypatch, refused
-) -> None:
+def test_mistakes_are_reported_in_one_sentence(words: str, columns: str, place: Path, monkeypatch, refused) -> None:
     monkeypatch.setenv("COLUMNS", columns)
     complaint = refused(words)
-    assert complaint.startswith(f"error: {WORDS[words]}")
+    assert complaint.startswith(f"error: {WORDS[words]}") if words in WORDS else MISTAKES[words] in complaint
     assert not set("│─╭╯") & set(complaint)
     assert {path.name for path in place.iterdir()} == {"empty", "full"}
 
 
 def test_a_missing_extra_names_the_command_to_get_it(tmp_path: Path, monkeypatch, refused) -> None:
-    import sys
-
     monkeypatch.setitem(sys.modules, "trimesh", None)
     simulate = f"simulate --target t72 --out {tmp_path / 'new'} {ONE_VIEW}"
     assert "pip install 'sarsplat[simulate]'" in refused(simulate)
     assert extras.extra_with("json") is None
 
 
-def test_a_warning_is_one_plain_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import warnings
-
-    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 2 0 0\nv 2 2 0\nf 1 2 3\nf 1 1 2\n")
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
-        assert main(["info", str(tmp_path / "flat.obj")]) == 0
-    assert capsys.readouterr().err.startswith("warning: ")
-
-
 def test_ctrl_c_while_the_program_is_loading(monkeypatch, capsys) -> None:
-    import sys
-
     class Interrupted:
         def find_spec(self, name: str, *_: object) -> None:
             if name == "sarsplat.cli.app":
@@ -169,8 +153,6 @@ def test_ctrl_c_while_the_program_is_loading(monkeypatch, capsys) -> None:
 
 
 def test_ctrl_c_after_the_work_is_done_changes_nothing(monkeypatch) -> None:
-    import signal
-
     usual = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr("sys.argv", ["sarsplat", "--version"])
     try:

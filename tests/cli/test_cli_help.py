@@ -72,19 +72,23 @@ def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatc
         main(["reconstruct", "--help"])
     shown = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
     whole = Config(densification=Densification(), ground=FlatGround(), surroundings=Surroundings())
-    for record, prefix in (
-        (whole, ""),
-        *(
-            (getattr(whole, part), f"{part}.")
-            for part in ("rates", "points", "densification", "ground", "surroundings")
-        ),
-    ):
+    parts = ("rates", "points", "densification", "ground", "surroundings")
+    for record, prefix in ((whole, ""), *((getattr(whole, part), f"{part}.") for part in parts)):
         for field in fields(record):
             if isinstance(value := getattr(record, field.name), int | float):
                 flag = f"--{prefix}{field.name}".replace("_", "-")
                 assert re.search(rf"{re.escape(flag)} ((?!--).)*\(default: {value}\)", shown), flag
-    for part in ("rates", "points", "densification", "ground", "surroundings"):
-        assert f"{part} options" in shown
+    assert all(f"{part} options" in shown for part in parts)
+
+
+def test_help_is_whole_wherever_it_is_asked_for(capsys: pytest.CaptureFixture[str], monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    for words in ("evaluate --help", "evaluate run --align rigid -h"):
+        with pytest.raises(SystemExit):
+            main(words.split())
+        told = capsys.readouterr().out
+        assert told.startswith("usage: sarsplat evaluate [-h] [OPTIONS] RUN|PLY\n")
+        assert "(x towards the nose, z up, ground at z = 0); without it" in told  # no line ends early
 
 
 def test_names_that_are_repeated_for_the_sake_of_speed() -> None:

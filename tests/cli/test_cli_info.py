@@ -1,8 +1,10 @@
-"""What `sarsplat info` says of a dataset's views, in letters and as a picture."""
+"""What `sarsplat info` says: of datasets and their views, in letters and as a picture; of runs; of folders of both."""
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from datasets import dataset_of
 from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.runs import Run
 
 GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))
 RING = [View(float(azimuth), 45.0) for azimuth in range(0, 360, 15) if not 100 < azimuth < 200]
@@ -96,3 +99,84 @@ def test_pictures(dataset: Path, tmp_path: Path, said, refused) -> None:
     assert b"<svg" in (tmp_path / "sky.svg").read_bytes()
     assert "does not end in .png or .svg" in refused(f"info {dataset} --plot {tmp_path}/sky.bmp")
     assert not (tmp_path / "sky.bmp").exists()
+
+
+def test_info_lists_datasets_and_runs_in_a_folder(there, tmp_path: Path, unfinished, said) -> None:
+    for folder in ("dataset", "run"):
+        shutil.copytree(folder, tmp_path / "deep" / folder)
+        shutil.copytree(folder, tmp_path / f"bad-{folder}")
+    shutil.copytree("run", tmp_path / "begun")
+    unfinished(tmp_path / "begun")
+    (tmp_path / "begun" / "metrics.json").unlink()
+    (tmp_path / "bad-dataset" / "dataset.json").write_text('{"schema": "sarsplat-dataset"}')
+    (tmp_path / "bad-run" / "config.json").write_text('{"schema": "sarsplat-run"}')
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "config.json").write_text('{"hidden_size": 768}')
+    lines = [" ".join(line.split()) for line in said(f"info {tmp_path}").splitlines()]
+    assert lines[0] == f"{tmp_path}: 2 datasets and 3 runs"
+    rows = {line.split()[0]: line for line in lines[2:]}
+    assert rows["deep/dataset"] == "deep/dataset 16 images of box.obj 8 train, 8 test; 32 × 32 pixels"
+    metrics = json.loads(Path("run/metrics.json").read_text())
+    psnr_db, cd_m = metrics["images"]["test"]["psnr_target_db"], metrics["points"]["visible"]["cd_m"]
+    assert rows["deep/run"].startswith("deep/run run of dataset (sar-gs) finished ")
+    assert f"target {psnr_db:.2f} dB" in rows["deep/run"]
+    assert f"CD {cd_m:#.3g} m" in rows["deep/run"]
+    assert rows["begun"] == "begun run of dataset (sar-gs) unfinished, 4 of 6,000 iterations not evaluated"
+    assert "unusable:" in rows["bad-dataset"]
+    assert "unusable:" in rows["bad-run"]
+    assert "model" not in rows
+
+
+def test_info_on_a_run_whose_dataset_has_moved(run: Path, tmp_path: Path, said, refused) -> None:
+    before = said(f"info {run}").split()
+    header = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps({**header, "dataset": str(tmp_path / "gone")}))
+    after = said(f"info {run}")
+    assert "(no longer there)" in after
+    assert after.split()[-20:] == before[-20:]  # iterations, Gaussians, points: as with the dataset
+    (run / "about.json").unlink()
+    assert said(f"info {run}").split()[-20:] == before[-20:]  # as runs of older versions
+    assert f"`sarsplat evaluate {run} --dataset DIR`" in refused(f"evaluate {run} --no-points")
+    said(f"evaluate {run} --dataset dataset --no-points --no-report")
+    header["dataset_fingerprint"] = "another"
+    (run / "config.json").write_text(json.dumps(header))
+    assert "was made from another dataset than" in refused(f"evaluate {run} --dataset dataset")
+
+
+def test_info_on_an_unfinished_run_says_how_to_go_on(run: Path, tmp_path: Path, unfinished, said, monkeypatch) -> None:
+    """At once: it neither opens the checkpoint nor extracts points."""
+    (run / "points.ply").unlink()
+    monkeypatch.setattr(Run, "load", None)
+
+    def told() -> list[str]:
+        return [" ".join(line.split()) for line in said(f"info {run}").splitlines()]
+
+    lines = told()
+    assert "state trained, but its points have not been extracted" in lines
+    assert "points none yet" in lines
+    assert any(re.fullmatch(r"learned [\d,]+ Gaussians", line) for line in lines)
+    unfinished(run)
+    with (run / "metrics.jsonl").open("a") as log:  # of a training that was killed after its last checkpoint
+        log.write('{"iteration":5,"seconds":9999.0,"loss":0.5}\n')
+    lines = told()
+    assert "state unfinished, 4 of 6,000 iterations" in lines
+    assert "time 9999.0 s" not in lines
+    assert lines[-1] == f"go on with: sarsplat reconstruct {Path('dataset').resolve()} --out {run} --resume"
+    (run / "checkpoints" / "00005000.copy.safetensors").write_bytes(b"")  # no training names one like this
+    assert "state unfinished, 4 of 6,000 iterations" in told()
+    (tmp_path / "whole" / "tiles").mkdir(parents=True)
+    shutil.copytree(run, tmp_path / "whole" / "tiles" / "3")
+    shutil.copy(run / "config.json", tmp_path / "whole" / "config.json")
+    first, *_, last = (" ".join(line.split()) for line in said(f"info {tmp_path}/whole/tiles/3").splitlines())
+    assert first.endswith(f"tiles/3: a tile of the run {tmp_path}/whole, which goes on with it")
+    assert "go on with" not in last
+    shutil.rmtree(run / "checkpoints")
+    assert "state unfinished, 0 of 6,000 iterations" in told()
+    shutil.copy("run/points.ply", run / "points.ply")
+    assert "state finished, but its checkpoint is missing, so it can be neither rendered nor continued" in told()
+
+
+@pytest.mark.parametrize("part", ["run/config.json", "run/report", "run/report/index.html", "dataset/dataset.json"])
+def test_info_points_from_a_part_to_the_whole(there, workshop: Path, part: str, refused) -> None:
+    whole = workshop / part.partition("/")[0]
+    assert f"is part of the {whole.name} {whole}; give that folder" in refused(f"info {part}")

@@ -15,12 +15,14 @@ import trimesh
 from datasets import FEW_POINTS
 from sarsplat import Run, preset, reconstruct
 from sarsplat.cli import main
-from sarsplat.cli.simulated_views import Raster, simulated_views
+from sarsplat.cli.arguments import angles, views_from
+from sarsplat.cli.simulated import Raster, simulated_views
 from sarsplat.data import Dataset, read_dataset, read_masks
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import View
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
 from sarsplat.scenes import paper_views
+from terrains import terrain, write_geotiff
 
 NONE: Raster = ((), (), ())
 PAPER_TEST = [(view, split) for view, split in paper_views() if split == "test"]
@@ -35,10 +37,6 @@ def of(views: list[tuple[View, str]], split: str) -> list[View]:
     return [view for view, name in views if name == split]
 
 
-def test_without_options_the_views_are_the_protocol_s() -> None:
-    assert chosen() == paper_views()
-
-
 def test_random_training_views_lie_between_the_grazing_angles() -> None:
     views = of(chosen(random=400), "train")
     assert len(views) == len(set(views)) == 400
@@ -50,17 +48,14 @@ def test_random_training_views_lie_between_the_grazing_angles() -> None:
     assert (grazings < middle).mean() == pytest.approx(0.5, abs=0.08)
     azimuths = np.radians([view.azimuth_deg for view in views])
     assert np.hypot(np.cos(azimuths).mean(), np.sin(azimuths).mean()) < 0.15
+    assert chosen(random=12, seed=1) == chosen(random=12, seed=1) != chosen(random=12, seed=2)
     narrow = of(chosen(((), ("20", "40"), ()), random=50), "train")
     assert all(20 <= view.grazing_deg <= 40 for view in narrow)
     assert all(view.grazing_deg == 30 for view in of(chosen(((), (), ("60",)), random=5), "train"))
 
 
-def test_random_views_follow_from_the_seed() -> None:
-    first, again, other = (chosen(random=12, seed=seed) for seed in (1, 1, 2))
-    assert first == again != other
-
-
-def test_own_training_views_are_tested_on_the_protocol_s() -> None:
+def test_views_are_the_protocol_s_or_own_ones_tested_on_these() -> None:
+    assert chosen() == paper_views()
     ring = chosen((("0:360:45",), ("45",), ()), test_theirs=True)
     assert of(ring, "train") == [View(float(azimuth), 45.0) for azimuth in range(0, 360, 45)]
     assert ring[8:] == PAPER_TEST
@@ -82,6 +77,44 @@ def test_own_training_views_are_tested_on_the_protocol_s() -> None:
 def test_views_that_contradict_each_other_are_refused(options: dict[str, Any], told: str) -> None:
     with pytest.raises(SarsplatError, match=told):
         chosen(**options)
+
+
+@pytest.mark.parametrize(
+    ("words", "degrees"),
+    [
+        (["30"], [30]),
+        (["-7.5", "10"], [-7.5, 10]),
+        (["0:360:90"], [0, 90, 180, 270]),
+        (["10:0:-5", "3"], [10, 5, 3]),
+        (["0:0.3:0.1"], [0, 0.1, 0.2]),  # rounding adds no angle at the stop
+        (["0:1:0.4"], [0, 0.4, 0.8]),
+    ],
+)
+def test_angles(words: list[str], degrees: list[float]) -> None:
+    assert angles(words, "azimuth") == pytest.approx(degrees)
+
+
+@pytest.mark.parametrize("word", ["east", "1:2", "0:10:0", "0:10:-1", "0:inf:1", "0:1:1e-9", "", "1:2:3:4"])
+def test_what_is_no_angle_is_named(word: str) -> None:
+    with pytest.raises(SarsplatError, match="--azimuth"):
+        angles([word], "azimuth")
+
+
+def test_every_azimuth_at_every_elevation_once() -> None:
+    views = views_from(["0", "90", "0:180:90"], [], ["15", "75"])
+    assert [(view.azimuth_deg, view.grazing_deg) for view in views] == [(0, 75), (90, 75), (0, 15), (90, 15)]
+
+
+@pytest.mark.parametrize("word", ["1e308", "-4000", "0:1e308:1e305"])
+def test_azimuths_beyond_ten_turns_are_refused(word: str) -> None:
+    with pytest.raises(SarsplatError, match="not a number of degrees between ±3600"):
+        views_from([word], ["30"], [])
+
+
+def test_radians_are_told() -> None:
+    with pytest.warns(SarsplatWarning, match="look like radians; if they are, multiply"):
+        assert len(views_from(["0:6.28:0.26"], [], ["0.26", "0.78"])) == 50
+    assert len(views_from(["0:3:1"], ["17"], [])) == 3  # honest: told nothing
 
 
 @pytest.fixture
@@ -188,13 +221,11 @@ def test_masks_are_written_for_every_image(box: Path, words: str) -> None:
         assert dataset.power[lit].sum() > 0.65 * dataset.power.sum()  # the response spreads the rest
 
 
-def test_masks_without_pillow_are_refused_before_any_work(box: Path, monkeypatch, capsys) -> None:
+def test_masks_without_pillow_are_refused_before_any_work(tmp_path: Path, monkeypatch, refused) -> None:
     monkeypatch.setitem(sys.modules, "PIL", None)
     monkeypatch.setattr("sarsplat.scenes.simulate.simulate_images", None)
-    out = box.parent / "new"
-    assert main(["simulate", "--target", "t72", "--masks", "--out", str(out)]) == 2
-    assert "masks need Pillow; install it with" in " ".join(capsys.readouterr().err.split())
-    assert not out.exists()
+    told = refused(f"simulate --target t72 --masks --out {tmp_path}/new")
+    assert "masks need Pillow; install it with" in told
 
 
 def test_images_need_not_be_square(box: Path) -> None:
@@ -204,21 +235,18 @@ def test_images_need_not_be_square(box: Path) -> None:
     assert simulated(box, "--scale 0.001 --spacing 0.2").grid.spacing_m == (0.2, 0.2)
 
 
-def test_a_mesh_in_another_unit_is_refused_unless_the_images_are_chosen(box: Path, capsys) -> None:
-    words = ["simulate", "--mesh", str(box), "--azimuth", "0", "--grazing", "30", "--out", str(box.parent / "new")]
-    assert main(words) == 2
-    assert "the target is 2.6e+03 m long, but the images are 38.4 m wide" in capsys.readouterr().err
-    assert not (box.parent / "new").exists()
+def test_a_mesh_in_another_unit_is_refused_unless_the_images_are_chosen(box: Path, refused) -> None:
+    told = refused(f"simulate --mesh {box} --azimuth 0 --grazing 30 --out {box.parent}/new")
+    assert "the target is 2.6e+03 m long, but the images are 38.4 m wide" in told
 
 
-STACK = ["--azimuth", "0", "--grazing", "45", "--pixels", "24", "--spacing", "0.5", "--ground", "0.5"]
+STACK = "simulate --target slicy --azimuth 0 --grazing 45 --pixels 24 --spacing 0.5 --ground 0.5 --noise 0.1"
 
 
-def test_stacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stacks(tmp_path: Path, said, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "stacks"
-    options = ["--passes", "3", "--baseline", "0.004", "--noise", "0.1", "--wavelength", "0.05"]
-    assert main(["simulate", "--target", "slicy", *STACK, *options, "--out", str(out)]) == 0
-    assert "1 3-channel stack of slicy" in " ".join(capsys.readouterr().out.split())
+    told = said(f"{STACK} --passes 3 --baseline 0.004 --wavelength 0.05 --out {out}")
+    assert "1 3-channel stack of slicy" in told
     made = read_dataset(out)
     (stack,) = made.stacks
     assert (stack.wavelength_m, stack.noise) == (0.05, (0.1, 0.1, 0.1))
@@ -226,27 +254,47 @@ def test_stacks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert made.signal is not None
     assert made.signal.shape == (1, 3, 24, 24)
     assert made.looks == 1
-    assert main(["info", str(out)]) == 0
-    told = " ".join(capsys.readouterr().out.split())
+    told = " ".join(said(f"info {out}").split())
     assert "passes 3, wavelength 0.05 m, each transmits elevation resolution 6.25 m, ambiguous by 12.5 m" in told
     assert main(["check", str(out)]) == 0
     assert "cannot determine" not in capsys.readouterr().err  # phases tell heights
 
 
-def test_polarisations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("more", "count", "offsets", "told"),
+    [
+        ("", 1, (0.0,) * 3, "polarisations HH, HV, VV noise 0.1, 0.1, 0.1 (β⁰ of each channel)"),
+        ("--passes 2 --baseline 0.004", 2, (-0.002,) * 3 + (0.002,) * 3, "polarisations HH, HV, VV, HH, HV, VV"),
+    ],
+)
+def test_polarisations(tmp_path: Path, said, more: str, count: int, offsets: tuple[float, ...], told: str) -> None:
     """Alone, and of each of several passes."""
-    options = ["simulate", "--target", "slicy", *STACK, "--polarimetric", "--noise", "0.1", "--out"]
-    assert main([*options, str(tmp_path / "alone")]) == 0
-    assert main([*options, str(tmp_path / "both"), "--passes", "2", "--baseline", "0.004"]) == 0
-    (alone,), (both,) = (read_dataset(tmp_path / name).stacks for name in ("alone", "both"))
-    assert alone.polarisations == ("HH", "HV", "VV")
-    assert alone.offsets_rad == (0.0, 0.0, 0.0)
-    assert both.polarisations == ("HH", "HV", "VV") * 2
-    assert both.offsets_rad == pytest.approx((-0.002,) * 3 + (0.002,) * 3)
-    assert main(["info", str(tmp_path / "both")]) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "both: a dataset of 1 stack" in told
-    assert "passes 2, wavelength 0.031 m, each transmits polarisations HH, HV, VV, HH, HV, VV" in told
-    assert main(["info", str(tmp_path / "alone")]) == 0
-    told = " ".join(capsys.readouterr().out.split())
-    assert "passes 1, wavelength 0.031 m polarisations HH, HV, VV noise 0.1, 0.1, 0.1 (β⁰ of each channel)" in told
+    said(f"{STACK} --polarimetric {more} --out {tmp_path}/made")
+    (stack,) = read_dataset(tmp_path / "made").stacks
+    assert stack.polarisations == ("HH", "HV", "VV") * count
+    assert stack.offsets_rad == pytest.approx(offsets)
+    shown = " ".join(said(f"info {tmp_path}/made").split())
+    assert "made: a dataset of 1 stack" in shown
+    assert f"passes {count}, wavelength 0.031 m{', each transmits' * (count > 1)} {told}" in shown
+
+
+def test_terrain_goes_from_its_heights_to_a_reconstruction(tmp_path: Path, said) -> None:
+    """An oblong slope with a bump, on a hill of 400 m."""
+    relief = terrain(lambda x, y: 400 + 0.15 * x + np.exp(-((x - 3) ** 2) - y**2), (12.0, 9.0), (0.75, 0.5))
+    geotiff = write_geotiff(tmp_path / "dem.tif", relief.heights_m[::-1].astype(np.float32), scale=(0.75, 0.5, 0.0))
+    data, views = tmp_path / "data", "--azimuth 0:360:60 --grazing 40 60 --ground 0.04 --terrain"
+    pixels = "--pixels 32 --spacing 0.3 --ray-spacing 0.15"
+    said(f"simulate --target slicy {pixels} {views} {geotiff} --out {data}")
+    dataset = read_dataset(data)
+    assert dataset.terrain is not None
+    assert dataset.terrain.heights_m.shape == (37, 33)
+    assert dataset.terrain.height_m(np.zeros(1), np.zeros(1)) == pytest.approx(0.0, abs=1e-6)
+    assert "24 × 18 m (x × y)" in said(f"info {data}")
+    few = "--preset quick --iterations 20 --points.voxel 0.3 --points.rays-per-pixel 2"
+    said(f"reconstruct {data} {few} --out {tmp_path}/run")
+    loaded: Any = Run.load(tmp_path / "run")
+    kept = loaded.model.ground().height_m
+    assert np.array_equal(kept.heights_m, dataset.terrain.heights_m)
+    x, y, z = loaded.gaussians.means.numpy().T
+    assert (z >= kept.height_m(x, y) - 1e-5).all()
+    assert np.abs(loaded.render(dataset.views) - dataset.power).mean() < 0.5 * dataset.power.mean()

@@ -1,20 +1,24 @@
-"""What reaches the terminal: on any encoding, without control characters, and in one sentence when memory runs out."""
+"""What reaches the terminal: on any encoding, without control characters, and commands as they can be typed here."""
 
 from __future__ import annotations
 
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from sarsplat.cli import main
+from chip_files import write_chips
+from made_imports import rewrite
+from sarsplat.cli import console, main
+from sarsplat.data import read_dataset
 
 RUN = "import sys, sarsplat.cli; sys.exit(sarsplat.cli.main())"
-SIMULATE = ["simulate", "--target", "t72", "--azimuth", "0", "180", "--grazing", "45", "--pixels", "16"]
+SIMULATE = ("simulate", "--target", "t72", "--azimuth", "0", "180", "--grazing", "45", "--pixels", "16")
 
 
 def test_terminals_that_know_few_letters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,3 +69,100 @@ def test_when_memory_runs_out(tmp_path: Path, refused) -> None:
         resource.setrlimit(resource.RLIMIT_AS, usual)
     assert "memory" in told
     assert not list(tmp_path.iterdir())
+
+
+# ---- the next command -----------------------------------------------------------------------------------------------
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    """The console script, in a folder that no PATH has."""
+    made = tmp_path / "tools" / "sarsplat"
+    made.parent.mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    made.write_text(f"#!{sys.executable}\nimport sys\nfrom sarsplat.cli import main\nsys.exit(main())\n")
+    made.chmod(0o755)
+    return made
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="scripts are .exe files there")
+def test_the_hint_of_a_script_that_is_not_on_the_path_works(script, tmp_path, monkeypatch, said):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["tools/sarsplat"])  # as a shell calls it
+    (hint,) = re.findall(r"^next: (.*)$", said([*SIMULATE, "--out", "two words"]), re.MULTILINE)
+    assert hint.startswith("tools/sarsplat reconstruct 'two words'")
+    asked = subprocess.run(f"{hint} --help", shell=True, capture_output=True, text=True, check=False)
+    assert asked.returncode == 0, asked.stderr
+
+
+@pytest.mark.parametrize(
+    ("called", "where", "typed"),
+    [
+        ("tools/sarsplat", ".", "tools/sarsplat"),
+        ("{here}/tools/sarsplat", ".", "tools/sarsplat"),
+        ("sarsplat", "tools", "./sarsplat"),
+        ("{here}/tools/sarsplat", "elsewhere", "{here}/tools/sarsplat"),
+        ("pytest", ".", "sarsplat"),
+    ],
+)
+@pytest.mark.skipif(sys.platform == "win32", reason="paths are written differently there")
+def test_how_the_program_was_called(script, tmp_path, monkeypatch, called, where, typed):
+    monkeypatch.chdir(tmp_path / where)
+    monkeypatch.setattr(sys, "argv", [called.format(here=tmp_path)])
+    assert console.program() == typed.format(here=tmp_path)
+
+
+def test_on_the_path_the_name_is_enough(script, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(script.parent), prepend=os.pathsep)
+    monkeypatch.setattr(sys, "argv", [str(script)])
+    assert console.program() == "sarsplat"
+
+
+def test_commands_are_shown_alike_wherever_they_are_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(console, "program", lambda: "bin/sarsplat")
+    (tmp_path / "empty").mkdir()
+    assert main(["reconstruct", "empty", "--out", "new"]) == 2
+    assert "`bin/sarsplat simulate` or `bin/sarsplat import`" in capsys.readouterr().err
+    console.warn("x/sarsplat view and what sarsplat did; see sarsplat view --help")
+    told = capsys.readouterr().err
+    assert told == "warning: x/sarsplat view and what sarsplat did; see bin/sarsplat view --help\n"
+
+
+# ---- warnings -------------------------------------------------------------------------------------------------------
+def test_importing_counts_what_lacks_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of six chips the last has no azimuth, and one more has no label."""
+    labels = write_chips(tmp_path, [("T72", "132", 17, 70 * k if k < 5 else "") for k in range(7)])
+    rewrite(labels, lambda rows: rows[:-1])
+    command = ["import", "mstar", str(tmp_path), "--labels", str(labels), "--class", "T72"]
+    assert main([*command, "--train-views", "1", "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    lines = told.err.splitlines()
+    assert [line.startswith("warning: ") for line in lines] == [True, True, True]
+    assert "has no label for 1 JPEG" in lines[0]
+    assert "empty fields for 1 of 6 chips (the first: target_az_deg in line 7)" in lines[1]
+    assert "one training view (azimuth 0°)" in lines[2]
+    assert "5 views (1 train, 4 test-17)" in told.out
+    assert len(read_dataset(tmp_path / "out").views) == 5
+
+
+@pytest.mark.parametrize(
+    ("grazing", "told"),
+    [
+        (
+            15,
+            [
+                "so the shape is uncertain; add views at other",
+                "is uncertain: the weakest direction of its views is 77°",
+            ],
+        ),
+        (60, []),
+    ],
+)
+def test_an_uncertain_shape_is_called_so_before_and_after(
+    box: Path, grazing: int, told: list[str], tmp_path: Path, said, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said(f"simulate --mesh {box}/box.obj --azimuth 0:360:45 --grazing {grazing} --pixels 16 --out {tmp_path}/ring")
+    few = "--iterations 20 --gaussians 200 --points.voxel 0.3 --points.rays-per-pixel 2"
+    assert main(f"reconstruct {tmp_path}/ring {few} --out {tmp_path}/run".split()) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
+    assert len(lines) == len(told)
+    assert all(part in line for part, line in zip(told, lines, strict=True))

@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,7 +26,6 @@ KILLS = int(os.environ.get("SARSPLAT_TEST_KILLS", "2"))
 pytestmark = pytest.mark.slow
 Tree = dict[str, bytes] | None
 SEEDS = (5, 6)
-COUNTED = {"simulate", "import", "reconstruct", "--resume", "--overwrite", "evaluate", "report", "render", "export"}
 
 
 def tree(path: Path) -> Tree:
@@ -54,7 +52,6 @@ class Workshop:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.kills: Counter[str] = Counter()
         box = trimesh.creation.box(extents=(2.4, 1.2, 1.0))
         box.apply_translation((0, 0, 0.5))
         box.export("box.obj")
@@ -76,7 +73,6 @@ class Workshop:
         """Run a command that kills itself at some moment, or ends before."""
         process = self.process(command, {limit: str(value)})
         assert process.returncode in (0, -signal.SIGKILL), process.stderr
-        self.kills[" ".join(word for word in command.split() if word in COUNTED)] += process.returncode != 0
 
     def process(self, command: str, extra: dict[str, str]) -> subprocess.CompletedProcess[str]:
         script = str(Path(__file__).with_name("killable.py"))
@@ -113,7 +109,6 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workshop]:
     for seed in SEEDS:
         made.done(f"reconstruct dataset --out run{seed} --seed {seed}")
     yield made
-    print(f"killed: {dict(made.kills)}")  # with pytest -s
     os.chdir(before)
     PRESETS.update(usual)
 
@@ -188,11 +183,8 @@ def test_resuming(workshop: Workshop) -> None:
 
 def test_overwriting_a_run(workshop: Workshop) -> None:
     """The old run is whole until the new one has a checkpoint to go on from."""
-    command, out, old = (
-        "reconstruct dataset --out over --overwrite --seed 5",
-        workshop.folder / "over",
-        tree(Path("run6")),
-    )
+    command, out = "reconstruct dataset --out over --overwrite --seed 5", workshop.folder / "over"
+    old = tree(Path("run6"))
     shutil.copytree("run6", out)
     wanted = results(workshop.folder / "run5")
     for limit, value in workshop.moments(command):
@@ -216,8 +208,7 @@ def test_scores_and_report(workshop: Workshop, name: str) -> None:
     before = tree(run)
     workshop.done(f"{name} scored")
     after = tree(run)
-    assert before is not None
-    assert after is not None
+    assert before is not None and after is not None
     for turn, (limit, value) in enumerate(workshop.moments(f"{name} scored")):
         if turn % 2 == 0:
             shutil.rmtree(run)

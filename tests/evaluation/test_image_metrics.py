@@ -27,18 +27,14 @@ def test_psnr_compares_amplitudes_divided_by_the_training_maximum(truth, rendere
 
 
 def test_target_psnr_counts_only_pixels_above_minus_30_db_of_the_set():
-    truth, rendered = np.zeros((2, 64, 64), np.float32), np.zeros((2, 64, 64), np.float32)
+    truth, rendered = np.zeros((3, 64, 64), np.float32), np.zeros((3, 64, 64), np.float32)
     truth[0, :8, :8], rendered[0, :8, :8] = 1.0, 0.81  # error .1 on the target
     truth[1, :2, :2], rendered[1, :2, :2] = 0.0011, 0.0  # above 0.001 of the *set's* maximum: a target pixel
     truth[1, 4:, 4:], rendered[1, 4:, 4:] = 0.0009, 0.5  # below: not scored, however wrong
+    rendered[2] = 1.0  # an image without a target
     expected = (20.0 - 10 * math.log10(0.0011)) / 2
     assert psnr_target_db(truth, rendered, 1.0) == pytest.approx(expected, abs=1e-3)
     assert psnr_db(truth[:1], rendered[:1], 1.0) == pytest.approx(20.0 + 10 * math.log10(64), abs=1e-3)
-
-
-def test_target_psnr_ignores_images_without_a_target():
-    truth = stack(1.0, 0.0)
-    assert psnr_target_db(truth, stack(0.81, 1.0), 1.0) == pytest.approx(20.0, abs=1e-3)
 
 
 def test_ssim_matches_a_direct_gaussian_window():
@@ -67,14 +63,6 @@ def test_nats_are_log_s_plus_ratio_inside_the_margin_only():
     assert nats_per_pixel(truth, rendered, 24) == pytest.approx(math.log(3) + 2, rel=1e-6)
     truth[:, 24, 24] += 80 * 80  # the first pixel inside
     assert nats_per_pixel(truth, rendered, 24) == pytest.approx(math.log(3) + 2 + 1 / 3, rel=1e-6)
-
-
-def test_the_true_mean_has_the_best_likelihood():
-    generator = np.random.default_rng(1)
-    mean = np.exp(generator.normal(size=(4, 128, 128)))
-    speckled = mean * generator.exponential(size=mean.shape)
-    best = nats_per_pixel(speckled, mean)
-    assert all(nats_per_pixel(speckled, mean * factor) > best + 0.003 for factor in (0.9, 1.1))
 
 
 def test_correlation_filters_the_full_chip_then_crops():
@@ -129,8 +117,5 @@ def test_unsound_images_are_refused_not_scored(score):
         with pytest.raises(SarsplatError, match=message) as caught:
             score(truth, rendered)
         assert not isinstance(caught.value, UndefinedScore)
-
-
-def test_the_reference_must_be_positive():
     with pytest.raises(SarsplatError, match=r"0\.0"):
-        psnr_db(stack(1.0), stack(1.0), 0.0)
+        psnr_db(stack(1.0), stack(1.0), 0.0)  # the reference

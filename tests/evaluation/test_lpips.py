@@ -48,11 +48,6 @@ def test_small_images_have_no_lpips(network):
         lpips(np.ones((1, 30, 40), np.float32), np.ones((1, 30, 40), np.float32), 1.0, network)
 
 
-def test_missing_weights_are_named(tmp_path):
-    with pytest.raises(SarsplatError, match=r"alexnet_features_torchvision\.npz"):
-        Lpips(tmp_path)
-
-
 @needs_weights
 @pytest.mark.parametrize("damage", ["truncated", "text", "other key", "other shape"])
 def test_broken_heads_are_refused(tmp_path, damage):

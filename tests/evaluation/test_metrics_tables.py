@@ -61,6 +61,9 @@ def test_values_are_written_and_compared_as_their_metric_says():
     assert (psnr.text(1.006), psnr.text(None), lpips.text(0.5)) == ("1.01", "–", "0.5000")
     assert (psnr.best([1.0, None, 2.0]), lpips.best([1.0, None, 2.0]), psnr.best([1.0, None])) == (2.0, 1.0, None)
     assert (psnr.arrow, lpips.arrow) == ("↑", "↓")
+    distance = metrics_of_points(YARDSTICK)[0]  # three digits, whatever their size
+    written = [distance.text(value) for value in (0.00412, 0.0490, 0.4, 5.3, 123.4)]
+    assert written == ["0.00412", "0.0490", "0.400", "5.30", "123"]
 
 
 def test_noise_free_sets_stand_above_the_paper():
@@ -75,22 +78,13 @@ def test_noise_free_sets_stand_above_the_paper():
     ]
 
 
-def test_another_row_of_the_paper():
-    shown = table(metrics(test={"psnr_db": 40.0}), paper_scores("kraz"))
-    assert rows(shown)[-1] == ["paper, KRAZ", "37.33", "0.9969", "0.0109", "0.207", "0.862", "–", "376"]
-    assert paper_scores("Btr70").values["f1@0.3"] == 0.846
-
-
-def test_the_paper_is_quoted_by_keys_that_exist():
-    assert set(paper_scores("T72").values) < {metric.key for metric in METRICS}
-
-
-def test_unknown_rows_are_told():
+def test_the_row_of_the_paper_is_that_of_the_target():
+    for target, f1 in (("T72", 0.925), ("Btr70", 0.846), ("kraz", 0.862)):
+        assert paper_scores(target).values["f1@0.3"] == f1
+        assert set(paper_scores(target).values) < {metric.key for metric in METRICS}
     with pytest.raises(SarsplatError, match=r"'bmp2'.*T72, BTR70, KRAZ"):
         paper_scores("bmp2")
 
-
-def test_the_row_of_the_paper_is_that_of_the_target():
     def beside(target="unnamed", protocol="paper", looks=None, ground=False):
         published = paper_beside(SimpleNamespace(target=target, protocol=protocol, looks=looks, ground=ground))
         return published and published.name
@@ -112,6 +106,7 @@ def test_measured_sets_stand_beside_the_baselines():
         ["nearest chip, test-17", "0.573", "0.841", "–"],
         ["sar-gs, test-15", "0.500", "–", "62"],
     ]
+    assert rows(table(metrics())) == [["sar-gs", "0.0741", "0.983", "0.765", "62"]]  # without test views
 
 
 def test_a_baseline_that_wins_is_named():
@@ -123,10 +118,6 @@ def test_a_baseline_that_wins_is_named():
         "on the set a the baseline rotated average, which knows no third dimension, is better than sar-gs: negative "
         "log-likelihood, registered, nats/pixel 0.530 against 0.550"
     ]
-
-
-def test_without_test_views_the_points_have_their_row():
-    assert rows(table(metrics())) == [["sar-gs", "0.0741", "0.983", "0.765", "62"]]
 
 
 @pytest.mark.parametrize("speckled", [False, True])

@@ -71,13 +71,10 @@ def test_distance_is_exact_for_any_triangles():
     triangles = np.concatenate([slivers, small, [[[-9, -9, -4], [9, -9, -4], [0, 9, -4]]]])
     points = generator.normal(size=(300, 3)) * 3
     points[:20] = triangles[:20].mean(axis=1)
-    assert surface_distance(points, triangles) == pytest.approx(brute_force(points, triangles), abs=1e-12)
-
-
-def test_distance_from_the_middle_of_a_sphere_where_all_triangles_compete():
     sphere = np.asarray(trimesh.creation.icosphere(subdivisions=2).triangles)
-    middle = np.array([[1e-3, 0, 0]])
-    assert surface_distance(middle, sphere) == pytest.approx(brute_force(middle, sphere), abs=1e-12)
+    middle = np.array([[1e-3, 0, 0]])  # where all triangles compete
+    for places, surface in ((points, triangles), (middle, sphere)):
+        assert surface_distance(places, surface) == pytest.approx(brute_force(places, surface), abs=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5000])
@@ -143,11 +140,8 @@ def test_thresholds_follow_the_resolution_cell_to_one_digit(cell: float, thresho
     keys = [metric.key for metric in all_metrics(yardstick)]
     assert [f"f1@{threshold:g}" for threshold in thresholds] == [key for key in keys if key.startswith("f1@")]
     assert f"recall@{thresholds[0]:g}" in keys
-
-
-def test_the_three_thresholds_differ() -> None:
-    for cell in range(10, 100):
-        high, middle, low = Yardstick.of(grid(cell / 1000)).thresholds_m
+    for size in range(10, 100):
+        high, middle, low = Yardstick.of(grid(size / 1000)).thresholds_m
         assert high > middle > low > 0
 
 
@@ -166,9 +160,3 @@ def test_a_larger_scene_has_the_same_scores_in_cells(factor: float) -> None:
         return [*lengths, of_all["cd_squared_m2"] / factor**2, of_all[f"f1{cell}"], of_all["count"]]
 
     assert scored(factor) == pytest.approx(scored(1.0), rel=1e-3)
-
-
-def test_lengths_are_written_with_three_digits_whatever_their_size() -> None:
-    distance = metrics_of_points(YARDSTICK)[0]
-    written = [distance.text(value) for value in (0.00412, 0.0490, 0.4, 5.3, 123.4, None)]
-    assert written == ["0.00412", "0.0490", "0.400", "5.30", "123", "–"]

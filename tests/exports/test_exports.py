@@ -1,7 +1,5 @@
 """Every export, read back by a program that is not ours."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,13 +1,18 @@
 """Gaussians as one would handle a tensor: indexed, joined and moved, with gradients."""
 
-from __future__ import annotations
+import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
+from refusals import Do, Refusals, check_refused
+from sarsplat import Polarimetric
+from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
+from sarsplat.gaussians.covariance import covariance, rotation_matrix
 
 
 def scene(count: int = 6, columns: int = 4) -> Gaussians:
@@ -65,15 +70,6 @@ def test_scenes_are_joined_in_order_with_gradients() -> None:
     assert torch.equal(Gaussians.cat([whole[:5], whole[5:]]).quaternions, whole.quaternions)
 
 
-def test_what_cannot_be_joined() -> None:
-    with pytest.raises(SarsplatError, match="there are no Gaussians to join; give at least one scene"):
-        Gaussians.cat([])
-    with pytest.raises(
-        SarsplatError, match=r"of torch.float64 on cpu cannot be joined to those of torch.float32 on cpu"
-    ):
-        Gaussians.cat([scene(), scene().to(torch.float64)])
-
-
 @pytest.mark.parametrize(
     "arguments", [(torch.float64,), ("cpu", torch.float64), (torch.zeros(1, dtype=torch.float64),)]
 )
@@ -88,9 +84,59 @@ def test_moved_with_gradients(arguments: tuple[object, ...]) -> None:
     assert {tensor.device.type for tensor in whole.to(device="meta").tensors().values()} == {"meta"}
 
 
-def test_whole_numbers_are_refused_in_a_right_sentence() -> None:
-    whole = {name: tensor.detach().long() for name, tensor in scene().tensors().items()}
-    with pytest.raises(
-        SarsplatError, match=r"^means is torch.int64; give floating-point numbers, such as torch.float32$"
-    ):
-        Gaussians(*list(whole.values())[:4], scattering=Harmonics(whole["scattering"]))
+# ---- their shapes ----------------------------------------------------------------------------------------------------
+def test_rotation_is_scipys():
+    q = torch.randn(50, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    expected = Rotation.from_quat(q.numpy()[:, [1, 2, 3, 0]]).as_matrix()  # scipy: scalar last
+    assert rotation_matrix(q).numpy() == pytest.approx(expected, abs=1e-12)
+    assert torch.allclose(rotation_matrix(-7.3 * q), rotation_matrix(q), atol=1e-12)
+
+
+def test_covariance_has_the_scales_along_the_gaussians_axes():
+    generator = torch.Generator().manual_seed(1)
+    q = torch.randn(50, 4, dtype=torch.float64, generator=generator)
+    s = torch.rand(50, 3, dtype=torch.float64, generator=generator) + 0.1
+    matrix, axes = covariance(q, s), rotation_matrix(q)
+    assert torch.equal(matrix, matrix.transpose(1, 2))
+    assert torch.allclose(matrix @ axes, axes * (s**2)[:, None, :], atol=1e-12)
+
+
+# ---- what is refused -------------------------------------------------------------------------------------------------
+def changed(**tensors: torch.Tensor) -> Do:
+    return lambda _: scene().with_tensors(**tensors)
+
+
+WHOLE = {name: tensor.detach().long() for name, tensor in scene().tensors().items()}
+LOBES = NormalLobes(torch.zeros(6, 3))
+REFUSED: Refusals = [
+    (lambda _: Gaussians.cat([]), "there are no Gaussians to join; give at least one scene"),
+    (
+        lambda _: Gaussians.cat([scene(), scene().to(torch.float64)]),
+        "of torch.float64 on cpu cannot be joined to those of torch.float32 on cpu",
+    ),
+    (lambda _: Gaussians.cat([replace(scene(), scattering=LOBES), scene()]), "normal-lobes and harmonics cannot be"),
+    (
+        lambda _: Gaussians(*list(WHOLE.values())[:4], scattering=Harmonics(WHOLE["scattering"])),
+        "^means is torch.int64; give floating-point numbers, such as torch.float32$",
+    ),
+    (changed(means=torch.zeros(6, 2)), r"means has shape \(6, 2\); for 6 Gaussians it must be \(6, 3\)"),
+    (changed(scales=torch.zeros(5, 3)), r"scales has shape \(5, 3\); for 6 Gaussians it must be \(6, 3\)"),
+    (changed(optical_depth=torch.zeros(6, 1)), r"optical_depth has shape \(6, 1\); .* it must be \(6,\)"),
+    (changed(scattering=torch.zeros(6, 5)), r"scattering has shape \(6, 5\); .* K = 1, 4, 9 or 16"),
+    (changed(scattering=torch.zeros(3, 4)), r"6 Gaussians it must be \(6, 4"),
+    (changed(scales=torch.zeros(6, 3).double()), "scales is torch.float64 on cpu but means is torch.float32"),
+    (lambda _: replace(scene(), scattering=torch.zeros(6, 4)), "scattering is an object of type Tensor"),
+    (lambda _: Harmonics(torch.zeros(3, 4), math.inf), "p_min inf must be finite"),
+    (lambda _: Harmonics(torch.zeros(3, 4), -0.1), "p_min -0.1 must be finite and at least 0"),
+    (lambda _: NormalLobes(torch.zeros(3, 2)), r"shape \(3, 2\); for N Gaussians it must be \(N, K\) with K = 3"),
+    (lambda _: NormalLobes([[0.0, 0.0]]), "parameters is ..0.0, 0.0..; give a torch.Tensor"),
+    *(
+        (lambda _, n=names: Polarimetric(torch.zeros(2, len(n) ** 2 + 1), 0.0, n), "give 2 to 4 different ones of HH")
+        for names in (("HH",), ("HH", "HH"), ("HH", "XX"), ("HH", "HV", "VH", "VV", "RR"))
+    ),
+]
+
+
+@pytest.mark.parametrize(("do", "words"), REFUSED)
+def test_what_is_refused_in_a_sentence(tmp_path: Path, do: Do, words: str) -> None:
+    check_refused(tmp_path, do, words)

@@ -1,7 +1,5 @@
 """Where Gaussians start: the space that images bound, and the paper's hemisphere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,13 +1,11 @@
 """Covariances between polarisations: what a Gaussian's parameters mean, and their gradients."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 import torch
 
-from sarsplat import Polarimetric, SarsplatError
+from sarsplat import Polarimetric
 from sarsplat.gaussians.law_polarimetric import covariances_between
 
 NAMES = {2: ("HH", "VV"), 3: ("HH", "HV", "VV"), 4: ("HH", "HV", "VH", "VV")}
@@ -73,22 +71,3 @@ def test_less_detail_leaves_the_matrix():
     both = [covariances_between(amplitudes(one), 3) for one in (of, less)]
     per_power = [one / one.diagonal(dim1=-2, dim2=-1).real.mean(-1)[..., None, None] for one in both]
     torch.testing.assert_close(*per_power)
-
-
-def test_threads_change_nothing(threads):
-    values = []
-    for count in (1, 3):
-        threads(count)
-        of = law(3, 100_003)
-        of.parameters.requires_grad_()
-        out = amplitudes(of)
-        (gradient,) = torch.autograd.grad(out, of.parameters, torch.ones_like(out))
-        values.append((out.detach(), gradient))
-    assert torch.equal(values[0][0], values[1][0])
-    assert torch.equal(values[0][1], values[1][1])
-
-
-@pytest.mark.parametrize("names", [("HH",), ("HH", "HH"), ("HH", "XX"), ("HH", "HV", "VH", "VV", "RR")])
-def test_polarisations_that_are_none_are_refused(names):
-    with pytest.raises(SarsplatError, match="give 2 to 4 different ones of HH"):
-        Polarimetric(torch.zeros(2, len(names) ** 2 + 1), 0.0, names)

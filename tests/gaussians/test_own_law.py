@@ -1,10 +1,7 @@
 """A scattering law of one's own: rendered, trained, saved and read like ours, here and by an entry point."""
 
-from __future__ import annotations
-
 import inspect
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
@@ -13,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from datasets import FEW_POINTS, box_dataset
+from datasets import FEW_POINTS
 from sarsplat import Run, preset, reconstruct
 from sarsplat.data import Dataset, read_gaussians_ply, write_gaussians_ply
 from sarsplat.errors import SarsplatError
@@ -46,25 +43,18 @@ def forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SCATTERINGS, "_entries", dict(SCATTERINGS._entries))
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return box_dataset(tmp_path_factory.mktemp("box"), ImageGrid(20, 26, (0.3, 0.25), (0.45, 0.3)))
-
-
 def scene(law: Scattering) -> Gaussians:
     n = len(law.parameters)
     return Gaussians(torch.randn(n, 3), torch.randn(n, 4), torch.full((n, 3), 0.2), torch.ones(n), law)
 
 
 @pytest.mark.usefixtures("forgotten")
-def test_registered_it_is_trained_saved_and_read(dataset: Dataset, tmp_path: Path) -> None:
+def test_registered_it_is_trained_saved_and_read(small_box: Dataset, tmp_path: Path) -> None:
     short = replace(preset("default"), iterations=40, gaussians=200, points=FEW_POINTS)
-    with pytest.raises(
-        SarsplatError, match=r"scattering is 'fan'; it must be one of .* a law that is registered first"
-    ):
-        reconstruct(dataset, short, scattering="fan", quiet=True)
+    with pytest.raises(SarsplatError, match=r"scattering is 'fan'; it must be one of .* registered first"):
+        reconstruct(small_box, short, scattering="fan", quiet=True)
     assert register_scattering(Fan) is Fan
-    run = reconstruct(dataset, short, tmp_path / "run", scattering="fan", quiet=True)
+    run = reconstruct(small_box, short, tmp_path / "run", scattering="fan", quiet=True)
     assert run.history[-1].loss < 0.8 * run.history[0].loss
     assert run.config.scattering == "fan"
     law = Run.load(tmp_path / "run").gaussians.scattering
@@ -81,16 +71,12 @@ def test_without_registration_it_is_rendered_but_no_file_is_written(tmp_path: Pa
     gaussians = scene(Fan(torch.randn(5, 3).requires_grad_()))
     images = render(gaussians, [View(20, 30)], ImageGrid(12, 10, (0.3, 0.3), (0.4, 0.4))).images
     assert torch.autograd.grad(images.sum(), gaussians.scattering.parameters)[0].abs().sum() > 0
-    with pytest.raises(
-        SarsplatError, match=r"^the scattering law Fan \('fan'\) is not registered, .* decorate the class"
-    ):
+    with pytest.raises(SarsplatError, match=r"^the scattering law Fan \('fan'\) is not registered, .* decorate"):
         write_gaussians_ply(tmp_path / "a.ply", gaussians)
     assert not list(tmp_path.iterdir())
     register_scattering(Fan)
     write_gaussians_ply(tmp_path / "a.ply", gaussians)
-    with pytest.raises(
-        SarsplatError, match=r"law Fan cannot be made again from its settings \(.*not JSON serializable"
-    ):
+    with pytest.raises(SarsplatError, match=r"law Fan cannot be made again from its settings \(.*not JSON"):
         write_gaussians_ply(
             tmp_path / "b.ply", replace(gaussians, scattering=Fan(torch.zeros(5, 3), width=torch.ones(())))
         )
@@ -130,15 +116,13 @@ def test_what_a_law_returns_is_checked_before_an_engine_reads_it(engine, wrong, 
 
 
 @pytest.mark.usefixtures("forgotten")
-def test_what_cannot_be_registered_or_trained(dataset: Dataset) -> None:
+def test_what_cannot_be_registered_or_trained(small_box: Dataset) -> None:
     @dataclass(frozen=True)
     class Other(Scattering):
         kind: ClassVar[str] = "harmonics"
         amplitudes = Fan.amplitudes
 
-    with pytest.raises(
-        SarsplatError, match=r"the scattering law 'harmonics' is sarsplat.*Harmonics already; give yours"
-    ):
+    with pytest.raises(SarsplatError, match=r"the scattering law 'harmonics' is sarsplat.*Harmonics already"):
         register_scattering(Other)
     for thing in (Scattering, dict, "fan", Fan(torch.ones(1, 3))):
         with pytest.raises(SarsplatError, match=r"^law is .*; give a class derived from Scattering with a kind, a str"):
@@ -146,12 +130,10 @@ def test_what_cannot_be_registered_or_trained(dataset: Dataset) -> None:
     Other.kind = "without a start"
     register_scattering(Other)
     register_scattering(Other)  # as a notebook's cell does that runs again
-    with pytest.raises(
-        SarsplatError, match=r"cannot start with the scattering law Other; give it a class method initial"
-    ):
-        reconstruct(dataset, replace(preset("default"), iterations=1), scattering=Other.kind, quiet=True)
+    with pytest.raises(SarsplatError, match=r"cannot start with the scattering law Other; give it a class"):
+        reconstruct(small_box, replace(preset("default"), iterations=1), scattering=Other.kind, quiet=True)
     with pytest.raises(SarsplatError, match="sar-nerf uses no scattering; omit 'harmonics'"):
-        reconstruct(dataset, method="sar-nerf", scattering=Harmonics.kind, quiet=True)
+        reconstruct(small_box, method="sar-nerf", scattering=Harmonics.kind, quiet=True)
 
 
 class _OfKind(Scattering):
@@ -205,16 +187,14 @@ def test_a_law_that_could_not_be_called_is_not_registered(law: type[Scattering],
         (lambda count: Spoilt(torch.ones(count, 3).double()), r"returned torch.float64 \[\d+, 3\]"),
     ],
 )
-def test_a_law_that_starts_with_something_else_is_refused(
-    dataset: Dataset, monkeypatch: pytest.MonkeyPatch, start: Callable[[int], object], said: str
-) -> None:
+def test_a_law_that_starts_with_something_else_is_refused(small_box: Dataset, monkeypatch, start, said) -> None:
     register_scattering(Spoilt)
     monkeypatch.setattr(Spoilt, "initial", classmethod(lambda cls, count, gamma0, p_min: start(count)))
     with pytest.raises(SarsplatError, match=rf"Spoilt.initial\(\d+, …\) ({said}); it must return a Spoilt whose"):
-        reconstruct(dataset, replace(preset("default"), iterations=1), scattering="spoilt", quiet=True)
+        reconstruct(small_box, replace(preset("default"), iterations=1), scattering="spoilt", quiet=True)
 
 
-def test_the_command_line_knows_the_law_of_a_package(dataset: Dataset, tmp_path: Path, beside) -> None:
+def test_the_command_line_knows_the_law_of_a_package(small_box: Dataset, tmp_path: Path, beside) -> None:
     text = inspect.getsource(sys.modules[__name__]).partition("@pytest.fixture")[0].replace("from datasets", "# ")
     site = tmp_path / "site"
     (site / "fans-1.0.dist-info").mkdir(parents=True)
@@ -223,7 +203,7 @@ def test_the_command_line_knows_the_law_of_a_package(dataset: Dataset, tmp_path:
     names = "[sarsplat.scattering]\nfan = fans:Fan\nfun = fans:Fan\n"
     (site / "fans-1.0.dist-info" / "entry_points.txt").write_text(names)
     few = "--preset quick --iterations 2 --gaussians 20 --points.voxel 0.3 --points.rays-per-pixel 2"
-    reconstruct = f"reconstruct {dataset.path} {few} --scattering"
+    reconstruct = f"reconstruct {small_box.path} {few} --scattering"
     done = beside(site, f"{reconstruct} fan --out run", "info run/gaussians.ply", f"{reconstruct} fun --out wrong")
     assert [code for code, _, _ in done] == [0, 0, 2]
     assert "fan, 3 numbers each" in done[1][1]

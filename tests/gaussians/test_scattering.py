@@ -1,7 +1,5 @@
 """Laws of scattering: what they say, what they refuse, and that every one of them goes all the way round."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -9,9 +7,9 @@ import pytest
 import torch
 
 from sarsplat.data import read_gaussians_ply, write_gaussians_ply
-from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, NormalLobes, Scattering
 from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import render
 
@@ -148,26 +146,6 @@ def test_joining():
     assert both.parameters.shape == (5, 9)
     assert both.parameters[0].tolist() == [1.0] * 4 + [0.0] * 5
     assert both.p_min == 0
-    with pytest.raises(SarsplatError, match="normal-lobes and harmonics cannot be joined"):
-        Gaussians.cat([scene(LAWS["a lobe each"]), scene(LAWS["harmonics"])])
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: NormalLobes(torch.zeros(3, 2)), r"shape \(3, 2\); for N Gaussians it must be \(N, K\) with K = 3"),
-        (lambda: NormalLobes([[0.0, 0.0]]), "parameters is ..0.0, 0.0..; give a torch.Tensor"),
-        (lambda: Harmonics(torch.zeros(3, 4), math.inf), "p_min inf must be finite"),
-        (lambda: scene(LAWS["harmonics"]).with_tensors(scattering=torch.zeros(3, 4)), r"6 Gaussians it must be \(6, 4"),
-        (
-            lambda: replace(scene(LAWS["harmonics"]), scattering=torch.zeros(6, 4)),
-            "scattering is an object of type Tensor",
-        ),
-    ],
-)
-def test_refusals(make, words):
-    with pytest.raises(SarsplatError, match=words):
-        make()
 
 
 @pytest.mark.parametrize("kind", SCATTERINGS)
@@ -201,3 +179,28 @@ def test_laws_are_said_in_words() -> None:
     assert replace(lobes, parameters=lobes.parameters[:0]).in_words == said
     assert replace(lobes, parameters=torch.full((1, 3), 1e6)).in_words == f"{said}, e = {math.exp(5):.2f}"  # no more
     assert Harmonics(torch.zeros(3, 9)).in_words == "harmonics of degree 2"
+
+
+# ---- the basis of harmonics -----------------------------------------------------------------------------------------
+def test_lower_degrees_are_a_prefix():
+    u = directions()
+    for degree in range(3):
+        assert torch.equal(harmonic_basis(u, degree), harmonic_basis(u, 3)[:, : (degree + 1) ** 2])
+
+
+def test_signs_and_order():
+    """The table of 3DGS: degree 1 is (−y, z, −x); the Condon–Shortley sign (−1)^m throughout."""
+    u = directions()
+    x, y, z = u.T
+    expected = [
+        torch.full_like(x, 0.28209479177387814),
+        *(-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x),
+        *(1.0925484305920792 * x * y, -1.0925484305920792 * y * z, 0.31539156525252005 * (2 * z * z - x * x - y * y)),
+        *(-1.0925484305920792 * x * z, 0.5462742152960396 * (x * x - y * y)),
+        *(-0.5900435899266435 * y * (3 * x * x - y * y), 2.890611442640554 * x * y * z),
+        -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
+        0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
+        -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
+        *(1.445305721320277 * z * (x * x - y * y), -0.5900435899266435 * x * (x * x - 3 * y * y)),
+    ]
+    torch.testing.assert_close(harmonic_basis(u, 3), torch.stack(expected, dim=1), rtol=0, atol=1e-12)

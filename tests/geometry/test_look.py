@@ -1,7 +1,5 @@
 """What follows from the direction of a view, by numerical checks that know only the frame's definition."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 from sarsplat.geometry import Look, View, radar_frame
 
 CHANCE = np.random.default_rng(0)
-VIEWS = [View(azimuth, grazing) for azimuth in (0.0, 90.0, 180.0, 270.0) for grazing in (0.5, 45.0, 89.5)]
+VIEWS = [View(azimuth, grazing) for azimuth in range(-720, 721, 90) for grazing in (0.5, 45.0, 89.5)]
 VIEWS += [View(*angles) for angles in CHANCE.uniform((0, 2), (360, 88), (30, 2))]
 LOOKS = pytest.mark.parametrize("look", [view.look for view in VIEWS], ids=map(str, range(len(VIEWS))))
 
@@ -46,6 +44,9 @@ def test_the_ways_in_and_out_lead_to_the_radar(view):
     for way in (view.look.way_in, view.look.way_out, *view.look.ways, view.direction):
         assert way == pytest.approx(towards, abs=1e-12)
     assert len(view.look.ways) == 1  # one radar
+    assert view.incidence_deg == pytest.approx(90 - view.grazing_deg)
+    flight, _, away = view.look.frame
+    assert np.cross(flight, away)[2] < 0  # right-looking: the scene lies to the right of the direction of flight
     assert (radar_frame(view) == view.look.frame).all()
 
 

@@ -1,7 +1,5 @@
 """Responses of the system: width, energy, side lobes, files, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import math
 

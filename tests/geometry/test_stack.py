@@ -1,7 +1,5 @@
 """Stacks: what their channels may be, and how far they resolve elevations."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -37,6 +35,11 @@ def test_polarisations_tell_no_elevation() -> None:
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
+        ({"wavelength_m": 0.0}, "wavelength_m is 0.0; give 0.0001 to 100 metres"),
+        ({"offsets_rad": ()}, r"offsets_rad is \(\); give the b/R of each pass"),
+        ({"offsets_rad": (0.0, 0.3)}, "an offset is 0.3; give b/R in radians"),
+        ({"offsets_rad": (0.0, math.nan)}, "an offset is nan"),
+        ({"transmit": "both"}, "transmit is 'both'; give one of each, one"),
         ({"noise": (0.1,)}, "noise is .*; give a power for each of 2 channels"),
         ({"noise": (0.1, 0.0)}, "noise of a channel is 0.0; give a positive power"),
         ({"noise": (0.1, math.nan)}, "noise of a channel is nan"),

@@ -33,4 +33,4 @@ def schemas_are_read_once() -> Iterator[None]:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of what imports say alone: no preview."""
-    monkeypatch.setattr("sarsplat.cli.imported._draw", lambda *_: None)
+    monkeypatch.setattr("sarsplat.cli.from_signature._draw", lambda *_: None)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 
-from sarsplat import Dataset, View, preset
-from sarsplat.geometry import radar_frame
+from sarsplat import Dataset, preset
 from sarsplat.learning import Trainer
 from sarsplat.learning.strategies import State, ops
 from sarsplat.learning.strategies.relocation import Relocating, pairs
@@ -60,10 +58,3 @@ def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300
     assert float(after.mean()) == pytest.approx(float(before.mean()), rel=0.25)  # halves that hid each other are seen
     trainer.step()
-
-
-@pytest.mark.parametrize("direction", [(1.0, 2.0, 3.0), (-0.3, 0.1, 0.2), (0.0, 0.0, 1.0)])
-def test_a_view_towards_a_direction(direction: tuple[float, float, float]) -> None:
-    view = View.towards(np.array(direction))
-    expected = np.array(direction) / np.linalg.norm(direction)
-    assert -radar_frame(view)[2] == pytest.approx(expected, abs=2e-5)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.learning.windowed_likelihood import ExpectedStacks, packed, unpacked, windowed, windowed_nats
+from sarsplat.learning.windowed_likelihood import ExpectedStacks, packed, windowed, windowed_nats
 from sarsplat.renderer.planes import Planes
 
 CASES = {  # passes, planes of pairs, window, rows, columns
@@ -96,10 +96,3 @@ def test_covariances_that_are_none_are_refused():
     planes = replace(expected.planes, pairs=10 + expected.planes.pairs)
     with pytest.raises(SarsplatError, match="72 covariances with their noise are not positive definite"):
         windowed_nats(replace(expected, planes=planes), level, samples, 1)
-
-
-def test_packed_matrices_are_unpacked():
-    y = torch.randn(2, 4, 3, 5, dtype=torch.complex64, generator=torch.Generator().manual_seed(0))
-    matrices = y[:, :, None] * y[:, None].conj()
-    assert packed(matrices).shape == (2, 16, 3, 5)
-    torch.testing.assert_close(unpacked(packed(matrices), 4), matrices)

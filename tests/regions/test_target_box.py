@@ -1,7 +1,5 @@
 """The box of what stands out from the ground, from the images alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 
@@ -91,9 +89,7 @@ TWENTY = [View(azimuth, 20.0) for azimuth in range(7, 360, 15)]
 
 @pytest.mark.parametrize("views", [STEEP_TOO, TWENTY, TWENTY[::3]])
 @pytest.mark.parametrize("speckle", [False, True])
-def test_nothing_of_what_is_high_lies_outside_and_little_is_beside_it_or_above(
-    views: list[View], speckle: bool
-) -> None:
+def test_nothing_of_what_is_high_lies_outside_and_little_is_beside_it_or_above(views: list[View], speckle) -> None:
     low, high = target_box(images(TANK, views, CHIP, speckle=speckle), views, CHIP)
     check((-3.5, 5.5, -1.7, 1.7), low, high, 0.31)
     assert 2.2 <= high[2] < 2.2 + 6 * 0.31

@@ -1,7 +1,5 @@
 """Where the target is looked for: what was given, else what images tell; and what is said of what lies beyond it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

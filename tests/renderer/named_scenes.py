@@ -1,7 +1,5 @@
 """Tiny named scenes for the renderer's tests: each is there for one thing that could go wrong."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,6 +14,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
 from sarsplat.renderer.echoes import GroundEcho
 
 GRID = ImageGrid(20, 24, spacing_m=(0.2, 0.2), resolution_m=(0.3, 0.3))
+ODD = ImageGrid(19, 23, spacing_m=(0.2, 0.21), resolution_m=(0.3, 0.4))
 VIEWS = (View(20.0, 40.0), View(200.0, 15.0), View(77.0, 75.0))
 
 
@@ -32,15 +31,11 @@ class Scene:
     gain: Tensor | None = None
     imaging_weight: str = "area"
     ground: Ground | None = None
-    first_return_depth: float = 0.5
+    first_return_depth: float | None = 0.5
 
     def options(self) -> dict[str, object]:
         """What is not differentiable."""
-        return {
-            "rays": self.rays,
-            "imaging_weight": self.imaging_weight,
-            "first_return_depth": self.first_return_depth,
-        }
+        return {"rays": self.rays, "imaging_weight": self.imaging_weight, "first_return_depth": self.first_return_depth}
 
     def leaves(self, dtype: torch.dtype) -> dict[str, Tensor]:
         """Differentiable arguments by name, as fresh leaves."""
@@ -97,6 +92,13 @@ def cloud(
     return Gaussians(*(tensor.float() for tensor in tensors), scattering=harmonics)
 
 
+def changed(gaussians: Gaussians, name: str, index: tuple[int, ...], value: float) -> Gaussians:
+    """The same with one number, or one row, of a tensor replaced."""
+    tensor = gaussians.tensors()[name].clone()
+    tensor[index] = value
+    return gaussians.with_tensors(**{name: tensor})
+
+
 def with_scales(gaussians: Gaussians, scales: tuple[float, float, float]) -> Gaussians:
     """The same Gaussians, all of one shape."""
     return replace(gaussians, scales=torch.tensor(scales).expand(len(gaussians), 3).contiguous())
@@ -125,6 +127,13 @@ def facing(view: View, offsets: Tensor) -> Tensor:
 
 def _random(seed: int, *shape: int) -> Tensor:
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+def some_dark(channels: int, count: int = 40) -> Tensor:
+    """Amplitudes of either sign for three views; every seventh Gaussian is dark in every channel."""
+    amplitudes = _random(channels, 3, count, channels)
+    amplitudes[:, ::7] = 0.0
+    return amplitudes
 
 
 def _ring(count: int) -> tuple[View, ...]:
@@ -209,6 +218,8 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "no least scattering": lambda: Scene(replace(cloud(40, 19), scattering=Harmonics(4 * _random(19, 40, 16)))),
     "amplitudes given": lambda: Scene(cloud(40, 20), amplitudes=_random(5, 3, 40, 1).abs()),
     "three channels": lambda: Scene(cloud(40, 20), amplitudes=_random(5, 3, 40, 3)),
+    "five channels": lambda: Scene(cloud(40, 20), amplitudes=some_dark(5)),
+    "sixteen channels": lambda: Scene(cloud(40, 20), grid=ODD, amplitudes=some_dark(16)),
     "peak weight": lambda: Scene(cloud(40, 23), imaging_weight="peak"),
     "shift and gain": lambda: Scene(cloud(40, 44), shift=0.2 * _random(6, 3, 2), gain=torch.tensor([1.3, 0.2, 4.0])),
     "image off centre": lambda: Scene(cloud(40, 25), grid=replace(GRID, center_m=(0.37, -0.61))),

@@ -1,7 +1,5 @@
 """What Python reads of the engine's C declarations is what a compiler makes of them; and who uses it."""
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
 import sys

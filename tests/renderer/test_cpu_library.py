@@ -1,7 +1,5 @@
 """Loading the CPU engine: without torch's threads it works on one; without the library the reference still renders."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
@@ -85,12 +83,7 @@ class Partial:
     [
         (2, (1, 2, 3), "avx512", "'avx512' is not supported by this processor; use 'auto' or at most 'avx2'"),
         (2, (2,), "avx512", "'avx512' is not supported by this processor; use 'auto' or at most 'avx2'"),
-        (
-            3,
-            (3,),
-            "avx2",
-            r"not compiled for the instruction set 'avx2'; `python build_engine\.py` compiles it",
-        ),
+        (3, (3,), "avx2", r"not compiled for the instruction set 'avx2'; `python build_engine\.py` compiles it"),
         (2, (3,), "auto", "not compiled for this processor; `python"),
         (2, (3,), "base", "not compiled for the instruction set 'base'; `python"),
     ],

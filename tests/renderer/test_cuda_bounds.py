@@ -1,7 +1,5 @@
 """A CUDA rendering with bounds: the same as without, no wait for the device, and what breaks them is reported."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial
@@ -9,7 +7,8 @@ from functools import partial
 import pytest
 import torch
 from emulated_cuda import Emulator, guarded, render_on
-from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
+from named_scenes import GRID, MATRIX, VIEWS, Scene, changed, cloud
+from test_cpu_engine import everything as all_of
 from test_cpu_engine import relative
 
 from sarsplat.errors import SarsplatError
@@ -27,15 +26,8 @@ def bounds_of(gaussians: Gaussians) -> Bounds:
     return Bounds((*low.tolist(),), (*high.tolist(),), scale_m, depth)
 
 
-def everything(scene: Scene, renderer, **options) -> dict[str, torch.Tensor]:
-    """Images, cross-sections and every gradient, by name."""
-    leaves = scene.leaves(torch.float32)
-    rendering = scene.call(renderer, leaves, **options)
-    generator = torch.Generator().manual_seed(7)
-    outputs = {"images": rendering.images, "cross_sections": rendering.cross_sections}
-    loss = sum((t * torch.randn(t.shape, generator=generator)).sum() for t in outputs.values())
-    gradients = torch.autograd.grad(loss, list(leaves.values()))
-    return {name: t.detach() for name, t in outputs.items()} | dict(zip(leaves, gradients, strict=True))
+everything = partial(all_of, norms={}, of=("images", "cross_sections"))
+"""Of which none depends on how wide the lattice is."""
 
 
 @pytest.mark.parametrize("name", MATRIX)
@@ -63,13 +55,6 @@ def test_the_lattice_holds_every_ray_that_is_touched_and_few_more(library):
         assert wide.numel() < 4 * tight.numel()
 
 
-def changed(name: str, index: tuple[int, ...], value: float) -> Gaussians:
-    scene = cloud(40, 0)
-    tensor = scene.tensors()[name].clone()
-    tensor[index] = value
-    return scene.with_tensors(**{name: tensor})
-
-
 BROKEN = {
     "moved out": (("means", (3, 0), 40.0), "a Gaussian has left its bounds, Bounds.low_m"),
     "moved out of the other side": (("means", (3, 1), -40.0), "a Gaussian has left its bounds"),
@@ -95,8 +80,8 @@ def arrays_are_guarded():
 def test_what_breaks_them_is_reported_and_no_memory_is_harmed(name, library):
     change, message = BROKEN[name]
     bounds, emulated = bounds_of(cloud(40, 0)), partial(render_on, Emulator(library))
-    everything(Scene(changed(*change)), emulated, bounds=bounds)  # as if nothing were wrong
-    everything(Scene(changed("means", (7, 2), math.inf)), emulated, bounds=bounds)
+    everything(Scene(changed(cloud(40, 0), *change)), emulated, bounds=bounds)  # as if nothing were wrong
+    everything(Scene(changed(cloud(40, 0), "means", (7, 2), math.inf)), emulated, bounds=bounds)
     with pytest.raises(SarsplatError, match=message):  # still the first
         bounds.check()
 
@@ -104,10 +89,7 @@ def test_what_breaks_them_is_reported_and_no_memory_is_harmed(name, library):
 @pytest.mark.usefixtures("guarded")
 @pytest.mark.parametrize(
     ("name", "value", "message"),
-    [
-        ("scales", 8.0, "a Gaussian has left its bounds"),
-        ("means", math.nan, r"^means\[0\] was out of range"),
-    ],
+    [("scales", 8.0, "a Gaussian has left its bounds"), ("means", math.nan, r"^means\[0\] was out of range")],
 )
 def test_a_footprint_of_more_tiles_than_there_is_room_for(name, value, message, library):
     """A single Gaussian in a wide image, so that there is no room of others to take."""

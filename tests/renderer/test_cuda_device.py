@@ -13,11 +13,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import step_cases
 import torch
+from chain import chained, steps_of
 from emulated_cuda import Emulator, render_on
-from test_cpu_engine import judged
-from test_cuda_emulated import everything, same_bits
+from test_cpu_engine import everything, judged, same_bits
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.learning import device as training_device
@@ -103,9 +102,11 @@ def test_the_launcher_hands_everything_to_the_driver(gpu, library):
     scene, _, norms, *_ = judged("shift and gain")
     expected = everything(scene, partial(render_on, Emulator(library)), norms)
     assert same_bits(everything(scene, partial(render_on, gpu), norms), expected)
-    for step in step_cases.STEPS:
-        first = step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, "shift and gain")
-        assert same_bits(step_cases.found_by(partial(cuda.Pass, gpu), step, "shift and gain"), first), step
+    by_steps, once = (
+        everything(scene, partial(chained, steps_of(partial(cuda.Pass, launcher))), norms)
+        for launcher in (gpu, Emulator(library))
+    )
+    assert same_bits(by_steps, once)
 
 
 def test_a_kernel_runs_on_its_gpu_whichever_is_current(gpu, monkeypatch):

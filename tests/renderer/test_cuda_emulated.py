@@ -1,20 +1,19 @@
 """The CUDA engine's kernels, emulated on the CPU, against the float64 reference; and all that surrounds them."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import step_cases
 import torch
+from chain import chained, steps_of
 from emulated_cuda import SCHEDULES, Emulator, guarded, mutated, render_on, without_barrier
-from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
-from test_cpu_engine import check, judged, loss_of, outputs_of, relative
+from named_scenes import GRID, MATRIX, VIEWS, cloud
+from test_cpu_engine import check, everything, judged, relative, same_bits, traced
+from test_steps import STEPPED
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer import Bounds, render
+from sarsplat.renderer import render
 from sarsplat.renderer.checks import check_for_cuda
 from sarsplat.renderer.engines import cuda, cuda_device, nvrtc
 
@@ -37,38 +36,12 @@ def short_chunks(in_short_chunks, monkeypatch) -> Path:
     return in_short_chunks
 
 
-def everything(scene: Scene, renderer, norms: dict[str, float]) -> dict[str, torch.Tensor]:
-    """Every output and every gradient, by name."""
-    leaves = scene.leaves(torch.float32)
-    outputs = outputs_of(scene.call(renderer, leaves))
-    gradients = torch.autograd.grad(loss_of(outputs, norms), list(leaves.values()), allow_unused=True)
-    return {name: t.detach() for name, t in outputs.items()} | dict(zip(leaves, gradients, strict=True))
-
-
-def same_bits(first: dict[str, torch.Tensor | None], second: dict[str, torch.Tensor | None]) -> bool:
-    return all(
-        mine is theirs or torch.equal(mine.view(torch.int32), second[name].view(torch.int32))
-        for name, mine in first.items()
-        for theirs in (second[name],)
-    )
-
-
 @pytest.mark.parametrize("name", MATRIX)
 def test_matches_the_reference_and_backwards_bit_for_bit(name, library):
     """Shuffled, the same kernels run in `test_cuda_bounds.py` and in the steps below."""
     scene, _, norms, _, maps = judged(name)
-    traced = []
-
-    def renderer(*arguments, **options):
-        rendering = render_on(Emulator(library), *arguments, **options)
-        traced.extend(rendering.ray_maps)
-        return rendering
-
-    found = everything(scene, renderer, norms)
+    found = everything(scene, traced(maps, partial(render_on, Emulator(library))), norms)
     check(name, found)
-    for ours, theirs in zip(traced, maps, strict=True):
-        assert ours.transmittance.shape == theirs.transmittance.shape
-        assert ours.transmittance.numel() == 0 or ours.origin == pytest.approx(theirs.origin)
     assert same_bits(everything(scene, partial(render_on, Emulator(library, "backwards")), norms), found)
 
 
@@ -82,51 +55,14 @@ def test_lists_of_several_chunks_whether_ranked_or_sorted(name, short_chunks, mo
     assert same_bits(everything(scene, partial(render_on, Emulator(short_chunks)), norms), found[0])
 
 
-@pytest.mark.parametrize("name", MATRIX)
-@pytest.mark.parametrize("step", step_cases.STEPS)
-def test_every_step_matches_its_twin(step, name, library):
-    found = step_cases.found_by(partial(cuda.Pass, Emulator(library, "shuffled")), step, name)
-    step_cases.check(step, name, found)
+def chain_on(library: Path, schedule: str) -> partial:
+    return partial(chained, steps_of(partial(cuda.Pass, Emulator(library, schedule))))
 
 
-@pytest.mark.parametrize("channels", [1, 4, 9])
-def test_channels_of_a_whole_rendering(channels, library):
-    """Amplitudes of any sign, one of them zero everywhere; rays counted, so that both planes are seeded."""
-    generator = torch.Generator().manual_seed(channels)
-    amplitudes = torch.randn(3, 40, channels, generator=generator)
-    amplitudes[:, 7] = 0.0
-
-    def run(renderer, dtype: torch.dtype, **options) -> dict[str, torch.Tensor]:
-        leaves = {
-            name: t.detach().to(dtype).requires_grad_()
-            for name, t in (cloud(40, 1).tensors() | {"amplitudes": amplitudes}).items()
-        }
-        *fields, last = leaves
-        rendering = renderer(
-            cloud(40, 1).with_tensors(**{name: leaves[name] for name in fields}),
-            VIEWS,
-            GRID,
-            amplitudes=leaves[last],
-            **options,
-        )
-        outputs = {"images": rendering.images, "cross_sections": rendering.cross_sections}
-        seeds = torch.Generator().manual_seed(4)
-        loss = sum((t * torch.randn(t.shape, generator=seeds).to(dtype)).sum() for t in outputs.values())
-        gradients = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
-        named = {f"d {name}": g for name, g in zip(leaves, gradients, strict=True) if name != "scattering"}
-        return {name: t.detach() for name, t in outputs.items()} | named
-
-    expected = run(partial(render, engine="reference"), torch.float64)
-    means = cloud(40, 1).means
-    first = run(partial(render_on, Emulator(library)), torch.float32)
-    for schedule in SCHEDULES:
-        bounds = Bounds((*means.amin(0).tolist(),), (*means.amax(0).tolist(),), float(cloud(40, 1).scales.max()), 41.0)
-        for options in ({}, {"bounds": bounds}):
-            computed = run(partial(render_on, Emulator(library, schedule)), torch.float32, **options)
-            for name, value in expected.items():
-                assert relative(computed[name], value) <= 1e-5, (name, schedule)
-            assert options or same_bits(computed, first), schedule
-        bounds.check()
+@pytest.mark.parametrize("name", STEPPED)
+def test_a_chain_of_steps_matches_the_reference(name, library):
+    scene, _, norms, *_ = judged(name)
+    check(name, everything(scene, chain_on(library, "shuffled"), norms))
 
 
 def test_plane_gradients_and_a_second_backward(emulated):
@@ -160,12 +96,10 @@ def test_memory_is_written_before_it_is_read_and_never_beyond_its_end(name, emul
     """Nor do the schedules of steps differ."""
     scene, _, norms, *_ = judged(name)
     expected = everything(scene, emulated, norms)
-    steps = {step: step_cases.found_by(partial(cuda.Pass, Emulator(library)), step, name) for step in step_cases.STEPS}
-    backwards = partial(cuda.Pass, Emulator(library, "backwards"))
+    by_steps = everything(scene, chain_on(library, "in order"), norms)
     with guarded():
         assert same_bits(everything(scene, emulated, norms), expected)
-        for step, once in steps.items():
-            assert same_bits(step_cases.found_by(backwards, step, name), once), step
+        assert same_bits(everything(scene, chain_on(library, "backwards"), norms), by_steps)
 
 
 # ---- the emulator tells right from wrong ----------------------------------------------------------------------------

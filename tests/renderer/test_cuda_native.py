@@ -1,7 +1,5 @@
 """The CUDA engine on a GPU, against the float64 reference; and its source in NVRTC's hands, which needs no GPU."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from functools import partial
@@ -11,7 +9,7 @@ from types import ModuleType
 import pytest
 import torch
 from named_scenes import MATRIX, Scene, cloud
-from test_cpu_engine import check, judged, loss_of, outputs_of
+from test_cpu_engine import check, judged, loss_of, outputs_of, same_bits
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer import render
@@ -58,12 +56,12 @@ def test_nvrtc_says_what_is_wrong(registers):
 
 def on_gpu(scene: Scene, norms: dict[str, float], device: str = "cuda") -> dict[str, torch.Tensor]:
     """Every output and every gradient, brought back."""
-    leaves = scene.leaves(torch.float32)
-    placed = {name: leaf.detach().to(device).requires_grad_() for name, leaf in leaves.items()}
 
     def renderer(gaussians, *arguments, **options):
         return render(gaussians.to(device), *arguments, engine="cuda", **options)
 
+    leaves = scene.leaves(torch.float32)
+    placed = {name: leaf.detach().to(device).requires_grad_() for name, leaf in leaves.items()}
     outputs = {name: t.cpu() for name, t in outputs_of(scene.call(renderer, placed)).items()}
     gradients = torch.autograd.grad(loss_of(outputs, norms), list(placed.values()), allow_unused=True)
     found = {name: t if t is None else t.cpu() for name, t in zip(placed, gradients, strict=True)}
@@ -83,9 +81,7 @@ def test_matches_the_reference(name):
 def test_same_bits_from_run_to_run(name):
     scene, _, norms, *_ = judged(name)
     first, *others = (on_gpu(scene, norms) for _ in range(5))
-    for other in others:
-        for output, value in first.items():
-            assert value is other[output] or torch.equal(value.view(torch.int32), other[output].view(torch.int32))
+    assert all(same_bits(first, other) for other in others)
 
 
 @needs_gpu

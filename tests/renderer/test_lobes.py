@@ -1,9 +1,8 @@
 """γ⁰ in a lobe by both engines, the CUDA one emulated, against the law itself in float64."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -48,18 +47,13 @@ def gaussians(count: int, log_exponent: tuple[float, float] = (0.0, 3.5), seed: 
 
 def double(scene: Gaussians) -> Gaussians:
     """The same in float64, with gradients of its own."""
-    law = NormalLobes(scene.scattering.parameters.detach().double().requires_grad_(), 0.03)
-    means, quaternions, scales, depth = (
-        tensor.detach().double() for tensor in (scene.means, scene.quaternions, scene.scales, scene.optical_depth)
-    )
-    return Gaussians(means, quaternions.requires_grad_(), scales.requires_grad_(), depth, law)
+    double = scene.detach().to(torch.float64)
+    return double.with_tensors(**{name: tensor.requires_grad_() for name, tensor in double.tensors().items()})
 
 
 @pytest.mark.parametrize("log_exponent", [(0.7, 0.7), (0.0, 3.5), (-8.0, 8.0)])
 @pytest.mark.parametrize("count", [0, 1, 37, 2100])
-def test_values_and_gradients_are_those_of_the_law(
-    count: int, log_exponent: tuple[float, float], amplitudes_towards: Towards
-) -> None:
+def test_values_and_gradients_are_those_of_the_law(count, log_exponent, amplitudes_towards):
     scene = gaussians(count, log_exponent)
     judge = double(scene)
     found, wanted = amplitudes_towards(scene, VIEWS), judge.amplitudes(directions_to(VIEWS, judge.means))
@@ -106,17 +100,13 @@ def test_a_law_derived_from_it_keeps_its_own_amplitudes(amplitudes_towards: Towa
             return 2 * super().amplitudes(*arguments)
 
     scene = gaussians(4)
-    law = scene.scattering
-    doubled = Gaussians(
-        scene.means, scene.quaternions, scene.scales, scene.optical_depth, Doubled(law.parameters, law.p_min)
-    )
+    doubled = replace(scene, scattering=Doubled(scene.scattering.parameters, scene.scattering.p_min))
     torch.testing.assert_close(amplitudes_towards(doubled, VIEWS), 2 * amplitudes_towards(scene, VIEWS))
 
 
 def test_rows_that_are_not_contiguous_are_read_as_they_are(amplitudes_towards: Towards) -> None:
     scene = gaussians(50)
-    turned = scene.quaternions.detach().T.contiguous().T
-    strided = Gaussians(scene.means, turned, scene.scales, scene.optical_depth, scene.scattering)
+    strided = replace(scene, quaternions=scene.quaternions.detach().T.contiguous().T)
     assert torch.equal(amplitudes_towards(strided, VIEWS), amplitudes_towards(scene, VIEWS))
 
 

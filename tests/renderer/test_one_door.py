@@ -1,7 +1,5 @@
 """One place decides which engine does what; every kernel has a twin in plain torch, of which the reference consists."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

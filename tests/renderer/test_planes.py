@@ -1,10 +1,11 @@
 """Covariances as few images: the engine's cross-sections of pairs, and pairs that share an image."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from named_scenes import cloud
 
 from sarsplat import Gaussians, Harmonics, ImageGrid, Polarimetric, Stack, View, render_covariances
 from sarsplat.renderer.elevations import elevated
@@ -50,16 +51,9 @@ def test_cross_sections_of_pairs_and_gradients_are_those_of_plain_torch(count, p
 
 
 def scene(polarimetric: bool) -> Gaussians:
-    g = torch.Generator().manual_seed(0)
-    n = 40
-    law = Polarimetric(torch.randn(n, 10, generator=g)) if polarimetric else Harmonics(torch.ones(n, 1))
-    return Gaussians(
-        2 * torch.randn(n, 3, generator=g),
-        torch.randn(n, 4, generator=g),
-        0.1 + 0.3 * torch.rand(n, 3, generator=g),
-        torch.rand(n, generator=g),
-        law,
-    )
+    law = Polarimetric(torch.randn(40, 10, generator=torch.Generator().manual_seed(0))) if polarimetric else None
+    flat = cloud(40, 0, size=(6.0, 6.0, 6.0), scale=0.2, degree=0)
+    return replace(flat, scattering=law or flat.scattering)
 
 
 @pytest.mark.parametrize("polarimetric", [False, True])

@@ -3,8 +3,6 @@
 Running out of memory is told in a sentence, and the engine works afterwards; so it does in a forked process.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The CPU engine gives the same bits for any number of threads, any order of calls, and keeps no memory."""
 
-from __future__ import annotations
-
 import gc
 import os
 from dataclasses import replace
@@ -9,7 +7,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
+from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud, some_dark
+from test_cpu_engine import everything, same_bits
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid
@@ -25,31 +24,21 @@ SCENES = {
     "shift and gain": lambda: Scene(
         cloud(900, 61, scale=0.05), shift=torch.full((3, 2), 0.1), gain=torch.tensor([1.3, 0.2, 4.0])
     ),
+    "three channels": lambda: Scene(cloud(3000, 5), amplitudes=some_dark(3, 3000)),
+    "sixteen channels": lambda: Scene(cloud(3000, 5), amplitudes=some_dark(16, 3000)),
 }
 WORTH_WAKING = 2048  # as engine.cpp has it
 
 
-def run(name: str) -> list[torch.Tensor]:
-    """Every output and every gradient of one forward and backward pass."""
-    scene = SCENES[name]()
-    assert len(scene.views) * (len(scene.gaussians) + scene.grid.rows * scene.grid.columns / 16) > WORTH_WAKING
-    leaves = scene.leaves(torch.float32)
-    rendering = scene.call(render, leaves, engine="cpu")
-    outputs = [rendering.images, rendering.cross_sections, *(m.transmittance for m in rendering.ray_maps)]
-    generator = torch.Generator().manual_seed(7)
-    loss = sum((output * torch.randn(output.shape, generator=generator)).sum() for output in outputs)
-    gradients = torch.autograd.grad(loss, list(leaves.values()))
-    return [*(output.detach() for output in outputs), rendering.lit_area, *gradients]
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_same_bits_for_any_number_of_threads_and_run_to_run(name, threads):
+    scene = SCENES[name]()
+    assert len(scene.views) * (len(scene.gaussians) + scene.grid.rows * scene.grid.columns / 16) > WORTH_WAKING
     threads(1)
-    expected = run(name)
+    expected = everything(scene, render, {}, engine="cpu")
     for count in (1, 2, 3):
         threads(count)
-        for mine, theirs in zip(run(name), expected, strict=True):
-            assert torch.equal(mine, theirs)
+        assert same_bits(everything(scene, render, {}, engine="cpu"), expected)
 
 
 def leaves_of(gaussians: Gaussians) -> Gaussians:

@@ -1,29 +1,21 @@
 """Wrong input is named, with its value and what to do."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import pytest
 import torch
 from emulated_cuda import Emulator, render_on
-from named_scenes import GRID, VIEWS, cloud
+from named_scenes import GRID, VIEWS, changed, cloud
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MIN_SCALE, Gaussians
+from sarsplat.gaussians import MIN_SCALE
 from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import render
 from sarsplat.renderer.reference import render_reference
 
-
-def changed(name: str, index: tuple[int, ...], value: float) -> Gaussians:
-    scene = cloud(10, 0)
-    tensor = scene.tensors()[name].clone()
-    tensor[index] = value
-    return scene.with_tensors(**{name: tensor})
+TEN = cloud(10, 0)
 
 
 def by(engine: str, request: pytest.FixtureRequest) -> Callable:
@@ -38,15 +30,9 @@ def by(engine: str, request: pytest.FixtureRequest) -> Callable:
     ("name", "index", "value", "message"),
     [
         ("means", (3, 1), float("nan"), r"means\[3\] is \[.*nan.*\]; it must be finite metres"),
-        ("means", (0, 0), float("inf"), r"means\[0\] is \[inf.*\]; it must be finite metres"),
         ("quaternions", (4,), 0.0, r"quaternions\[4\] is \[0.0, 0.0, 0.0, 0.0\]; it must be finite and not zero"),
         ("quaternions", (4, 2), float("nan"), r"quaternions\[4\] is \[.*nan.*\]; it must be finite and not zero"),
-        (
-            "scales",
-            (9, 2),
-            MIN_SCALE / 2,
-            r"scales\[9\] is \[.*\]; it must be finite and at least MIN_SCALE = 0.0001 m",
-        ),
+        ("scales", (9, 2), MIN_SCALE / 2, r"scales\[9\] is \[.*\]; it must be finite and at least MIN_SCALE = 0.0001"),
         ("scales", (3,), 1e10, r"scales\[3\] is .*; it must be finite .* at most 1e\+06 m"),
         ("scales", (9, 0), float("nan"), r"scales\[9\] is \[nan.*\]; it must be finite and at least"),
         ("optical_depth", (2,), 41.0, r"optical_depth\[2\] is 41.0; it must be between 0 and MAX_OPTICAL_DEPTH = 40"),
@@ -55,13 +41,13 @@ def by(engine: str, request: pytest.FixtureRequest) -> Callable:
     ],
 )
 def test_values_out_of_range(name, index, value, message, engine, request):
-    scene = changed(name, index, value).to(torch.float64 if engine == "reference" else torch.float32)
+    scene = changed(TEN, name, index, value).to(torch.float64 if engine == "reference" else torch.float32)
     with pytest.raises(SarsplatError, match=message):
         by(engine, request)(scene, VIEWS, GRID)
 
 
 def test_limits_themselves_are_allowed():
-    scene = changed("optical_depth", (2,), 40.0)
+    scene = changed(TEN, "optical_depth", (2,), 40.0)
     scene.scales[4] = MIN_SCALE
     assert torch.isfinite(render(scene, VIEWS, GRID, engine="cpu").images).all()
 
@@ -77,22 +63,14 @@ ANY, CPU, REFERENCE, BOTH = ("auto", "cpu", "reference"), ("cpu",), ("reference"
     [
         (engine, options, message)
         for engines, options, message in (
-            (
-                ANY,
-                {"amplitudes": torch.ones(2, 10, 1)},
-                r"amplitudes has shape \(2, 10, 1\); .* it must be \(3, 10, C\)",
-            ),
+            (ANY, {"amplitudes": torch.ones(2, 10, 1)}, r"amplitudes has shape \(2, 10, 1\); .* it must be \(3, 10,"),
             (ANY, {"shift": torch.ones(3)}, r"shift has shape \(3,\); .* it must be \(3, 2\)"),
             (ANY, {"gain": torch.ones(1)}, r"gain has shape \(1,\); .* it must be \(3,\)"),
             (ANY, {"imaging_weight": "round"}, r"imaging_weight 'round' is unknown; choose one of area, peak"),
             (ANY, {"first_return_depth": 0.0}, r"first_return_depth 0.0 must be a positive two-way optical depth"),
             (ANY, {"first_return_depth": float("nan")}, r"first_return_depth nan must be a positive"),
             (ANY, {"gain": torch.ones(3, device="meta")}, "gain is on torch's meta device"),
-            (
-                ANY,
-                {"gaussians": cloud(10, 0).to("meta")},
-                "means is on torch's meta device, which holds no values",
-            ),
+            (ANY, {"gaussians": TEN.to("meta")}, "means is on torch's meta device, which holds no values"),
             (
                 ("cpu", "reference"),
                 {"amplitudes": torch.ones(3, 10, 1, dtype=torch.complex64)},
@@ -103,16 +81,12 @@ ANY, CPU, REFERENCE, BOTH = ("auto", "cpu", "reference"), ("cpu",), ("reference"
             (("gpu",), {}, "engine 'gpu' is unknown; choose one of auto, cpu, cuda, reference"),
             (CPU, {"instruction_set": "sse9"}, "choose one of auto, base, avx2, avx512"),
             (("auto",), {"views": []}, "there are no views to render; give at least one View"),
-            (
-                CPU,
-                {"gaussians": cloud(10, 0).to(torch.float64)},
-                "means is torch.float64 on cpu; the CPU engine takes torch.float32",
-            ),
+            (CPU, {"gaussians": TEN.to(torch.float64)}, "means is torch.float64 on cpu; the CPU engine takes"),
             (CPU, {"gain": torch.ones(3).double()}, "gain is torch.float64 on cpu; the CPU"),
             (REFERENCE, {"plane_gradients": True}, r"needs another engine \(cpu, cuda\)"),
             (
                 BOTH,
-                {"gaussians": changed("means", (0, 0), 1e6)},
+                {"gaussians": changed(TEN, "means", (0, 0), 1e6)},
                 r"view 0 would need too many rays .* reach 1e\+06 m .* remove distant or wide ones",
             ),
             (BOTH, {"rays": RayGrid((1e-5, 1e-5))}, "too many rays at a spacing of"),
@@ -126,48 +100,27 @@ ANY, CPU, REFERENCE, BOTH = ("auto", "cpu", "reference"), ("cpu",), ("reference"
     ],
 )
 def test_arguments(engine, options, message, request):
-    whole = {"gaussians": cloud(10, 0), "views": VIEWS, "grid": GRID} | options
+    whole = {"gaussians": TEN, "views": VIEWS, "grid": GRID} | options
     with pytest.raises(SarsplatError, match=message):
         by(engine, request)(**whole)
 
 
 def test_engine_works_after_an_error():
-    expected = render(cloud(10, 0), VIEWS, GRID, engine="cpu").images
+    expected = render(TEN, VIEWS, GRID, engine="cpu").images
     with pytest.raises(SarsplatError, match="too many rays"):
-        render(changed("means", (0, 0), 1e6), VIEWS, GRID, engine="cpu")
-    assert torch.equal(render(cloud(10, 0), VIEWS, GRID, engine="cpu").images, expected)
+        render(changed(TEN, "means", (0, 0), 1e6), VIEWS, GRID, engine="cpu")
+    assert torch.equal(render(TEN, VIEWS, GRID, engine="cpu").images, expected)
 
 
 def test_engine_auto_follows_the_dtype():
-    scene = cloud(10, 0)
+    scene = TEN
     assert torch.equal(render(scene, VIEWS, GRID).images, render(scene, VIEWS, GRID, engine="cpu").images)
     double = scene.to(torch.float64)
     assert torch.equal(render(double, VIEWS, GRID).images, render_reference(double, VIEWS, GRID).images)
 
 
-@pytest.mark.parametrize(
-    ("name", "tensor", "message"),
-    [
-        ("means", torch.zeros(10, 2), r"means has shape \(10, 2\); for 10 Gaussians it must be \(10, 3\)"),
-        ("scales", torch.zeros(9, 3), r"scales has shape \(9, 3\); for 10 Gaussians it must be \(10, 3\)"),
-        ("optical_depth", torch.zeros(10, 1), r"optical_depth has shape \(10, 1\); .* it must be \(10,\)"),
-        ("scattering", torch.zeros(10, 5), r"scattering has shape \(10, 5\); .* K = 1, 4, 9 or 16"),
-        (
-            "scales",
-            torch.zeros(10, 3, dtype=torch.float64),
-            "scales is torch.float64 on cpu but means is torch.float32",
-        ),
-    ],
-)
-def test_gaussians_that_do_not_fit_together(name, tensor, message):
-    with pytest.raises(SarsplatError, match=message):
-        cloud(10, 0).with_tensors(**{name: tensor})
-    with pytest.raises(SarsplatError, match=r"p_min -0.1 must be finite and at least 0"):
-        replace(cloud(10, 0).scattering, p_min=-0.1)
-
-
 def test_torch_defaults_do_not_matter():
-    scene = cloud(10, 0)
+    scene = TEN
     expected = render(scene, VIEWS, GRID, first_return_depth=0.1)
     torch.set_default_dtype(torch.float64)
     try:

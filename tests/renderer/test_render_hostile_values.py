@@ -1,7 +1,5 @@
 """NaN, infinities, denormals and giants in any input: refused by name, or proven harmless."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

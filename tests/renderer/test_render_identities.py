@@ -1,7 +1,5 @@
 """What every renderer must satisfy, whatever its arithmetic (docs/concepts/image-model.md, identities)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -9,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from named_scenes import MATRIX, VIEWS, cloud, facing, with_scales
+from test_cpu_engine import relative
 
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import covariance, rotation_matrix
@@ -31,10 +30,6 @@ def render(*arguments: object, engine: str, **options: object) -> Rendering:
     return render_with(*arguments, engine=name, instruction_set=instruction_set, **options)
 
 
-def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
-    return float((found - expected).detach().norm() / expected.detach().norm())
-
-
 def sheet(origin, along, across, counts, gamma0: float, spacing: float) -> Gaussians:
     """A flat, opaque, rectangular sheet of discs from a corner (§6): s = Δ/2, pitch 1.6 s, mean optical depth 8."""
     s = spacing / 2
@@ -52,10 +47,6 @@ def sheet(origin, along, across, counts, gamma0: float, spacing: float) -> Gauss
         torch.full((n,), kappa, dtype=torch.float64),
         Harmonics(torch.full((n, 1), math.log(math.expm1(gamma0)) * 2 * math.sqrt(math.pi), dtype=torch.float64)),
     )
-
-
-def joined(*parts: Gaussians) -> Gaussians:
-    return Gaussians.cat(parts)
 
 
 def one(kappa: float = 1.0, scales: tuple[float, float, float] = (0.4, 0.3, 0.2), mean=(0.1, 0.2, 0.3)) -> Gaussians:
@@ -97,7 +88,7 @@ def test_layover_adds_and_the_shadow_is_as_long_as_geometry_says(engine):
     grid = ImageGrid(40, 8, spacing_m=(0.2, 0.2), resolution_m=(0.25, 0.25))
     ground = sheet((-reach, -1.6, 0.0), (1, 0, 0), (0, 1, 0), (65, 20), gamma0=0.3, spacing=0.2)
     wall = sheet((0.0, -1.6, 0.0), (0, 1, 0), (0, 0, 1), (20, 12), gamma0=0.3, spacing=0.2)
-    rendering = render(joined(ground, wall).to(DTYPE[engine]), [View(LOOK, 50.0)], grid, engine=engine)
+    rendering = render(Gaussians.cat([ground, wall]).to(DTYPE[engine]), [View(LOOK, 50.0)], grid, engine=engine)
     level = rendering.channel(0)[0, :, 3:5].mean(1).numpy() / 0.3
     g = grid.range_m / cos  # ground range from the wall's foot, away from the radar
     assert level[(g > -height * tan + 0.6) & (g < -0.6)] == pytest.approx(tan + 1 / tan, rel=0.02)
@@ -167,7 +158,9 @@ def test_behind_a_wall(engine, kappa):
     rays = RayGrid((0.05, 0.05))
     dtype = DTYPE[engine]
     free = render(small.to(dtype), VIEWS[:1], GRID, rays=rays, engine=engine).cross_sections[0, 0, 0]
-    behind = render(joined(small, wall).to(dtype), VIEWS[:1], GRID, rays=rays, engine=engine).cross_sections[0, 0, 0]
+    behind = render(Gaussians.cat([small, wall]).to(dtype), VIEWS[:1], GRID, rays=rays, engine=engine).cross_sections[
+        0, 0, 0
+    ]
     if kappa == 30.0:
         assert float(behind) == 0.0  # past the early stop
     else:

@@ -1,7 +1,5 @@
 """The public steps project, attenuate and splat: against their twins, against `render`, and on their own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -10,87 +8,34 @@ from typing import Any
 
 import pytest
 import torch
+from chain import chained, steps_of
 from emulated_cuda import Emulator
-from finite_differences import check_gradients
-from named_scenes import GRADCHECK, GRID, MATRIX, VIEWS, Scene, cloud
-from step_cases import STEPS, check, found_by, judged, projection_of, tensors_of
-from test_cpu_engine import AVAILABLE, relative
+from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
+from test_cpu_engine import AVAILABLE, check, everything, judged, outputs_of, relative, same_bits, traced
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
+from sarsplat.gaussians import Harmonics, NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import Footprints, Waves, attenuate, project, render, splat
 from sarsplat.renderer.engines import cpu, cuda
-from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
-from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
+from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.reference import splat_reference
 
 RAYS = RayGrid.for_image(GRID)
+STEPPED = [name for name in MATRIX if "ground" not in name and "terrain" not in name]  # which are no steps
+
+
+def emulated(request: pytest.FixtureRequest) -> NewPass:
+    return partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
 
 
 @pytest.mark.parametrize("instruction_set", AVAILABLE)
-@pytest.mark.parametrize("name", MATRIX)
-@pytest.mark.parametrize("step", STEPS)
-def test_matches_its_twin(step, name, instruction_set):
-    check(step, name, found_by(partial(cpu.Pass, instruction_set), step, name))
-
-
-def test_the_scenes_have_something_to_compare():
-    for step in STEPS:
-        for name in set(MATRIX) - {"none", "all outside"}:
-            expected, _ = judged(step, name)
-            gradients = [key for key in expected if key.startswith("d ")]
-            assert len(gradients) == {"project": 6, "attenuate": 3, "splat": 3, "waves": 4}[step]
-            assert all(float(expected[key].norm()) > 0 for key in gradients), (step, name)
-
-
-# ---- the chain is the fused pass -------------------------------------------------------------------------------------
-def chained(scene: Scene, leaves: dict[str, Tensor], **engine: str) -> dict[str, Tensor]:
-    """What `render` returns, step by step."""
-    fields = scene.gaussians.tensors()
-    gaussians = scene.gaussians.with_tensors(**{name: leaves.get(name, tensor) for name, tensor in fields.items()})
-    rays = scene.rays or RayGrid.for_image(scene.grid)
-    p = project(gaussians, scene.views, scene.grid, rays=rays, shift=leaves.get("shift"), **engine)
-    lit = attenuate(p, rays, first_return_depth=scene.first_return_depth, **engine)
-    cross_sections = leaves.get("amplitudes", p.amplitudes) * lit.lit_area[..., None]
-    images = splat(p.pixels, cross_sections, scene.grid, imaging_weight=scene.imaging_weight, **engine)
-    if "gain" in leaves:
-        images = images * leaves["gain"][:, None, None, None]
-    return collected(images, cross_sections, lit.lit_area, lit.ray_maps)
-
-
-def fused(scene: Scene, leaves: dict[str, Tensor], **engine: str) -> dict[str, Tensor]:
-    r = scene.call(render, leaves, **engine)
-    return collected(r.images, r.cross_sections, r.lit_area, r.ray_maps)
-
-
-def collected(images, cross_sections, lit_area, ray_maps) -> dict[str, Tensor]:
-    maps = {
-        part: torch.cat([getattr(m, part).flatten() for m in ray_maps]) for part in ("transmittance", "first_return")
-    }
-    return {"images": images, "cross_sections": cross_sections, "lit_area": lit_area} | maps
-
-
-def with_gradients(outputs: dict[str, Tensor], leaves: dict[str, Tensor]) -> dict[str, Tensor]:
-    generator, loss = torch.Generator().manual_seed(5), torch.zeros(())
-    for name in ("images", "cross_sections", "transmittance"):
-        norm = float(outputs[name].detach().norm()) or 1.0
-        loss = loss + (outputs[name] * torch.randn(outputs[name].shape, generator=generator)).sum() / norm
-    gradients = torch.autograd.grad(loss, list(leaves.values()))
-    return {name: t.detach().nan_to_num() for name, t in outputs.items()} | dict(zip(leaves, gradients, strict=True))
-
-
-@pytest.mark.parametrize("name", MATRIX)
-def test_the_chain_is_the_fused_pass(name):
-    scene = replace(MATRIX[name](), ground=None)  # which is no step
-    found, expected = (
-        with_gradients(run(scene, leaves, engine="cpu"), leaves)
-        for run in (chained, fused)
-        for leaves in [scene.leaves(torch.float32)]
-    )
-    for key, value in expected.items():
-        assert found[key].shape == value.shape, key
-        assert relative(found[key], value.double()) <= (1e-6 if key in ("images", "cross_sections") else 3e-6), key
+@pytest.mark.parametrize("name", STEPPED)
+def test_a_chain_of_steps_matches_the_reference(name, instruction_set):
+    scene, _, norms, _, maps = judged(name)
+    steps = steps_of(partial(cpu.Pass, instruction_set))
+    check(name, everything(scene, traced(maps, partial(chained, steps)), norms))
 
 
 @pytest.mark.parametrize("law", [Harmonics, NormalLobes])
@@ -98,76 +43,36 @@ def test_the_reference_by_steps(law):
     single = replace(cloud(20, 1), scattering=law(torch.randn(20, 1 if law is Harmonics else 3)))
     scene = Scene(single.to(torch.float64))
     leaves = scene.leaves(torch.float64)
-    found, expected = chained(scene, leaves), fused(scene, leaves)
+    public = SimpleNamespace(project=project, attenuate=attenuate, splat=splat)
+    found, expected = (outputs_of(scene.call(by, leaves)) for by in (partial(chained, public), render))
     for key, value in expected.items():
         assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), key
 
 
-# ---- finite differences of the twins ---------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", GRADCHECK)
-def test_finite_differences_of_every_twin(name):
-    scene = GRADCHECK[name]()
-    g = scene.gaussians.to(torch.float64)
-    shift = scene.shift.double()
-
-    def footprints(*tensors):
-        p = project_reference(g.with_tensors(**dict(zip(g.tensors(), tensors))), scene.views, scene.grid,
-                              rays=scene.rays, shift=tensors[-1])  # fmt: skip
-        return p.rays.centers, p.rays.roots, p.optical_depth, p.pixels.centers, p.pixels.roots, p.amplitudes
-
-    check_gradients(footprints, tuple(t.clone().requires_grad_() for t in (*g.tensors().values(), shift)))
-    p = project_reference(g, scene.views, scene.grid, rays=scene.rays, shift=shift)
-
-    def seen(centers, roots, depth):
-        made = replace(p, rays=Footprints(centers, roots), optical_depth=depth)
-        found = attenuate_reference(made, scene.rays, first_return_depth=0.5, cuts=False)
-        return found.lit_area, *(ray_map.transmittance for ray_map in found.ray_maps)
-
-    check_gradients(seen, tuple(t.clone().requires_grad_() for t in (p.rays.centers, p.rays.roots, p.optical_depth)))
-    cross_sections = torch.randn(2, len(g), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
-
-    def images(centers, roots, cross_sections):
-        made = Footprints(centers, roots)
-        return [splat_reference(made, cross_sections, scene.grid, imaging_weight=scene.imaging_weight, cuts=False)]
-
-    check_gradients(
-        images, tuple(t.clone().requires_grad_() for t in (p.pixels.centers, p.pixels.roots, cross_sections))
-    )
-    numbers = torch.tensor([[2.0], [-3.0]], dtype=torch.float64)
-    slopes = torch.randn(2, len(g), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-
-    def waves(centers, roots, cross_sections, slopes):
-        made, turned = Footprints(centers, roots), Waves(numbers, slopes)
-        return [splat_reference(made, cross_sections, scene.grid, waves=turned, cuts=False)]
-
-    check_gradients(
-        waves, tuple(t.clone().requires_grad_() for t in (p.pixels.centers, p.pixels.roots, cross_sections, slopes))
-    )
+@pytest.mark.parametrize("engine", [*AVAILABLE, "cuda"])
+@pytest.mark.parametrize("name", ["overlap", "partly outside", "one pixel", "many views", "peak weight", "many"])
+def test_phases_that_turn_across_footprints(name, engine, request):
+    """By up to some turns."""
+    scene, generator = MATRIX[name](), torch.Generator().manual_seed(96)
+    pixels = project(scene.gaussians, scene.views, scene.grid).pixels
+    views, n, _ = pixels.centers.shape
+    parts, slopes = torch.randn(views, n, 6, generator=generator), torch.randn(views, n, 2, generator=generator)
+    inputs = pixels.centers, pixels.roots, parts, slopes * pixels.roots.median()
+    numbers = torch.randn(views, 3, generator=generator)
+    seeds = torch.randn(views, 6, scene.grid.rows, scene.grid.columns, generator=generator)
+    found = []
+    new_pass = partial(cpu.Pass, engine) if engine != "cuda" else emulated(request)
+    for step, dtype in ((steps_of(new_pass).splat, torch.float32), (splat_reference, torch.float64)):
+        leaves = [tensor.detach().to(dtype).requires_grad_() for tensor in inputs]
+        waves = Waves(numbers.to(dtype), leaves[3])
+        images = step(Footprints(*leaves[:2]), leaves[2], scene.grid, waves=waves, imaging_weight=scene.imaging_weight)
+        found.append([images, *torch.autograd.grad(images, leaves, seeds.to(dtype))])
+    for tolerance, mine, expected in zip((1e-5, *[1e-4] * 4), *found, strict=True):
+        assert expected.norm() > 0
+        assert relative(mine, expected.detach()) <= tolerance
 
 
 # ---- channels --------------------------------------------------------------------------------------------------------
-def splat_with_gradients(footprints: Footprints, cross_sections: Tensor, seeds: Tensor, grid=GRID) -> list[Tensor]:
-    leaves = [t.detach().clone().requires_grad_() for t in (footprints.centers, footprints.roots, cross_sections)]
-    images = splat(Footprints(*leaves[:2]), leaves[2], grid, engine="cpu")
-    return [images.detach(), *torch.autograd.grad(images, leaves, seeds)]
-
-
-@pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 9])
-def test_channels_are_single_splats(channels):
-    pixels = project(cloud(60, 1), VIEWS, GRID).pixels
-    generator = torch.Generator().manual_seed(channels)
-    cross_sections = torch.randn(3, 60, channels, generator=generator)
-    seeds = torch.randn(3, channels, GRID.rows, GRID.columns, generator=generator)
-    images, d_centers, d_roots, d_cross_sections = splat_with_gradients(pixels, cross_sections, seeds)
-    singles = [
-        splat_with_gradients(pixels, cross_sections[..., c : c + 1], seeds[:, c : c + 1]) for c in range(channels)
-    ]
-    assert torch.equal(images, torch.cat([single[0] for single in singles], dim=1))
-    assert relative(d_cross_sections, torch.cat([single[3] for single in singles], dim=2).double()) <= 1e-6
-    assert relative(d_centers, sum(single[1].double() for single in singles)) <= 1e-5
-    assert relative(d_roots, sum(single[2].double() for single in singles)) <= 1e-5
-
-
 @pytest.mark.parametrize("engine", ["cpu", "reference"])
 @pytest.mark.parametrize("channels", [1, 2])
 def test_complex_amplitudes_are_two_channels(channels, engine):
@@ -184,47 +89,15 @@ def test_complex_amplitudes_are_two_channels(channels, engine):
     assert relative(*(torch.view_as_real(g.resolve_conj()).double() for g in (found, expected))) <= 1e-5
 
 
-def test_finite_differences_of_complex_amplitudes():
-    pixels, generator = project(cloud(4, 1).to(torch.float64), VIEWS[:1], GRID).pixels, torch.Generator().manual_seed(1)
-    cross_sections = torch.randn(1, 4, 1, generator=generator, dtype=torch.complex128).requires_grad_()
-    assert torch.autograd.gradcheck(lambda sections: splat(pixels, sections, GRID), (cross_sections,))
-    with pytest.raises(SarsplatError, match=r"cross_sections is torch.complex64 on cpu but footprints.centers"):
-        splat(pixels, cross_sections.to(torch.complex64), GRID)
-
-
-def test_a_dark_gaussian_has_a_gradient():
-    pixels = project(cloud(5, 1), VIEWS, GRID).pixels
-    cross_sections = torch.zeros(3, 5, 1, requires_grad=True)
-    splat(pixels, cross_sections, GRID).sum().backward()
-    assert (cross_sections.grad > 0).all()
-
-
 # ---- on their own ----------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("name", ["many", "many views"])
-def test_same_bits_for_any_number_of_threads(name, step, threads):
+def test_same_bits_for_any_number_of_threads(name, threads):
     threads(1)
-    expected = found_by(cpu.Pass, step, name)
+    scene, chain = MATRIX[name](), partial(chained, steps_of(cpu.Pass))
+    expected = everything(scene, chain, {})
     for count in (2, 3, 7):
         threads(count)
-        found = found_by(cpu.Pass, step, name)
-        for key, value in expected.items():
-            assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), (count, key)
-
-
-@pytest.mark.parametrize("engine", ["cpu", "reference"])
-def test_no_gaussians(engine):
-    p = project(cloud(0, 0), VIEWS, GRID, engine=engine)
-    assert p.rays.roots.shape == p.pixels.roots.shape == (3, 0, 3)
-    found = attenuate(p, RAYS, first_return_depth=1.0, engine=engine)
-    assert found.lit_area.shape == (3, 0)
-    assert found.ray_maps[0].transmittance.shape == (0, 0)
-    cross_sections = torch.zeros(3, 0, 2, requires_grad=True)
-    images = splat(p.pixels, cross_sections, GRID, engine=engine)
-    assert images.shape == (3, 2, GRID.rows, GRID.columns)
-    assert not images.any()
-    images.sum().backward()
-    assert cross_sections.grad.shape == (3, 0, 2)
+        assert same_bits(everything(scene, chain, {}), expected), count
 
 
 def test_gradients_of_gradients_are_refused():
@@ -263,13 +136,13 @@ NAN, INF = float("nan"), float("inf")
 def by(request: pytest.FixtureRequest) -> SimpleNamespace:
     """The steps with an engine; that of CUDA is emulated."""
     if request.param != "cuda":
-        steps: dict[str, Callable[..., Any]] = {"project": project, "attenuate": attenuate, "splat": splat}
-        return SimpleNamespace(**{name: partial(step, engine=request.param) for name, step in steps.items()})
-    new_pass = partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
+        public: dict[str, Callable[..., Any]] = {"project": project, "attenuate": attenuate, "splat": splat}
+        return SimpleNamespace(**{name: partial(step, engine=request.param) for name, step in public.items()})
+    steps = steps_of(emulated(request))
     return SimpleNamespace(
-        project=partial(project_with, new_pass, rays=RAYS, shift=None),
-        attenuate=partial(attenuate_with, new_pass, first_return_depth=None),
-        splat=partial(splat_with, new_pass, imaging_weight="area"),
+        project=partial(steps.project, rays=RAYS, shift=None),
+        attenuate=partial(steps.attenuate, first_return_depth=None),
+        splat=partial(steps.splat, imaging_weight="area"),
     )
 
 
@@ -285,9 +158,11 @@ def by(request: pytest.FixtureRequest) -> SimpleNamespace:
     ],
 )
 def test_projections_out_of_range(by, name, index, value, message):
-    tensors = tensors_of(project(cloud(10, 0), VIEWS, GRID))
+    p = project(cloud(10, 0), VIEWS, GRID)
+    field, _, part = name.partition(".")
+    wrong = bad(getattr(p.rays, part) if part else getattr(p, field), index, value)
     with pytest.raises(SarsplatError, match=message):
-        by.attenuate(projection_of(tensors | {name: bad(tensors[name], index, value)}), RAYS)
+        by.attenuate(replace(p, **{field: replace(p.rays, **{part: wrong}) if part else wrong}), RAYS)
 
 
 def test_values_out_of_range(by):
@@ -303,16 +178,13 @@ def test_values_out_of_range(by):
             by.project(wrong, VIEWS, GRID)
 
 
-TEN = cloud(10, 0)
+TEN, WIDE = cloud(10, 0), ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (
-            lambda p, x: Footprints(p.rays.centers, p.rays.roots[:, :9]),
-            r"roots has shape \(3, 9, 3\); for 3 views of 10",
-        ),
+        (lambda p, x: Footprints(p.rays.centers, p.rays.roots[:, :9]), r"roots has shape \(3, 9, 3\); for 3 views of"),
         (lambda p, x: replace(p, tilt=p.range_m), r"tilt has shape \(3, 10\); for 3 views of 10 Gaussians it must be"),
         (
             lambda p, x: replace(p, pixels=Footprints(p.pixels.centers[:2], p.pixels.roots[:2])),
@@ -322,35 +194,22 @@ TEN = cloud(10, 0)
         (lambda p, x: replace(p, rays=p.rays.centers), "rays is an object of type Tensor"),
         (lambda p, x: replace(p, optical_depth=[1.0]), "optical_depth is .1.0.; give a torch.Tensor"),
         (lambda p, x: splat(p.pixels, x[..., 0], GRID), r"cross_sections has shape \(3, 10\); .* must be \(3, 10, C\)"),
-        (
-            lambda p, x: splat(p.pixels, x[..., :0], GRID),
-            r"cross_sections has shape \(3, 10, 0\); .* at least one channel",
-        ),
-        (
-            lambda p, x: splat(p.pixels, x.double(), GRID),
-            "cross_sections is torch.float64 on cpu but footprints.centers",
-        ),
-        (
-            lambda p, x: splat(p, x, GRID),
-            "Projection; give Footprints, such as Projection.pixels",
-        ),
+        (lambda p, x: splat(p.pixels, x[..., :0], GRID), r"cross_sections has shape \(3, 10, 0\); .* at least one"),
+        (lambda p, x: splat(p.pixels, x.double(), GRID), "is torch.float64 on cpu but footprints.centers"),
+        (lambda p, x: splat(p, x, GRID), "Projection; give Footprints, such as Projection.pixels"),
         (lambda p, x: splat(p.pixels, x, GRID, imaging_weight="round"), "imaging_weight 'round' is unknown"),
         (
             lambda p, x: splat(Footprints(p.pixels.centers[:0], p.pixels.roots[:0]), x[:0], GRID),
             r"shape \(0, 10, 2\), which has no views",
         ),
-        (
-            lambda p, x: attenuate(p.rays, RAYS),
-            "Footprints; give what sarsplat.project returned",
-        ),
+        (lambda p, x: attenuate(p.rays, RAYS), "Footprints; give what sarsplat.project returned"),
         (lambda p, x: attenuate(p, GRID), "give a RayGrid, such as"),
         (lambda p, x: attenuate(p, RAYS, first_return_depth=0), "first_return_depth 0 must be a positive"),
         (lambda p, x: project(TEN, VIEWS, GRID, engine="gpu"), "engine 'gpu' is unknown"),
         (lambda p, x: project(TEN, [], GRID), "there are no views to render"),
-        (
-            lambda p, x: project(TEN, VIEWS, GRID, shift=torch.zeros(3)),
-            r"shift has shape \(3,\); .* it must be \(3, 2\)",
-        ),
+        (lambda p, x: project(TEN, VIEWS, GRID, shift=torch.zeros(3)), r"shift has shape \(3,\); .* it must be \(3,"),
+        (lambda p, x: splat(p.pixels, x.to(torch.complex128), GRID), "cross_sections is torch.complex128 on cpu but"),
+        (lambda p, x: splat(p.pixels, x, WIDE, engine="cpu"), "an image of 80000 × 1 pixels is too large"),
         (lambda p, x: project(TEN.to(torch.float64), VIEWS, GRID, engine="cpu"), "the CPU engine takes torch.float32"),
     ],
 )
@@ -366,20 +225,3 @@ def test_lattices_that_are_too_large(by):
         SarsplatError, match=r"(view 0 would .* remove distant or wide ones|reference would need too many)"
     ):
         by.attenuate(p, RAYS)
-
-
-def test_images_that_are_too_large():
-    p = project(cloud(10, 0), VIEWS, GRID)
-    wide = ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
-    with pytest.raises(SarsplatError, match="an image of 80000 × 1 pixels is too large"):
-        splat(p.pixels, torch.ones(3, 10, 1), wide, engine="cpu")
-
-
-def test_tensors_changed_before_backward():
-    g: Gaussians = cloud(10, 1)
-    g.means.requires_grad_()
-    p = project(g, VIEWS, GRID)
-    with torch.no_grad():
-        g.scales.mul_(2.0)
-    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
-        p.rays.roots.sum().backward()

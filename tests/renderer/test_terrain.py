@@ -1,7 +1,5 @@
 """Terrain: its brightness, layover and shadow against closed forms, what it hides, and that a flat one is the plane."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -78,14 +78,19 @@ def tab() -> Iterator[Page]:
         yield browser.page
 
 
+def ready(tab: Page, report: str, width: int = 1400) -> None:
+    """Open a report and wait until its images are there."""
+    tab.size(width, 900)
+    tab.open(report)
+    tab.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+
+
 def pixels(tab: Page, canvas: str) -> str:
     return str(tab.value(f"document.getElementById('{canvas}').toDataURL()"))
 
 
 def test_a_drag_turns_the_points_and_changes_the_images(tab: Page, report: str) -> None:
-    tab.size(1400, 900)
-    tab.open(report)
-    tab.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+    ready(tab, report)
     canvases = ("cloud", "sar-rendered", "sar-true", "sar-error")
     before = {name: pixels(tab, name) for name in canvases}
     tab.value("document.getElementById('stage').scrollIntoView({block: 'center'})")
@@ -103,17 +108,13 @@ def test_a_drag_turns_the_points_and_changes_the_images(tab: Page, report: str) 
 
 
 def test_a_grazing_angle_is_offered_only_where_it_changes_the_image(tab: Page, report: str, tmp_path: Path) -> None:
-    tab.size(1400, 900)
-    ready = "document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')"
-    tab.open(report)
-    tab.until(ready)
+    ready(tab, report)
     assert not tab.value("document.getElementById('grazing') !== null")
     tab.value("document.getElementById('stage').focus()")
     tab.key("ArrowUp")
     assert "grazing 30°" in tab.value("document.getElementById('sar-rendered-title').textContent")
 
-    tab.open(written(tmp_path, test=60.0))
-    tab.until(ready)
+    ready(tab, written(tmp_path, test=60.0))
     assert tab.value("[grazing.min, grazing.max].map(Number)") == [30, 60]
     for angle in (30, 60):
         before = pixels(tab, "sar-rendered")
@@ -123,9 +124,7 @@ def test_a_grazing_angle_is_offered_only_where_it_changes_the_image(tab: Page, r
 
 
 def test_pictures_use_the_room_of_a_wide_page(tab: Page, report: str) -> None:
-    tab.size(1400, 900)
-    tab.open(report)
-    tab.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+    ready(tab, report)
     assert min(tab.value("[...document.querySelectorAll('.widget .frame')].map(e => e.offsetWidth)")) > 280
     boards = "[...document.querySelectorAll('.board .panels')].map(e => e.lastElementChild.offsetTop - e.offsetTop)"
     assert max(tab.value(boards)) < 50  # all three sides in one row
@@ -135,15 +134,12 @@ def test_pictures_use_the_room_of_a_wide_page(tab: Page, report: str) -> None:
 
 def test_no_request_leaves_the_machine(report: str) -> None:
     with chromium() as browser:
-        browser.page.open(report)
-        browser.page.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+        ready(browser.page, report)
         assert browser.quit() == []
 
 
 def test_keys_turn_it_and_the_range_darkens_it(tab: Page, report: str) -> None:
-    tab.size(1400, 900)
-    tab.open(report)
-    tab.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+    ready(tab, report)
     azimuth = float(tab.value("document.getElementById('azimuth').value"))
     tab.value("document.getElementById('stage').focus()")
     tab.key("ArrowRight")
@@ -166,9 +162,7 @@ def test_a_score_explains_itself_by_keyboard(tab: Page, report: str) -> None:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_can_be_read_and_nothing_sticks_out(tab: Page, report: str, width: int, scheme: str) -> None:
     tab.scheme(scheme)
-    tab.size(width, 900)
-    tab.open(report)
-    tab.until("document.getElementById('sar-true-title').textContent.startsWith('measured, azimuth')")
+    ready(tab, report, width)
     assert tab.value(SMALL_TEXT) == []
     assert tab.value("document.documentElement.scrollWidth") <= width, tab.value(FIRST_OVERFLOWING)
     light = tab.value("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")

@@ -12,15 +12,14 @@ from datasets import dataset_of
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report import Look, contact_sheet, decibel_png, sheet
-from sarsplat.report.boards import point_boards
+from sarsplat.report.boards import SIDES, Raster, point_boards
 from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
-from sarsplat.report.residual import Difference, Window
-from sarsplat.report.sides import SIDES, Raster
+from sarsplat.report.images import target_window
+from sarsplat.report.residual import Difference, window
 from sarsplat.report.views import evenly
-from sarsplat.report.window import target_window
-from sarsplat.runs.log import LogLine
+from sarsplat.runs.run_folder import LogLine
 
 
 def test_grey_levels_of_the_png() -> None:
@@ -92,10 +91,10 @@ def test_speckle_alone_gives_residuals_of_one_sigma(looks: float, cells: float) 
 
 
 def test_the_window_of_a_residual_holds_a_resolution_cell() -> None:
-    window = Window.of(ImageGrid(128, 128, spacing_m=(0.2031, 0.2021), resolution_m=(0.3229, 0.3013)))
-    assert (window.rows, window.columns) == (3, 3)
-    assert window.independent == pytest.approx(9 * 0.2031 / 0.3229 * 0.2021 / 0.3013)
-    assert Window.of(ImageGrid(64, 64, spacing_m=(0.1, 0.1), resolution_m=(0.42, 0.1))).columns == 5
+    *size, independent = window(ImageGrid(128, 128, spacing_m=(0.2031, 0.2021), resolution_m=(0.3229, 0.3013)))
+    assert size == [3, 3]
+    assert independent == pytest.approx(9 * 0.2031 / 0.3229 * 0.2021 / 0.3013)
+    assert window(ImageGrid(64, 64, spacing_m=(0.1, 0.1), resolution_m=(0.42, 0.1)))[1] == 5
 
 
 @pytest.mark.parametrize(("low", "high"), [(-6.0, 6.0), (0.0, 1e-4), (3.2, 7.9), (12.0, -3.0), (0.0, 4500.0)])
@@ -153,6 +152,8 @@ def test_one_corner_reflector_does_not_darken_a_check() -> None:
 
 
 def test_a_contact_sheet_is_as_bright_as_the_single_pictures_and_capped(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SarsplatError, match="no images"):
+        contact_sheet(np.empty((0, 16, 16)), [], ImageGrid(16, 16, (0.3, 0.3), (0.3, 0.3)), Look(1.0))
     assert sheet._MOST == 96  # as its documentation says; twelve lines take a second to draw
     monkeypatch.setattr(sheet, "_MOST", 8)
     grid = ImageGrid(24, 24, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
@@ -163,17 +164,11 @@ def test_a_contact_sheet_is_as_bright_as_the_single_pictures_and_capped(monkeypa
     assert (grey == 128).mean() > 0.4  # half of 40 dB below white, as in the PNGs
 
 
-def test_a_contact_sheet_of_nothing_is_refused() -> None:
-    grid = ImageGrid(16, 16, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
-    with pytest.raises(SarsplatError, match="no images"):
-        contact_sheet(np.empty((0, 16, 16)), [], grid, Look(1.0))
-
-
 @pytest.mark.parametrize("size", [1, 3])
 def test_of_points_that_cover_a_pixel_the_nearest_is_seen_and_of_equally_near_ones_the_last(
     monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
-    monkeypatch.setattr("sarsplat.report.sides._AT_ONCE", 64)
+    monkeypatch.setattr("sarsplat.report.boards._AT_ONCE", 64)
     points = np.random.default_rng(0).integers(-1, 11, (500, 3)).astype(float)  # on a lattice, some of them outside
     raster = Raster(np.zeros(3), np.full(3, 10.0), 1.0)
     for side in SIDES:
@@ -182,6 +177,5 @@ def test_of_points_that_cover_a_pixel_the_nearest_is_seen_and_of_equally_near_on
             up, across = (int(points[point, axis]) + 1 for axis in (side.up, side.across))
             painted[up : up + size, across : across + size] = point
         first = 1 + size // 2
-        seen, covered = raster.nearest(points, side, size)
+        seen = raster.nearest(points, side, size)
         np.testing.assert_array_equal(seen, painted[first : first + 10, first : first + 10][::-1])
-        np.testing.assert_array_equal(covered, seen >= 0)

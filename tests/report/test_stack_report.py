@@ -14,7 +14,7 @@ from datasets import dataset_of
 from sarsplat import ImageGrid, ScatteringLaw, Stack, View, preset, reconstruct, simulate_stack, write_report
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.geometry import radar_frame
-from sarsplat.report.interferogram import Interferogram, Pair, averaged
+from sarsplat.report.interferogram import Interferogram, Pair, averaged, covariances
 from sarsplat.report.layover import Slice, brightest_layover
 
 VIEW, GRID = View(0.0, 45.0), ImageGrid(24, 20, (0.5, 0.6), (0.6, 0.6))
@@ -46,25 +46,20 @@ def test_the_pair_is_the_longest_whose_phase_turns_at_most_once(height_m: float)
 
 @pytest.mark.parametrize("height_m", [-1.0, 0.0, 2.5])
 def test_a_plane_is_coherent_and_its_phase_is_that_of_its_height(height_m: float) -> None:
-    """From signals and from covariances alike, up to the edges."""
+    """Up to the edges."""
     pair = Pair.longest(STACK, VIEW, 6.0)
     rng = np.random.default_rng(0)
     speckle = rng.normal(size=(24, 20)) + 1j * rng.normal(size=(24, 20))
     signals = speckle * np.exp(1j * STACK.plane_phases(VIEW, GRID, height_m))
-    level = STACK.plane_phases(VIEW, GRID)
-    for parts in (
-        pair.of_signals(signals, level),
-        pair.of_covariances(signals[:, None] * signals[None].conj(), level),
-    ):
-        shown = Interferogram.of(averaged(parts, 3))
-        np.testing.assert_allclose(shown.coherence, 1.0, rtol=1e-6)
-        np.testing.assert_allclose(shown.phase, 2 * math.pi * height_m / pair.cycle_m, atol=1e-3)
+    shown = Interferogram.of(averaged(pair.of(covariances(signals), STACK.plane_phases(VIEW, GRID)), 3))
+    np.testing.assert_allclose(shown.coherence, 1.0, rtol=1e-6)
+    np.testing.assert_allclose(shown.phase, 2 * math.pi * height_m / pair.cycle_m, atol=1e-3)
 
 
 def test_what_is_not_coherent_looks_so() -> None:
     rng = np.random.default_rng(0)
     signals = rng.normal(size=(5, 24, 20)) + 1j * rng.normal(size=(5, 24, 20))
-    parts = Pair(1, 0, 10.0).of_signals(signals, np.zeros((5, 24, 20)))
+    parts = Pair(1, 0, 10.0).of(covariances(signals), np.zeros((5, 24, 20)))
     assert Interferogram.of(averaged(parts, 3)).coherence.mean() < 0.4
     assert Interferogram.of(averaged(parts, 11)).coherence.mean() < 0.15
     assert not Interferogram.of(0 * parts).coherence.any()

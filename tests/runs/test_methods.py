@@ -41,11 +41,6 @@ def test_a_run_in_a_folder_of_images_in_memory_is_evaluated(in_memory: Dataset, 
         Run.load(tmp_path / "run", dataset=other)
 
 
-def test_settings_of_another_method_are_refused(dataset: Dataset, config: Config):
-    with pytest.raises(SarsplatError, match="the settings are a Config; sar-nerf takes a SarNerfConfig"):
-        reconstruct(dataset, config, method="sar-nerf")
-
-
 def test_views_are_drawn_on_the_cpu_whatever_torchs_default_device():
     queue = ViewQueue(5, 2, torch.Generator().manual_seed(0))
     with torch.device("meta"):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, preset, reconstruct
+from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply, write_points_ply
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.learning import Trainer
@@ -72,14 +72,6 @@ def test_normals_are_read_with_the_points_and_computed_where_they_are_missing(fi
 def test_a_run_renders_where_it_is_told_to(finished: Run) -> None:
     assert replace(Run.load(finished.folder), device="meta").gaussians.means.device.type == "meta"
     assert Run.load(finished.folder).gaussians.means.device.type == "cpu"
-
-
-def test_every_step_is_told(dataset: Dataset, short: Config) -> None:
-    message: list[Step] = []
-    run = reconstruct(dataset, short, on_step=message.append, quiet=True)
-    assert [step.iteration for step in message] == [1, 2, 3, 4, 5, 6]
-    assert all(step.loss.shape == () and step.loss > 0 for step in message)
-    assert torch.equal(message[-1].trainer.gaussians.means, run.gaussians.means)
 
 
 def test_a_watcher_ends_the_training_and_has_a_run(dataset: Dataset, short: Config, tmp_path: Path) -> None:
@@ -172,14 +164,6 @@ def test_every_law_of_scattering_is_learned_kept_and_resumed(
     assert torch.equal(written.scattering.parameters, whole.gaussians.scattering.parameters)
 
 
-def test_scores_of_a_run_in_memory(dataset: Dataset, config: Config) -> None:
-    run = reconstruct(dataset, replace(config, iterations=20), quiet=True)
-    scores = evaluate_run(run)
-    assert scores["images"]["test"]["psnr_db"] > 15
-    assert scores["points"]["visible"]["cd_m"] < 1
-    assert run.metrics == scores  # kept with the run, as metrics.json is
-
-
 @pytest.mark.parametrize(
     ("loss", "words"),
     [
@@ -227,19 +211,6 @@ def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short:
     with pytest.raises(SarsplatError, match="the loss became nan at iteration 6"):
         reconstruct(dataset, short, tmp_path / "run", loss=breaks, quiet=True)
     assert Run.load(tmp_path / "run").iteration == 4
-
-
-def test_a_watcher_stops_between_two_steps_and_nothing_is_lost(dataset: Dataset, short: Config, tmp_path: Path) -> None:
-    def enough(step: Step) -> None:
-        if step.iteration == 5:
-            raise ValueError("enough")
-
-    with pytest.raises(ValueError, match="enough"):
-        reconstruct(dataset, short, tmp_path / "run", on_step=enough, quiet=True)
-    assert Run.load(tmp_path / "run").iteration == 5
-    resumed = reconstruct(dataset, short, tmp_path / "run", resume=True, quiet=True)
-    whole = reconstruct(dataset, short, quiet=True)
-    assert torch.equal(resumed.gaussians.means, whole.gaussians.means)
 
 
 def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:

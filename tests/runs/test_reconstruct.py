@@ -14,7 +14,7 @@ from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.errors import SarsplatWarning
 from sarsplat.learning import Trainer
 from sarsplat.learning.model import SceneModel
-from sarsplat.learning.parts.gains import gains
+from sarsplat.learning.parts.measured import gains
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.regions.target_box import target_box
 from sarsplat.runs import Step

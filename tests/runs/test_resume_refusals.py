@@ -15,7 +15,7 @@ import torch
 from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_tiff
-from sarsplat.runs.log import LogLine
+from sarsplat.runs.run_folder import LogLine
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, PointExtraction, Rates
 

@@ -15,7 +15,7 @@ from sarsplat import Config, Dataset, Gaussians, ImageGrid, Run, SarsplatError, 
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
-from sarsplat.learning.scene_tiles import Tile, tiles_of
+from sarsplat.learning.observations.parts_of_images import Tile, tiles_of
 from sarsplat.renderer import render
 from sarsplat.settings.sections import Densification, Surroundings
 from upright import upright

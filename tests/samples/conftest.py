@@ -1,7 +1,5 @@
 """A run of made-up chips whose gains and shifts are known, and two in folders."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

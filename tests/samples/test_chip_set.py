@@ -1,7 +1,5 @@
 """Sets of chips: each is the same whoever makes it and whatever else is made."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from dataclasses import replace

@@ -1,11 +1,8 @@
 """Work shared among processes: in order, the same as alone, and failures come back as they are."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -19,28 +16,26 @@ from sarsplat.samples.made_each import made_each
 
 
 @pytest.fixture(params=[1, 2])
-def threads(request: pytest.FixtureRequest) -> Iterator[int]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(request.param)
-    yield request.param
-    torch.set_num_threads(before)
+def count(request, threads):
+    threads(request.param)
+    return request.param
 
 
-def test_results_come_in_order_from_as_many_processes_as_there_are_threads(threads: int) -> None:
+def test_results_come_in_order_from_as_many_processes_as_there_are_threads(count: int) -> None:
     made = list(made_each(lambda index: (index, os.getpid(), torch.get_num_threads()), range(500, 0, -1)))
     assert [index for index, _, _ in made] == list(range(500, 0, -1))
     assert {one for _, _, one in made} == {1}
     processes = {process for _, process, _ in made}
-    assert len(processes) == threads
-    assert (os.getpid() in processes) == (threads == 1)
+    assert len(processes) == count
+    assert (os.getpid() in processes) == (count == 1)
 
 
-def test_few_are_made_here(threads: int) -> None:
+def test_few_are_made_here(count: int) -> None:
     assert set(made_each(lambda _: os.getpid(), range(20))) == {os.getpid()}
     assert list(made_each(str, [])) == []
 
 
-def test_a_polite_kill_of_all_is_left_to_the_first_process(threads: int) -> None:
+def test_a_polite_kill_of_all_is_left_to_the_first_process(count: int) -> None:
     def work(index: int) -> int:
         if index == 130 and os.getpid() != first:
             os.kill(os.getpid(), signal.SIGTERM)
@@ -82,7 +77,7 @@ def test_processes_end_with_the_first_one_however_that_ends() -> None:
         time.sleep(0.05)
 
 
-def test_a_failure_is_raised_where_it_was_in_the_same_words(threads: int) -> None:
+def test_a_failure_is_raised_where_it_was_in_the_same_words(count: int) -> None:
     def work(index: int) -> int:
         if index == 130:
             raise SarsplatError("the disk is full; make room")

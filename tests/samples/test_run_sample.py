@@ -1,7 +1,5 @@
 """Single images of a run: they differ as the training images did, and are on average what is expected."""
 
-from __future__ import annotations
-
 import math
 from copy import copy
 from dataclasses import replace

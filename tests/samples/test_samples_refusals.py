@@ -1,10 +1,6 @@
 """What is asked of runs for samples that cannot be had: one sentence each."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,9 +55,7 @@ def of_own_gaussians() -> Run:
         (lambda run: Reconstruction.sampler(run, "learned", "response", 1.0), "not how single ones differ"),
     ],
 )
-def test_what_is_refused(
-    run: Run, ask: Callable[[Run], object], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_refused(run: Run, ask, words, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SarsplatError, match=words):
         ask(run)

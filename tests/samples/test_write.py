@@ -1,7 +1,5 @@
 """Sets of chips as files: read back by the importers, and the same after any stop."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -86,9 +84,7 @@ def test_the_table_says_what_each_shows(folders: list[Path], tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("shard", [None, 2])
-def test_stopped_anywhere_it_goes_on_and_ends_the_same(
-    run: Run, tmp_path: Path, shard: int | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stopped_anywhere_it_goes_on_and_ends_the_same(run: Run, tmp_path, shard: int | None, monkeypatch) -> None:
     made = chips([run], count=5)
     write_chips(made, tmp_path / "whole", shard=shard)
     encode, drawn, left = write._encoded, [], 3
@@ -113,9 +109,7 @@ def test_stopped_anywhere_it_goes_on_and_ends_the_same(
 
 
 @pytest.mark.parametrize("changed", ["seed", "picture"])
-def test_another_set_is_not_gone_on_with_and_not_lost(
-    run: Run, tmp_path: Path, changed: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_set_is_not_gone_on_with_and_not_lost(run: Run, tmp_path, changed, monkeypatch) -> None:
     def made(seed: int, level: int) -> Chips:
         picture = np.full((40, 40), 40, np.uint8)
         picture[20:] = level

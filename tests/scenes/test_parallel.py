@@ -4,20 +4,17 @@ import threading
 import time
 
 import pytest
-import torch
 
 from sarsplat.scenes._parallel import in_order
 
 
 @pytest.fixture(params=[1, 3])
-def threads(request):
-    before = torch.get_num_threads()
-    torch.set_num_threads(request.param)
-    yield request.param
-    torch.set_num_threads(before)
+def count(request, threads):
+    threads(request.param)
+    return request.param
 
 
-def test_results_come_in_order_with_progress_within_each(threads):
+def test_results_come_in_order_with_progress_within_each(count):
     shares = []
 
     def work(item, report):
@@ -30,7 +27,7 @@ def test_results_come_in_order_with_progress_within_each(threads):
     assert shares == sorted(shares) and any(share % 1 for share in shares) and max(shares) < 5
 
 
-def test_an_error_or_ctrl_c_ends_the_others(threads):
+def test_an_error_or_ctrl_c_ends_the_others(count):
     begun, ended, waits = threading.Event(), [], [0]
 
     def work(item, report):
@@ -48,4 +45,4 @@ def test_an_error_or_ctrl_c_ends_the_others(threads):
     with pytest.raises(KeyboardInterrupt):
         list(in_order(work, range(10)))
     assert waits[0] < 200  # two seconds of the ten that one takes to its end, however busy the machine
-    assert len(ended) <= threads
+    assert len(ended) <= count

@@ -1,7 +1,5 @@
 """Ray casting on terrain: closed forms, and the renderer, which shares nothing with it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

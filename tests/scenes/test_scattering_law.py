@@ -20,13 +20,6 @@ def test_law_is_floor_plus_lobe(law, expected):
     np.testing.assert_allclose(law.gamma0(np.array([1.0, -1.0, 0.5, -0.5, 0.0])), expected)
 
 
-def test_law_can_be_recorded_and_restored():
-    law = ScatteringLaw(0.02, 3.0, 5.0)
-    assert law.as_dict() == {"floor": 0.02, "lobe": 3.0, "exponent": 5.0}
-    assert ScatteringLaw(**law.as_dict()) == law
-    assert ScatteringLaw(**{"floor": 0.1, "lobe": 0.9}) == ScatteringLaw(0.1, 0.9, 2.0)  # an old record
-
-
 def test_the_parts_of_a_mesh_differ_in_reflectivity():
     parts = [trimesh.creation.box((1, 1, 1)).apply_translation((2 * k, 0, 0)) for k in range(300)]
     mesh = trimesh.util.concatenate(parts)

@@ -1,7 +1,5 @@
 """What is refused of scenes and of simulations, each in one sentence."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -96,10 +94,7 @@ LAWS: Refusals = [
     (mechanisms(matrices=NEGATIVE[None]), "give a Hermitian, positive semi-definite one"),
     (mechanisms(matrices=np.full((1, 3, 3), np.inf + 0j)), "give a Hermitian, positive semi-definite one"),
     (mechanisms(of_faces=np.array([-1, 0])), "a facet has matrix -1 of 3; number them from 0"),
-    (
-        mechanisms(of_faces=np.array([0.5, 1.7])),
-        "of_faces is float64 of shape .2,.; give a whole number for each",
-    ),
+    (mechanisms(of_faces=np.array([0.5, 1.7])), "of_faces is float64 of shape .2,.; give a whole number for each"),
     (mechanisms(of_faces=np.zeros((2, 2), np.int64)), "of_faces is int64 of shape .2, 2.; give a whole number"),
     (mechanisms(of_ground=1.5), "of_ground is 1.5; give a whole number"),
     (mechanisms(polarisations=("HH", "HH", "VV")), "polarisations is .*" + DIFFERENT),

@@ -1,7 +1,5 @@
 """Simulated stacks: their power is the ray caster's, their phases their geometry's, V that of their mechanisms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Speckle through the response: of power 1, exponential, and as alike in neighbours as the window says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

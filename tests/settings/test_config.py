@@ -1,7 +1,5 @@
 """A configuration comes back as it was, and takes nothing that would fail an hour later."""
 
-from __future__ import annotations
-
 import json
 import math
 import pydoc
@@ -75,37 +73,22 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("surroundings.texture_looks", 1e-300, "give at least 1e-06, or 0 to switch it off"),
         ("surroundings.shift_std", 1e-9, "give at least 1e-06, or 0 to switch it off"),
         ("initialisation", "x" * 5000, "one of box, hemisphere"),
+        ("warmth", 1, "the setting 'warmth' is unknown; remove it"),
+        ("iteratons", 1, "the setting 'iteratons' is unknown; did you mean iterations?"),
+        ("rates.mean_m", 1, "the setting 'rates.mean_m' is unknown; did you mean rates.means?"),
+        ("densification.most", 1, "the setting 'densification.most' is unknown"),
+        ("surroundings.ground_pitch", 1, "surroundings.ground_pitch is of an earlier version; ground is a plane now"),
+        ("x" * 5000, 1, "is unknown"),
     ],
 )
 def test_wrong_values_are_refused_in_a_short_sentence(path: str, value: Any, allowed: str) -> None:
     with pytest.raises(SarsplatError) as refusal:
         Config.from_dict(changed(path, value), "my.json")
     message = str(refusal.value)
-    assert message.startswith(f"my.json: {path} is ")
+    assert message.startswith((f"my.json: {path} is ", "my.json: the setting "))
     assert allowed in message
-    assert len(message) < 400
+    assert len(message) < 600
     assert "\n" not in message
-
-
-@pytest.mark.parametrize(
-    ("path", "message"),
-    [
-        ("warmth", "the setting 'warmth' is unknown; remove it"),
-        ("iteratons", "the setting 'iteratons' is unknown; did you mean iterations?"),
-        ("rates.mean_m", "the setting 'rates.mean_m' is unknown; did you mean rates.means?"),
-        ("densification.most", "the setting 'densification.most' is unknown"),
-        (
-            "surroundings.ground_pitch",
-            "surroundings.ground_pitch is of an earlier version; ground is a plane now, so train",
-        ),
-        ("x" * 5000, "is unknown"),
-    ],
-)
-def test_unknown_settings_are_refused(path: str, message: str) -> None:
-    with pytest.raises(SarsplatError) as refusal:
-        Config.from_dict(changed(path, 1))
-    assert message in str(refusal.value)
-    assert len(str(refusal.value)) < 600
 
 
 @pytest.mark.parametrize("path", ["p_min", "rates.means", "densification.every", "surroundings"])
@@ -132,8 +115,7 @@ def test_records_made_in_python_are_checked_too() -> None:
     with pytest.raises(SarsplatError, match=r"^iterations is 0; it must be a whole number"):
         replace(preset("default"), iterations=0)
     with pytest.raises(
-        SarsplatError,
-        match=r"^scattering is 'waves'; it must be one of harmonics, normal-lobes, polarimetric, or",
+        SarsplatError, match=r"^scattering is 'waves'; it must be one of harmonics, normal-lobes, polarimetric, or"
     ):
         Config(scattering="waves")  # type: ignore[arg-type]
     whole = Config(p_min=0, scale_bounds=[1, 2])  # type: ignore[arg-type]

@@ -1,10 +1,6 @@
 """The surface as points with normals and as a mesh: a ball of surface Gaussians, bright on one side."""
 
-from __future__ import annotations
-
-import errno
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -186,19 +182,6 @@ def stored_normals(path: Path) -> np.ndarray:
             normals = described["accessors"][described["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]]
             start = 28 + length + described["bufferViews"][normals["bufferView"]].get("byteOffset", 0)
             return np.frombuffer(content, "<f4", 3 * normals["count"], start).reshape(-1, 3)
-
-
-@pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])
-def test_a_write_that_fails_leaves_nothing(
-    ball: Ball, tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(SarsplatError, match="the disk is full"):
-        write_mesh(tmp_path / f"ball{ending}", ball.mesh)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_no_surface_is_an_empty_mesh_and_no_file(ball: Ball, tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Which of the returns that rays have become points."""
 
-from __future__ import annotations
-
 import re
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -136,9 +134,7 @@ def test_many_views_are_thinned_evenly() -> None:
     assert len(spread([ring[0]] * 9, 4)) <= 4
 
 
-def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(
-    ball_with_a_hole: Gaussians, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(ball_with_a_hole: Gaussians, monkeypatch):
     """The ball's cost has a limit, whatever rays and views are asked for."""
     counted: list[int] = []
     first_returns = vars(_FirstReturns)["of"].__func__

@@ -72,10 +72,7 @@ def test_the_ground_decides_what_is_bright() -> None:
 
 def masks_of(target: Gaussians, ground: Ground | None, points: np.ndarray, views: list[View]) -> np.ndarray:
     model = SimpleNamespace(
-        target=lambda degree: target,
-        ground=lambda: ground,
-        degree=lambda iteration: 0,
-        as_displaced=lambda grid: grid,
+        target=lambda degree: target, ground=lambda: ground, degree=lambda iteration: 0, as_displaced=lambda grid: grid
     )
     learned = object.__new__(GaussianReconstruction)
     vars(learned).update(model=model, grid=GRID, snapshot=SimpleNamespace(iteration=0))

@@ -1,8 +1,6 @@
 """A plan whose runs take a moment: images without a surface, few Gaussians, no reports."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +9,7 @@ import pytest
 
 from datasets import box_dataset
 from sarsplat import ImageGrid, write_dataset
+from sarsplat.data.files import read_json
 from sarsplat.sweeps import EXECUTORS, Means
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.work import Row, do
@@ -52,3 +51,19 @@ def plan() -> dict[str, Any]:
         "reports": False,
         "settings": {**settings, "points.rays_per_pixel": 2},
     }
+
+
+@pytest.fixture
+def results() -> Callable[[Path], dict[str, Any]]:
+    """What a sweep has made that must not depend on who did it, bit for bit, by address."""
+
+    def of(out: Path) -> dict[str, Any]:
+        found = {}
+        for path in (out / "rows").glob("*.json"):
+            row, run = read_json(path, Row), out / "runs" / path.stem
+            row.scores.pop("time_s")
+            files = ((run / name).read_bytes() for name in ("gaussians.ply", "points.ply"))
+            found[path.stem] = (row.state, row.scores, *files)
+        return found
+
+    return of

@@ -1,7 +1,5 @@
 """A run is stale when what it depends on has changed, and only then."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -43,13 +41,15 @@ def code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str]
     """Writes a module of a package and says what the package's code is."""
     (tmp_path / "foreign").mkdir()
     monkeypatch.syspath_prepend(str(tmp_path))
-    for name in ("code", "_file", "_nodes", "_imports", "_statements", "_lazy"):  # ours is read once for all tests
+    caches = ("code", "_file", "_nodes", "_imports", "_statements", "_lazy")
+    for name in caches:  # ours is read once for all tests
         monkeypatch.setattr(address, name, cache(getattr(address, name).__wrapped__))
 
     def written(name: str, text: str) -> str:
         (tmp_path / "foreign" / f"{name}.py").write_text(text)
         importlib.invalidate_caches()
-        address.forget()
+        for cached in caches:
+            getattr(address, cached).cache_clear()
         return address.code(("foreign.method",), "cpu")
 
     written("__init__", "")

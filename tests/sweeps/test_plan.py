@@ -1,7 +1,5 @@
 """A plan means every combination of what it lists, and says in one sentence what is wrong with it."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

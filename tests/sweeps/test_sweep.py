@@ -1,7 +1,5 @@
 """What is done is not done again, what failed is a row, and tables say what the rows hold."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
@@ -18,7 +16,7 @@ import pytest
 from sarsplat import Run, SarsplatError, sweep
 from sarsplat.cli import main
 from sarsplat.evaluation import Scores, Yardstick, summary_metrics
-from sarsplat.runs.log import LogLine, log_text
+from sarsplat.runs.run_folder import LogLine, log_text
 from sarsplat.sweeps import EXECUTORS, Means, Results, cell, under_way, work
 from sarsplat.sweeps.cell import cells_of
 from sarsplat.sweeps.page import _panel

@@ -1,7 +1,5 @@
 """Processes that do runs: the same bits, and nothing is lost whoever is killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -22,13 +20,12 @@ from sarsplat.sweeps import Means, executor_local
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.work import Row, do, row_path
-from sweeps_results import results
 
 SLOW = pytest.mark.slow
 
 
 @pytest.fixture
-def expected(place: Path, plan: dict[str, Any]) -> dict[str, Any]:
+def expected(place: Path, plan: dict[str, Any], results) -> dict[str, Any]:
     """Of the plan, done in this process."""
     sweep(plan, place / "alone", executor="here", quiet=True)
     return results(place / "alone")
@@ -56,7 +53,7 @@ def workers() -> list[int]:
     return [
         int(path.parent.name)
         for path in Path("/proc").glob("[0-9]*/cmdline")
-        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.sweeps.worker" in text
+        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.sweeps.executor_local" in text
     ]
 
 
@@ -91,7 +88,7 @@ def test_as_many_runs_are_done_at_a_time_as_there_are_processes(place, plan, mon
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
-def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, capfd):
+def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, results):
     found: list[int] = []
 
     def kill() -> None:
@@ -113,7 +110,7 @@ def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, capf
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
 @SLOW
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_sweep_that_is_ended_leaves_no_process_and_continues(place, plan, expected, command, number):
+def test_a_sweep_that_is_ended_leaves_no_process_and_continues(place, plan, expected, results, command, number):
     with command() as process:
         until(lambda: list(Path("out/rows").glob("*.json")) or process.poll() is not None)
         process.send_signal(number)
@@ -130,7 +127,7 @@ def test_a_sweep_that_is_ended_leaves_no_process_and_continues(place, plan, expe
 
 
 @SLOW
-def test_two_sweeps_of_one_folder_share_the_work(place, plan, expected, command):
+def test_two_sweeps_of_one_folder_share_the_work(place, plan, expected, results, command):
     with command() as first, command() as second:
         said = [process.communicate(timeout=180)[1] for process in (first, second)]
     assert [first.returncode, second.returncode] == [0, 0], said

@@ -1,7 +1,5 @@
 """A Ray cluster of two nodes: the same bits as in this process, also when a node dies."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator
@@ -11,7 +9,6 @@ import pytest
 
 from sarsplat import SarsplatError, sweep
 from sarsplat.sweeps import Means
-from sweeps_results import results
 
 ray = pytest.importorskip("ray", reason="the extra `ray` is not installed")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
@@ -31,7 +28,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     made.shutdown()
 
 
-def test_a_node_that_dies_costs_no_run(place, plan, cluster):
+def test_a_node_that_dies_costs_no_run(place, plan, cluster, results):
     plan |= {"seeds": [0, 1, 2, 3], "settings": {**plan["settings"], "iterations": 400, "checkpoint_every": 50}}
     (second,) = cluster.worker_nodes
     killed = threading.Event()

@@ -1,7 +1,5 @@
 """An image by tiles is the image: without seams, whatever the height and the angle, and wherever it was stopped."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sarsplat.viewer.ground_lines import ground_lines, seen_through
+from sarsplat.viewer.stage import ground_lines, seen_through
 
 MIDDLE, REACH = np.array([1.0, -2.0, 0.0]), 6.0
 TILTED = np.array([[-3.0, -4.0, 1.5], [4.0, -4.0, 1.5], [4.0, 4.0, -4.0], [-3.0, 4.0, -4.0]])  # through the ground

@@ -9,19 +9,18 @@ import pytest
 import torch
 
 from sarsplat import View
-from sarsplat.errors import SarsplatError
 from sarsplat.runs import reconstruct
 
 pytest.importorskip("viser")
 
-from sarsplat.viewer import live, viewer
-from sarsplat.viewer.scene import OwnScene
+from sarsplat.viewer import viewer
+from sarsplat.viewer.subject import scene_of, training_subject
 
 
 def test_a_watched_training_learns_the_same_bits(dataset, config, finished, monkeypatch):
     monkeypatch.setattr(viewer, "_SHARE", 1e9)  # drawn after every step
     said, drawn = [], []
-    with live.watched(dataset, 0, said.append) as show:
+    with viewer.watched(dataset, 0, said.append) as show:
 
         def after_step(step):
             show(step)
@@ -44,7 +43,7 @@ def test_the_page_shows_the_newest_state(dataset, config):
     for _ in range(2):
         for _ in range(5):
             trainer.step()
-        viewer.show(live.TrainingSubject(dataset, trainer))
+        viewer.show(training_subject(dataset, trainer))
         assert viewer.wait(60)
         pictures.append(viewer._controls._rows[0][1].image.copy())
     viewer.close()
@@ -76,18 +75,6 @@ def test_the_time_that_it_takes_is_a_small_share(monkeypatch):
     assert len(shown) * cost <= 0.05 * 10_000 * 0.01 + cost
 
 
-def test_a_port_in_use_is_told_before_anything_is_learned(dataset):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with (
-            pytest.raises(SarsplatError, match=rf"port {port} of this machine cannot be used"),
-            live.watched(dataset, port, print),
-        ):
-            pass
-
-
 def test_gaussians_of_ones_own_loop_are_shown_and_followed(finished, monkeypatch):
     """By whatever they are now, in pixels that show all of them; the loop's own tensors stay differentiable."""
     monkeypatch.setattr(viewer, "_SHARE", 1e9)
@@ -106,12 +93,9 @@ def test_gaussians_of_ones_own_loop_are_shown_and_followed(finished, monkeypatch
         server = page._server
     assert not np.array_equal(*pictures)
     assert moving.requires_grad
-    with pytest.raises(OSError):
-        socket.create_connection(("127.0.0.1", server.get_port()), 1)
-
-
-def test_gaussians_are_shown_on_a_grid_of_ones_own(finished):
-    view = View(10.0, 20.0)
-    scene = OwnScene(finished.gaussians, finished.grid, [view])
+    view = View(10.0, 20.0)  # on a grid of one's own
+    scene = scene_of(gaussians, finished.grid, [view])
     assert scene.views == [(view, "train")]
     np.testing.assert_allclose(scene.render(view), finished.render([view])[0], rtol=0.05, atol=0.05 * scene.peak)
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.1", server.get_port()), 1)

@@ -49,17 +49,12 @@ def test_the_page_may_load_nothing_from_elsewhere(served):
     assert len(answer.content) == int(answer.headers["Content-Length"])
 
 
-def test_a_click_is_reported_as_parts_of_the_picture(served):
+def test_a_click_is_reported_as_parts_of_the_picture_and_what_is_none_is_refused(served):
     port, picked = served
     assert ask(port, "/pick?x=0.25&y=0.5").status == 204
+    for words in ("", "?x=1", "?x=a&y=0", "?x=1.5&y=0.5", "?x=nan&y=0.5"):
+        assert ask(port, f"/pick{words}").status == 400
     assert picked == [(0.25, 0.5)]
-
-
-@pytest.mark.parametrize("words", ["", "?x=1", "?x=a&y=0", "?x=1.5&y=0.5", "?x=nan&y=0.5"])
-def test_what_is_not_a_click_is_refused(served, words):
-    port, picked = served
-    assert ask(port, f"/pick{words}").status == 400
-    assert picked == []
 
 
 def test_another_site_may_neither_click_nor_listen(served):
@@ -84,16 +79,9 @@ def test_a_port_in_use_is_refused_and_not_replaced_by_the_next(served):
     port, _ = served
     with pytest.raises(SarsplatError, match=rf"^port {port} of this machine cannot be used \(.*\); choose another"):
         start_server(port, lambda *place: None)
-
-
-@pytest.mark.parametrize("port", [-1, 65536])
-def test_a_number_that_is_not_a_port_is_refused(port):
-    with pytest.raises(SarsplatError, match=f"port {port} is not a valid port"):
-        start_server(port, lambda *place: None)
-
-
-def test_nothing_of_the_library_stays_changed(served):
-    assert library.serve.__module__ == "websockets.asyncio.server"
+    for none in (-1, 65536):
+        with pytest.raises(SarsplatError, match=f"port {none} is not a valid port"):
+            start_server(none, lambda *place: None)
 
 
 def test_another_server_that_starts_meanwhile_is_left_alone():
@@ -105,6 +93,7 @@ def test_another_server_that_starts_meanwhile_is_left_alone():
         port = listener.getsockname()[1]
         with _served_on(listener, port, lambda *place: None):
             assert asyncio.run(other()) != port
+    assert library.serve.__module__ == "websockets.asyncio.server"  # nothing of it stays changed
 
 
 def test_pages_that_start_at_once_are_all_protected():

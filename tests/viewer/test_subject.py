@@ -81,6 +81,9 @@ def test_a_run_needs_no_dataset(finished, tmp_path):
     shutil.copytree(finished.folder, tmp_path / "run")
     header = tmp_path / "run" / "config.json"
     header.write_text(header.read_text().replace(str(finished.dataset_path), str(tmp_path / "gone")))
+    for folder, why in ((tmp_path, "is neither a run nor a dataset; give the folder of one"), ("no", "does not exist")):
+        with pytest.raises(SarsplatError, match=why):
+            subject_at(folder)
     subject = subject_at(tmp_path / "run")
     assert subject.dataset is None
     assert {split for _, split in subject.views} == {"train"}
@@ -111,10 +114,3 @@ def test_a_copied_scene_stays_when_the_original_is_trained_on(finished):
     assert torch.equal(copied.parameters["means"], before)
     with torch.no_grad():
         model.parameters["means"].copy_(before)
-
-
-def test_a_folder_that_is_neither_is_refused(tmp_path):
-    with pytest.raises(SarsplatError, match="is neither a run nor a dataset; give the folder of one"):
-        subject_at(tmp_path)
-    with pytest.raises(SarsplatError, match="does not exist"):
-        subject_at(tmp_path / "nothing")

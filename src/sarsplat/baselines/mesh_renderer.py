@@ -1,11 +1,6 @@
 """DSR's differentiable renderer of meshes: soft occlusion facing the radar, soft image on azimuth × slant range.
 
-After Fu & Xu, "Differentiable SAR renderer and image-based target reconstruction", IEEE TIP 2022; what was not
-published is listed in docs/concepts/baselines-dsr.md.
-
-The cross-section of a face is σ_f = γ⁰_f·A_f·max(cos i, 0)·v_f, with A_f its area, i the angle between its normal and
-the direction to the radar and v_f in [0, 1] the share of it that the radar sees. It is shared between the pixels as the
-face covers them on the mapping plane, so that ΣS·Δa·Δr = Σσ_f for faces that lie within the image.
+Its equations, and what was not published of them, are in docs/concepts/baselines-dsr.md.
 """
 
 from __future__ import annotations
@@ -190,7 +185,6 @@ class MeshRenderer:
         return torch.stack([w * power[:, k : k + ends[1] : parts_across] for k, w in enumerate(across)]).sum(0)
 
     def _averaged(self, mask: Float[Tensor, " fine"]) -> Float[Tensor, "rows columns"]:
-        """Share of each pixel of the image, from the mapping plane."""
         (across, along), (beside, beyond) = self._parts, self._margins
         rows, columns = self.grid.rows, self.grid.columns
         fine = mask.reshape(rows + 2 * beyond, along, columns + 2 * beside, across)

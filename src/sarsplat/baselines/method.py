@@ -101,7 +101,6 @@ class BaselineReconstruction(Reconstruction):
         self.baseline.to(device)
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views, linear power; only on the grid of its training images."""
         if grid not in (None, self.grid):
             raise SarsplatError(
                 f"{self.method.title} renders the pixels that it was trained with, and no others; "
@@ -146,7 +145,6 @@ class BaselineReconstruction(Reconstruction):
         return normals[cKDTree(seen).query(points)[1]] if len(points) and len(seen) else np.zeros_like(points)
 
     def write(self, folder: Path) -> None:
-        """Write `mesh.ply`, if there is a surface."""
         if len(self.surface.faces):
             write_mesh(folder / MESH, self.surface)
 

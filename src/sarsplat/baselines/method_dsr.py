@@ -1,8 +1,4 @@
-"""DSR: a closed mesh deformed until it looks as the target does, through soft rasterisation in two planes.
-
-After Fu & Xu, "Differentiable SAR renderer and image-based target reconstruction", IEEE TIP 2022; what was not
-published is listed in docs/concepts/baselines-dsr.md.
-"""
+"""DSR: a closed mesh deformed until it looks as the target does (docs/concepts/baselines-dsr.md)."""
 
 from __future__ import annotations
 
@@ -21,7 +17,7 @@ from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
 from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss, ordered_sum
-from sarsplat.baselines.template import sphere
+from sarsplat.baselines.template import cube_sphere, icosphere
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW, TARGET, View
 from sarsplat.settings.kinds import Count, NotNegative, Positive
@@ -46,41 +42,28 @@ Momentum = Annotated[float, Meta(ge=0, le=0.9999)]
 
 @dataclass(frozen=True)
 class DsrConfig(BaselineConfig):
-    """Settings of DSR.
-
-    Parameters
-    ----------
-    vertices : {642, 1352}
-        Of the template.
-    sigma : float
-        σ of the coverage, in squares of 1.58 longest sides of the target's box: √σ is the softness of edges.
-    gamma : float
-        How far a face may lie behind another and still be seen: e-fold in depth, in 99 longest sides of the box.
-    laplacian, flatten, lit, shadow, image : float
-        Weights of the losses.
-    learning_rate : float
-        Of the vertices, longest sides of the target's box per step; it falls tenfold in the whole training.
-    scattering_rate : float
-        Of the logarithms of scattering, ground and noise; it falls in the same way.
-    betas : (float, float)
-        Of Adam.
-    iterations, checkpoint_every, views_per_step, seed
-        See `BaselineConfig`.
-    """
+    """Settings of DSR."""
 
     vertices: Literal[642, 1352] = 642
+    """Of the template."""
     sigma: Softness = 1.2e-5
+    """σ of the coverage, in squares of 1.58 longest sides of the target's box: √σ is the softness of edges."""
     gamma: Softness = 1e-4
+    """How far a face may lie behind another and still be seen: e-fold in depth, in 99 longest sides of the box."""
     laplacian: NotNegative = 0.3
     flatten: NotNegative = 3e-4
     lit: NotNegative = 1.0
     shadow: NotNegative = 1.0
     image: NotNegative = 1.0
+    """Weights of the losses."""
     iterations: Count = 2000
     views_per_step: Count = 4
     learning_rate: Positive = 0.01
+    """Of the vertices, longest sides of the target's box per step; it falls tenfold in the whole training."""
     scattering_rate: Positive = 0.03
+    """Of the logarithms of scattering, ground and noise; it falls in the same way."""
     betas: tuple[Momentum, Momentum] = (0.5, 0.99)
+    """Of Adam."""
 
 
 class Dsr(Baseline):
@@ -96,7 +79,7 @@ class Dsr(Baseline):
 
     def __init__(self, scene: Scene, config: DsrConfig) -> None:
         super().__init__(scene, config)
-        template = sphere(config.vertices)
+        template = icosphere(8) if config.vertices == 642 else cube_sphere(15)
         sides = scene.high_m - scene.low_m
         self._longest_m = float(sides.max())
         self._center_m = (scene.low_m + scene.high_m) / 2
@@ -144,7 +127,6 @@ class Dsr(Baseline):
         return total / len(chosen) + smooth + flat
 
     def optimiser(self) -> torch.optim.Adam:
-        """Adam, with a rate for the vertices and one for scattering, ground and noise."""
         others = [one for name, one in self.named_parameters() if name != "moved"]
         groups: list[dict[str, Any]] = [{"params": [self.moved]}, {"params": others, "lr": self.config.scattering_rate}]
         return torch.optim.Adam(groups, self.config.learning_rate, betas=self.config.betas)
@@ -159,7 +141,6 @@ class Dsr(Baseline):
         return self.renderer.layers(points, self.faces, self.log_gamma0.exp(), view)
 
     def surface(self) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
-        """Vertices, m, world frame, and triangles, counter-clockwise seen from outside."""
         return self._points().detach().double().cpu().numpy(), self.faces.cpu().numpy()
 
     def _points(self) -> Float[Tensor, "n 3"]:

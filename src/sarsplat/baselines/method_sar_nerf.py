@@ -1,7 +1,6 @@
 """SAR-NeRF: a field of attenuation and scattering, imaged along rays in azimuth, range and elevation.
 
-After Z. Lei, F. Xu et al., "SAR-NeRF: Neural Radiance Fields for Synthetic Aperture Radar Multi-View Representation".
-`docs/concepts/baselines-sar-nerf.md` lists every choice.
+`docs/concepts/baselines-sar-nerf.md` has its two equations, and lists every choice.
 """
 
 from __future__ import annotations
@@ -51,40 +50,22 @@ _NOISE_RATE = 2e-3
 
 @dataclass(frozen=True)
 class SarNerfConfig(BaselineConfig):
-    """Settings of SAR-NeRF with its multi-layer perceptron.
-
-    Parameters
-    ----------
-    mode : {"published", "sound"}
-        The published image equation and loss, or those that hold in metres and for speckle.
-    rays : int
-        In elevation, for each azimuth column; if sound, over ground at least one per resolution cell.
-    learning_rate : float
-        Of Adam; it falls tenfold in the whole training.
-    surface_voxels : int
-        Along the longest side of the box in which the surface is looked for.
-    iterations, checkpoint_every, views_per_step, seed
-        See `BaselineConfig`.
-    """
+    """Settings of SAR-NeRF with its multi-layer perceptron."""
 
     mode: Literal["published", "sound"] = "published"
+    """The published image equation and loss, or those that hold in metres and for speckle."""
     rays: Annotated[int, Meta(ge=1, le=1000)] = 20
+    """In elevation, for each azimuth column; if sound, over ground at least one per resolution cell."""
     iterations: Count = 250_000
     checkpoint_every: Count = 10
     learning_rate: Positive = 5e-4
+    """Of Adam; it falls tenfold in the whole training."""
     surface_voxels: Annotated[int, Meta(ge=4, le=1024)] = 256
+    """Along the longest side of the box in which the surface is looked for."""
 
 
 class SarNerf(Baseline):
     """SAR-NeRF on a scene.
-
-    With `config.mode` "published", the field gives an attenuation α per range cell and a scattering S ≤ 1, and
-
-        amplitude(a, r) = A·Σ_k S·exp(−Σ_{r' ≤ r} α)          power = amplitude²,  A the brightest training amplitude
-
-    With "sound", α is per metre, τ = 2·α·Δr, S is γ⁰, a ray stands for the height δy across the line of sight, and
-
-        β⁰(a, r) = Σ_k S·(δy/Δr)·exp(−Σ_{r' < r} τ)·(1 − exp(−τ))
 
     The field ends at the box of the target and, with ground, at that of all ground that images show; the published
     perceptron's does not end.
@@ -144,7 +125,6 @@ class SarNerf(Baseline):
         return _mean((_amplitude(power / brightest) - (images / brightest).sqrt()) ** 2)
 
     def optimiser(self) -> torch.optim.Adam:
-        """Adam, slower for the noise floor."""
         rate = self.config.learning_rate
         groups = [{"params": list(self.field.parameters()), "lr": rate}]
         if self.log_noise is not None:
@@ -207,7 +187,6 @@ class SarNerf(Baseline):
     def _columns(
         self, rays: Rays, offsets: Float64[Tensor, "a k"], part: slice, direction: Float[Tensor, " 3"]
     ) -> Float[Tensor, "c r"]:
-        """Power of some azimuth columns, in units of `Scene.unit`."""
         places = rays.places(offsets, part, self._like)
         inside = self._inside(places)
         # elsewhere there is nothing to compute

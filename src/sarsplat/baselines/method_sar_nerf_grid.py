@@ -21,31 +21,22 @@ _VIEWS_PER_HARMONIC = 2
 
 @dataclass(frozen=True)
 class SarNerfGridConfig(SarNerfConfig):
-    """Settings of SAR-NeRF with nested grids instead.
-
-    Parameters
-    ----------
-    voxel : float
-        Of the finest level of the grid in the target's box, resolution cells; on the ground around it, it is 1.
-    levels : int
-        Of the grid; each is half as fine as the next.
-    degree : int
-        Of the spherical harmonics in the grid; if sound, for speckled images less if they are fewer than two for each.
-    total_variation : float
-        Of the grid, if sound and for speckled images: nats that the squared difference of two neighbouring numbers
-        costs beside the likelihood of all training images; 0.5 is a normal distribution of standard deviation 1.
-    mode, rays, learning_rate, surface_voxels, iterations, checkpoint_every, views_per_step, seed
-        See `SarNerfConfig`.
-    """
+    """Settings of SAR-NeRF with nested grids instead."""
 
     mode: Literal["published", "sound"] = "sound"
     iterations: Count = 4000
     checkpoint_every: Count = 100
     learning_rate: Positive = 0.2
     voxel: Positive = 0.5
+    """Of the finest level of the grid in the target's box, resolution cells; on the ground around it, it is 1."""
     levels: Annotated[int, Meta(ge=1, le=10)] = 4
+    """Of the grid; each is half as fine as the next."""
     degree: Degree = 2
+    """Of the spherical harmonics in the grid; if sound, for speckled images less if they are fewer than two for
+    each."""
     total_variation: NotNegative = 0.5
+    """Of the grid, if sound and for speckled images: nats that the squared difference of two neighbouring numbers costs
+    beside the likelihood of all training images; 0.5 is a normal distribution of standard deviation 1."""
 
 
 class SarNerfGrid(SarNerf):

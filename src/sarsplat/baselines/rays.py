@@ -1,15 +1,4 @@
-"""Sampling of space by SAR-NeRF: azimuth columns × rays in elevation × range cells.
-
-The published rays start at a platform at a finite distance D. In the plane of one azimuth column they lie at elevation
-angles θ_k, linear in 1/θ between the near and the far edge of the scene, and range is measured along them. sarsplat's
-wavefronts are plane: D → ∞. At the scene, the ray at θ_k then runs along the line of sight at the elevation
-
-    y_k = D·(θ − θ_k)        y = 0 and the angle θ (the view's grazing angle) belong to the scene's centre
-
-of the radar frame. The angles of a scene Y high across the line of sight span Y/D; over so little, 1/θ is linear in θ,
-up to a relative error Y/(D·θ) of the spacing (1.5 % at Y = 20 m, D = 5 km, θ = 15°). So rays are evenly spaced in y
-between the edges of the scene, which are those of its box as this view sees it, and a range cell is a slab across them.
-"""
+"""How SAR-NeRF samples space: azimuth × rays in elevation × range (docs/concepts/baselines-sar-nerf.md)."""
 
 from __future__ import annotations
 
@@ -51,7 +40,6 @@ class Rays:
         *,
         whole: bool,
     ) -> Rays:
-        """Rays through a box; of the `whole` image, or only of the pixels in which the box appears."""
         turn = view.look.frame
         middle, half = turn @ (low_m + high_m) / 2, np.abs(turn) @ (high_m - low_m) / 2
         columns = slice(0, grid.columns) if whole else _within(grid.azimuth_m, grid.spacing_m[0], middle[0], half[0])

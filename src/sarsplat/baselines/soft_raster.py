@@ -76,11 +76,9 @@ class Coverage:
         return grouped_softmax(logsigmoid(self.signed), self.face, self.faces)
 
     def onto_pixels(self, values: Float[Tensor, " p"]) -> Float[Tensor, " pixels"]:
-        """Sums over the pairs of each pixel."""
         return summed(values, self.pixel, self.pixels + 1)[:-1]
 
     def onto_faces(self, values: Float[Tensor, " p"]) -> Float[Tensor, " faces"]:
-        """Sums over the pairs of each triangle."""
         return summed(values, self.face, self.faces)
 
     def union(self, opacity: Float[Tensor, " faces"] | None = None) -> Float[Tensor, " pixels"]:
@@ -186,7 +184,6 @@ def _signed(
     along: Float[Tensor, " p"],
     softness_m: float,
 ) -> Float[Tensor, " p"]:
-    """±d²/σ of pairs."""
     x = [picked(flat[2 * k], face) - across for k in range(3)]
     y = [picked(flat[2 * k + 1], face) - along for k in range(3)]
     squared, sides = [], []

@@ -1,8 +1,7 @@
 """Closed triangle meshes of the unit sphere, and which of their vertices and faces are neighbours.
 
-A solid is subdivided so that each of its edges becomes `parts` edges, then blown up to the sphere. The icosahedron
-gives 10·parts² + 2 vertices: 642 with 8 (three halvings). 1,352 is no such number, nor that of any geodesic polyhedron
-(10·T + 2 with T = 135, which is not h² + hk + k²); it is 6·parts² + 2 of the cube with 15, its squares cut in two.
+A solid is subdivided so that each of its edges becomes `parts` edges, then blown up to the sphere. The published 642
+vertices are those of the icosahedron with 8, and 1,352 of no icosphere, but of the cube with 15.
 """
 
 from __future__ import annotations
@@ -11,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
-
-from sarsplat.errors import SarsplatError
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +24,6 @@ class Template:
     """Pairs of vertices, each edge once."""
     flaps: Int64[np.ndarray, "e 2"]
     """The two faces at each edge."""
-
-
-def sphere(vertices: int) -> Template:
-    """The template of 642 or 1,352 vertices; any other number is refused."""
-    if vertices == 642:
-        return icosphere(8)
-    if vertices == 1352:
-        return cube_sphere(15)
-    raise SarsplatError(f"there is no template sphere of {vertices} vertices; choose 642 or 1352")
 
 
 def icosphere(parts: int) -> Template:

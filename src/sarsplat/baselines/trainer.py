@@ -13,12 +13,13 @@ from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
+from sarsplat.learning.method import Trainable
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.training_images import ViewQueue
 from sarsplat.regions.target_region import target_region
 
 
-class BaselineTrainer:
+class BaselineTrainer(Trainable):
     """The state of a baseline's training and how it advances by one step.
 
     `model` is that of the dataset's scene (`scene_of`), or of the scene saved with a training that is resumed.
@@ -38,13 +39,7 @@ class BaselineTrainer:
         self._optimiser = self.model.optimiser()
         self._rates = [group["lr"] for group in self._optimiser.param_groups]
 
-    @property
-    def gaussian_count(self) -> None:
-        """None: baselines have no Gaussians."""
-        return None
-
     def step(self) -> Float32[Tensor, ""]:
-        """One step of the optimiser on a few views; returns the loss."""
         chosen = torch.tensor(self._queue.next(), device="cpu")
         factor = self.model.rate(self.iteration)
         for group, rate in zip(self._optimiser.param_groups, self._rates, strict=True):
@@ -57,27 +52,18 @@ class BaselineTrainer:
         return loss.detach()
 
     @property
-    def terms(self) -> dict[str, Tensor]:
-        """None: a baseline minimises a single number."""
-        return {}
-
-    @property
     def learning_rates(self) -> dict[str, float]:
-        """Learning rates of the next step, by group of parameters."""
         factor = self.model.rate(self.iteration)
         return {f"group {index}": rate * factor for index, rate in enumerate(self._rates)}
 
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views in the current state, linear power."""
         return self.model.images(views)
 
     def check(self) -> None:
-        """Wait for the device."""
         if self._device.type == "cuda":
             torch.cuda.synchronize(self._device)
 
     def snapshot(self, seconds: float) -> Snapshot:
-        """Everything the next step depends on; `seconds` is how long the training has taken so far."""
         scene = self._scene
         tensors = {f"model/{name}": tensor for name, tensor in self.model.state_dict().items()}
         for index, state in self._optimiser.state_dict()["state"].items():
@@ -95,7 +81,6 @@ class BaselineTrainer:
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue from a snapshot, whose tensors must be those of this training."""
         self._queue.restore(snapshot)
         self.model.load_state_dict(snapshot.like("model", self.model.state_dict()))
         groups = self._optimiser.state_dict()["param_groups"]
@@ -136,7 +121,6 @@ def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
 
 
 def saved_scene(snapshot: Snapshot) -> Scene:
-    """The scene that a snapshot of a baseline's training holds."""
     kept = snapshot.part("scene")
     masks = kept["masks"].numpy() if "masks" in kept else None
     if masks is not None and masks.dtype != np.uint8:

@@ -7,8 +7,7 @@ import sys
 import threading
 from collections.abc import Sequence
 
-from sarsplat.cli.follower import follow, follows
-from sarsplat.cli.stopped import SIGNALLED, terminate
+from sarsplat.cli.ending import SIGNALLED, follow, follows, terminate
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,7 +39,7 @@ def _main(arguments: Sequence[str] | None) -> int:
 
         number = getattr(interrupt, "number", signal.SIGINT)
         by = "terminated" if number == signal.SIGTERM else "stopped by Ctrl-C"
-        console.complain(str(interrupt) or f"{by}; nothing half-written was left behind")
+        console.complain(f"{by}; {interrupt}" if interrupt.args else f"{by}; nothing half-written was left behind")
         return SIGNALLED + number
     finally:
         if main_thread:

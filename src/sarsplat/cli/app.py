@@ -6,11 +6,11 @@ import io
 import os
 import sys
 import warnings
-from typing import TextIO
 
 from sarsplat.cli import console, extras
-from sarsplat.cli.follower import ABANDONED
+from sarsplat.cli.ending import ABANDONED
 from sarsplat.errors import Abandoned, AssumptionWarning, SarsplatError, SarsplatWarning
+from sarsplat.version import installed_version
 
 _MISUSED = 2
 _READER_LEFT = 141  # as shells have it
@@ -24,19 +24,16 @@ def run(words: list[str]) -> int:
     """
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    for stream in (
-        sys.stdout,
-        sys.stderr,
-    ):  # a terminal without γ or ° gets "?" and not an error after the work is done
+    for stream in (sys.stdout, sys.stderr):  # a terminal without γ or ° gets "?", not an error after the work is done
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     if words == ["--version"]:
-        console.say(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}")
+        console.say(f"sarsplat {installed_version('sarsplat') or '(running from source)'}")
         return 0
     with warnings.catch_warnings():
         warnings.simplefilter("default", SarsplatWarning)
         warnings.simplefilter("ignore", AssumptionWarning)
-        warnings.showwarning = _show_warning
+        warnings.showwarning = _show_warning  # type: ignore[assignment]
         try:
             from sarsplat.cli.parser import parse  # here, for it may warn of what other packages offer
 
@@ -67,16 +64,9 @@ def run(words: list[str]) -> int:
     return code or 0
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], filename: str, line: int, *_: object) -> None:
     """Show our warnings as plain sentences, and others' as Python does."""
     if issubclass(category, SarsplatWarning):
         console.warn(str(message))
     else:
-        sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))
+        sys.stderr.write(warnings.formatwarning(message, category, filename, line))

@@ -91,13 +91,7 @@ def metres(text: str, name: str) -> float:
 
 
 def corners(box: tuple[float, float, float, float, float, float] | None) -> Box | None:
-    """The corners given by --target-box, m.
-
-    Raises
-    ------
-    SarsplatError
-        If it is no box.
-    """
+    """The corners given by --target-box, m; refused if it is no box."""
     if box is not None and not all(
         -math.inf < low < high < math.inf for low, high in zip(box[:3], box[3:], strict=True)
     ):
@@ -123,13 +117,7 @@ def pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:
 
 
 def numbers(text: str, name: str, counts: tuple[int, ...], example: str) -> tuple[float, ...]:
-    """Numbers with commas between them, as many as `counts` allows.
-
-    Raises
-    ------
-    SarsplatError
-        If the text is anything else.
-    """
+    """Numbers with commas between them, as many as `counts` allows; any other text is refused."""
     try:
         values = tuple(map(float, text.split(",")))
     except ValueError:

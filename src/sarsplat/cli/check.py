@@ -10,7 +10,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile, refuse_existing
-from sarsplat.cli.imported import CONTRADICTED
+from sarsplat.cli.from_signature import CONTRADICTED
 from sarsplat.errors import SarsplatError, counted
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +10,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, Folder, OptionalCount, angles, refuse_existing
-from sarsplat.cli.stopped import Stopped
+from sarsplat.cli.ending import keeping
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.settings.config import SCATTERERS
@@ -108,11 +107,8 @@ def chips(
         speckle=speckle,
         scatterers=scatterers,
     )
-    try:
+    with keeping(lambda: "what is finished is kept, and the same command goes on from there"):
         write_chips(made, out, shard=shard, overwrite=overwrite, quiet=False)
-    except KeyboardInterrupt as stop:
-        kept = "stopped; what is finished is kept, and the same command goes on from there"
-        raise Stopped(getattr(stop, "number", signal.SIGINT), kept) from stop
     console.finish(f"{out}: {_summary(made)}; {LABELS} says what they show", _next(out, made, shard))
 
 

@@ -1,11 +1,19 @@
-"""The list of commands and their summaries, which are read without importing any command."""
+"""The list of commands and their summaries, which are read without importing any command, or tyro, which is slow."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from importlib import import_module
+from inspect import cleandoc
 from pathlib import Path
+
+from rich.console import Console
+from rich.panel import Panel
+from rich.table import Table
+
+Command = Callable[..., int | None]
 
 COMMANDS = (
     *("simulate", "import", "check", "reconstruct", "evaluate", "report", "compare", "sweep", "render", "chips"),
@@ -16,14 +24,15 @@ COMMANDS = (
 IMPORT_SUMMARY = "Import measured images as a dataset."
 
 
-def command(name: str) -> Callable[..., int | None]:
+def command(name: str) -> Command:
     """The function that a command is."""
-    function: Callable[..., int | None] = getattr(import_module(f"sarsplat.cli.{name}"), name)
+    function: Command = getattr(import_module(f"sarsplat.cli.{name}"), name)
+    function.__doc__ = unwrapped(function.__doc__)
     return function
 
 
 def summary(name: str) -> str:
-    """Summary of a command: the first paragraph of its function's docstring, read from the source."""
+    """The first paragraph of the docstring of a command's function, read from the source."""
     if name == "import":
         return IMPORT_SUMMARY
     source = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
@@ -31,6 +40,31 @@ def summary(name: str) -> str:
     return first_paragraph(ast.get_docstring(next(functions)))
 
 
+def unwrapped(docstring: str | None) -> str:
+    """A docstring with one line for what it says of each parameter: tyro would keep some ends of lines."""
+    return re.sub(
+        r"^( {4,}).*\n(\1.*\n)+",
+        lambda lines: lines[1] + " ".join(lines[0].split()) + "\n",
+        cleandoc(docstring or ""),
+        flags=re.MULTILINE,
+    )
+
+
 def first_paragraph(docstring: str | None) -> str:
     """What a docstring says before its first empty line, as one line."""
     return " ".join((docstring or "").partition("\n\n")[0].split())
+
+
+def show_overview(program: str, description: str, summaries: Mapping[str, str]) -> None:
+    """Print what the words after `program` may be, each with what it is for."""
+    console = Console(emoji=False)
+    usage = f"usage: {program} [-h] {{{','.join(summaries)}}}"
+    console.print(f"{usage}\n\n{description}\n", soft_wrap=True, highlight=False, markup=False)
+    width = max(map(len, summaries))
+    for title, rows in (("options", {"-h, --help": "show this help message and exit"}), ("commands", summaries)):
+        table = Table.grid(padding=(0, 2, 0, 0))
+        table.add_column(no_wrap=True, min_width=width)
+        table.add_column(style="dim", overflow="fold")
+        for name, text in rows.items():
+            table.add_row(name, text)
+        console.print(Panel(table, title=title, title_align="left", border_style="dim"))

@@ -9,11 +9,12 @@ from pathlib import Path
 
 from sarsplat.cli import console, extras
 from sarsplat.errors import SarsplatError
+from sarsplat.version import installed_version
 
 
 def doctor() -> None:
     """Show which version, engines, extras and weights are installed, and how to get what is missing."""
-    console.facts(f"sarsplat {extras.installed_version('sarsplat') or '(running from source)'}", _core())
+    console.facts(f"sarsplat {installed_version('sarsplat') or '(running from source)'}", _core())
     console.facts("engines", {"reference": "plain torch, any dtype", "cpu": _cpu_engine(), "cuda": _cuda_engine()})
     console.facts("extras", {extra: _extra(extra) for extra in extras.EXTRAS})
     console.facts("LPIPS weights", {"found": _lpips_weights()})
@@ -25,7 +26,7 @@ def _core() -> dict[str, str]:
     return {
         "python": f"{platform.python_version()} on {platform.system()} {platform.machine()}",
         "torch": f"{torch.__version__}, {torch.get_num_threads()} threads of {os.cpu_count()} processors",
-        **{name: extras.installed_version(name) or "missing" for name in ("numpy", "scipy", "tyro", "rich")},
+        **{name: installed_version(name) or "missing" for name in ("numpy", "scipy", "tyro", "rich")},
     }
 
 
@@ -64,7 +65,7 @@ def _extra(extra: str) -> str:
     missing = [name for module, name in modules.items() if find_spec(module) is None]
     if missing:
         return f"missing {', '.join(missing)}; {extras.install_command(extra)}"
-    return ", ".join(f"{name} {extras.installed_version(name)}" for name in modules.values())
+    return ", ".join(f"{name} {installed_version(name)}" for name in modules.values())
 
 
 def _lpips_weights() -> str:

@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-EXTRAS: dict[str, dict[str, str]] = {
-    "simulate": {"trimesh": "trimesh", "embreex": "embreex"},
-    "mesh": {"trimesh": "trimesh", "skimage": "scikit-image"},
-    "mstar": {"PIL": "pillow"},
-    "evaluate": {
-        "sklearn": "scikit-learn",
-        "skimage": "scikit-image",
-        "trimesh": "trimesh",
-        "embreex": "embreex",
-        "fcpw": "fcpw",
-    },
-    "baselines": {"trimesh": "trimesh", "skimage": "scikit-image", "embreex": "embreex"},
-    "view": {
-        "viser": "viser",
-        "websockets": "websockets",
-        "matplotlib": "matplotlib",
-        "trimesh": "trimesh",
-        "fcpw": "fcpw",
-    },
-    "report": {"matplotlib": "matplotlib", "jinja2": "jinja2", "trimesh": "trimesh", "skimage": "scikit-image"},
-    "sicd": {"sarkit": "sarkit", "lxml": "lxml"},
-    "rslc": {"h5py": "h5py"},
-    "phase-history": {"finufft": "finufft"},
-    "las": {"laspy": "laspy", "lazrs": "lazrs"},
-    "video": {"PIL": "pillow", "cv2": "opencv-python-headless"},
-    "tensorboard": {"tensorboard": "tensorboard"},
-    "ray": {"ray": "ray"},
+_DISTRIBUTIONS = {
+    "PIL": "pillow",
+    "cv2": "opencv-python-headless",
+    "skimage": "scikit-image",
+    "sklearn": "scikit-learn",
+}
+"""Of modules that are called otherwise."""
+
+_MODULES = {
+    "simulate": "trimesh embreex",
+    "mesh": "trimesh skimage",
+    "mstar": "PIL",
+    "evaluate": "sklearn skimage trimesh embreex fcpw",
+    "baselines": "trimesh skimage embreex",
+    "view": "viser websockets matplotlib trimesh fcpw",
+    "report": "matplotlib jinja2 trimesh skimage",
+    "sicd": "sarkit lxml",
+    "rslc": "h5py",
+    "phase-history": "finufft",
+    "las": "laspy lazrs",
+    "video": "PIL cv2",
+    "tensorboard": "tensorboard",
+    "ray": "ray",
+}
+EXTRAS = {
+    extra: {module: _DISTRIBUTIONS.get(module, module) for module in modules.split()}
+    for extra, modules in _MODULES.items()
 }
 """Extra → modules it brings → names of their distributions."""
 
@@ -42,13 +42,3 @@ def extra_with(module: str) -> str | None:
 def install_command(extra: str) -> str:
     """What to type to get an extra."""
     return f"install it with: pip install 'sarsplat[{extra}]'"
-
-
-def installed_version(distribution: str) -> str | None:
-    """Version of an installed distribution, or None."""
-    from importlib.metadata import PackageNotFoundError, version  # here, because help does without it
-
-    try:
-        return version(distribution)
-    except PackageNotFoundError:
-        return None

@@ -1,44 +1,56 @@
 """Commands made of the importers that they call: options of their signatures, help of their docstrings.
 
-Both are read from the source, for an importer needs numpy and more, which help need not wait for.
+Both are read from the source, for an importer needs numpy and more, which help need not wait for. They end alike: what
+was assumed, how the images lie, what was made, what to do next.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+import shlex
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
 from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from sarsplat import names
-from sarsplat.cli.arguments import Folder, OptionalFile, TargetBox, corners, heights, metres, numbers, one_of
+from sarsplat.cli import console
+from sarsplat.cli.arguments import (
+    Folder,
+    OptionalFile,
+    TargetBox,
+    corners,
+    heights,
+    metres,
+    numbers,
+    one_of,
+    refuse_existing,
+)
 from sarsplat.cli.commands import first_paragraph
-from sarsplat.cli.imported import carry_out
+from sarsplat.cli.extras import install_command
 from sarsplat.errors import counted
+
+if TYPE_CHECKING:
+    from sarsplat.data import Dataset
+    from sarsplat.examination.outcome import Examination
+
+CONTRADICTED = 1
+"""Exit code of commands whose images contradict what is said of them."""
 
 
 @dataclass(frozen=True)
 class Option:
     """How a parameter is typed, where that does not follow from its annotation, default and description.
 
-    Parameters
-    ----------
-    kind : type, optional
-        What tyro reads.
-    value : callable, optional
-        Makes of that, and of the option's name, what the function is given.
-    name : str, optional
-        Of the option.
-    default : object, optional
-        What is taken as typed if nothing is; `Parameter.empty`: the function's own.
-    help : str, optional
-        What the option is for.
+    tyro reads a `kind`, of which `value` makes, with the option's name, what the function is given; `default` is taken
+    as typed if nothing is, or the function's own if it is `Parameter.empty`.
     """
 
     kind: Any = None
@@ -127,9 +139,9 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
         values = {key: option.value(given[key], option.name) for key, (_, option) in made.items()}
         files, out = values.pop(first), values.pop("out")
         if "quiet" in parameters:
-            return carry_out(importer, files, out, quiet=False, **values)
+            return _carry_out(importer, files, out, quiet=False, **values)
         what = counted(len(files), "file") if isinstance(files, tuple) else files
-        return carry_out(importer, files, out, doing=f"reading {reading}{what}", **values)
+        return _carry_out(importer, files, out, doing=f"reading {reading}{what}", **values)
 
     command.__doc__, command.__module__ = first_paragraph(stub.__doc__), module
     command.__annotations__ = {key: one.annotation for key, (one, _) in made.items()}
@@ -183,3 +195,73 @@ def _helps(docstring: str) -> dict[str, str]:
     section = re.split(r"\n\n\w[\w ]*\n-{3,}\n", docstring.partition("Parameters\n----------\n")[2])[0]
     told = re.findall(r"^(\w+)(?: : .*)?\n((?: .*\n?)+)", section, re.MULTILINE)
     return {name: re.sub(r" \(see [^)]*\)", "", " ".join(text.split())) for name, text in told}
+
+
+def _carry_out(
+    importer: Callable[..., Dataset], files: object, out: Path, *, overwrite: bool, doing: str = "", **options: Any
+) -> int:
+    """Call an importer, unless the output is in the way, and finish; `doing` is what is said meanwhile."""
+    from sarsplat.data.dataset_folder import HEADER
+    from sarsplat.examination.contradictions import examine
+    from sarsplat.importers.images import EXAMINATIONS
+
+    refuse_existing(out, overwrite, marker=HEADER)
+    contradictions: list[str] = []
+    with _warned_later(contradictions), console.busy(doing) if doing else nullcontext():
+        dataset = importer(files, out, overwrite=overwrite, **options)
+        examined = EXAMINATIONS.get(dataset) or examine(dataset)
+        contradictions += examined.contradictions
+    return _finish(out, dataset, examined)
+
+
+@contextmanager
+def _warned_later(contradictions: list[str]) -> Iterator[None]:
+    """Warnings inside of the block are said after it, but for those of what contradicts the dataset."""
+    held: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as held:
+            yield
+    finally:
+        for one in held:
+            if str(one.message) not in contradictions:
+                warnings.showwarning(one.message, one.category, one.filename, one.lineno)
+
+
+def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
+    """Print what was assumed and what contradicts it, and draw a sheet that shows the orientation.
+
+    The exit code is 1 if the images contradict what was assumed.
+    """
+    from sarsplat.data.plausible import warn
+    from sarsplat.importers import summary
+    from sarsplat.regions.target_region import box_misses
+
+    for assumption in dataset.source.get("assumptions", ()):
+        console.say(f"assumed: {assumption}")
+    for text in examined.contradictions:
+        console.complain(text)
+    warn(box_misses(dataset))
+    try:
+        _draw(out / "preview.png", dataset, examined.orientations)
+    except ModuleNotFoundError as error:
+        console.say(f"no preview.png was drawn, for {error.name} is not installed; {install_command('report')}")
+    folder = shlex.quote(str(out))
+    if examined.contradictions:
+        console.finish(
+            f"{out}: {summary(dataset)}, with {counted(len(examined.contradictions), 'contradiction')}",
+            "import again with --overwrite and the options that mend it, or look closer with "
+            f"sarsplat check {folder} --verbose",
+        )
+        return CONTRADICTED
+    console.finish(
+        f"{out}: {summary(dataset)}, ready", f"sarsplat reconstruct {folder} --out {shlex.quote(f'{out}-run')}"
+    )
+    return 0
+
+
+def _draw(preview: Path, dataset: Dataset, orientations: list[tuple[str, ...]]) -> None:
+    from sarsplat.data import write_bytes
+    from sarsplat.report.check_sheet import check_sheet
+
+    write_bytes(preview, check_sheet(dataset, orientations=orientations))
+    console.say(f"look at {preview}: shadows must fall downwards, and a target's nose point along the dotted arrow")

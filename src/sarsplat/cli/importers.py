@@ -48,12 +48,7 @@ class Recognised:
 def recognised(path: Path) -> Recognised | None:
     """What a file, or a folder that is neither a dataset nor a run, can be imported as; None if it holds no images.
 
-    Of a table (CSV), what it is the table of.
-
-    Raises
-    ------
-    SarsplatError
-        If it cannot be read, or a file that decides is damaged.
+    Of a table (CSV), what it is the table of. Refused if it cannot be read, or a file that decides is damaged.
     """
     from sarsplat.importers.files import files_in
 

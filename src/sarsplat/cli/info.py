@@ -12,8 +12,7 @@ from sarsplat.cli.arguments import OptionalFile
 from sarsplat.cli.importers import recognised
 from sarsplat.cli.info_chips import chips_in, describe_chips
 from sarsplat.cli.info_dataset import describe_dataset
-from sarsplat.cli.info_folder import describe_contents
-from sarsplat.cli.info_run import describe_run, extent
+from sarsplat.cli.info_run import describe_contents, describe_run, extent
 from sarsplat.errors import SarsplatError, counted
 
 _MARKERS = ("config.json", "contact-sheet.png")

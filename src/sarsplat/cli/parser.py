@@ -8,11 +8,9 @@ from contextlib import redirect_stderr
 from functools import partial, wraps
 from typing import Any
 
-from sarsplat.cli.commands import COMMANDS, IMPORT_SUMMARY, command, first_paragraph, summary
+from sarsplat.cli.commands import COMMANDS, IMPORT_SUMMARY, Command, command, first_paragraph, show_overview, summary
 from sarsplat.cli.mistakes import no_command, plain
 from sarsplat.errors import SarsplatError
-
-Command = Callable[..., int | None]
 
 _DESCRIPTION = (
     "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → render. "
@@ -23,12 +21,7 @@ _DESCRIPTION = (
 def parse(words: Sequence[str]) -> Callable[[], int | None]:
     """The command that the words ask for, ready to be called; asked for help, it is printed and the process ends.
 
-    What it returns is its exit code if that is not 0.
-
-    Raises
-    ------
-    SarsplatError
-        If they do not parse.
+    What it returns is its exit code if that is not 0. A SarsplatError says why words do not parse.
     """
     name, rest = _chosen("sarsplat", _DESCRIPTION, words, COMMANDS, lambda: {one: summary(one) for one in COMMANDS})
     return _importer(rest) if name == "import" else _read(f"sarsplat {name}", command(name), rest)
@@ -53,8 +46,6 @@ def _chosen(
 ) -> tuple[str, Sequence[str]]:
     """The first of the names among the words, and the words after it; prints help if that is asked for instead."""
     if words and words[0] in ("-h", "--help"):
-        from sarsplat.cli.overview import show_overview
-
         show_overview(program, description, summaries())
         raise SystemExit(0)
     plain_names = {name.replace("_", "-"): name for name in names}
@@ -69,6 +60,8 @@ def _read(program: str, command: Command, words: Sequence[str]) -> Callable[[], 
 
     from sarsplat.cli.arguments import MARKERS
 
+    if {"-h", "--help"} & {*words}:
+        words = ["--help"]  # tyro's would lack what stands before it
     box = io.StringIO()
     try:
         with redirect_stderr(box):

@@ -23,6 +23,7 @@ from sarsplat.cli.arguments import (
     TargetBox,
     refuse_existing,
 )
+from sarsplat.cli.commands import unwrapped
 from sarsplat.cli.watch import following, watched
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.names import SCATTERINGS
@@ -136,6 +137,10 @@ class Options:
     overwrite: bool = False
     switches: Annotated[Any, tyro.conf.arg(name="")] = field(default_factory=Switches)
     settings: Annotated[Any, tyro.conf.arg(name="")] = field(default_factory=Settings)
+
+
+for one in (Options, Config, *(record for one in fields(Config) if (record := record_in(Config, one.name)))):
+    one.__doc__ = unwrapped(one.__doc__)
 
 
 def reconstruct(

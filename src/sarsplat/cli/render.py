@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,7 +20,7 @@ from sarsplat.cli.arguments import (
     run_at,
     views_from,
 )
-from sarsplat.cli.stopped import Stopped
+from sarsplat.cli.ending import keeping
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.memory import required
 from sarsplat.names import Swept
@@ -120,18 +119,13 @@ def render(
     grid = asked_grid(done.grid, pixels, spacing, resolution)
     _refuse_too_large(len(views), grid.rows, grid.columns)
     tiles = out.with_name(f".{out.name}.tiles")
-    try:
-        with tiles_kept_in(tiles):
-            rendered = Rendered(_rendered(done, views, grid), views, grid, look)
-            if pixels is None and out.suffix.lower() in ANIMATIONS:
-                rendered = rendered.around_target()
-            with console.busy(f"writing {out}"):
-                wrote = rendered.write(out, seconds=seconds, overwrite=overwrite)
-    except KeyboardInterrupt as stop:
-        if not tiles.exists():
-            raise
-        kept = f"stopped; {tiles} keeps what is finished, and the same command goes on from there"
-        raise Stopped(getattr(stop, "number", signal.SIGINT), kept) from stop
+    kept = f"{tiles} keeps what is finished, and the same command goes on from there"
+    with keeping(lambda: kept if tiles.exists() else ""), tiles_kept_in(tiles):
+        rendered = Rendered(_rendered(done, views, grid), views, grid, look)
+        if pixels is None and out.suffix.lower() in ANIMATIONS:
+            rendered = rendered.around_target()
+        with console.busy(f"writing {out}"):
+            wrote = rendered.write(out, seconds=seconds, overwrite=overwrite)
     ends = ("grey", "black", "white") if look.cmap == POWER else (look.cmap, "its lower end", "its upper end")
     brightest = "brightest training pixel" if run.is_dir() else "brightest pixel from all sides"
     level = {
@@ -173,7 +167,7 @@ def _swept(
     incidence: Sequence[str],
 ) -> list[View]:
     """The views of a sweep, with the angles that were given."""
-    from sarsplat.report.sweep import sweep_views
+    from sarsplat.report.rendered import sweep_views
 
     if grazing and incidence:
         raise SarsplatError("both --grazing and --incidence were given, two ways to give one angle; leave out one")

@@ -24,8 +24,7 @@ from sarsplat.cli.arguments import (
     pair,
     refuse_existing,
 )
-from sarsplat.cli.simulated_stack import asked_stack, refuse_with_stacks, simulated_signals
-from sarsplat.cli.simulated_views import simulated_views
+from sarsplat.cli.simulated import asked_stack, refuse_with_stacks, simulated_signals, simulated_views
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import Simulator, TargetName
 
@@ -189,16 +188,8 @@ def simulate(
     grid = replace(_grid(protocol, pixels, spacing, resolution), response=response_of({"kind": response}))
     box_m = corners(target_box)
     if (stack := asked_stack(passes, baseline, wavelength, noise, polarimetric)) is not None:
-        refuse_with_stacks(
-            looks=looks,
-            clean_tests=clean_tests,
-            terrain=terrain,
-            reflectivity=reflectivity,
-            ray_spacing=ray_spacing,
-            masks=masks,
-        )
-        if source != "raycast":
-            raise SarsplatError(f"--source {source} makes no stacks; leave it out, or --passes and --polarimetric")
+        no_stacks = {"looks": looks, "clean-tests": clean_tests, "terrain": terrain, "reflectivity": reflectivity}
+        refuse_with_stacks(no_stacks | {"ray-spacing": ray_spacing, "masks": masks}, source)
     refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name
@@ -212,22 +203,13 @@ def simulate(
     if odd and is_larger(surface, grid) and not pixels and not spacing:
         raise SarsplatError(odd[0])  # not minutes of work for images of a part that nobody chose
     warn(odd)
+    looked, gamma0 = [view for view, _ in views], ScatteringLaw(*law)
+    about: dict[str, Any] = {"target": name, "ground": ground is not None, "target_box_m": box_m}
     if stack is not None:
-        signals = simulated_signals(
-            surface, [view for view, _ in views], grid, stack, ScatteringLaw(*law), ground, seed
-        )
-        record = {"kind": "scatterers", "law": ScatteringLaw(*law).as_dict(), "ground_gamma0": ground, "seed": seed}
-        record |= {"mechanisms": "by slope"} if polarimetric else {}
-        dataset = Dataset.of_complex(
-            grid,
-            _entries(views, stack),
-            signals,
-            target=name,
-            looks=1.0,
-            ground=ground is not None,
-            target_box_m=box_m,
-            source={**record, "scale": scale},
-        )
+        signals = simulated_signals(surface, looked, grid, stack, gamma0, ground, seed)
+        record = {"kind": "scatterers", "law": gamma0.as_dict(), "ground_gamma0": ground, "seed": seed}
+        record |= {"mechanisms": "by slope", "scale": scale} if polarimetric else {"scale": scale}
+        dataset = Dataset.of_complex(grid, _entries(views, stack), signals, looks=1.0, source=record, **about)
         _finish(out, dataset, surface, None, overwrite)
         return
     if ray_spacing is None and source == "raycast":
@@ -237,20 +219,13 @@ def simulate(
         warn(
             [f"rays {ray_spacing:g} m apart miss what pixels of {spacing_m:g} m show; give at most {spacing_m / 2:g} m"]
         )
-    how: dict[str, Any] = {
-        "source": source,
-        "law": ScatteringLaw(*law),
-        "ground_gamma0": ground,
-        "ray_spacing": ray_spacing,
-        "seed": seed,
-    }
-    factors = part_reflectivity(surface, reflectivity, seed)
+    scene: dict[str, Any] = {"law": gamma0, "ground_gamma0": ground, "ray_spacing": ray_spacing}
+    how = {"source": source, "seed": seed, **scene}
+    scene |= {"reflectivity": part_reflectivity(surface, reflectivity, seed), "terrain": relief}
     error_db = None
     with progress(f"simulate {name}", len(views)) as shown:
         if source == "raycast":
-            view, checked = views[0][0], ("law", "ground_gamma0", "ray_spacing")
-            known = {key: how[key] for key in checked}
-            error_db = ray_error_db(surface, view, grid, reflectivity=factors, terrain=relief, **known)
+            error_db = ray_error_db(surface, looked[0], grid, **scene)
             if error_db is None:
                 right = "is empty: they miss the target, or it lies outside"
             else:
@@ -259,11 +234,11 @@ def simulate(
             shown.note(f"rays {ray_spacing:.3g} m apart along edges: the first image {right}")
         images = simulate_images(
             surface,
-            [view for view, _ in views],
+            looked,
             grid,
-            **how,
-            reflectivity=factors,
-            terrain=relief,
+            source=source,
+            seed=seed,
+            **scene,
             looks=looks,
             clean=[index for index, (_, split) in enumerate(views) if clean_tests and split != "train"],
             progress=shown.update,
@@ -271,17 +246,15 @@ def simulate(
     true_masks = None
     if masks:
         with progress(f"masks of {name}", len(views)) as shown:
-            true_masks = raycast_masks(surface, [view for view, _ in views], grid, progress=shown.update)
+            true_masks = raycast_masks(surface, looked, grid, progress=shown.update)
     dataset = Dataset(
         grid,
         _entries(views),
         images,
-        target=name,
         looks=looks,
         clean_tests=clean_tests,
-        ground=ground is not None,
         terrain=relief,
-        target_box_m=box_m,
+        **about,
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
         source={**simulation_record(**how, ray_error_db=error_db), "reflectivity_db": reflectivity, "scale": scale},
     )

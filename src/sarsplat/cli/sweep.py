@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import signal
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +11,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber
-from sarsplat.cli.stopped import Stopped
+from sarsplat.cli.ending import keeping
 from sarsplat.errors import counted
 from sarsplat.sweeps.executor import EXECUTORS, Means
 
@@ -68,15 +67,9 @@ def sweep(
     from sarsplat.sweeps import sweep as do
 
     means = Means(processes, address, gpus, retries, again)
-    try:
+    words = shlex.join(["sarsplat", "sweep", str(plan), "--out", str(out)])
+    with keeping(lambda: f"what is finished is kept, and `{words}` with the same options continues"):
         results = do(plan, out, executor=executor, means=means, shard=shard, run=not show)
-    except KeyboardInterrupt as interrupt:
-        number = interrupt.number if isinstance(interrupt, Stopped) else signal.SIGINT
-        by = "terminated" if number == signal.SIGTERM else "stopped by Ctrl-C"
-        words = f"sarsplat sweep {shlex.quote(str(plan))} --out {shlex.quote(str(out))}"
-        raise Stopped(
-            number, f"{by}; what is finished is kept, and `{words}` with the same options continues"
-        ) from None
     console.show(results.table())
     done = sum(one.finished for one in results.results)
     console.finish(

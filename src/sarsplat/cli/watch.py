@@ -14,7 +14,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from sarsplat.cli import console
-from sarsplat.cli.stopped import Stopped
+from sarsplat.cli.ending import Stopped, keeping
 from sarsplat.errors import SarsplatWarning
 
 if TYPE_CHECKING:
@@ -34,7 +34,9 @@ def watched(
 
     The yielded function is called after each step. The KeyboardInterrupt says how to resume if there is a checkpoint.
     """
-    with ExitStack() as stack:
+    words = shlex.join(["sarsplat", "reconstruct", str(dataset), "--out", str(out), "--resume"])
+    kept = f"{out} keeps the progress so far; continue with `{words}`"
+    with keeping(lambda: kept if (out / "config.json").is_file() else ""), ExitStack() as stack:
         hold_back = stack.enter_context(_interrupts())
         watchers: list[Callable[[Step[Any]], object]] = []
         if tensorboard:
@@ -54,31 +56,15 @@ def watched(
             if number := hold_back(step.iteration < step.trainer.config.iterations):
                 raise Stopped(number)
 
-        try:
-            yield on_step
-        except KeyboardInterrupt as interrupt:
-            if interrupt.args or not (out / "config.json").is_file():
-                raise
-            number = interrupt.number if isinstance(interrupt, Stopped) else signal.SIGINT
-            raise Stopped(
-                number,
-                f"{'terminated' if number == signal.SIGTERM else 'stopped by Ctrl-C'}; {out} keeps the progress so "
-                f"far; continue with `sarsplat reconstruct {shlex.quote(str(dataset))} --out {shlex.quote(str(out))} "
-                "--resume`",
-            ) from None
+        yield on_step
 
 
 @contextmanager
 def following() -> Iterator[None]:
     """A training in a torchrun process that is not the first: silent, and ended by the first rather than by Ctrl-C."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SarsplatWarning)
-            yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with _handled(signal.SIG_IGN), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SarsplatWarning)
+        yield
 
 
 @contextmanager
@@ -105,9 +91,16 @@ def _interrupts() -> Iterator[Callable[[bool], int]]:
         holding = held
         return asked
 
-    before = {number: signal.signal(number, hold) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with _handled(hold):
         yield hold_back
+
+
+@contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> Iterator[None]:
+    """Ctrl-C and a polite kill are left to a handler inside the block."""
+    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, usual in before.items():
+            signal.signal(number, usual)

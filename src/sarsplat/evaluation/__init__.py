@@ -3,14 +3,24 @@
 from sarsplat.evaluation.alignment import Alignment, align
 from sarsplat.evaluation.baselines import baseline_scores, nearest_chip, rotated_average
 from sarsplat.evaluation.evaluate import evaluate_run
-from sarsplat.evaluation.images import UndefinedScore, log_correlation, nats_per_pixel, psnr_db, psnr_target_db, ssim
+from sarsplat.evaluation.images import (
+    Registration,
+    UndefinedScore,
+    log_correlation,
+    nats_per_pixel,
+    psnr_db,
+    psnr_target_db,
+    register,
+    registered_log_correlation,
+    ssim,
+)
 from sarsplat.evaluation.lpips import Lpips, lpips
 from sarsplat.evaluation.masks import MaskPair, predicted_masks
-from sarsplat.evaluation.metric import Metric
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
     MASK_METRICS,
     RUN_METRICS,
+    Metric,
     all_metrics,
     metrics_of_points,
 )
@@ -22,7 +32,6 @@ from sarsplat.evaluation.paper import (
     paper_scores,
 )
 from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
-from sarsplat.evaluation.registered import Registration, register, registered_log_correlation
 from sarsplat.evaluation.surface import VisibleSurface, read_truth_mesh, visible_surface
 from sarsplat.evaluation.tables import Scores, beaten_by_baselines, comparison, metrics_table, summary_metrics
 

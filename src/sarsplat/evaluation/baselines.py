@@ -10,8 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from sarsplat.data import Dataset
 from sarsplat.evaluation.images import smoothed
-from sarsplat.evaluation.metric import compute_all
-from sarsplat.evaluation.metrics import IMAGE_METRICS, ImagePair, image_parameters
+from sarsplat.evaluation.metrics import IMAGE_METRICS, ImagePair, compute_all, image_parameters
 from sarsplat.geometry import ImageGrid, View
 
 _KERNEL = 0.4

@@ -68,9 +68,8 @@ def _of_stack(
 ) -> Float64[np.ndarray, "p 3"]:
     look = view.look
     deramped = np.moveaxis(signal * np.exp(-1j * stack.plane_phases(view, grid)), 0, -1)
-    sample: Complex128[np.ndarray, "rows columns p p"] = _averaged(
-        deramped[..., :, None] * deramped[..., None, :].conj()
-    )
+    products: Complex128[np.ndarray, "rows columns p p"] = deramped[..., :, None] * deramped[..., None, :].conj()
+    sample = uniform_filter(products, (_WINDOW, _WINDOW, 1, 1))
     power = np.trace(sample, axis1=2, axis2=3).real / len(stack)
     loaded = sample + (_LOADING * power + 1e-9 * power.max())[..., None, None] * np.eye(len(stack))
     step = stack.resolution_m / _STEPS
@@ -91,9 +90,3 @@ def _of_stack(
     slant, across = grid.range_m[row], grid.azimuth_m[column]
     elevation = look.elevation_at(across, slant, 0.0) + above[at + 1] + step * shift
     return np.column_stack([across, elevation, slant]) @ look.frame
-
-
-def _averaged(matrices: np.ndarray) -> np.ndarray:
-    size = (_WINDOW, _WINDOW, 1, 1)
-    averaged: np.ndarray = uniform_filter(matrices.real, size) + 1j * uniform_filter(matrices.imag, size)
-    return averaged

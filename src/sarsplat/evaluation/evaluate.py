@@ -25,13 +25,13 @@ from sarsplat.evaluation.capon import capon_points
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.masks import MaskPair, predicted_masks
-from sarsplat.evaluation.metric import compute_all
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
     MASK_METRICS,
     RUN_METRICS,
     ImagePair,
     all_metrics,
+    compute_all,
     image_parameters,
     leading_metric,
     metrics_of_points,

@@ -6,13 +6,21 @@ return NaN or infinity.
 
 The scores of protocol R compare *amplitudes*, √β⁰ divided by the largest amplitude of the training set, without
 clipping; the peak of PSNR and the data range of SSIM are 1. The scores of protocol M compare *powers*.
+
+Registered scores of measured chips ignore a chip's position and gain, which cannot be predicted. Chips are centred and
+scaled one by one, to within a pixel and a few tenths of their power. These errors say nothing about a model but
+dominate its scores, so each prediction is shifted by whole pixels and multiplied by one factor to fit its chip best;
+all methods are treated the same.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 import torch
-from jaxtyping import Float, Float64, Real
+from jaxtyping import Float, Float64, Int64, Real
 from scipy.ndimage import correlate
 
 from sarsplat.errors import SarsplatError
@@ -24,6 +32,9 @@ Stack = Real[np.ndarray, "v rows columns"]
 
 TARGET_DYNAMIC_DB = 30.0
 """The target's mask: truth β⁰ at most this many dB below the evaluated set's maximum."""
+
+REACH = 3
+"""Largest shift of a prediction along each axis, pixels."""
 
 _SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images cannot be distinguished any better
 
@@ -56,7 +67,7 @@ def psnr_db(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
     float
         dB. An image reproduced to within float32 rounding counts as 138 dB instead of infinity.
     """
-    check_stacks(truth, rendered)
+    _check_stacks(truth, rendered)
     error = normalised_amplitude(truth, reference_amplitude) - normalised_amplitude(rendered, reference_amplitude)
     return _mean_psnr(np.mean(np.square(error, dtype=np.float64), axis=(1, 2)))
 
@@ -67,7 +78,7 @@ def psnr_target_db(truth: Stack, rendered: Stack, reference_amplitude: float) ->
     The target fills 1–2 % of an image, so the whole-image figure flatters by 17–20 dB; this one does not. Parameters
     and returns as in `psnr_db`; an image without a target pixel is excluded from the average.
     """
-    check_stacks(truth, rendered)
+    _check_stacks(truth, rendered)
     if not truth.max() > 0:
         raise UndefinedScore("the true images are black everywhere, so there is no target to score; check the dataset")
     mask = brighter(truth, -TARGET_DYNAMIC_DB)
@@ -82,7 +93,7 @@ def ssim(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
 
     Parameters as in `psnr_db`; returns the mean over the images, at most 1.
     """
-    check_stacks(truth, rendered)
+    _check_stacks(truth, rendered)
     if min(truth.shape[1:]) < SSIM_WINDOW:
         raise UndefinedScore(
             f"SSIM's 11×11 window does not fit images of {truth.shape[1]} × {truth.shape[2]} pixels; use larger ones"
@@ -117,9 +128,9 @@ def nats_per_pixel(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     UndefinedScore
         If S is zero inside the margin (the likelihood of any return is then zero), or nothing is left inside it.
     """
-    check_stacks(truth, rendered)
-    measured, predicted = inside(truth.astype(np.float64), margin), inside(rendered.astype(np.float64), margin)
-    check_positive(predicted, "predicted")
+    _check_stacks(truth, rendered)
+    measured, predicted = _inside(truth.astype(np.float64), margin), _inside(rendered.astype(np.float64), margin)
+    _check_positive(predicted, "predicted")
     return float(np.mean(np.log(predicted) + measured / predicted))
 
 
@@ -134,13 +145,97 @@ def log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     UndefinedScore
         If a 3×3 mean is zero inside the margin, or nothing is left inside it.
     """
-    check_stacks(truth, rendered)
+    _check_stacks(truth, rendered)
     logs = []
     for power, name in ((truth, "true"), (rendered, "predicted")):
-        smooth = inside(smoothed(power), margin)
-        check_positive(smooth, name)
-        logs.append(standardised(np.log(smooth)))
+        smooth = _inside(smoothed(power), margin)
+        _check_positive(smooth, name)
+        logs.append(_standardised(np.log(smooth)))
     return float(np.mean(logs[0] * logs[1]))
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Shift and gain with which predictions fit their chips best."""
+
+    nats: Float64[np.ndarray, " v"]
+    """Negative log-likelihood of single-look speckle, nats per pixel."""
+    shift: Int64[np.ndarray, "v 2"]
+    """How far each prediction was moved, pixels in range and in azimuth."""
+    gain: Float64[np.ndarray, " v"]
+    """Factor applied to each prediction."""
+
+
+def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
+    """Move and scale predictions so that their chips become most likely.
+
+    Moved by up to three pixels each way (rolled on the full chip, then the margin is cut off), and multiplied by
+    g = mean(I / S), which is best for speckle: then log gS + I / (gS) has the mean log g + mean(log S) + 1.
+
+    Parameters
+    ----------
+    truth : numpy.ndarray, float [V, rows, columns]
+        Measured power I, speckle and all.
+    rendered : numpy.ndarray, float [V, rows, columns]
+        Predicted mean power S > 0, in any unit.
+    margin : int
+        Pixels excluded on each side.
+
+    Raises
+    ------
+    UndefinedScore
+        If S is zero where it may be moved to, a chip is black, or nothing is left inside the margin.
+    """
+    _check_stacks(truth, rendered)
+    measured = _inside(truth.astype(np.float64), margin)
+    predicted = _reachable(rendered.astype(np.float64), margin)
+    if not measured.any(axis=(1, 2)).all():
+        raise UndefinedScore("a true image is black inside the margin, so no gain suits it; remove it")
+    shifts, nats, gains = [], [], []
+    for (shift, log), (_, weight) in zip(_moved(np.log(predicted), margin), _moved(1 / predicted, margin), strict=True):
+        gain = np.einsum("vrc,vrc->v", measured, weight) / measured[0].size
+        shifts.append(shift)
+        gains.append(gain)
+        nats.append(np.log(gain) + log.mean(axis=(1, 2)) + 1)
+    best, chip = np.argmin(nats, axis=0), np.arange(len(truth))
+    return Registration(np.array(nats)[best, chip], np.array(shifts)[best], np.array(gains)[best, chip])
+
+
+def registered_log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
+    """`log_correlation` with each prediction shifted to its best fit; it does not depend on the gain.
+
+    Raises
+    ------
+    UndefinedScore
+        If a 3×3 mean is zero where it may be moved to, or nothing is left inside the margin.
+    """
+    _check_stacks(truth, rendered)
+    measured, predicted = _inside(smoothed(truth), margin), _reachable(smoothed(rendered), margin)
+    _check_positive(measured, "true")
+    log = _standardised(np.log(measured))
+    correlations = [(log * _standardised(moved)).mean(axis=(1, 2)) for _, moved in _moved(np.log(predicted), margin)]
+    return float(np.mean(np.max(correlations, axis=0)))
+
+
+def _reachable(predicted: Float64[np.ndarray, "v rows columns"], margin: int) -> Float64[np.ndarray, "v wide high"]:
+    """The pixels that a shift can bring inside the margin; refused if any is zero."""
+    reachable = _inside(predicted, max(margin - REACH, 0))
+    _check_positive(reachable, "predicted")
+    return reachable
+
+
+def _moved(
+    images: Float[np.ndarray, "v rows columns"], margin: int
+) -> Iterator[tuple[tuple[int, int], Float[np.ndarray, "v fewer_rows fewer_columns"]]]:
+    """Every shift, and the images rolled by it, cut to the margin."""
+    margin = min(margin, REACH)
+    rows, columns = images.shape[1:]
+    wrapped = np.pad(images, ((0, 0), (REACH, REACH), (REACH, REACH)), mode="wrap")
+    first = REACH + margin
+    for down in range(-REACH, REACH + 1):
+        for right in range(-REACH, REACH + 1):
+            top, left = first - down, first - right
+            yield (down, right), wrapped[:, top : top + rows - 2 * margin, left : left + columns - 2 * margin]
 
 
 def _mean_psnr(mse: Float[np.ndarray, " v"]) -> float:
@@ -153,14 +248,14 @@ def smoothed(power: Stack, rows: int = 3, columns: int = 3) -> Float64[np.ndarra
     return correlate(power.astype(np.float64), np.full((1, rows, columns), 1 / (rows * columns)))
 
 
-def standardised(images: Float[np.ndarray, "v rows columns"]) -> Float[np.ndarray, "v rows columns"]:
+def _standardised(images: Float[np.ndarray, "v rows columns"]) -> Float[np.ndarray, "v rows columns"]:
     """Each image scaled to mean 0 and variance 1; a constant image becomes 0."""
     centred = images - images.mean(axis=(1, 2), keepdims=True)
     spread = centred.std(axis=(1, 2), keepdims=True)
     return np.divide(centred, spread, out=np.zeros_like(centred), where=spread > 0)
 
 
-def inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+def _inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
     """Images without `margin` pixels on each side."""
     rows, columns = power.shape[1:]
     if min(rows, columns) <= 2 * margin:
@@ -171,7 +266,7 @@ def inside(power: Stack, margin: int) -> Real[np.ndarray, "v fewer_rows fewer_co
     return power[:, margin : rows - margin, margin : columns - margin]
 
 
-def check_stacks(truth: Stack, rendered: Stack) -> None:
+def _check_stacks(truth: Stack, rendered: Stack) -> None:
     """Refuse stacks that differ in shape, are empty or hold negative or non-finite power."""
     if truth.shape != rendered.shape or truth.ndim != 3 or len(truth) == 0:
         raise SarsplatError(
@@ -183,7 +278,7 @@ def check_stacks(truth: Stack, rendered: Stack) -> None:
             raise SarsplatError(f"the {name} images hold negative or non-finite power; give β⁰ ≥ 0, linear")
 
 
-def check_positive(power: Stack, name: str) -> None:
+def _check_positive(power: Stack, name: str) -> None:
     """Refuse power that has no logarithm; `name` is "true" or "predicted"."""
     zeros = int(np.count_nonzero(power <= 0))
     if zeros:

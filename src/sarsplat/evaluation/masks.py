@@ -9,8 +9,7 @@ from jaxtyping import Int64
 from scipy.ndimage import shift
 
 from sarsplat.data import Dataset, Masks
-from sarsplat.evaluation.images import Stack, UndefinedScore
-from sarsplat.evaluation.registered import register
+from sarsplat.evaluation.images import Stack, UndefinedScore, register
 from sarsplat.runs import Run
 
 

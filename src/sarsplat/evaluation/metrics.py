@@ -6,21 +6,85 @@ they say about a metric from here. To add one, write its function and add an ent
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
 from sarsplat.data import Dataset
 from sarsplat.evaluation import images, lpips
-from sarsplat.evaluation.images import Stack, UndefinedScore
+from sarsplat.evaluation.images import REACH, Stack, UndefinedScore
 from sarsplat.evaluation.masks import MaskPair
-from sarsplat.evaluation.metric import Metric, Requirement
 from sarsplat.evaluation.points import PointMetrics, Yardstick
-from sarsplat.evaluation.registered import REACH, register, registered_log_correlation
 from sarsplat.geometry import SHADOW, TARGET
 from sarsplat.runs import Run
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A condition on the dataset for a metric to apply, and the reason to give where it is not met."""
+
+    met: Callable[[Dataset], bool]
+    otherwise: str
+
+
+NOTHING = Requirement(lambda dataset: True, "")
+
+Measured = TypeVar("Measured")
+
+
+@dataclass(frozen=True)
+class Metric(Generic[Measured]):
+    """One metric."""
+
+    key: str
+    """Its name in `metrics.json`."""
+    label: str
+    """Its name for readers, without the unit."""
+    unit: str
+    """Its unit; empty if it has none."""
+    digits: str
+    """How it is printed, as Python formats numbers: lengths with three significant digits, whatever their size."""
+    better: Literal["more", "less"] | None
+    """Which of two values is the better one; None if neither is."""
+    definition: str
+    """What exactly is computed, in one line."""
+    compute: Callable[[Measured], float]
+    """Its value; raises `UndefinedScore` where it has none."""
+    requires: Requirement = NOTHING
+    """To which datasets it applies."""
+    short: str = ""
+    """Heading of its column in the terminal, without the unit; empty if it has no column there and in the README."""
+    place: Literal["headline", "table", "file"] = "table"
+    """In the report: large at the top and in the table, in the table only, or not at all."""
+
+    @property
+    def title(self) -> str:
+        """Label and unit: `Chamfer distance, m`."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    @property
+    def heading(self) -> str:
+        """Short name and unit: `CD m`."""
+        return f"{self.short} {self.unit}".strip()
+
+    @property
+    def arrow(self) -> str:
+        """↑ if more is better, ↓ if less is."""
+        return {"more": "↑", "less": "↓", None: ""}[self.better]
+
+    def text(self, value: float | None) -> str:
+        """The value with the metric's digits; a dash for None."""
+        return "–" if value is None else f"{value:{self.digits}}".rstrip(".")
+
+    def best(self, values: Sequence[float | None]) -> float | None:
+        """The best of several values; None if there is nothing to compare."""
+        defined = [value for value in values if value is not None]
+        if self.better is None or len(defined) < 2:
+            return None
+        return max(defined) if self.better == "more" else min(defined)
 
 
 @dataclass(frozen=True)
@@ -80,7 +144,7 @@ def _nats_per_pixel(pair: ImagePair) -> float:
 
 
 def _registered_nats(pair: ImagePair) -> float:
-    best = register(pair.truth, pair.rendered, pair.score_margin)
+    best = images.register(pair.truth, pair.rendered, pair.score_margin)
     return float(best.nats.mean() - np.log(pair.mean_power))
 
 
@@ -132,7 +196,7 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
         "registered_log_correlation",
         *("correlation of log power, registered", "", ".3f", "more"),
         f"log_correlation of each image shifted by up to {REACH} pixels to fit its truth best; mean over images",
-        lambda pair: registered_log_correlation(pair.truth, pair.rendered, pair.score_margin),
+        lambda pair: images.registered_log_correlation(pair.truth, pair.rendered, pair.score_margin),
         short="corr. reg.",
         place="headline",
     ),
@@ -271,3 +335,28 @@ RUN_METRICS: tuple[Metric[Run], ...] = (
 def all_metrics(yardstick: Yardstick) -> tuple[Metric[Any], ...]:
     """Every metric, in the order of tables."""
     return (*IMAGE_METRICS, *MASK_METRICS, *metrics_of_points(yardstick), *RUN_METRICS)
+
+
+def compute_all(
+    metrics: Sequence[Metric[Measured]],
+    dataset: Dataset,
+    measured: Measured | UndefinedScore,
+    prefix: str,
+    reasons: dict[str, str],
+) -> dict[str, float | None]:
+    """Value of every metric of what was measured; None where it does not apply to the dataset or has no value.
+
+    `reasons` is filled in: `prefix` (empty, or ending in a dot) and key of each metric that is None, and why.
+    """
+    values: dict[str, float | None] = {}
+    for metric in metrics:
+        try:
+            if not metric.requires.met(dataset):
+                raise UndefinedScore(metric.requires.otherwise)
+            if isinstance(measured, UndefinedScore):
+                raise measured
+            values[metric.key] = metric.compute(measured)
+        except UndefinedScore as undefined:
+            values[metric.key] = None
+            reasons[prefix + metric.key] = str(undefined)
+    return values

@@ -108,13 +108,7 @@ def point_metrics(
 
 
 class Cloud:
-    """Reconstructed points, ready to be scored against several parts of the true surface.
-
-    Parameters
-    ----------
-    points, yardstick
-        As in `point_metrics`.
-    """
+    """Reconstructed points, ready to be scored against several parts of the true surface (see `point_metrics`)."""
 
     def __init__(self, points: Float[np.ndarray, "p 3"], yardstick: Yardstick) -> None:
         _check("reconstructed points", points)

@@ -9,8 +9,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from sarsplat.evaluation.metric import Metric
-from sarsplat.evaluation.metrics import all_metrics
+from sarsplat.evaluation.metrics import Metric, all_metrics
 from sarsplat.evaluation.points import Yardstick
 from sarsplat.settings.config import DEFAULT_METHOD
 

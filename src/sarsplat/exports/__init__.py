@@ -7,8 +7,7 @@ from pathlib import Path
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.exports.contents import Points, content_of
-from sarsplat.exports.format import Content, Format
+from sarsplat.exports.format import Content, Format, Points, content_of
 from sarsplat.names import Colour
 from sarsplat.plugins import discover
 from sarsplat.runs import Run

@@ -9,8 +9,7 @@ import numpy as np
 
 from sarsplat.data import write_bytes
 from sarsplat.errors import SarsplatError
-from sarsplat.exports.contents import Points
-from sarsplat.exports.format import Format
+from sarsplat.exports.format import Format, Points
 from sarsplat.radiometry import LEAST_POWER, shade
 
 _DARKEST_DB = -30.0  # of the brightest point: intensity 0, as black in a mesh

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.exports.contents import Points
-from sarsplat.exports.format import Format
+from sarsplat.exports.format import Format, Points
 from sarsplat.names import Colour
 
 _BEGINS = b"# .PCD v0.7"

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.exports.contents import Points
-from sarsplat.exports.format import Format
+from sarsplat.exports.format import Format, Points
 from sarsplat.names import Colour
 
 _BEGINS = "# x_m y_m z_m"

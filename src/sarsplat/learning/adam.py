@@ -91,7 +91,6 @@ def powers(count: int) -> tuple[float, float]:
 
 
 def _group(tensor: Stepped) -> dict[str, Any]:
-    """A parameter for an engine."""
     ranges = {"rate": tensor.rates, "low": tensor.low, "high": tensor.high}
     return {
         **{"value": tensor.value, "mean": tensor.mean, "square": tensor.square, "logarithmic": tensor.logarithmic},

@@ -15,10 +15,7 @@ from sarsplat.renderer.engines.trial import objection
 def device_named(name: str) -> torch.device:
     """The device of that name; "auto" is "cuda" where there is a GPU on which the CUDA engine passes its check.
 
-    Raises
-    ------
-    SarsplatError
-        If there is no such device, or it cannot be used.
+    Refused if there is no such device, or it cannot be used.
     """
     if name not in ("auto", "cpu", "cuda"):
         raise SarsplatError(f"device {name!r} is unknown; choose auto, cpu or cuda")
@@ -26,13 +23,7 @@ def device_named(name: str) -> torch.device:
 
 
 def usable_device(device: torch.device | str) -> torch.device:
-    """A device that models can be trained on, as torch names it.
-
-    Raises
-    ------
-    SarsplatError
-        If it is none, or cannot be used.
-    """
+    """A device that models can be trained on, as torch names it; refused if it is none, or cannot be used."""
     try:
         found = torch.device(device)
     except RuntimeError as error:

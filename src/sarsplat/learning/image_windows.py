@@ -36,18 +36,13 @@ class Windows:
 
     They are stacked like whole images, as large as the largest: beyond its own pixels, a part is black, in truth and as
     rendered.
-
-    Parameters
-    ----------
-    rows, columns : tuple of slice
-        The pixels of each image.
-    grids : tuple of ImageGrid
-        Where these lie.
     """
 
     rows: tuple[slice, ...]
     columns: tuple[slice, ...]
+    """The pixels of each image."""
     grids: tuple[ImageGrid, ...]
+    """Where these lie."""
 
     @classmethod
     def around(
@@ -65,7 +60,6 @@ class Windows:
         return replace(self.grids[0], rows=rows, columns=columns)
 
     def of(self, images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v some few"]:
-        """These parts of the images, stacked."""
         parts = zip(images, self.rows, self.columns, strict=True)
         return torch.stack([_filled(image[rows, columns], self.stack) for image, rows, columns in parts])
 

@@ -24,25 +24,17 @@ _UNTIL = 0.75
 
 @dataclass(frozen=True)
 class Levels:
-    """The schedule of levels: blocks of pixels that each iteration's images are averaged over.
-
-    Parameters
-    ----------
-    coarsest : int
-        Factor of the first level, a power of two.
-    grid : ImageGrid
-        Of the images themselves.
-    iterations : int
-        Of the whole training.
-    """
+    """The schedule of levels: blocks of pixels that each iteration's images are averaged over."""
 
     coarsest: int
+    """Factor of the first level, a power of two."""
     grid: ImageGrid
+    """Of the images themselves."""
     iterations: int
+    """Of the whole training."""
 
     @classmethod
     def of(cls, config: Config, frame: SceneFrame) -> Levels:
-        """The levels that a configuration asks for, given the target's size and its images."""
         grid, (width_m, depth_m, _) = frame.grid, frame.region.high - frame.region.low
         shown_m = (grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1])  # a box may be given, of any size
         across_m, factor = min(math.sqrt(width_m * depth_m), *shown_m), 1

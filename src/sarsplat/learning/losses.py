@@ -45,25 +45,11 @@ def amplitude_loss(
     reference: float,
     ssim_weight: float,
 ) -> Float[Tensor, ""]:
-    """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude, √(power / reference² + ε²) − ε.
+    """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude, √(power / reference² + ε²) − ε; differentiable with respect to `power`.
 
-    float32 is one call of the device's engine where that has it, anything else plain torch.
-
-    Parameters
-    ----------
-    power : Tensor [V, rows, columns]
-        Rendered β⁰; differentiable.
-    truth : Tensor [V, rows, columns]
-        True β⁰, of the same dtype and on the same device.
-    reference : float
-        Amplitude that counts as 1: the largest of the training set.
-    ssim_weight : float
-        λ. SSIM has a Gaussian window of 11 × 11, σ = 1.5, and counts where the window fits whole.
-
-    Raises
-    ------
-    SarsplatError
-        If the two do not fit together, or SSIM is asked for and the images are smaller than its window.
+    Rendered and true β⁰ are of one dtype and on one device; float32 is one call of the device's engine where that has
+    it, anything else plain torch. `reference` is the amplitude that counts as 1, λ the `ssim_weight`. SSIM has a
+    Gaussian window of 11 × 11, σ = 1.5, and counts where the window fits whole; smaller images are refused.
     """
     if truth.shape != power.shape or truth.dtype != power.dtype or truth.device != power.device:
         raise SarsplatError(
@@ -205,11 +191,7 @@ class NamedLoss:
     """None if it compares something else than images, which is compared by what observes it."""
     title: str
     unit: str
-
-    @property
-    def in_nats(self) -> bool:
-        """Whether it is a likelihood, in nats per pixel."""
-        return self.unit.startswith("nats")
+    """That of a likelihood begins with `nats`."""
 
 
 LOSSES = {

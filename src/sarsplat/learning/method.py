@@ -46,17 +46,16 @@ class Inputs:
 
 
 class Trainable(Protocol):
-    """Interface of a trainer, as the training loop uses it."""
+    """Interface of a trainer, as the training loop uses it; what is derived from it omits what it lacks."""
 
     iteration: int
-
-    @property
-    def config(self) -> Any:
-        """Its `AnyConfig`."""
+    config: Any
+    """Its `AnyConfig`."""
 
     @property
     def gaussian_count(self) -> int | None:
         """Number of Gaussians, if it learns any."""
+        return None
 
     def step(self) -> torch.Tensor:
         """One step; returns the loss, a single number, still on the device."""
@@ -67,6 +66,7 @@ class Trainable(Protocol):
     @property
     def terms(self) -> dict[str, torch.Tensor]:
         """What the last step minimised besides the loss: single numbers by name, still on the device."""
+        return {}
 
     @property
     def learning_rates(self) -> dict[str, float]:

@@ -17,14 +17,14 @@ from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
 from sarsplat.data import Dataset, write_gaussians_ply
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
-from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians import Gaussians, Polarimetric
+from sarsplat.gaussians.law_polarimetric import covariances_between
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
 from sarsplat.learning.losses import LOSSES
 from sarsplat.learning.method import Inputs, Method, Reconstruction
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.observations import observations_of
 from sarsplat.learning.parts.target import scales_m
-from sarsplat.learning.polarimetry import covariance_within
 from sarsplat.learning.sampler import Sampler
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS
@@ -32,6 +32,7 @@ from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
 from sarsplat.renderer import channel_of
 from sarsplat.renderer.covariances import stacks_of
+from sarsplat.renderer.steps import attenuate, project
 from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, Config
 from sarsplat.settings.presets import preset
 from sarsplat.settings.sections import FlatGround
@@ -125,7 +126,6 @@ class GaussianReconstruction(Reconstruction):
         return surface_mesh(points, normals, self._seen, self.grid.cell_m)
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views, linear power."""
         grid = grid or self.grid
         rays = self._rays(grid)
         images, done = np.empty((len(views), grid.rows, grid.columns), np.float32), 0
@@ -150,9 +150,31 @@ class GaussianReconstruction(Reconstruction):
         return self.snapshot.unit * np.concatenate(found)
 
     def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
-        """Seen from the training views."""
-        grid = self.grid
-        return self.snapshot.unit * covariance_within(self.gaussians, self.snapshot.views, grid, self._rays(grid), box)
+        """E[y yᴴ] of the Gaussians whose centres lie in the box, on average over the training views."""
+        gaussians = self.gaussians
+        law = gaussians.scattering
+        if not isinstance(law, Polarimetric):
+            raise SarsplatError(
+                f"this run's scattering is {law.kind}, which is the same in all polarisations; give one that was "
+                "learned from stacks of several (preset polarimetric)"
+            )
+        if not all(low <= high for low, high in zip(*box, strict=True)):  # also catches NaN
+            raise SarsplatError(f"the box is {box[0]} to {box[1]} m; give its lower corner (x, y, z) first")
+        corners = [torch.tensor(corner).to(gaussians.means) for corner in box]
+        inside = ((gaussians.means >= corners[0]) & (gaussians.means <= corners[1])).all(dim=1)
+        if not bool(inside.any()):
+            raise SarsplatError(
+                f"no Gaussian lies in the box {box[0]} to {box[1]} m; give lower and upper corners around some"
+            )
+        count = len(law.polarisations)
+        total, rays = np.zeros((count, count), np.complex128), self._rays(self.grid)
+        with torch.no_grad():
+            for view in self.snapshot.views:  # one at a time: scenes may be large
+                projection = project(gaussians, [view], self.grid, rays=rays)
+                lit_area = attenuate(projection, rays).lit_area[0, inside]
+                lit = (projection.amplitudes[0, inside] * lit_area[:, None]).double().sum(0)
+                total += covariances_between(lit, count).cpu().numpy()
+        return self.snapshot.unit * (total / len(self.snapshot.views))
 
     def _rays(self, grid: ImageGrid) -> RayGrid:
         """At a quarter of its own pixel spacing on every grid; warns of grids that are finer than its own.
@@ -218,7 +240,6 @@ class GaussianReconstruction(Reconstruction):
         return Seen.of(self.gaussians, self.snapshot.views, self.grid)
 
     def write(self, folder: Path) -> None:
-        """Write `gaussians.ply`."""
         write_gaussians_ply(folder / "gaussians.ply", self.gaussians)
 
     @property

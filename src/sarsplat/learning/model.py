@@ -42,21 +42,9 @@ _REGION = ("normals", "offsets", "low", "high")
 class SceneModel:
     """The parameters of a scene, and how its parts render images with them.
 
-    Parameters
-    ----------
-    config : Config
-        The reconstruction's configuration, which says what parts there are.
-    frame : SceneFrame
-        What the dataset fixes.
-    parameters : dict of str to Tensor
-        Those that the parts declare; copied to leaves, some of which row operations replace.
-    device : torch.device or str
-        Where the parameters are copied to, and rendered.
-
-    Raises
-    ------
-    ValueError, KeyError
-        If the parameters are not those, or not finite.
+    `config` says what parts there are, `frame` what the dataset fixes. The `parameters` that the parts declare are
+    copied to leaves on the device, some of which row operations replace; ValueError or KeyError if they are not those,
+    or not finite.
     """
 
     def __init__(
@@ -99,10 +87,8 @@ class SceneModel:
     def saved(cls, snapshot: Snapshot, config: Config, device: torch.device | str = "cpu") -> SceneModel:
         """The model that a snapshot holds (`tensors`).
 
-        Raises
-        ------
-        ValueError, KeyError, TypeError, IndexError, RuntimeError, SarsplatError
-            If the tensors are not those of a model with this configuration.
+        Raises ValueError, KeyError, TypeError, IndexError, RuntimeError or SarsplatError if the tensors are not those
+        of a model with this configuration.
         """
         arrays = [snapshot.tensors[f"region/{name}"].numpy() for name in _REGION]
         if arrays[0].shape != (len(arrays[1]), 3) or arrays[2].shape != (3,) or arrays[3].shape != (3,):
@@ -110,34 +96,25 @@ class SceneModel:
         kept = snapshot.part("terrain")
         terrain = Terrain(kept["heights_m"].numpy(), tuple(kept["pitch_m"].tolist())) if kept else None
         frame = SceneFrame(Region(*arrays), snapshot.unit, snapshot.views, snapshot.grid, terrain, snapshot.stacks)
-        learned, state = snapshot.part("model"), snapshot.part("part")
+        learned = snapshot.part("model")
         model = cls(config, frame, learned, device)
         others = [learned[name] for name, how in model.learned.items() if not how.per_gaussian]
-        if not all(tensor.isfinite().all() for tensor in (*others, *state.values())):
+        if not all(tensor.isfinite().all() for tensor in (*others, *snapshot.part("part").values())):
             raise ValueError("numbers that are not finite")
         for part in model.parts:
-            prefix = f"{part.name}/"
-            part.load(
-                {name.removeprefix(prefix): t.to(model.device) for name, t in state.items() if name.startswith(prefix)}
-            )
+            part.load({name: t.to(model.device) for name, t in snapshot.part(f"part/{part.name}").items()})
         model.scene(config.harmonics_degree)  # the Gaussians' values are checked where they are used
         return model
 
     def tensors(self) -> dict[str, Tensor]:
-        """The model as a snapshot keeps it."""
         region = {f"region/{name}": torch.from_numpy(getattr(self.frame.region, name)) for name in _REGION}
         learned = {f"model/{name}": tensor.detach() for name, tensor in self.parameters.items()}
         state = {f"part/{part.name}/{name}": tensor for part in self.parts for name, tensor in part.state().items()}
-        terrain = self.frame.terrain
-        heights = (
-            {}
-            if terrain is None
-            else {
-                "terrain/heights_m": torch.from_numpy(terrain.heights_m),
-                "terrain/pitch_m": torch.tensor(terrain.pitch_m, dtype=torch.float64),
-            }
-        )
-        return learned | state | region | heights
+        kept = learned | state | region
+        if (terrain := self.frame.terrain) is not None:
+            kept["terrain/heights_m"] = torch.from_numpy(terrain.heights_m)
+            kept["terrain/pitch_m"] = torch.tensor(terrain.pitch_m, dtype=torch.float64)
+        return kept
 
     def __len__(self) -> int:
         """Number of the target's Gaussians."""
@@ -159,7 +136,6 @@ class SceneModel:
         self.windows, self.learned = windows, self._learned()
 
     def _learned(self) -> dict[str, Learned]:
-        """How each parameter is learned (shape, rates, range), by name."""
         learned = {name: how for part in self.parts for name, how in part.learned.items()}
         if self.windows is None:
             return learned

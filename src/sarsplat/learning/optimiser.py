@@ -18,16 +18,9 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 class Optimiser:
     """Adam for all parameters of a training; its moments are saved, restored and re-indexed with them.
 
-    A step is one call of the device's engine, or plain torch where there is none.
-
-    Parameters
-    ----------
-    parameters : dict of str to Tensor
-        Leaves, float32, contiguous and on one device; stepped in place. After `follow` it must hold the new ones.
-    learned : mapping of str to Learned
-        How each is learned.
-    iterations : int
-        Length of the training, by which rates decay.
+    A step, in place, is one call of the device's engine, or plain torch where there is none. Parameters are leaves,
+    float32, contiguous and on one device; after `follow` the dictionary must hold the new ones. Rates decay by the
+    length of the training, `iterations`.
     """
 
     def __init__(self, parameters: dict[str, Tensor], learned: Mapping[str, Learned], iterations: int) -> None:
@@ -58,7 +51,6 @@ class Optimiser:
         return adam.Stepped(tensor, mean, square, rates, low, high, learned.logarithmic)
 
     def relearn(self, learned: Mapping[str, Learned]) -> None:
-        """Replace rates and ranges of the parameters."""
         self._learned, self._adam = learned, None
 
     def rates(self, iteration: int) -> dict[str, float]:
@@ -97,7 +89,6 @@ class Optimiser:
 
     @torch.no_grad()
     def constrain(self) -> None:
-        """Bring every parameter into its range."""
         for name, tensor in self._parameters.items():
             tensor.clamp_(self._columns(name, self._learned[name].low), self._columns(name, self._learned[name].high))
 
@@ -126,7 +117,6 @@ class Optimiser:
         return moments | {"step": torch.tensor(float(self._steps), device="cpu")}
 
     def load(self, tensors: dict[str, Tensor]) -> None:
-        """Restore what `tensors` returned."""
         self._steps = int(tensors["step"])
         if self._steps < 0:
             raise ValueError(f"the optimiser made {self._steps} steps")

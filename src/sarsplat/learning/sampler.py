@@ -46,27 +46,9 @@ SPECKLES: tuple[Speckle, ...] = get_args(Speckle)
 
 
 class Sampler:
-    """Draws images of a learned scene, each from a view and a seed alone.
+    """Draws images of a learned scene, with harmonics up to a degree, each from a view and a seed alone.
 
-    Parameters
-    ----------
-    model : SceneModel
-        The scene.
-    degree : int
-        Of its harmonics.
-    grid : ImageGrid
-        Pixels of the training images.
-    ground : str or numpy.ndarray [R, C]
-        "learned", "uniform", or relative power, at least as large as the images, of which parts are drawn.
-    speckle : {"response", "white", "none"}
-        How neighbouring pixels' speckle is correlated.
-    scatterers : float
-        Of the target that a pixel sees at a time; see `Run.sample`.
-
-    Raises
-    ------
-    SarsplatError
-        If a choice is unknown, the scene has no ground, or that given is too small.
+    `grid` is that of the training images; the rest as of `Run.sample`, whose refusals are made here.
     """
 
     def __init__(
@@ -116,7 +98,6 @@ class Sampler:
         self._backdrop = torch.from_numpy(ground).repeat_interleave(self._parts, 0).repeat_interleave(self._parts, 1)
 
     def __call__(self, view: View, seed: int) -> Complex64[np.ndarray, "rows columns"]:
-        """Complex amplitudes √β⁰·e^jψ."""
         rng = np.random.default_rng(seed)
         shot = self._model.shot([view], self._grid, rng=rng)
         if self._speckle == "response":
@@ -223,13 +204,7 @@ def _widened(grid: ImageGrid) -> tuple[list[tuple[int, int]], ImageGrid]:
 
 
 def seed_of(seed: int, *place: int) -> int:
-    """Derive a seed for each item of a set, independent of what else is drawn; below 2⁶³.
-
-    Raises
-    ------
-    SarsplatError
-        If the set's seed is negative.
-    """
+    """Derive a seed for each item of a set, independent of what else is drawn; below 2⁶³. Refused: a negative seed."""
     if seed < 0:
         raise SarsplatError(f"seed {seed} must be at least 0")
     return int(np.random.SeedSequence([seed, *place]).generate_state(1, np.uint64)[0] >> np.uint64(1))

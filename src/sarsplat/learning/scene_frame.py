@@ -33,7 +33,6 @@ class SceneFrame:
 
     @classmethod
     def of(cls, config: Config, dataset: Dataset) -> SceneFrame:
-        """That of a configuration on a dataset."""
         train = dataset.select("train")
         terrain = dataset.terrain if config.ground else None
         stacks = train.stacks if config.passes else ()
@@ -46,7 +45,6 @@ class SceneFrame:
 
     @property
     def cell_m(self) -> float:
-        """Resolution cell of the images, m."""
         return self.grid.cell_m
 
     @property

@@ -85,13 +85,7 @@ class Snapshot:
 
     @classmethod
     def load(cls, path: Path) -> Snapshot:
-        """Read one back.
-
-        Raises
-        ------
-        SarsplatError
-            If the file is missing, damaged, or not of a training.
-        """
+        """Read one back; refused if the file is missing, damaged, or not of a training."""
         tensors, state = load_checkpoint(path)
         try:
             fields = msgspec.structs.asdict(msgspec.convert(state, _State))

@@ -90,7 +90,6 @@ class Trainer:
         self._recorded = self._recorder(loss)
 
     def _learn(self, model: SceneModel) -> None:
-        """Begin with this model."""
         self._observation.begin(model)
         self.model, self._bounds, self.images, self._factor = model, model.scene_bounds(), self._finest, 1
         self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)

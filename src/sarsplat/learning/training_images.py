@@ -65,7 +65,6 @@ class TrainingImages:
         return torch.stack([self.numbers[i] for i in chosen]), torch.stack([self.truth[i] for i in chosen])
 
     def through(self, windows: Windows) -> TrainingImages:
-        """The images cut to windows."""
         looked = copy(self)
         looked.truth, looked.grid = windows.of(self.truth), windows.stack
         return looked
@@ -99,7 +98,6 @@ class ViewQueue:
         return self._count
 
     def next(self) -> list[int]:
-        """View indices of the next step."""
         while len(self.waiting) < self._count:
             self.waiting += torch.randperm(self._views, generator=self._generator, device="cpu").tolist()
         chosen, self.waiting = self.waiting[: self._count], self.waiting[self._count :]
@@ -108,10 +106,7 @@ class ViewQueue:
     def restore(self, snapshot: Snapshot) -> None:
         """Continue with the views and the state of the generator that a snapshot holds.
 
-        Raises
-        ------
-        ValueError, KeyError, TypeError, RuntimeError
-            If it does not hold them.
+        Raises ValueError, KeyError, TypeError or RuntimeError if it does not hold them.
         """
         if len(snapshot.views) != self._views:
             raise ValueError(f"it has {len(snapshot.views)} views for {self._views} training images")

@@ -54,7 +54,6 @@ def packed(covariances: Complex[Tensor, "v p p rows columns"]) -> Float[Tensor, 
 
 
 def unpacked(parts: Float[Tensor, "v q rows columns"], count: int) -> Complex[Tensor, "v {count} {count} rows columns"]:
-    """Matrices from what `packed` returned."""
     first, second = np.triu_indices(count, 1)
     v, _, *size = parts.shape
     result = parts.new_zeros((v, count, count, *size), dtype=parts.dtype.to_complex())

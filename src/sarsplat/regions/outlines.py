@@ -27,32 +27,17 @@ _REACH = 1.0
 
 @dataclass(frozen=True)
 class Outline:
-    """Outlines of target and shadow in one image.
-
-    Attributes
-    ----------
-    target, shadow : numpy.ndarray, bool [rows, columns]
-        Where the target is, and where it is dark beside it along range, on whichever side; perhaps nowhere.
-    """
+    """Outlines of target and shadow in one image."""
 
     target: Bool[np.ndarray, "rows columns"]
     shadow: Bool[np.ndarray, "rows columns"]
+    """Where the target is, and where it is dark beside it along range, on whichever side; perhaps nowhere."""
 
 
 def levels_db(
     power: Real[np.ndarray, "v rows columns"], grid: ImageGrid, ground: bool
 ) -> Float64[np.ndarray, "v rows columns"]:
-    """Decibels above the ground, smoothed over a resolution cell; without ground, above what counts as nothing.
-
-    Parameters
-    ----------
-    power : numpy.ndarray [V, rows, columns]
-        β⁰, linear power.
-    grid : ImageGrid
-        Where the pixels lie.
-    ground : bool
-        Whether the images show ground around the target.
-    """
+    """Decibels above the ground, smoothed over a resolution cell; without ground, above what counts as nothing."""
     if ground:
         return above_ground_db(power, grid)
     width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
@@ -62,13 +47,7 @@ def levels_db(
 
 
 def outline(level_db: Float64[np.ndarray, "rows columns"]) -> Outline:
-    """Target and shadow of one image.
-
-    Parameters
-    ----------
-    level_db : numpy.ndarray, float64 [rows, columns]
-        Of `levels_db`.
-    """
+    """Target and shadow of one image, of `levels_db`."""
     target = _large_parts(level_db > _BRIGHT_DB, np.maximum(level_db, 0))
     shadow = np.zeros_like(target)
     rows = np.flatnonzero(target.any(axis=1))

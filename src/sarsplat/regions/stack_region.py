@@ -72,7 +72,6 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
 
 
 def of_one_direction(views: Sequence[View]) -> bool:
-    """Whether all views are the same, or nearly so."""
     directions = np.array([view.direction for view in views])
     return bool((directions @ directions[0]).min() > _SAME)
 
@@ -98,7 +97,6 @@ def enough_gaussians(region: Region, views: Sequence[View], grid: ImageGrid, sta
 
 
 def _tried(region: Region) -> Float64[np.ndarray, "k 3"]:
-    """Uniform trial points in the box around a region, from a fixed seed."""
     return region.low + (region.high - region.low) * np.random.default_rng(0).random((_TRIED, 3))
 
 

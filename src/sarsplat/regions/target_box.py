@@ -12,7 +12,6 @@ from scipy.ndimage import affine_transform, gaussian_filter, label
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import to_db
-from sarsplat.regions.multilook import multilooked
 
 _SURE_DB = 3.0
 """What is brighter than the ground by more is not speckle …"""
@@ -75,26 +74,12 @@ def target_box(
     """Corners of the box, from means over the images of the decibels above the ground at each place of it.
 
     What stands on the ground is displaced towards the radar, but never across: the extent along an axis is mostly that
-    in the views from its sides. The height is the greatest whose shadow is dark in
-    all views, but for those in which something bright hides it.
+    in the views from its sides. The height is the greatest whose shadow is dark in all views, but for those in which
+    something bright hides it. Images are β⁰, linear power, and show the ground around the target; their gains may
+    differ. One that does not show the world's origin is refused.
 
-    Parameters
-    ----------
-    power : numpy.ndarray [V, rows, columns]
-        β⁰, linear power, of images that show the ground around the target. Their gains may differ.
-    views, grid
-        Where they were taken from, and where their pixels lie.
-
-    Returns
-    -------
-    low, high : numpy.ndarray, float64 [3]
-        World frame, m; a cell wider and higher than what was found; z from 0, to two thirds of the narrower side if
-        there is no shadow. Where nothing stands out, the middle half of the scene.
-
-    Raises
-    ------
-    SarsplatError
-        If an image does not show the world's origin.
+    The box (m, world frame) is a cell wider and higher than what was found; z from 0, to two thirds of the narrower
+    side if there is no shadow. Where nothing stands out, the middle half of the scene.
     """
     level_db, grid, axis = _levels(power, views, grid)
     half = float(axis[-1])
@@ -135,7 +120,10 @@ def _levels(
             "target is looked for; say where it is with --target-box (in Python target_box_m), or give images that "
             "show the origin"
         )
-    power, grid = multilooked(power, grid, math.ceil(4 * half / grid.cell_m / _SIDE))
+    if (factor := math.ceil(4 * half / grid.cell_m / _SIDE)) > 1:
+        grid = grid.multilooked(factor)
+        whole = power[:, : grid.rows * factor, : grid.columns * factor]
+        power = whole.reshape(len(power), grid.rows, factor, grid.columns, factor).mean(axis=(2, 4))
     axis = np.linspace(-half, half, 2 * math.ceil(2 * half / grid.cell_m) + 1)
     return above_ground_db(power, grid), grid, axis
 

@@ -20,16 +20,9 @@ _MUCH = 0.2
 
 
 def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> Region:
-    """The given box, or the dataset's, or what the training images tell; z is above the terrain, where there is any.
+    """The given box (m), or the dataset's, or what its training images tell; z is above the terrain, if any.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Its training images are looked at.
-    ground : bool
-        Whether the target stands on ground that images show; without, all that is bright is the target.
-    box : pair of (x, y, z), optional
-        Lower and upper corner, m.
+    `ground` is whether the target stands on ground that images show; without, all that is bright is the target.
     """
     train, box = levelled(dataset.select("train")), box or dataset.target_box_m
     if box is not None:

@@ -1,29 +1,84 @@
-"""Writer of animations that play in browsers: GIF, WebP or MP4."""
+"""Animations that play in browsers: images with their view and scale below, as GIF, WebP or MP4."""
 
 from __future__ import annotations
 
 import io
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Real, UInt8
 
 from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.report.figure import nice
+from sarsplat.report.look import Look
 
 if TYPE_CHECKING:
-    from PIL import Image
+    from PIL import Image, ImageFont
 
 Frame = UInt8[np.ndarray, "height width"]
 Palette = UInt8[np.ndarray, "256 3"]
 
+# Pixels.
+_SIDE, _LARGEST = 480, 1920  # of the picture's longer side: small images grow to the one, large ones shrink
+_NARROWEST = 440  # what is written below needs that much
+_FOOT, _TEXT, _MARGIN = 30, 14, 10
+_BAR = (64, 6)  # of the decibels
+
+_INK = 190  # shade of what is written: it is not to outshine the picture
 _GIF_STEP = 4  # shades merged into one, invisibly, which halves the file
 _SHORTEST_MS = 20  # of a frame: browsers slow shorter ones down
+
+
+def frame(power: Real[np.ndarray, "rows columns"], view: View, grid: ImageGrid, look: Look) -> Frame:
+    """An image of β⁰ (linear power) as indices into the palette of its look, near range on top, and its scales below.
+
+    Its sides are even; a metre is as long in azimuth as in slant range.
+    """
+    from PIL import Image, ImageDraw
+
+    extent = (grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1])
+    per_metre = min(max(1 / min(grid.spacing_m), _SIDE / max(extent)), _LARGEST / max(extent))
+    width, height = (max(2, 2 * round(length * per_metre / 2)) for length in extent)
+    shade = Image.fromarray(look.shade(power).astype(np.float32))
+    picture = np.asarray(shade.resize((width, height), Image.Resampling.BICUBIC))
+    drawn = Image.new("L", (max(width, _NARROWEST), height + _FOOT))
+    drawn.paste(Image.fromarray(np.uint8(np.round(255 * np.clip(picture, 0, 1)))), ((drawn.width - width) // 2, 0))
+    draw, middle = ImageDraw.Draw(drawn), height + _FOOT // 2
+
+    def write(x: float, text: str, anchor: str) -> None:
+        draw.text((x, middle), text, fill=_INK, font=_font(), anchor=anchor)
+
+    write(_MARGIN, f"azimuth {view.azimuth_deg % 360:.0f}°", "lm")
+    write(_MARGIN + 100, f"grazing {view.grazing_deg:.0f}°", "lm")
+    length_m = nice(extent[0] / 5)
+    right = drawn.width - _MARGIN
+    left = right - round(length_m * width / extent[0])
+    draw.line([(left, middle), (right, middle)], fill=_INK)
+    for x in (left, right):
+        draw.line([(x, middle - 3), (x, middle + 3)], fill=_INK)
+    write(left - 6, f"{length_m:g} m", "rm")
+    left = (drawn.width - _BAR[0]) // 2 + 24
+    for x in range(_BAR[0]):
+        ends = [(left + x, middle + side * _BAR[1] // 2) for side in (-1, 1)]
+        draw.line(ends, fill=round(255 * x / (_BAR[0] - 1)))
+    write(left - 4, f"-{look.range_db:g}", "rm")
+    write(left + _BAR[0] + 4, "0 dB", "lm")
+    return np.asarray(drawn)
+
+
+@cache
+def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    from PIL import ImageFont
+
+    return ImageFont.load_default(_TEXT)
 
 
 def _gif(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> bytes:

@@ -15,9 +15,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import bright_level
 from sarsplat.regions.outlines import levels_db, outline
-from sarsplat.report.canvas import decibel_bar, draw_image, new_sheet, to_png
 from sarsplat.report.look import Look
-from sarsplat.report.marks import arrow
+from sarsplat.report.sheet import arrow, decibel_bar, draw_image, new_sheet, to_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,6 +32,7 @@ _PLACES = (0.02, 0.32, 0.46, 0.57, 0.67, 0.82)
 _NOSE = 0.36
 """Length of the nose's arrow on the ground, of the shorter side of the images."""
 
+_OF_THE_BRIGHTEST = "power, dB of the brightest 0.1 %"  # see `bright_level`
 _LEGEND = (
     "Near range (row 0) is on top: the radar looks down along its arrow. Orange: detected target.{shadow}\n"
     "Dotted: where the target's +x (its nose) points if the azimuth is right."
@@ -41,21 +41,9 @@ _SHADOW = " Blue: dark beside it; shadow should lie below the target."
 
 
 def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[str, ...]] = ()) -> bytes:
-    """Evenly chosen images of a dataset with target and shadow outlined and directions marked, as PNG.
+    """Evenly chosen images of a dataset with target and shadow outlined and directions marked, at most so many, as PNG.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Its images.
-    most : int
-        Largest number of images.
-    orientations : sequence of (str, ...)
-        A table to show below the images; see `Examination.orientations`.
-
-    Raises
-    ------
-    SarsplatError
-        If the number is not positive.
+    `orientations` is a table to show below the images; see `Examination.orientations`.
     """
     if most < 1:
         raise SarsplatError(f"a sheet of {most} images cannot be drawn; ask for at least one")
@@ -82,7 +70,7 @@ def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[s
         if dataset.ground:
             _contour(axes, outlined.shadow, grid, SHADOW)
         _nose(axes, entry.view, grid)
-    decibel_bar(figure, (0.03, (foot - 0.22) / height, 2.6 / width, 0.08 / height), look)
+    decibel_bar(figure, (0.03, (foot - 0.22) / height, 2.6 / width, 0.08 / height), look, _OF_THE_BRIGHTEST)
     wide, high = grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1]
     legend = _LEGEND.format(shadow=_SHADOW if dataset.ground else "")
     text = (

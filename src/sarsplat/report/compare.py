@@ -14,8 +14,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Yardstick
 from sarsplat.report.boards import point_boards
 from sarsplat.report.figure import Block, ColourBar, Figure
-from sarsplat.report.page import in_words, rendered
-from sarsplat.report.scores import ScoreTable, compared_tables
+from sarsplat.report.page import ScoreTable, compared_tables, in_words, rendered
 from sarsplat.report.views import Chosen, ranked_images, views_figure, with_others
 from sarsplat.report.write import sampled, scores_expected
 from sarsplat.runs import Run

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sarsplat.report.figure import Axis, Block, Figure, Panel, axis, chart, polyline, written
-from sarsplat.runs.log import LogLine
+from sarsplat.runs.run_folder import LogLine
 
 _FALLS_FAR = 5.0  # times: the loss then gets a logarithmic axis
 

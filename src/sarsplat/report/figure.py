@@ -28,43 +28,19 @@ class Axis:
 
 @dataclass(frozen=True)
 class Panel:
-    """One frame with axes.
-
-    Attributes
-    ----------
-    title : str
-        What is written above it.
-    alt : str
-        Description of the picture for screen readers.
-    across, down : Axis
-        Its axes.
-    aspect : float or None
-        Width over height; None for a chart, which is as high as the page says.
-    image : str
-        Address of the picture in it.
-    drawing : str
-        SVG paths in a square of 1000 units, stretched to the frame; classes give their colours.
-    scale : (float, str) or None
-        Scale bar: part of the width, and its length with the unit.
-    radar : bool
-        Whether it is a SAR image: the radar is above it, near range first.
-    black : bool
-        Whether what is written on it is to be white, whatever the page's colours are.
-    canvas : str
-        Name of a canvas that a program fills, instead of a picture.
-    """
+    """One frame with axes; what is in it is a picture, a canvas that a program fills, or a drawing."""
 
     title: str
-    alt: str
+    alt: str  # what screen readers say of the picture
     across: Axis
     down: Axis
-    aspect: float | None = None
-    image: str = ""
-    drawing: str = ""
-    scale: tuple[float, str] | None = None
-    radar: bool = False
-    black: bool = False
-    canvas: str = ""
+    aspect: float | None = None  # width over height; a chart is as high as the page says
+    image: str = ""  # its address
+    drawing: str = ""  # SVG in a square of 1000 units, stretched to the frame; classes give its colours
+    scale: tuple[float, str] | None = None  # of a scale bar: part of the width, and its length with the unit
+    radar: bool = False  # a SAR image: the radar is above it, near range first
+    black: bool = False  # what is written on it is white, whatever the page's colours are
+    canvas: str = ""  # its name
 
 
 @dataclass(frozen=True)

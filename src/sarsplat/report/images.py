@@ -1,20 +1,73 @@
-"""SAR images as panels: decibels in grey, axes in metres, a scale bar, and the radar above."""
+"""Arrays as pictures inside a page, and SAR images as its panels: axes in metres, a scale bar, and the radar above."""
 
 from __future__ import annotations
 
+import base64
+import io
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Real
+from jaxtyping import Real, UInt8
 
-from sarsplat.colours import DIFFERENCE, POWER, ramp
+from sarsplat.colours import DIFFERENCE, POWER, Palette, ramp
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, brighter, shade
 from sarsplat.report.figure import ColourBar, Panel, axis, colour_bar, scale_bar
-from sarsplat.report.raster import block_means, data_uri, indexed, png
 from sarsplat.report.residual import Difference
 
 Image = Real[np.ndarray, "rows columns"]
+
+_MARGIN = 5  # pixels around the target
+
+
+def indexed(values: Real[np.ndarray, "*shape"], low: float, high: float) -> UInt8[np.ndarray, "*shape"]:
+    """Indices 0 to 255 of values from `low` to `high`; what lies beyond looks like the nearer end."""
+    return np.round(255 * np.clip((np.asarray(values) - low) / (high - low), 0, 1)).astype(np.uint8)
+
+
+def png(picture: UInt8[np.ndarray, "rows columns *rgb"], colours: Palette | None = None) -> bytes:
+    """A PNG of indices of a palette, in grey without one; or of red, green and blue."""
+    from PIL import Image
+
+    buffer, options = io.BytesIO(), {}
+    image = Image.fromarray(picture)
+    if colours is not None:
+        image.putpalette(colours[:, :3].tobytes())
+        options = {"transparency": colours[:, 3].tobytes()}
+    image.save(buffer, "PNG", optimize=True, **options)
+    return buffer.getvalue()
+
+
+def address(picture: UInt8[np.ndarray, "rows columns *rgb"], colours: Palette | None = None) -> str:
+    """The PNG as an address that holds it."""
+    return f"data:image/png;base64,{base64.b64encode(png(picture, colours)).decode()}"
+
+
+def block_means(
+    images: Real[np.ndarray, "v rows columns"], factor: int
+) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+    """Means over blocks of `factor` × `factor` pixels; what is left over at the far edges is cut off."""
+    if factor == 1:
+        return images
+    count, rows, columns = len(images), images.shape[1] // factor, images.shape[2] // factor
+    whole = images[:, : rows * factor, : columns * factor]
+    return whole.reshape(count, rows, factor, columns, factor).mean(axis=(2, 4))
+
+
+def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margin: int = 0) -> tuple[slice, slice]:
+    """The rows and columns worth showing: the target with a margin if all around is dark, else what is scored.
+
+    What is `DYNAMIC_RANGE_DB` below `peak` is dark; `margin` is how many pixels on each side are not scored.
+    """
+    size = images.shape[1:]
+    bright = brighter(images.max(axis=0), -DYNAMIC_RANGE_DB, peak)
+    if not bright.any() or bright.mean() > 0.5:
+        return slice(margin, size[0] - margin), slice(margin, size[1] - margin)
+    spans = [np.flatnonzero(bright.any(axis=1 - axis))[[0, -1]] for axis in (0, 1)]
+    side = max(int(span[1] - span[0]) for span in spans) + 1 + 2 * _MARGIN
+    first = [(int(span.sum()) + 1 - side) // 2 for span in spans]
+    rows, columns = (slice(max(start, 0), start + side) for start in first)  # cut where it leaves the image
+    return rows, columns
 
 
 def view_name(view: View) -> str:
@@ -50,10 +103,8 @@ class Part:
         rows, columns = ((part.stop - part.start) // self.factor for part in (self.rows, self.columns))
         return rows, columns
 
-    def panel(
-        self, title: str, alt: str, image: str = "", drawing: str = "", canvas: str = "", black: bool = True
-    ) -> Panel:
-        """A panel with the axes of this part."""
+    def panel(self, title: str, alt: str, *, black: bool = True, **shown: str) -> Panel:
+        """A panel with the axes of this part, which shows an image, a drawing or a canvas."""
         rows, columns = (
             slice(part.start, part.start + count * self.factor)
             for part, count in zip((self.rows, self.columns), self.size, strict=True)
@@ -65,23 +116,21 @@ class Part:
             axis("azimuth, m", left, right),
             axis("slant range, m", top, bottom),
             aspect=(right - left) / (bottom - top),
-            image=image,
             scale=scale_bar(right - left),
             radar=True,
-            drawing=drawing,
-            canvas=canvas,
             black=black,
+            **shown,
         )
 
     def power(self, title: str, alt: str, image: Image, peak: float, drawing: str = "") -> Panel:
         """An image in decibels below the peak."""
         grey = indexed(shade(self.of_images(image[None])[0], peak), 0, 1)
-        return self.panel(title, alt, data_uri(png(grey)), drawing=drawing)
+        return self.panel(title, alt, image=address(grey), drawing=drawing)
 
     def difference(self, title: str, alt: str, difference: Image, largest: float) -> Panel:
         """A signed error."""
         shown = indexed(self.of_images(difference[None])[0], -largest, largest)
-        return self.panel(title, alt, data_uri(png(shown, ramp(DIFFERENCE))), black=False)
+        return self.panel(title, alt, image=address(shown, ramp(DIFFERENCE)), black=False)
 
 
 def power_bar() -> ColourBar:

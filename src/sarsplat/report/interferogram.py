@@ -1,4 +1,4 @@
-"""Interferograms of two passes: deramped phase and coherence of each pixel."""
+"""Interferograms of two passes, and a figure of one beside what was learned of it: power, phase and coherence."""
 
 from __future__ import annotations
 
@@ -10,8 +10,15 @@ import numpy as np
 from jaxtyping import Complex, Float, Float64
 from scipy.ndimage import correlate
 
+from sarsplat.colours import COHERENCE, PHASE, gradient, ramp
 from sarsplat.geometry import Stack, View
+from sarsplat.report.figure import Block, ColourBar, Figure, colour_bar
+from sarsplat.report.images import Part, address, indexed, power_bar, target_window, view_name
+from sarsplat.report.layover import Slice
+from sarsplat.runs import Run
 
+_LARGEST = 256
+_TURNS = ((0.0, "−π"), (0.25, "−π/2"), (0.5, "0"), (0.75, "π/2"), (1.0, "π"))
 _STRAYS = 0.01, 0.99
 """Heights of points beyond these quantiles do not count."""
 
@@ -32,35 +39,22 @@ class Pair:
         If there is none, the pair whose phase turns least.
         """
         per_height = stack.elevation_numbers(view) / view.look.height_per_elevation
-        pairs = [
-            cls(
-                i, j, float(f"{2 * math.pi / (per_height[i] - per_height[j]):.6g}")
-            )  # of even passes, the first are alike
+        pairs = [  # rounded: of even passes, the first are alike
+            cls(i, j, float(f"{2 * math.pi / (per_height[i] - per_height[j]):.6g}"))
             for i, j in itertools.permutations(range(len(stack)), 2)
             if per_height[i] > per_height[j]
         ]
         unambiguous = [pair for pair in pairs if pair.cycle_m >= height_m]
-        if unambiguous:
-            return min(unambiguous, key=lambda pair: pair.cycle_m)
-        return max(pairs, key=lambda pair: pair.cycle_m)
+        return (min if unambiguous else max)(unambiguous or pairs, key=lambda pair: pair.cycle_m)
 
-    def of_signals(
-        self, signals: Complex[np.ndarray, "p rows columns"], level: Float[np.ndarray, "p rows columns"]
-    ) -> Float64[np.ndarray, "4 rows columns"]:
-        """The interferogram of the pair, from the signals of all passes and the phases of level ground, rad."""
-        first, second = signals[self.first], signals[self.second]
-        return self._parts(abs(first) ** 2, abs(second) ** 2, first * second.conj(), level)
-
-    def of_covariances(
+    def of(
         self, covariances: Complex[np.ndarray, "p p rows columns"], level: Float[np.ndarray, "p rows columns"]
     ) -> Float64[np.ndarray, "4 rows columns"]:
-        """The interferogram of the pair, from covariances."""
+        """Both powers and the deramped product, from covariances of all passes and phases of level ground, rad."""
         i, j = self.first, self.second
-        return self._parts(covariances[i, i].real, covariances[j, j].real, covariances[i, j], level)
-
-    def _parts(self, power: np.ndarray, other: np.ndarray, product: np.ndarray, level: np.ndarray) -> np.ndarray:
-        deramped = product * np.exp(1j * (level[self.second] - level[self.first]))
-        return np.stack([power, other, deramped.real, deramped.imag]).astype(np.float64)
+        deramped = covariances[i, j] * np.exp(1j * (level[j] - level[i]))
+        powers = covariances[i, i].real, covariances[j, j].real
+        return np.stack([*powers, deramped.real, deramped.imag]).astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -90,3 +84,65 @@ def averaged(parts: Float64[np.ndarray, "n rows columns"], window: int) -> Float
 def spread_m(points: Float[np.ndarray, "p 3"]) -> float:
     """Height range of points, m, without outliers."""
     return float(np.ptp(np.quantile(points[:, 2], _STRAYS))) if len(points) else 0.0
+
+
+def covariances(signals: Complex[np.ndarray, "p rows columns"]) -> Complex[np.ndarray, "p p rows columns"]:
+    """Of single samples: every pass times the conjugate of every other."""
+    return signals[:, None] * signals[None].conj()
+
+
+def phases_figure(run: Run, index: int, cut: Slice, window: int) -> Figure:
+    """A training image of the run's dataset, of an interferometric stack, and what was learned of it.
+
+    A line on the measured power shows where it is cut. Covariances are averaged over `window` pixels along each side.
+    """
+    dataset = run.dataset
+    view, stack, power = dataset.views[index], dataset.stacks[index], dataset.power[index]
+    assert dataset.signal is not None  # of stacks
+    height_m = spread_m(run.points)
+    pair, level = Pair.longest(stack, view, height_m), stack.plane_phases(view, dataset.grid)
+    rendered = run.render_covariances([view], stack)[0]
+    peak = float(dataset.images("train").max())
+    part = Part.of(dataset.grid, target_window(power[None], peak, dataset.score_margin), _LARGEST)
+    blocks = []
+    for name, image, parts, line in (
+        ("measured", power, pair.of(covariances(dataset.signal[index]), level), _line(part, cut.azimuth_m)),
+        ("rendered", np.trace(rendered).real / len(stack), pair.of(rendered, level), ""),
+    ):
+        shown = Interferogram.of(part.of_images(averaged(parts, window)))
+        panels = [part.power("power", f"{name}: power", image, peak, line)]
+        for title, values, ends, colours in (
+            ("phase", shown.phase, (-math.pi, math.pi), PHASE),
+            ("coherence", shown.coherence, (0, 1), COHERENCE),
+        ):
+            picture = address(indexed(values, *ends), ramp(colours))
+            panels.append(part.panel(title, f"{name}: {title}", image=picture))
+        blocks.append(Block(name, tuple(panels)))
+    cycles = ColourBar(f"phase, rad; one cycle is {pair.cycle_m:.3g} m of height", gradient(PHASE), _TURNS)
+    return Figure(
+        "Phase and coherence",
+        _text(run, index, pair, height_m, window),
+        tuple(blocks),
+        (power_bar(), cycles, colour_bar("coherence, 0 to 1", COHERENCE, 0, 1)),
+    )
+
+
+def _line(part: Part, azimuth_m: float) -> str:
+    """Along all ranges of a part of the images, as SVG."""
+    left, right, *_ = part.grid.part(part.rows, part.columns).extent_m
+    return f'<path class="line second" d="M{1000 * (azimuth_m - left) / (right - left):.4g} 0v1000"/>'
+
+
+def _text(run: Run, index: int, pair: Pair, height_m: float, window: int) -> str:
+    heights = f"{height_m:.2g} m, the range of the reconstructed heights, are"
+    why = f"the longest baseline at which {heights} one cycle or less"
+    if pair.cycle_m < height_m:
+        why = f"the shortest baseline, at which {heights} still more than one cycle"
+    return (
+        f"A training stack ({view_name(run.dataset.views[index])}) and what was learned of it. Power is the mean of "
+        f"all {len(run.dataset.stacks[index])} passes. Phase and coherence are those of passes {pair.first + 1} and "
+        f"{pair.second + 1}, which have {why}. Covariances are averaged over {window} × {window} pixels, as in "
+        "training, after the phase of level ground was taken out: what is at z = 0 has the phase 0, what is "
+        f"{pair.cycle_m / 4:.3g} m higher a quarter of a cycle more. Averages of so few pixels leave some coherence "
+        "where there is none."
+    )

@@ -1,10 +1,11 @@
-"""The page: HTML with its pictures and style inside, so that it can be shared as one file."""
+"""The page: HTML with its pictures and style inside, so that it can be shared as one file, and its tables of scores."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +13,20 @@ from sarsplat.colours import DARK, LIGHT, PREDICTED, RADAR, TRUE
 from sarsplat.data import Dataset
 from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
-from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
+from sarsplat.evaluation import (
+    IMAGE_METRICS,
+    MASK_METRICS,
+    NOT_THE_SAME_EXPERIMENT,
+    RUN_METRICS,
+    Metric,
+    Scores,
+    Yardstick,
+    all_metrics,
+    metrics_of_points,
+    paper_beside,
+)
+from sarsplat.evaluation.tables import baselines, whose
 from sarsplat.report.figure import Figure
-from sarsplat.report.scores import Row, ScoreTable, score_tables
-from sarsplat.report.widget import Widget
 from sarsplat.runs import Run
 from sarsplat.version import program_version
 
@@ -23,7 +34,92 @@ if TYPE_CHECKING:
     import jinja2
 
 
-def page(run: Run, figures: list[Figure], training: list[Figure], widget: Widget | None) -> str:
+@dataclass(frozen=True)
+class Cell:
+    """One value: its column, and whether it is the best in its row."""
+
+    column: Scores
+    text: str
+    best: bool
+
+
+@dataclass(frozen=True)
+class Row:
+    """One metric across the columns."""
+
+    metric: Metric[Any]
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class ScoreTable:
+    """A titled table: a column for every method, the run's first, and a row for every metric."""
+
+    title: str
+    columns: tuple[Scores, ...]
+    rows: tuple[Row, ...]
+
+
+def score_table(
+    title: str, metrics: Sequence[Metric[Any]], columns: Sequence[Scores], deciding: int | None = None
+) -> ScoreTable:
+    """The metrics that pages show and that any of the first columns, by default of all, has: across all columns."""
+    rows = []
+    for metric in metrics:
+        if metric.place == "file" or all(column.values.get(metric.key) is None for column in columns[:deciding]):
+            continue
+        values = [column.values.get(metric.key) for column in columns]
+        best = metric.best([value for value, column in zip(values, columns, strict=True) if column.ranked])
+        cells = (
+            Cell(column, metric.text(value), column.ranked and value is not None and value == best)
+            for value, column in zip(values, columns, strict=True)
+        )
+        rows.append(Row(metric, tuple(cells)))
+    return ScoreTable(title, tuple(columns), tuple(rows))
+
+
+def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> list[ScoreTable]:
+    """Tables of `metrics.json`: for each test set and for the surface; each of `others` gets a column in them."""
+    tables = []
+    for split, values in metrics["images"].items():
+        columns = [Scores(whose(metrics), values), *baselines(metrics, split), *others]
+        tables.append(score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), columns, deciding=1))
+    visible, whole = metrics["points"]["visible"], metrics["points"]["whole"]
+    columns = [
+        *(Scores(f"{whose(metrics)}, visible surface", visible), Scores("whole surface", whole, ranked=False)),
+        *(Scores(f"mesh, {part} surface", values, ranked=False) for part, values in metrics["mesh"].items()),
+        *others,
+    ]
+    of_points = metrics_of_points(Yardstick(metrics["parameters"]["yardstick_m"]))
+    tables.append(score_table("Reconstructed surface", of_points, columns, deciding=1))
+    return [table for table in tables if table.rows]
+
+
+def compared_tables(
+    names: Sequence[str], every: Sequence[Mapping[str, Any]], *, ranked: bool = True
+) -> list[ScoreTable]:
+    """Scores of several runs: a table for each test set that any has, one for the surface, one for the training.
+
+    `every` holds the content of the `metrics.json` of each; the best of a row is marked if `ranked`.
+    """
+
+    def column(name: str, values: Mapping[str, Any]) -> Scores:
+        return Scores(name, values, ranked=ranked)
+
+    tables = []
+    for split in dict.fromkeys(split for metrics in every for split in metrics["images"]):
+        columns = [column(name, metrics["images"].get(split, {})) for name, metrics in zip(names, every, strict=True)]
+        tables.append(score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), columns))
+    columns = [column(name, metrics["points"]["visible"]) for name, metrics in zip(names, every, strict=True)]
+    cells = dict.fromkeys(metrics["parameters"]["yardstick_m"] for metrics in every)
+    of_points = {metric.key: metric for cell in cells for metric in metrics_of_points(Yardstick(cell))}
+    tables.append(score_table("Points, visible surface", [*of_points.values()], columns))
+    columns = [column(name, {"time_s": metrics["time_s"]}) for name, metrics in zip(names, every, strict=True)]
+    tables.append(score_table("Training", RUN_METRICS, columns))
+    return [table for table in tables if table.rows]
+
+
+def page(run: Run, figures: list[Figure], training: list[Figure], widget: dict[str, Any] | None) -> str:
     """The whole page as HTML: figures come before the scores, those of the training after them."""
     metrics, dataset = run.metrics, run.dataset
     paper = paper_beside(dataset)

@@ -1,8 +1,10 @@
-"""Writes rendered images: a folder of them, a single one, or an animation."""
+"""The views of a sweep, and rendered images as a folder of them, a single one, or an animation."""
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,11 +15,11 @@ from sarsplat.data import new_folder, write_bytes, write_tiff
 from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.report.animation import ANIMATIONS, write_animation
-from sarsplat.report.frames import Framing
+from sarsplat.names import Swept
+from sarsplat.report.animation import ANIMATIONS, frame, write_animation
+from sarsplat.report.images import target_window
 from sarsplat.report.look import Look, decibel_png
 from sarsplat.report.sheet import contact_sheet
-from sarsplat.report.window import target_window
 
 SHEET = "contact-sheet.png"
 """The file that marks a folder of rendered images."""
@@ -51,8 +53,8 @@ class Rendered:
         ending = out.suffix.lower()
         require_output(out, len(self.views))
         if ending in ANIMATIONS:
-            framing = Framing(self.grid, self.look)
-            frames = [framing.shades(image, view) for image, view in zip(self.images, self.views, strict=True)]
+            taken = zip(self.images, self.views, strict=True)
+            frames = [frame(image, view, self.grid, self.look) for image, view in taken]
             write_animation(out, frames, self.look.palette(), seconds)
             return f"{counted(len(frames), 'frame')}, {seconds:g} s, {out.stat().st_size / 1e6:.1f} MB"
         if ending in IMAGES:
@@ -123,3 +125,42 @@ def asked_grid(
             max(1, round(own.columns * own.spacing_m[0] / changed.spacing_m[0])),
         )
     return replace(changed, rows=pixels[0], columns=pixels[1])
+
+
+def sweep_views(
+    swept: Swept,
+    frames: int,
+    training: Sequence[View],
+    *,
+    ends_deg: tuple[float, float] | None = None,
+    other_deg: float | None = None,
+) -> list[View]:
+    """Views in which one angle changes and the other stays; played again and again, they never jump.
+
+    `ends_deg` are the angles between which the sweep goes, there and back, slower at its ends; without them, azimuths
+    make a whole turn, and grazing angles go between the lowest and the highest training view. `other_deg` is the angle
+    that stays: by default, the middle one of the training views' grazing angles, or the azimuth of the first of them.
+    """
+    if frames < 2:
+        raise SarsplatError(f"a sweep of {frames} frames does not move; give at least 2")
+    grazing = sorted(view.grazing_deg for view in training)
+    if swept == "grazing" and ends_deg is None:
+        ends_deg = grazing[0], grazing[-1]
+        if ends_deg[1] - ends_deg[0] < 1:
+            raise SarsplatError(
+                f"all training views have the grazing angle {grazing[0]:g}°, so where the sweep begins and ends has "
+                "to be given; for example --grazing 10 60"
+            )
+    if ends_deg is None:
+        moving = [360 * k / frames for k in range(frames)]
+    elif ends_deg[0] == ends_deg[1]:
+        raise SarsplatError(f"the sweep begins and ends at {ends_deg[0]:g}°; give two different angles")
+    else:
+        first, last = ends_deg
+        moving = [first + (last - first) * (1 - math.cos(2 * math.pi * k / frames)) / 2 for k in range(frames)]
+    moving = [round(angle, 6) for angle in moving]  # the way back has the same angles
+    if swept == "azimuth":
+        stays = grazing[len(grazing) // 2] if other_deg is None else other_deg
+        return [View(angle, stays) for angle in moving]
+    stays = training[0].azimuth_deg if other_deg is None else other_deg
+    return [View(stays, angle) for angle in moving]

@@ -23,26 +23,18 @@ _LEAST_WINDOW = 3
 _DARKEST_DB = -60.0  # of the brightest pixel: what a rendering without ground is taken for, to divide by
 
 
-@dataclass(frozen=True)
-class Window:
-    """Rows and columns of pixels that a residual is averaged over, and how many of them are independent."""
+def window(grid: ImageGrid) -> tuple[int, int, float]:
+    """Rows and columns of pixels that a residual is averaged over, and how many of these are independent.
 
-    rows: int
-    columns: int
-    independent: float
-
-    @classmethod
-    def of(cls, grid: ImageGrid) -> Window:
-        """The smallest window of at least 3 × 3 pixels with a pixel in the middle that holds a resolution cell.
-
-        Its pixels are independent as far as `ImageGrid.independent_samples` says.
-        """
-        columns, rows = (
-            max(_LEAST_WINDOW, 2 * math.ceil((width / spacing - 1) / 2) + 1)
-            for width, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)
-        )
-        share = grid.independent_samples / (grid.rows * grid.columns)
-        return cls(rows, columns, max(1.0, share * rows * columns))
+    The smallest window of at least 3 × 3 pixels with a pixel in the middle that holds a resolution cell; its pixels are
+    independent as far as `ImageGrid.independent_samples` says.
+    """
+    columns, rows = (
+        max(_LEAST_WINDOW, 2 * math.ceil((width / spacing - 1) / 2) + 1)
+        for width, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)
+    )
+    share = grid.independent_samples / (grid.rows * grid.columns)
+    return rows, columns, max(1.0, share * rows * columns)
 
 
 @dataclass(frozen=True)
@@ -72,13 +64,13 @@ class Difference:
         colours = f"{DIFFERENCE_IN_WORDS.capitalize()}."
         if self.looks is None:
             return f"{colours} Values more than {DYNAMIC_RANGE_DB:g} dB below the brightest pixel count as equal."
-        window = Window.of(self.grid)
+        rows, columns, independent = window(self.grid)
         return (
             "Each reconstruction is shifted by up to 3 pixels and scaled to fit its image best, as in scoring. "
-            f"{colours} The residual, reconstruction minus measured power averaged over {window.rows} × "
-            f"{window.columns} pixels (the smallest odd window that holds a resolution cell), is divided by σ, the "
+            f"{colours} The residual, reconstruction minus measured power averaged over {rows} × "
+            f"{columns} pixels (the smallest odd window that holds a resolution cell), is divided by σ, the "
             f"standard deviation that speckle of {self.looks:g} look{'' if self.looks == 1 else 's'} leaves in that "
-            f"average of {window.independent:.1f} independent samples: speckle alone gives values within about ±2."
+            f"average of {independent:.1f} independent samples: speckle alone gives values within about ±2."
         )
 
     def of(self, truth: Stack, rendered: Stack) -> Float64[np.ndarray, "v rows columns"]:
@@ -91,9 +83,8 @@ class Difference:
         if self.looks is None:
             return difference_db(rendered, truth, self.peak, -DYNAMIC_RANGE_DB)
         rendered = np.maximum(rendered, self.peak * from_db(_DARKEST_DB))
-        window = Window.of(self.grid)
-        size = window.rows, window.columns
-        sigma = np.sqrt(smoothed(rendered**2, *size) / (self.looks * window.independent))
+        *size, independent = window(self.grid)
+        sigma = np.sqrt(smoothed(rendered**2, *size) / (self.looks * independent))
         return smoothed(rendered - truth, *size) / sigma
 
 

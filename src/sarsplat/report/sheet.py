@@ -1,29 +1,38 @@
-"""Many images on one sheet."""
+"""Sheets of images by matplotlib: what is drawn on each, and all of them on one contact sheet."""
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Real
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.colours import DARK
+from sarsplat.colours import DARK, colormap
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.radiometry import bright_level
-from sarsplat.report.canvas import decibel_bar, draw_image, new_sheet, to_png
+from sarsplat.radiometry import bright_level, to_db
+from sarsplat.report.figure import scale_bar
+from sarsplat.report.images import block_means, target_window
 from sarsplat.report.look import Look
-from sarsplat.report.raster import block_means
-from sarsplat.report.window import target_window
+from sarsplat.report.views import evenly
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _SIDE = 1.6  # inches
 _MAX_COLUMNS = 8
 _MOST = 12 * _MAX_COLUMNS  # images: more would not fit on a screen
 _TEXT = 7.5  # points
 _PIXELS = 512  # of an image's shorter side: a place has fewer
+_EDGE = 0.05  # of an image, free around what is drawn on it
+_PLATE: dict[str, Any] = {"facecolor": DARK.card, "edgecolor": "none", "alpha": 0.75, "pad": 1.5}
+"""Behind words on an image, however bright that is."""
 
 
 @checks_arguments
@@ -53,8 +62,8 @@ def contact_sheet(
     if len(images) == 0:
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
     every = len(images)
-    chosen = np.unique(np.linspace(0, every - 1, min(every, _MOST)).round().astype(int))
-    if len(chosen) < every:
+    if every > _MOST:
+        chosen = evenly(every, _MOST)
         images, views = images[chosen], [views[index] for index in chosen]
     columns = min(len(views), _MAX_COLUMNS, max(3, math.ceil(math.sqrt(len(views)))))
     lines = math.ceil(len(views) / columns)
@@ -84,3 +93,76 @@ def _reduced(
     cut = grid.part(slice(0, rows * factor), slice(0, columns * factor))
     azimuth, slant_range = cut.spacing_m
     return reduced, replace(cut, rows=rows, columns=columns, spacing_m=(azimuth * factor, slant_range * factor))
+
+
+# ---- shared with other sheets ----------------------------------------------------------------------------------------
+def new_figure(width: float, height: float) -> Figure:
+    """An empty dark panel, inches, which suits light and dark pages."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), facecolor=DARK.card)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def new_sheet(size: tuple[float, float], lines: int, columns: int, **margins: float) -> tuple[Figure, list[Axes]]:
+    """A panel of width × height, inches, with empty places for images, row by row."""
+    figure = new_figure(*size)
+    places = figure.subplots(lines, columns, squeeze=False).ravel().tolist()
+    figure.subplots_adjust(**margins)
+    for axes in places:
+        axes.set_axis_off()
+    return figure, places
+
+
+def draw_image(axes: Axes, power: np.ndarray, grid: ImageGrid, look: Look, title: str, size: float) -> None:
+    """β⁰ [rows, columns] in decibels, axes in metres, with radar, scale and title; text of `size` points."""
+    from matplotlib.text import OffsetFrom
+
+    levels: dict[str, Any] = {"cmap": colormap(look.cmap), "vmin": -look.range_db, "vmax": 0}
+    axes.imshow(to_db(power, look.peak), extent=grid.extent_m, interpolation="nearest", **levels)
+    words: dict[str, Any] = {"color": DARK.ink, "size": size, "bbox": _PLATE}
+    radar = axes.text(_EDGE, 1 - _EDGE, "radar", transform=axes.transAxes, va="top", **words)
+    below = OffsetFrom(radar, (0.5, 0.0))  # in points: as long on images of any size
+    arrow(axes, (0, -0.5 * size), (0, -2.8 * size), xycoords=below, textcoords=below)
+    share, length = scale_bar(grid.columns * grid.spacing_m[0])
+    right = 1 - _EDGE
+    for colour, width in ((DARK.card, 4.0), (DARK.ink, 1.8)):  # dark around light
+        ends = [right - share, right], [_EDGE] * 2
+        axes.plot(*ends, transform=axes.transAxes, color=colour, linewidth=width, solid_capstyle="butt")
+    words |= {"xycoords": "axes fraction", "textcoords": "offset points", "ha": "center", "va": "bottom"}
+    axes.annotate(length, (right - share / 2, _EDGE), (0, 4), **words)
+    axes.set_title(title, color=DARK.ink, size=size, pad=3)
+
+
+def arrow(
+    axes: Axes, start: tuple[float, float], end: tuple[float, float], line: str = "-", **coordinates: Any
+) -> None:
+    """A light arrow with a dark edge, to be seen on any image."""
+    from matplotlib.patheffects import withStroke
+
+    style = {"arrowstyle": "->", "color": DARK.ink, "linestyle": line, "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0}
+    edge = [withStroke(linewidth=3.0, foreground=DARK.card)]
+    axes.annotate("", end, start, arrowprops=style | {"path_effects": edge}, **coordinates)
+
+
+def decibel_bar(figure: Figure, place: tuple[float, float, float, float], look: Look, label: str) -> None:
+    """A horizontal colour bar at a place of a sheet; the label says what 0 dB is."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    axes = figure.add_axes(place)
+    colours = ScalarMappable(Normalize(-look.range_db, 0), colormap(look.cmap))
+    bar: Any = figure.colorbar(colours, cax=axes, orientation="horizontal")
+    bar.set_label(label, color=DARK.muted, size=9)
+    bar.outline.set_visible(False)
+    axes.tick_params(colors=DARK.muted, labelsize=8, length=3)
+
+
+def to_png(figure: Figure, kind: str = "png") -> bytes:
+    """The finished figure, or another kind of file."""
+    buffer = io.BytesIO()
+    metadata = {"Date": None} if kind == "svg" else None  # the same figure, the same file
+    figure.savefig(buffer, format=kind, dpi=110, facecolor=DARK.card, metadata=metadata)
+    return buffer.getvalue()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 from sarsplat.colours import DARK
 from sarsplat.data.coverage import largest_gap
 from sarsplat.geometry import View
-from sarsplat.report.canvas import dress, new_figure
+from sarsplat.report.sheet import new_figure, to_png
 
 _SIZE = (5.6, 6.0)  # inches
 _GRAZINGS = (0, 15, 30, 45, 60, 75)
@@ -23,12 +22,13 @@ def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: s
     """
     figure = new_figure(*_SIZE)
     axes: Any = figure.add_axes((0.1, 0.12, 0.8, 0.72), projection="polar")  # PolarAxes
-    dress(axes)
+    axes.set_facecolor(DARK.card)
+    axes.spines["polar"].set_color(DARK.line)
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
     axes.set_rlim(0, 90)
     axes.set_rgrids([90 - angle for angle in _GRAZINGS], [f"{angle}°" for angle in _GRAZINGS], angle=22.5)
-    axes.tick_params(colors=DARK.muted, labelsize=9)
+    axes.tick_params(colors=DARK.muted, labelsize=9, length=3)
     axes.set_xticks([math.radians(angle) for angle in range(0, 360, 45)])
     axes.set_xticklabels(["0° (nose)", *(f"{angle}°" for angle in range(45, 360, 45))])
     axes.grid(color=DARK.line, linewidth=0.8)
@@ -46,7 +46,4 @@ def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: s
     legend = figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     for text in legend.get_texts():
         text.set_color(DARK.ink)
-    buffer = io.BytesIO()
-    metadata = {"Date": None} if kind == "svg" else None  # the same views, the same file
-    figure.savefig(buffer, format=kind, dpi=110, facecolor=DARK.card, metadata=metadata)
-    return buffer.getvalue()
+    return to_png(figure, kind)

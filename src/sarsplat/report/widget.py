@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,12 +20,10 @@ from sarsplat.data.coverage import largest_gap
 from sarsplat.geometry import View
 from sarsplat.progress import stage
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
-from sarsplat.report.figure import ColourBar, Panel, colour_bar
-from sarsplat.report.images import Part, difference_bar, power_bar
-from sarsplat.report.raster import data_uri, indexed, png
+from sarsplat.report.figure import colour_bar
+from sarsplat.report.images import Part, address, difference_bar, indexed, png, power_bar, target_window
 from sarsplat.report.residual import Difference, fitted
 from sarsplat.report.views import evenly
-from sarsplat.report.window import target_window
 from sarsplat.runs import Run
 
 _BYTES = 900_000
@@ -43,26 +40,11 @@ _POINTS = 20_000
 _TRIED = 4  # images used to estimate the bytes per image
 
 
-@dataclass(frozen=True)
-class Widget:
-    """What the page is given: panels to draw in, colour bars, and the data for `widget.js`."""
+def widget(run: Run) -> dict[str, Any] | None:
+    """What `widget.html.j2` needs of a run with its dataset; None if it has no points to turn.
 
-    panels: tuple[Panel, ...]
-    heights: ColourBar
-    powers: ColourBar
-    errors: ColourBar
-    text: str
-    data: dict[str, Any]
-
-    @property
-    def climbs(self) -> bool:
-        """Whether there are images from several grazing angles."""
-        lowest, highest = self.data["grazing"]
-        return bool(highest - lowest >= _FINEST_DEG)
-
-
-def widget(run: Run) -> Widget | None:
-    """The widget of a run with its dataset; None if it has no points to turn."""
+    Panels to draw in, colour bars, a text, whether images come from several grazing angles, the data for `widget.js`.
+    """
     points, dataset = run.points, run.dataset
     if len(points) == 0:
         return None
@@ -86,13 +68,14 @@ def widget(run: Run) -> Widget | None:
     sample = np.random.default_rng(0).permutation(points)[:_POINTS]
     sample = sample[((sample >= low) & (sample <= high)).all(axis=1)]
     name = "measured" if dataset.calibration == "relative" else "true"
-    panels = (
+    panels = [
         part.panel("", "rendered SAR image at the radar's direction", canvas="sar-rendered"),
         part.panel("", f"nearest {name} SAR image", canvas="sar-true"),
         part.panel(
             "", f"error of the reconstruction at the view of that {name} image", canvas="sar-error", black=False
         ),
-    )
+    ]
+    lowest, highest = (bound(_angles(view)[1] for view in (*views, *raster)) for bound in (min, max))
     data = {
         "low": low.tolist(),
         "high": high.tolist(),
@@ -114,7 +97,7 @@ def widget(run: Run) -> Widget | None:
         "powerColours": {"grey" if name == POWER else name: ramp(name)[:, :3].tolist() for name in POWER_RAMPS},
         "name": name,
         "start": _angles(views[len(views) // 3]),
-        "grazing": [bound(_angles(view)[1] for view in (*views, *raster)) for bound in (min, max)],
+        "grazing": [lowest, highest],
     }
     text = (
         "Drag the points, or use the sliders, to move the radar around the target. Beside them is the SAR image of the "
@@ -122,7 +105,8 @@ def widget(run: Run) -> Widget | None:
         f"the nearest {name} image, and the error at its view ({difference.label}; {DIFFERENCE_IN_WORDS})."
     )
     heights = colour_bar("height z, m", HEIGHT, float(low[2]), float(high[2]))
-    return Widget(panels, heights, power_bar(), difference_bar(difference), text, data)
+    bars = {"heights": heights, "powers": power_bar(), "errors": difference_bar(difference)}
+    return {"panels": panels, **bars, "text": text, "climbs": highest - lowest >= _FINEST_DEG, "data": data}
 
 
 def _images(run: Run, views: Sequence[View], each: int, which: str) -> Iterator[Real[np.ndarray, "v rows columns"]]:
@@ -194,7 +178,7 @@ def _sheet(images: UInt8[np.ndarray, "v rows columns"]) -> dict[str, Any]:
     filled = np.zeros((across * down, rows, columns), np.uint8)
     filled[:count] = images
     sheet = filled.reshape(down, across, rows, columns).swapaxes(1, 2).reshape(down * rows, across * columns)
-    return {"uri": data_uri(png(sheet)), "across": across}
+    return {"uri": address(sheet), "across": across}
 
 
 def _quantised(points: Real[np.ndarray, "p 3"], low: np.ndarray, high: np.ndarray) -> UInt8[np.ndarray, "p six"]:

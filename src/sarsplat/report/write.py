@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,11 +20,12 @@ from sarsplat.progress import progress
 from sarsplat.report.boards import mesh_boards, point_boards
 from sarsplat.report.curves import azimuths_figure, curves_figure
 from sarsplat.report.figure import Figure
-from sarsplat.report.masks import masks_figure
+from sarsplat.report.interferogram import phases_figure
+from sarsplat.report.layover import brightest_layover, slice_figure
 from sarsplat.report.page import page
-from sarsplat.report.stacks import stack_figures, which_points
-from sarsplat.report.views import chosen_views, unseen_figure
-from sarsplat.report.widget import Widget, widget
+from sarsplat.report.pauli import PAULI, pauli_figure
+from sarsplat.report.views import chosen_views, masks_figure, unseen_figure
+from sarsplat.report.widget import widget
 from sarsplat.runs import Run
 from sarsplat.scenes.surface_samples import surface_samples
 
@@ -70,7 +72,7 @@ def write_report(run: Run, out: str | Path | None = None, *, quiet: bool = False
 def _html(run: Run, quiet: bool) -> bytes:
     with scores_expected(run):
         chosen = chosen_views(run.dataset, run.metrics)
-    figures, turning = list[Figure](), list[Widget | None]()
+    figures, turning = list[Figure](), list[dict[str, Any] | None]()
     parts: list[tuple[str, int, Callable[[], object]]] = [  # and about how long they take, in the time of the first
         ("unseen views", 1, lambda: figures.append(unseen_figure(run, chosen))),
         *([("stacks", 10, lambda: figures.extend(_stacks(run)))] if run.dataset.passes else []),
@@ -129,8 +131,16 @@ def _masks(run: Run) -> list[Figure]:
 
 
 def _stacks(run: Run) -> list[Figure]:
+    """What images show besides power, if that was learned: polarisations, or phase and a slice through layover."""
+    if run.model is None or run.config.passes is None:
+        return []
+    window = run.config.passes.window
+    if run.dataset.polarimetric:
+        return [pauli_figure(run, window)] if set(run.dataset.stacks[0].of_channels) >= PAULI else []
+    index, cut = brightest_layover(run.dataset, run.points, window)
     truth, motion = _truth(run)
-    return stack_figures(run, truth if motion == _STILL else None)
+    section = slice_figure(run, cut, truth if motion == _STILL else None)
+    return [phases_figure(run, index, cut, window), *([] if section is None else [section])]
 
 
 def _points(run: Run) -> Figure:
@@ -138,7 +148,10 @@ def _points(run: Run) -> Figure:
     file, motion = _truth(run)
     clouds = {"reconstruction": motion.moved(run.points)}
     surface = None if file is None else sampled(file)
-    text = f"{which_points(run)}, seen from three sides"
+    found = "The first returns of the training views' rays"
+    if run.dataset.passes and run.model is not None and run.config.passes is not None:
+        found = f"The centres of the Gaussians that together return {run.config.points.power_share:.0%} of the power"
+    text = f"{found}, seen from three sides"
     if surface is None:
         text += "; the true surface is unknown."
     else:

@@ -57,10 +57,7 @@ def own_scene(
 ) -> tuple[Config, Snapshot]:
     """Settings and state of a run; without grid, views or the brightest power, usual ones are chosen.
 
-    Raises
-    ------
-    SarsplatError
-        If there are no Gaussians or no views, or configurations cannot name the law of scattering and its settings.
+    Refused if there are no Gaussians or no views, or configurations cannot name the law of scattering and its settings.
     """
     own = gaussians.detach().to("cpu").to(torch.float32)
     views = _AROUND if views is None else tuple(views)

@@ -243,7 +243,6 @@ class Result(ABC):
 
     @cached_property
     def _stored(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:
-        """The content of `points.ply`, if there is one: positions, and other columns."""
         return None if self.files is None else self.files.points
 
     @cached_property

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_bytes
+from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_bytes, write_json, write_points_ply
 from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, shown
@@ -19,12 +19,25 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.learning.device import device_named
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.runs.log import LogLine, log_text
 from sarsplat.runs.methods import METHODS, method_named
 from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.runs.result import Result
-from sarsplat.runs.run_folder import HEADER, Metrics, RunFolder, read_header, require_replaceable
-from sarsplat.runs.state import TrainingState
+from sarsplat.runs.run_folder import (
+    ABOUT,
+    HEADER,
+    METRICS,
+    POINTS,
+    SCHEMA,
+    SCHEMA_VERSION,
+    Header,
+    LogLine,
+    Metrics,
+    RunFolder,
+    TrainingState,
+    log_text,
+    read_header,
+    require_replaceable,
+)
 from sarsplat.settings.config import DEFAULT_METHOD
 
 
@@ -77,7 +90,6 @@ class Run(Result):
 
     @cached_property
     def snapshot(self) -> Snapshot:
-        """The newest state of its training."""
         if self.memory is not None:
             return self.memory.snapshot
         if (checkpoint := RunFolder(self.folder).checkpoint_path) is None:
@@ -86,7 +98,6 @@ class Run(Result):
 
     @property
     def files(self) -> RunFolder | None:
-        """Its folder, file by file; None if it is in memory only."""
         return None if self.path is None else RunFolder(self.path)
 
     # ---- what it was made from --------------------------------------------------------------------------------------
@@ -255,7 +266,7 @@ class Run(Result):
             write_bytes(files.log_path, log_text(self.history))
             copy.write_results()
             if self.metrics is not None:
-                files.write_metrics(self.metrics)
+                write_json(folder / METRICS, self.metrics)
         return replace(self, path=path, memory=None)
 
     @property
@@ -309,15 +320,21 @@ class Run(Result):
                 f"these are not the scores of a run ({error}); give what evaluate_run returns"
             ) from error
         if self.files is not None:
-            self.files.write_metrics(scores)
+            write_json(self.files.path / METRICS, scores)
         elif self.memory is not None:
             self.memory.metrics = scores
 
     def write_header(self) -> None:
-        """Write the `config.json` of its folder."""
-        made_from = self.dataset_path, self.fingerprint, self.target
-        RunFolder(self.folder).write_header(self.method, self.config, *made_from, self.trained_on)
+        where = None if self.dataset_path is None else str(self.dataset_path)
+        settings = self.config.as_dict()
+        made = self.fingerprint, settings, self.method, self.target, self.trained_on
+        header = Header(SCHEMA, SCHEMA_VERSION, where, *made)
+        write_json(self.folder / HEADER, header)
 
     def write_results(self) -> None:
-        """Write the results into its folder (`RunFolder.write_results`)."""
-        RunFolder(self.folder).write_results(self.reconstruction, self.about)
+        """Write what other programs read: `points.ply`, `about.json`, and what else its method has."""
+        learned = self.reconstruction
+        learned.write(self.folder)
+        write_json(self.folder / ABOUT, self.about)
+        points = learned.points()
+        write_points_ply(self.folder / POINTS, points, normals=learned.normals_at(points))

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
 
 import msgspec
 import numpy as np
 from jaxtyping import Float32, Real
 
-from sarsplat.data import read_json, read_points_ply, read_versioned_json, write_json, write_points_ply
-from sarsplat.data.files import plain_os_errors
+from sarsplat.data import read_json, read_points_ply, read_versioned_json
+from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.errors import SarsplatError
-from sarsplat.runs.log import LogLine, read_log
-from sarsplat.runs.state import TrainingState
-from sarsplat.settings.config import OWN_LOOP, AnyConfig
 
 if TYPE_CHECKING:
-    from sarsplat.learning.method import Reconstruction
     from sarsplat.learning.snapshot import Snapshot
 
 SCHEMA = "sarsplat-run"
@@ -28,6 +25,9 @@ HEADER = "config.json"
 
 CHECKPOINTS = "checkpoints"
 _CHECKPOINTS_KEPT = 2
+
+LOG = "metrics.jsonl"
+_LONGEST_LOG = 1 << 22  # bytes; a training writes some tens of thousands
 
 METRICS = "metrics.json"
 POINTS = "points.ply"
@@ -76,8 +76,6 @@ class Metrics(TypedDict):
 
 
 class Header(msgspec.Struct, forbid_unknown_fields=True):
-    """What `config.json` holds."""
-
     schema: str
     schema_version: int
     dataset: str | None
@@ -90,6 +88,44 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     """Kind of the device that it was begun on; "" if that is not known."""
 
 
+class LogLine(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One line of a training's log; the number of Gaussians is there if any are learned."""
+
+    iteration: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
+    seconds: Annotated[float, msgspec.Meta(ge=0, le=1e10)]
+    loss: Annotated[float, msgspec.Meta(ge=-1e30, le=1e30)]
+    gaussians: Annotated[int, msgspec.Meta(ge=0, le=10**9)] | None = None
+
+
+@dataclass(frozen=True)
+class TrainingState:
+    """How far a training is."""
+
+    done: int
+    """Iterations done: those of the newest checkpoint, from which everything is made and a training goes on."""
+    planned: int
+    """Iterations asked for; as many as are done if the Gaussians were trained elsewhere."""
+    has_results: bool
+    """Whether its points have been extracted."""
+
+    @property
+    def trained(self) -> bool:
+        """Whether all iterations are done."""
+        return self.done >= self.planned
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.trained and self.has_results
+
+    def __str__(self) -> str:
+        if self.has_results and not self.done:
+            return "finished, but its checkpoint is missing, so it can be neither rendered nor continued"
+        if not self.trained:
+            return f"unfinished, {self.done:,} of {self.planned:,} iterations"
+        return "finished" if self.has_results else "trained, but its points have not been extracted"
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """The files of a run; each property reads them anew."""
@@ -98,26 +134,10 @@ class RunFolder:
 
     @property
     def header(self) -> Header:
-        """Its settings, and the dataset that it was made from."""
         return read_header(self.path)
-
-    def write_header(
-        self,
-        method: str,
-        config: AnyConfig,
-        dataset: Path | None,
-        fingerprint: str,
-        target: str,
-        trained_on: str,
-    ) -> None:
-        """Write `config.json`."""
-        where = None if dataset is None else str(dataset)
-        header = Header(SCHEMA, SCHEMA_VERSION, where, fingerprint, config.as_dict(), method, target, trained_on)
-        write_json(self.path / HEADER, header)
 
     @property
     def checkpoint_path(self) -> Path | None:
-        """The newest checkpoint, if there is one."""
         return next(reversed(self._checkpoints()), None)
 
     def _checkpoints(self) -> list[Path]:
@@ -137,35 +157,37 @@ class RunFolder:
 
     @property
     def log_path(self) -> Path:
-        """Its `metrics.jsonl`."""
-        return self.path / "metrics.jsonl"
+        return self.path / LOG
 
     @property
     def history(self) -> list[LogLine]:
-        """The lines of its log (`read_log`)."""
-        return read_log(self.log_path)
+        """The lines up to the first that a crash has torn; none if there is no file. Refused if longer than 4 MiB."""
+        path = self.log_path
+        if not path.is_file():
+            return []
+        with open_file(path) as file:
+            data = file.read(_LONGEST_LOG + 1)
+        if len(data) > _LONGEST_LOG:
+            raise SarsplatError(f"{path} is longer than {_LONGEST_LOG} bytes, which no training produces; remove it")
+        history: list[LogLine] = []
+        for line in data.splitlines():
+            try:
+                history.append(msgspec.json.decode(line, type=LogLine))
+            except (msgspec.MsgspecError, UnicodeDecodeError):
+                break
+        return history
 
     @property
     def state(self) -> TrainingState:
-        """How far its training is."""
         settings, newest = self.header.config, self.checkpoint_path
         done = 0 if newest is None else int(newest.stem)
         planned = settings.get("iterations")
-        if settings.get("preset") == OWN_LOOP or not isinstance(planned, int):
-            planned = done
-        return TrainingState(done, planned, (self.path / POINTS).is_file())
+        return TrainingState(done, planned if isinstance(planned, int) else done, (self.path / POINTS).is_file())
 
     @property
     def points(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:
         """The content of `points.ply`, if there is one: positions, and other columns."""
         return read_points_ply(self.path / POINTS) if (self.path / POINTS).is_file() else None
-
-    def write_results(self, learned: Reconstruction, about: dict[str, str]) -> None:
-        """Write what other programs read: `points.ply`, `about.json`, and what else its method has."""
-        learned.write(self.path)
-        write_json(self.path / ABOUT, about)
-        points = learned.points()
-        write_points_ply(self.path / POINTS, points, normals=learned.normals_at(points))
 
     def remove_results(self) -> None:
         """Remove what was made from the newest checkpoint."""
@@ -175,22 +197,11 @@ class RunFolder:
 
     @property
     def metrics(self) -> Metrics | None:
-        """The scores of the last evaluation; None before."""
         return read_json(self.path / METRICS, Metrics) if (self.path / METRICS).is_file() else None
-
-    def write_metrics(self, metrics: Metrics) -> None:
-        """Write `metrics.json`."""
-        write_json(self.path / METRICS, metrics)
 
 
 def read_header(path: Path) -> Header:
-    """The header of a run's folder.
-
-    Raises
-    ------
-    SarsplatError
-        If it is missing, or not a run of this version.
-    """
+    """The header of a run's folder; refused if it is missing, or not a run of this version."""
     header = path / HEADER
     if not header.is_file():
         if (path / "dataset.json").is_file():
@@ -216,3 +227,8 @@ def require_replaceable(out: Path) -> None:
         data = read_json(header, dict[str, Any])
         if data.get("schema") != SCHEMA:
             raise SarsplatError(f"{header} is not the header of a run, so it will not be replaced; choose another name")
+
+
+def log_text(lines: Iterable[LogLine]) -> bytes:
+    """Log lines as `metrics.jsonl` has them."""
+    return b"".join(msgspec.json.encode(line) + b"\n" for line in lines)

@@ -16,8 +16,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.radiometry import LEAST_POWER, shade
-from sarsplat.runs.log import LogLine
-from sarsplat.runs.run_folder import HEADER
+from sarsplat.runs.run_folder import HEADER, LogLine
 from sarsplat.runs.training_loop import Step
 
 if TYPE_CHECKING:
@@ -72,7 +71,6 @@ class TensorBoard:
         self._awaited: Path | None = None  # the run's folder, if it is not there yet and nothing else is
 
     def __call__(self, step: Step[Any]) -> None:
-        """Look at a training after a step."""
         if self._began_at is None:
             self._begin(step)
         if step.line is not None:

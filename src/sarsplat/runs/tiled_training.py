@@ -20,14 +20,12 @@ from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.method import Inputs
-from sarsplat.learning.observations.parts_of_images import PartsOfImages, rows_in
-from sarsplat.learning.scene_tiles import Tile, merged, tiles_of
+from sarsplat.learning.observations.parts_of_images import PartsOfImages, Tile, merged, rows_in, tiles_of
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.trainer import Trainer
 from sarsplat.progress import Reporter
-from sarsplat.runs.log import LogLine
 from sarsplat.runs.run import Run
-from sarsplat.runs.run_folder import HEADER
+from sarsplat.runs.run_folder import HEADER, LogLine
 from sarsplat.runs.training_loop import Step, Training
 
 _FOLDER = "tiles"
@@ -125,19 +123,12 @@ def _give_back_memory() -> None:
 
 
 def steps_of(trainer: Trainer) -> int:
-    """How many steps a training by tiles takes in all."""
     iterations, begin = trainer.config.iterations, begin_of_tiles(trainer)
     return begin + trainer.config.tiles**2 * (iterations - begin)
 
 
 def begin_of_tiles(trainer: Trainer) -> int:
-    """The first iteration that is one of tiles.
-
-    Raises
-    ------
-    SarsplatError
-        If the coarsest images are too fine for the whole.
-    """
+    """The first iteration that is one of tiles; refused if the coarsest images are too fine for the whole."""
     tiles, coarsest = trainer.config.tiles, trainer.model.levels.coarsest
     if tiles > coarsest:
         limit = "the setting coarsest" if coarsest == trainer.config.coarsest else "the scene's size"

@@ -19,9 +19,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.learning.method import Trainable
 from sarsplat.processes import Processes
 from sarsplat.progress import Reporter
-from sarsplat.runs.log import LogLine, log_text
 from sarsplat.runs.run import InMemory, Run
-from sarsplat.runs.run_folder import ABOUT, HEADER, RunFolder, require_replaceable
+from sarsplat.runs.run_folder import ABOUT, HEADER, LogLine, RunFolder, log_text, require_replaceable
 from sarsplat.settings.config import AnyConfig, refuse_other_settings
 
 _LINES_PER_RUN = 200
@@ -208,13 +207,7 @@ def train(
 
     `training` is at its beginning; `new` is the run as it will be, with settings and the dataset's fingerprint. An
     exception leaves a checkpoint, from which a run shows what it has learned; only a finished one gets its points,
-    which may take longer than the training.
-
-    Raises
-    ------
-    SarsplatError
-        If `out` exists (to resume: does not), another process is writing it, or dataset or settings are not those the
-        run was started with.
+    which may take longer than the training. Refusals are those of `reconstruct`.
     """
     config = training.trainer.config
     if resume and overwrite:

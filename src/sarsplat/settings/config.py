@@ -249,13 +249,7 @@ class Config(AnyConfig):
 
 
 def refuse_other_settings(run: Path, begun: AnyConfig, wanted: AnyConfig) -> None:
-    """Refuse to resume a run with settings other than its own, unless the training does not depend on them.
-
-    Raises
-    ------
-    SarsplatError
-        If another setting differs; it is named, with both values.
-    """
+    """Refuse to resume a run with settings other than its own, unless the training does not depend on them."""
     free = begun.may_change
     for name, before, after in begun.changes(wanted):
         if not any(name == one or (one.endswith(".") and name.startswith(one)) for one in free):

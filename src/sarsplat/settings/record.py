@@ -79,12 +79,8 @@ class Record:
     def from_dict(cls, data: object, source: str = "the configuration") -> Self:
         """The record that `as_dict` described; errors name the `source`, e.g. the path of a file.
 
-        Absent fields take their defaults, as in files from before there were these settings.
-
-        Raises
-        ------
-        SarsplatError
-            If a field is unknown, not what it must be, or missing without a default.
+        Absent fields take their defaults, as in files from before there were these settings. Refused if a field is
+        unknown, not what it must be, or missing without a default.
         """
         try:
             return _read(data, cls)

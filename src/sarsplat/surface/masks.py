@@ -25,7 +25,7 @@ _REACH = 1.5  # and how near the points, resolution cells
 def scene_masks(
     target: Gaussians, ground: Ground | None, views: Sequence[View], grid: ImageGrid, rays: RayGrid
 ) -> UInt8[np.ndarray, "v {grid.rows} {grid.columns}"]:
-    """Masks of a target on its ground.
+    """Masks of a target on its ground: 0 clutter, 1 target, 2 shadow.
 
     The yardstick is what the ground would return in a pixel without the target. A pixel is
 
@@ -35,27 +35,12 @@ def scene_masks(
     - clutter otherwise.
 
     Without ground there is no shadow, and target are the pixels in which the radar sees at least half as much of it as
-    it would of flat ground, by area across the line of sight.
+    it would of flat ground, by area across the line of sight. What pixels show is as sharp as they are, whatever the
+    resolution, and as exact as the rays are close.
 
     The labels of SARBake, which predictions for measured chips are compared with, are the same of a CAD model, with
     geometry in place of power: its lit surface projected on the slant plane, layover included, however dark it is; then
     its shadow on flat ground.
-
-    Parameters
-    ----------
-    target : Gaussians
-        The target.
-    ground : Ground or None
-        What it stands on.
-    views, grid
-        From where, and where the pixels lie; what they show is as sharp as they are, whatever the resolution.
-    rays : RayGrid
-        Their spacing decides how exact the returns are.
-
-    Returns
-    -------
-    numpy.ndarray, uint8 [V, rows, columns]
-        0 clutter, 1 target, 2 shadow.
     """
     sharp = replace(grid, resolution_m=grid.spacing_m)
     masks = np.full((len(views), grid.rows, grid.columns), CLUTTER, np.uint8)

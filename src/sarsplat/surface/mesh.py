@@ -50,29 +50,13 @@ _DARKEST_DB = -30.0  # of the brightest vertex: black
 def surface_mesh(
     points: Real[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], seen: Seen, cell: float
 ) -> trimesh.Trimesh:
-    """The surface through oriented points, with what the radar saw of it.
+    """The surface through points [P, 3], m, with unit normals that point outwards; vertices have what the radar saw.
 
-    Parameters
-    ----------
-    points, normals : numpy.ndarray [P, 3]
-        Surface points, m, and unit normals that point outwards.
-    seen : Seen
-        Gives the γ⁰ of the vertices.
-    cell : float
-        Side of a resolution cell, m: voxels are a quarter of it, and no vertex is farther than a fifth from a point;
-        where points are sparse, of 7.5 times their spacing.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        World frame, m; faces are counter-clockwise seen from outside. Vertices have the attribute `gamma0` (γ⁰, linear)
-        and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of less than 1 % of the area
-        and 12 squares of such sides are left out. Without faces where the points make no surface.
-
-    Raises
-    ------
-    SarsplatError
-        If scikit-image or trimesh is missing.
+    Voxels are a quarter of a resolution cell, and no vertex is farther than a fifth from a point; where points are
+    sparse, of 7.5 times their spacing. World frame, m; faces are counter-clockwise seen from outside. Vertices have the
+    attribute `gamma0` (γ⁰, linear) and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of
+    less than 1 % of the area and 12 squares of such sides are left out. Without faces where the points make no surface.
+    Refused if scikit-image or trimesh is missing.
     """
     try:
         import trimesh
@@ -120,7 +104,6 @@ class _Planes:
 
     @classmethod
     def through(cls, points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], cell: float) -> _Planes:
-        """The planes through oriented points."""
         tree = cKDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)  # the fastest to make and ask
         spacing = 0.0
         if len(points) > 1:
@@ -171,7 +154,9 @@ def _zero_surface(
     band = _REACH * unit + 2 * voxel  # beyond what is kept: cubes at its rim are whole
     points = planes.oriented[:, :3]
     corner = points.min(axis=0) - band
-    occupied = _distinct(np.rint((points - corner) / voxel).astype(np.int64))
+    voxels = np.rint((points - corner) / voxel).astype(np.int64)
+    order, starts = _sorted(voxels)
+    occupied = voxels[order[starts]]
     margin = int(band / voxel) + 1  # cubes begin one before what is near, or end one behind
     bricks = _bricks(occupied, margin)
     vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
@@ -199,12 +184,6 @@ def _zero_surface(
         count += len(some)
     joined, owner = _welded(np.concatenate(vertices))
     return joined * voxel + corner, owner[np.concatenate(faces)]
-
-
-def _distinct(voxels: Int64[np.ndarray, "v 3"]) -> Int64[np.ndarray, "o 3"]:
-    """Unique rows, sorted."""
-    order, first = _sorted(voxels)
-    return voxels[order[first]]
 
 
 def _sorted(voxels: Int64[np.ndarray, "v 3"]) -> tuple[Int64[np.ndarray, " v"], Int64[np.ndarray, " d"]]:

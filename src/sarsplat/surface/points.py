@@ -240,7 +240,6 @@ class _FirstReturns:
         return cls(view.look.frame, np.pad(ranges, 1, constant_values=np.inf), origin - spacing_m, spacing_m)
 
     def points(self) -> Float64[np.ndarray, "p 3"]:
-        """The returns in the world frame, [P, 3]."""
         row, column = np.nonzero(np.isfinite(self.range_m))
         plane = self.origin + np.column_stack([column, row]) * self.spacing_m
         return np.column_stack([plane, self.range_m[row, column]]) @ self.frame
@@ -263,7 +262,6 @@ class _Voxels:
         self._waiting: list[Float64[np.ndarray, "p 3"]] = []
 
     def add(self, points: Float64[np.ndarray, "p 3"]) -> None:
-        """Count these points."""
         self._waiting.append(points)
         if sum(map(len, self._waiting)) > _AT_ONCE:
             self._merge()
@@ -283,7 +281,6 @@ class _Voxels:
             self._group(np.floor(self._sums / self._counts[:, None] / self._side_m).astype(np.int64))
 
     def _group(self, cells: Int64[np.ndarray, "p 3"]) -> None:
-        """Add up what lies in the same cells."""
         if not len(cells):
             return
         low = cells.min(axis=0)

@@ -39,7 +39,6 @@ class Seen:
 
     @classmethod
     def of(cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid) -> Seen:
-        """What these views see of the target's Gaussians, in images on this grid."""
         gaussians, rays = gaussians.detach(), RayGrid.for_image(grid, _RAYS_PER_PIXEL)
         cross_section, lit_area, towards = (
             np.zeros(len(gaussians)),

@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
-from importlib.util import find_spec
+from importlib.util import find_spec, resolve_name
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,7 @@ def scoring_code() -> str:
 @cache
 def code(roots: tuple[str, ...], device: str) -> str:
     """Digest of what modules and all that they import do, and of the device's engine; comments, docstrings and the
-    words of errors and warnings do not count, and neither do changes since it was first asked for, until `forget`.
+    words of errors and warnings do not count, and neither do changes since it was first asked for.
     """
     sources = {name: _statements(path) for name, path in imported_by(roots).items()}
     engine = [LIBRARY] if device == "cpu" else sorted((LIBRARY.parent / "csrc").glob("*.[ch]*"))
@@ -75,7 +75,6 @@ def imported_by(roots: Iterable[str]) -> dict[str, Path]:
 
 @cache
 def _file(name: str) -> Path | None:
-    """The source of a module; None if there is no such module."""
     try:
         spec = find_spec(name)
     except (ImportError, ValueError):
@@ -85,34 +84,28 @@ def _file(name: str) -> Path | None:
 
 @cache
 def _nodes(path: Path) -> Sequence[ast.AST]:
-    """All nodes of a file's syntax tree, the root first."""
     return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
 
 
 @cache
-def _imports(name: str, path: Path) -> tuple[str, ...]:
-    return tuple(_imported(name, path))
-
-
-def _imported(name: str, path: Path) -> Iterator[str]:
+def _imports(name: str, path: Path) -> list[str]:
+    found: list[str] = []
     for node in _nodes(path):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             module = _absolute(node, name, path)
             lazy = _lazy(module)
-            for alias in node.names:
-                yield lazy.get(alias.name, f"{module}.{alias.name}")
-            yield module
+            found += (lazy.get(alias.name, f"{module}.{alias.name}") for alias in node.names)
+            found.append(module)
         elif isinstance(node, ast.Call):
-            yield from _discovered(node, name, path)
+            found += _discovered(node, name, path)
+    return found
 
 
 def _absolute(node: ast.ImportFrom, name: str, path: Path) -> str:
-    if not node.level:
-        return node.module or ""
-    package = name.split(".") if path.name.startswith("__init__") else name.split(".")[:-1]
-    return ".".join([*package[: len(package) - node.level + 1], *([node.module] if node.module else [])])
+    package = name if path.name.startswith("__init__") else name.rpartition(".")[0]
+    return resolve_name("." * node.level + (node.module or ""), package)
 
 
 @cache
@@ -160,16 +153,9 @@ def _drop_words(nodes: Sequence[ast.AST]) -> None:
 
 
 def _called(call: ast.Call) -> str:
-    """The name of a function, whatever it is of."""
     name = getattr(call.func, "id", None) or getattr(call.func, "attr", "")
     return str(name)
 
 
 def _is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-
-
-def forget() -> None:
-    """Clear the caches of source files."""
-    for cached in (code, _file, _nodes, _imports, _statements, _lazy):
-        cached.cache_clear()

@@ -24,44 +24,31 @@ _NO_RESULT = ("preset", "checkpoint_every")
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """One run: a dataset, a method, settings and a seed.
-
-    Attributes
-    ----------
-    dataset : str
-        The dataset's folder.
-    method : str
-        Name of the method.
-    config : dict
-        All its settings, the seed among them.
-    masks, mesh, align, reports, device
-        As in `Plan`; of `masks` also those that the method learns from.
-    labels : dict
-        What tables call it: dataset, method, preset, and each setting that the plan names.
-    seed : int
-        Of the training.
-    recipe : str
-        Digest of data, method and settings.
-    code : str
-        Digest of what a training by that method runs.
-    scoring : str
-        Digest of how it is scored, code included.
-    """
+    """One run: a dataset, a method, settings and a seed."""
 
     dataset: str
+    """The dataset's folder."""
     method: str
+    """Name of the method."""
     config: dict[str, Any]
+    """All its settings, the seed among them."""
     masks: str | None
     mesh: str | None
     align: str
     reports: bool
     device: str
+    """As in `Plan`; of `masks` also those that the method learns from."""
     labels: dict[str, Any]
+    """What tables call it: dataset, method, preset, and each setting that the plan names."""
     seed: int
+    """Of the training."""
     fingerprint: str
     recipe: str
+    """Digest of data, method and settings."""
     code: str
+    """Digest of what a training by that method runs."""
     scoring: str
+    """Digest of how it is scored, code included."""
 
     def words(self, names: Collection[str]) -> str:
         """What it is called in a line, by labels of these names."""
@@ -82,10 +69,7 @@ class Cell(msgspec.Struct, frozen=True):
 def cells_of(plan: Plan, base: Path) -> list[Cell]:
     """Every run of a plan, in its order; patterns are below the folder `base`.
 
-    Raises
-    ------
-    SarsplatError
-        If there is no dataset, method or preset of a name, or a setting is unknown or out of its range.
+    Refused if there is no dataset, method or preset of a name, or a setting is unknown or out of its range.
     """
     return [cell for part in plan.each_part() for cell in _cells(part.at(base), base)]
 
@@ -117,11 +101,12 @@ def _of_dataset(
     fingerprint = f"{folder}: {unreadable}" if dataset is None else dataset.fingerprint()
     code = code_of(method, plan.device)
     scoring = digest([scoring_code(), masks, plan.mesh, plan.align])
+    where = f"settings of {method}{f' in {plan.name}' if plan.name else ''}"
     for preset, chosen in plan.each_choice(settings):
         labels = {"dataset": name, "method": method, "preset": preset, **chosen}
         if plan.name:
             labels = {"part": plan.name, **labels}
-        base = None if dataset is None else kind.preset(preset, dataset).with_settings(chosen, _where(plan, method))
+        base = None if dataset is None else kind.preset(preset, dataset).with_settings(chosen, where)
         for seed in plan.seeds:
             config = {**labels, "seed": seed} if base is None else replace(base, seed=seed).as_dict()
             decisive = {one: value for one, value in config.items() if one not in _NO_RESULT}
@@ -142,10 +127,6 @@ def _of_dataset(
                 code=code,
                 scoring=scoring,
             )
-
-
-def _where(plan: Plan, method: str) -> str:
-    return f"settings of {method}{f' in {plan.name}' if plan.name else ''}"
 
 
 def _fingerprint_of_masks(folder: Path, dataset: Dataset) -> str:

@@ -1,4 +1,7 @@
-"""Runs on this machine: processes with one thread each, which live as long as there is something to do."""
+"""Runs on this machine: processes with one thread each, which live as long as there is something to do.
+
+As a program, this is such a process: a line of JSON for each job in, one for each result out; it ends with its parent.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
@@ -16,13 +20,13 @@ import msgspec
 
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.executor import Means
-from sarsplat.sweeps.work import Row, lost
+from sarsplat.sweeps.work import Row, do, lost
 
 _SIGNALS = {one.value: one.name for one in signal.Signals}
 
 
 class Worker:
-    """A process of `worker.py`, started when it is first asked, and again where it has died."""
+    """A process that does runs, started when it is first asked, and again where it has died."""
 
     def __init__(self, out: Path, again: bool) -> None:
         self._out, self._again, self._ended = out, again, False
@@ -63,7 +67,7 @@ class Worker:
 
     def _started(self) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
-            [sys.executable, "-m", "sarsplat.sweeps.worker", str(self._out), "again" if self._again else "once"],
+            [sys.executable, "-m", "sarsplat.sweeps.executor_local", str(self._out), str(self._again)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={
@@ -78,7 +82,8 @@ class Worker:
 
 def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
     """Do runs on this machine, by default as many at a time as it has processors (see `Executor`)."""
-    count = min(means.processes or _processors(), len(cells))
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = min(means.processes or processors, len(cells))
     workers = [Worker(out, means.again) for _ in range(count)]
     idle: SimpleQueue[Worker] = SimpleQueue()
     for worker in workers:
@@ -104,6 +109,24 @@ def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, 
             worker.close()
 
 
-def _processors() -> int:
-    """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def work(out: Path, again: bool) -> None:
+    """Do what lines ask for until there are no more."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever is printed is no answer
+    asked: SimpleQueue[bytes] = SimpleQueue()
+    threading.Thread(target=_listen, args=(asked,), daemon=True).start()
+    while True:
+        row = do(msgspec.json.decode(asked.get(), type=Cell), out, again)
+        answers.write(msgspec.json.encode(row) + b"\n")
+        answers.flush()
+
+
+def _listen(asked: SimpleQueue[bytes]) -> None:
+    """Pass lines on; when there can be no more, whoever asked has ended, and nobody waits for an answer."""
+    for line in sys.stdin.buffer:
+        asked.put(line)
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    work(Path(sys.argv[1]), sys.argv[2] == "True")

@@ -44,19 +44,12 @@ def page(results: Results) -> str:
         lead=f"{counted(len(results.results), 'run')}: {in_words(f'{n:,} {state}' for state, n in states.items())}.",
         unfinished="waiting" in states,
         heads=[*names, "runs", *(f"{metric.heading} {metric.arrow}".strip() for metric in metrics)],
-        lines=[_row(line, names, metrics) for line in lines],
+        lines=[_Row(line.texts(names, metrics)) for line in lines],
         figures=[figure for name in names if name not in _SETTLED for figure in _figure(name, lines, metrics)],
         failed=[_Row((_words(one, names), one.reason)) for one in results.failed],
         run_heads=[*(name for name in names if name != "test set"), "seed", "state", "run"],
         runs=[_run(one, [name for name in names if name != "test set"], results) for one in results.results],
     )
-
-
-def _row(line: Line, names: Sequence[str], metrics: Sequence[Metric[Any]]) -> _Row:
-    spreads = (line.spreads.get(metric.key) for metric in metrics)
-    scores = ("–" if one is None else one.text(metric) for metric, one in zip(metrics, spreads, strict=True))
-    runs = f"{line.done}/{line.of}{', older code' if line.older else ''}"
-    return _Row([*(label_text(line.labels.get(name, "")) for name in names), runs, *scores])
 
 
 def _words(one: Result, names: Sequence[str]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from glob import escape, glob
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -112,10 +113,9 @@ class Plan(Record):
     def each_choice(self, settings: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
         """Every preset with every combination of the values of what is swept."""
         values = [value if isinstance(value, list) else [value] for value in settings.values()]
-        if (
-            empty := next((name for name, several in zip(settings, values, strict=True) if not several), None)
-        ) is not None:
-            raise SarsplatError(f"the setting {empty} is an empty list, so there is nothing to do; give its values")
+        for name, several in zip(settings, values, strict=True):
+            if not several:
+                raise SarsplatError(f"the setting {name} is an empty list, so there is nothing to do; give its values")
         for preset in (self.preset,) if isinstance(self.preset, str) else self.preset:
             for chosen in product(*values):
                 yield preset, dict(zip(settings, chosen, strict=True))
@@ -124,18 +124,12 @@ class Plan(Record):
         """The datasets that the patterns mean, below a folder, with short names that differ."""
         found: dict[Path, None] = {}
         for pattern in self.datasets:
-            absolute = Path(pattern).is_absolute()
-            root, inner = (
-                (Path(Path(pattern).anchor), str(Path(pattern).relative_to(Path(pattern).anchor)))
-                if absolute
-                else (base, pattern)
-            )
-            matched = (
-                [path for path in sorted(root.glob(inner)) if (path / _MARK).is_file()] if inner.strip("./") else [base]
-            )
+            where = str(Path(escape(str(base))) / pattern)  # an absolute pattern as it is, which `Path.glob` refuses
+            matched = sorted(map(Path, glob(where, recursive=True, include_hidden=True)))  # noqa: PTH207
+            matched = [path for path in matched if (path / _MARK).is_file()] if pattern.strip("./") else [base]
             if not matched:
                 raise SarsplatError(
-                    f"no dataset is at {root / inner}; correct the pattern {shown(pattern)} of `datasets`"
+                    f"no dataset is at {base / pattern}; correct the pattern {shown(pattern)} of `datasets`"
                 )
             found |= dict.fromkeys(path.resolve() for path in matched)
         names = [path.name for path in found]

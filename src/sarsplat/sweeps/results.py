@@ -41,12 +41,10 @@ class Result:
 
     @property
     def finished(self) -> bool:
-        """Whether it has scores."""
         return self.row is not None and self.row.state == "finished"
 
     @property
     def reason(self) -> str:
-        """Why it failed, if it did."""
         return "" if self.row is None else self.row.reason
 
     @property
@@ -57,19 +55,13 @@ class Result:
 
 @dataclass(frozen=True)
 class Spread:
-    """One figure over the seeds.
-
-    Attributes
-    ----------
-    values : tuple of float
-        One for each seed, at least one.
-    """
+    """One figure over the seeds."""
 
     values: tuple[float, ...]
+    """One for each seed, at least one."""
 
     @property
     def mean(self) -> float:
-        """Mean over the seeds."""
         return statistics.fmean(self.values)
 
     @property
@@ -85,25 +77,24 @@ class Spread:
 
 @dataclass(frozen=True)
 class Line:
-    """What differs in nothing but the seed.
-
-    Attributes
-    ----------
-    labels : dict
-        What tables call it; of several test sets, the set as well.
-    spreads : dict of str to Spread
-        By the metric's key; unknown ones are absent.
-    done, of : int
-        Runs that are finished, and all of them.
-    older : bool
-        Whether some are of older code.
-    """
+    """What differs in nothing but the seed."""
 
     labels: Mapping[str, Any]
+    """What tables call it; of several test sets, the set as well."""
     spreads: Mapping[str, Spread]
+    """By the metric's key; unknown ones are absent."""
     done: int
     of: int
+    """Runs that are finished, and all of them."""
     older: bool
+    """Whether some are of older code."""
+
+    def texts(self, names: Sequence[str], metrics: Sequence[Metric[Any]]) -> list[str]:
+        """It as a row of a table: labels of these names, runs, and scores."""
+        runs = f"{self.done}/{self.of}{', older code' if self.older else ''}"
+        spreads = ((self.spreads.get(metric.key), metric) for metric in metrics)
+        scores = ("–" if spread is None else spread.text(metric) for spread, metric in spreads)
+        return [*(label_text(self.labels.get(name, "")) for name in names), runs, *scores]
 
 
 class Results:
@@ -122,11 +113,14 @@ class Results:
         rows = [*_rows(out)]
         here = {row.address: row for row in rows}
         older = {row.recipe: row for row in rows if row.state == "finished"}
-        self.results = [_result(cell, here.get(cell.address) or older.get(cell.recipe)) for cell in cells]
+        found = ((cell, here.get(cell.address) or older.get(cell.recipe)) for cell in cells)
+        self.results = [
+            Result(cell, row, row is not None and (row.address, row.scoring) != (cell.address, cell.scoring))
+            for cell, row in found
+        ]
 
     @property
     def failed(self) -> list[Result]:
-        """Runs that failed."""
         return [one for one in self.results if one.row is not None and one.row.state == "failed"]
 
     def lines(self) -> list[Line]:
@@ -154,10 +148,7 @@ class Results:
         for metric in shown:
             table.add_column(metric.heading, justify="right")
         for line in lines:
-            spreads = (line.spreads.get(metric.key) for metric in shown)
-            cells = ("–" if one is None else one.text(metric) for metric, one in zip(shown, spreads, strict=True))
-            runs = f"{line.done}/{line.of}{', older code' if line.older else ''}"
-            table.add_row(*(escape(label_text(line.labels.get(name, ""))) for name in names), runs, *cells)
+            table.add_row(*map(escape, line.texts(names, shown)))
         return table
 
     def csv(self) -> str:
@@ -195,12 +186,7 @@ def label_text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _result(cell: Cell, row: Row | None) -> Result:
-    return Result(cell, row, row is not None and (row.address, row.scoring) != (cell.address, cell.scoring))
-
-
 def _rows(out: Path) -> Iterable[Row]:
-    """The rows of a sweep, the latest last."""
     for path in sorted((out / ROWS).glob("*.json"), key=lambda path: (path.stat().st_mtime, path.name)):
         try:
             yield read_json(path, Row)
@@ -209,7 +195,6 @@ def _rows(out: Path) -> Iterable[Row]:
 
 
 def _sets(one: Result) -> list[str]:
-    """Test sets of a run."""
     keys = (name.split(".") for name in (one.row.scores if one.row else {}))
     return [*dict.fromkeys(parts[1] for parts in keys if parts[0] == "images")]
 

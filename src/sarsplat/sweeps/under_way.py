@@ -12,7 +12,7 @@ from types import TracebackType
 from sarsplat.data.folders import temporary_folder
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter
-from sarsplat.runs.log import LogLine, read_log
+from sarsplat.runs.run_folder import LogLine, RunFolder
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.work import RUNS
 
@@ -41,7 +41,6 @@ class Live:
         self._thread.join()
 
     def ended(self, cell: Cell) -> None:
-        """A run has ended."""
         with self._one_at_a_time:
             self._left.pop(cell.address, None)
             self._reporter.advance(1, cell.words(self._names))
@@ -60,7 +59,7 @@ class Live:
         """Runs that have written to their logs since this began, with the last line."""
         for address, cell in self._left.items():
             run = self._out / RUNS / address
-            for log in (run / "metrics.jsonl", temporary_folder(run) / "metrics.jsonl"):
+            for files in (RunFolder(run), RunFolder(temporary_folder(run))):
                 with suppress(OSError, SarsplatError):  # it may be moved or replaced just now
-                    if log.stat().st_mtime > self._begun and (lines := read_log(log)):
+                    if files.log_path.stat().st_mtime > self._begun and (lines := files.history):
                         yield cell, lines[-1]

@@ -27,70 +27,47 @@ ROWS, RUNS = "rows", "runs"
 
 
 class Row(msgspec.Struct):
-    """The result row of a run.
-
-    Attributes
-    ----------
-    address, recipe, code, scoring
-        As of its `Cell`.
-    state : {"finished", "failed"}
-        Whether there are scores.
-    reason : str
-        Why it failed: one sentence.
-    passing : bool
-        Whether it failed for what may pass, such as a full disk: it is tried again by the next sweep.
-    scores : dict
-        Scores by dotted key, as `images.test.psnr_db` and `points.visible.cd_m`; those that are None are absent.
-    yardstick_m : float
-        What the points were scored with.
-    iterations : int
-        Iterations done.
-    took_s : float
-        Time of training, scoring and report, s, since it was last begun.
-    warnings : list of str
-        What was warned of.
-    """
+    """The result row of a run."""
 
     address: str
     recipe: str
     code: str
     scoring: str
+    """As of its `Cell`."""
     state: str
+    """Whether there are scores."""
     reason: str = ""
+    """Why it failed: one sentence."""
     passing: bool = False
+    """Whether it failed for what may pass, such as a full disk: it is tried again by the next sweep."""
     scores: dict[str, float] = {}
+    """Scores by dotted key, as `images.test.psnr_db` and `points.visible.cd_m`; those that are None are absent."""
     yardstick_m: float = 0.0
+    """What the points were scored with."""
     iterations: int = 0
+    """Iterations done."""
     took_s: float = 0.0
+    """Time of training, scoring and report, s, since it was last begun."""
     warnings: list[str] = []
-
-    def settles(self, cell: Cell) -> bool:
-        """Whether nothing is left to do for a run."""
-        return not self.passing and (self.address, self.scoring) == (cell.address, cell.scoring)
+    """What was warned of."""
 
 
 def row_path(cell: Cell, out: Path) -> Path:
-    """Path of the result row of a run."""
     return out / ROWS / f"{cell.address}.json"
 
 
 def row_of(cell: Cell, out: Path) -> Row | None:
     """The row of a run, if it is finished or failed."""
-    path = row_path(cell, out)
-    return row if path.is_file() and (row := read_json(path, Row)).settles(cell) else None
+    if not (path := row_path(cell, out)).is_file():
+        return None
+    row = read_json(path, Row)
+    return None if row.passing or (row.address, row.scoring) != (cell.address, cell.scoring) else row
 
 
 def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
-    """Do a run unless that was done; None if another process is doing it.
+    """Do a run of the sweep in `out` unless that was done; None if another process is doing it.
 
-    Parameters
-    ----------
-    cell : Cell
-        What to do.
-    out : Path
-        Folder of the sweep.
-    again : bool
-        Whether a failed one is tried again.
+    A failed one is tried `again` only if that is asked for.
     """
     with ExitStack() as stack:
         try:

@@ -33,7 +33,6 @@ def tile_image(
     shift: Float[Tensor, "1 2"] | None,
     echoes: Sequence[Echo],
 ) -> Float[Tensor, "c rows columns"]:
-    """What `render` shows of a scene on this grid in the tile's pixels."""
     some, pixels = rows_of(gaussians, tile.gaussians), grid.part(tile.rows, tile.columns)
     p = project(some, [view], grid, rays=rays, shift=shift)
     attenuation = attenuate(p, rays, first_return_depth=_ANY_DEPTH if echoes else None)

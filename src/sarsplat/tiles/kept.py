@@ -58,12 +58,7 @@ def tiles_kept_in(folder: str | Path) -> Iterator[None]:
 class KeptTiles:
     """The tiles of one image, each a file that is whole or absent; none where no folder was named.
 
-    Parameters
-    ----------
-    gaussians : Gaussians
-        The scene.
-    settings : object
-        What else the image depends on: tensors, and things whose `repr` says all of them.
+    `settings` is what else than the scene the image depends on: tensors, and things whose `repr` says all of them.
     """
 
     def __init__(self, gaussians: Gaussians, *settings: object) -> None:
@@ -72,14 +67,12 @@ class KeptTiles:
         self._folder = None if folder is None else folder / _digest(*scene, *settings)
 
     def find(self, tile: Tile) -> Float[Tensor, "c rows columns"] | None:
-        """The tile's image, if it was finished."""
         if self._folder is None or not (path := self._path(tile)).is_file():
             return None
         with plain_os_errors("read", path):
             return torch.from_numpy(np.load(path, allow_pickle=False))
 
     def add(self, tile: Tile, image: Float[Tensor, "c rows columns"]) -> None:
-        """Keep a finished tile."""
         if self._folder is None:
             return
         with plain_os_errors("write", self._folder):

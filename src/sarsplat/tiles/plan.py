@@ -51,22 +51,15 @@ def at_once(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: 
 
 @dataclass(frozen=True)
 class Tile:
-    """A part of an image, and what it needs.
-
-    Parameters
-    ----------
-    rows, columns : slice
-        Its pixels.
-    grid : ImageGrid
-        The same as a grid.
-    gaussians : Tensor [K]
-        Indices of those that reach it, or shade one that does.
-    """
+    """A part of an image, and what it needs."""
 
     rows: slice
     columns: slice
+    """Its pixels."""
     grid: ImageGrid
+    """The same as a grid."""
     gaussians: Int64[Tensor, " k"]
+    """Indices of those that reach it, or shade one that does."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +118,6 @@ class Plan:
 
 
 def _halved(rows: slice, columns: slice) -> list[tuple[slice, slice]]:
-    """Two halves of a part, along its longer side."""
     if rows.stop - rows.start >= columns.stop - columns.start:
         middle = (rows.start + rows.stop) // 2
         return [(slice(rows.start, middle), columns), (slice(middle, rows.stop), columns)]

@@ -28,11 +28,9 @@ class Window:
 
     @property
     def area(self) -> float:
-        """Area, m²."""
         return math.prod(max(0.0, high - low) for low, high in zip(self.low, self.high, strict=True))
 
     def joined(self, other: Window) -> Window:
-        """The smallest that holds both."""
         low = (min(self.low[0], other.low[0]), min(self.low[1], other.low[1]))
         return Window(low, (max(self.high[0], other.high[0]), max(self.high[1], other.high[1])))
 
@@ -43,31 +41,23 @@ NOWHERE = Window((math.inf, math.inf), (-math.inf, -math.inf))
 
 @dataclass(frozen=True)
 class Boxes:
-    """Rectangles around footprints on one plane, a point of its lattice wider than they are.
-
-    Parameters
-    ----------
-    low, high : Tensor [2, N]
-        Corners, m; what touches nothing has its low one above its high one.
-    """
+    """Rectangles around footprints on one plane, a point of its lattice wider than they are."""
 
     low: Float[Tensor, "2 n"]
     high: Float[Tensor, "2 n"]
+    """Corners, m; what touches nothing has its low one above its high one."""
 
     def overlapping(self, window: Window) -> Int64[Tensor, " k"]:
-        """Indices of the boxes that overlap a window."""
         inside = torch.ones_like(self.low[0], dtype=torch.bool)
         for low, high, begin, end in zip(self.low, self.high, window.low, window.high, strict=True):
             inside &= (low <= end) & (high >= begin)
         return inside.nonzero()[:, 0]
 
     def of(self, index: Int64[Tensor, " k"]) -> Boxes:
-        """A subset of the boxes."""
         return Boxes(self.low[:, index], self.high[:, index])
 
     @property
     def window(self) -> Window:
-        """The smallest that holds them all."""
         if not self.low.shape[1]:
             return NOWHERE
         (left, below), (right, above) = self.low.amin(1).tolist(), self.high.amax(1).tolist()
@@ -82,14 +72,12 @@ class Reach:
     in_image: Boxes
 
     def some(self, index: Int64[Tensor, " k"]) -> Reach:
-        """The reach of a subset of the Gaussians."""
         return Reach(self.on_rays.of(index), self.in_image.of(index))
 
     @classmethod
     def of(
         cls, gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, shift: Float[Tensor, "1 2"] | None
     ) -> Reach:
-        """The reach of all Gaussians of a scene, computed in chunks."""
         count = len(gaussians)
         sides = torch.empty(2, 4, count, device=gaussians.means.device)
         with stage("where Gaussians reach", count) as reporter:

@@ -73,6 +73,10 @@ class Scale:
             f"{numbers}</div></div>"
         )
 
+    def panel(self, title: str, values: Real[np.ndarray, "rows columns"]) -> Panel:
+        """A picture of values, with its colour bar."""
+        return Panel(title, self.rgb(values), self.bar())
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -92,8 +96,7 @@ def power_panel(
     page: Page,
 ) -> Panel:
     """An image in decibels of `peak`."""
-    scale = Scale("dB relative to the brightest pixel", *limits_db, colours, page)
-    return Panel(title, scale.rgb(to_db(power, peak)), scale.bar())
+    return Scale("dB relative to the brightest pixel", *limits_db, colours, page).panel(title, to_db(power, peak))
 
 
 def difference_panel(
@@ -110,21 +113,20 @@ def difference_panel(
     if speckled:
         rendered, measured = (uniform_filter(power, 3) for power in (rendered, measured))
     scale = Scale(f"dB{' (3×3 means)' if speckled else ''}", -widest, widest, DIFFERENCE, page)
-    return Panel("difference", scale.rgb(difference_db(rendered, measured, peak, darkest_db)), scale.bar())
+    return scale.panel("difference", difference_db(rendered, measured, peak, darkest_db))
 
 
 def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float, page: Page) -> Panel:
     """One of `MAPS`; heights are coloured up to `highest_m`."""
     if name == "height":
-        scale = Scale("height of the first return, m", 0.0, highest_m, HEIGHT, page)
-        return Panel("first-return height", scale.rgb(maps.height_m), scale.bar())
+        heights = Scale("height of the first return, m", 0.0, highest_m, HEIGHT, page)
+        return heights.panel("first-return height", maps.height_m)
     if name == "incidence":
-        scale = Scale("local incidence angle, degrees", 0.0, 90.0, INCIDENCE, page)
-        return Panel("local incidence", scale.rgb(maps.incidence_deg), scale.bar())
+        angles = Scale("local incidence angle, degrees", 0.0, 90.0, INCIDENCE, page)
+        return angles.panel("local incidence", maps.incidence_deg)
     if name == "layover":
         label = f"separation in elevation, m (cell {cell_m:.2g} m)"
-        scale = Scale(label, 0.0, max(highest_m, 2 * cell_m), SPREAD, page)
-        return Panel("layover", scale.rgb(maps.spread_m), scale.bar())
+        return Scale(label, 0.0, max(highest_m, 2 * cell_m), SPREAD, page).panel("layover", maps.spread_m)
     kinds = (
         (maps.shadow, SHADOW, "shadow on flat ground"),
         (~np.isnan(maps.height_m), TARGET, "target"),
@@ -144,7 +146,7 @@ def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float, page:
 def phase_panel(phase: Float[np.ndarray, "rows columns"], cycle_m: float, page: Page) -> Panel:
     """A phase, rad, of which one cycle is so much height."""
     scale = Scale(f"rad; one cycle is {cycle_m:.3g} m of height", -math.pi, math.pi, PHASE, page)
-    return Panel("phase above level ground", scale.rgb(phase), scale.bar())
+    return scale.panel("phase above level ground", phase)
 
 
 class Strip:

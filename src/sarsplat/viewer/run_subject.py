@@ -18,8 +18,7 @@ from sarsplat.learning.model import SceneModel
 from sarsplat.radar import Surface, surface_of_run
 from sarsplat.report.interferogram import Interferogram, Pair, spread_m
 from sarsplat.runs import Run
-from sarsplat.viewer.scene import OfScene
-from sarsplat.viewer.subject import TRUTH, Cloud, Subject, at_most, dataset_subject
+from sarsplat.viewer.subject import TRUTH, Cloud, OfScene, Subject, at_most, dataset_subject
 
 
 @checks_arguments
@@ -54,6 +53,9 @@ class RunSubject(Subject):
             dataset = None
         name = "a run" if run.path is None else run.path.name
         super().__init__(f"{name}: {run.learned}", run.grid, run.snapshot.views, run.brightest, dataset)
+        self.knows_errors = self.truth is not None
+        self.knows_phases = any(stack.interferometric for stack in run.snapshot.stacks)  # all are, or none
+        self._errors: dict[str, Float[np.ndarray, " n"]] = {}
 
     @cached_property
     def clouds(self) -> list[Cloud]:
@@ -75,24 +77,12 @@ class RunSubject(Subject):
         except SarsplatError:  # it has learned no surface
             return None
 
-    @property
-    def knows_errors(self) -> bool:
-        return self.truth is not None
-
     def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"]:
         assert self.truth is not None
         if cloud.name not in self._errors:
             triangles = np.asarray(self.truth.triangles, np.float64)
             self._errors[cloud.name] = surface_distance(cloud.places_m.astype(np.float64), triangles)
         return self._errors[cloud.name]
-
-    @cached_property
-    def _errors(self) -> dict[str, Float[np.ndarray, " n"]]:
-        return {}
-
-    @property
-    def knows_phases(self) -> bool:  # type: ignore[override]
-        return any(stack.interferometric for stack in self.run.snapshot.stacks)  # all are, or none
 
     def interferogram(self, view: View) -> tuple[Interferogram, Pair]:
         """Interferogram with the passes of the nearest training view."""
@@ -106,7 +96,7 @@ class RunSubject(Subject):
             noise=None,
         )
         covariances = self.run.render_covariances([view], two)[0]
-        parts = Pair(0, 1, pair.cycle_m).of_covariances(covariances, two.plane_phases(view, self.grid))
+        parts = Pair(0, 1, pair.cycle_m).of(covariances, two.plane_phases(view, self.grid))
         return Interferogram.of(parts), pair
 
     def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:

@@ -1,34 +1,42 @@
-"""Interface of what the viewer shows: a run, a dataset or a training."""
+"""What the viewer shows: the interface of a run, a dataset or a training, and scenes of Gaussians."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from jaxtyping import Float, Float32
+from scipy.spatial import cKDTree
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.learning import Trainer
+from sarsplat.learning.model import SceneModel
 from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mesh
 from sarsplat.radar.iso_range import contributions
 from sarsplat.regions.target_region import target_region
 from sarsplat.report.interferogram import Interferogram, Pair
+from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.scenes.mesh_files import read_mesh
 
 if TYPE_CHECKING:
     import trimesh
-
-    from sarsplat.gaussians import Gaussians
 
 TRUTH = "true surface"
 """Name of the cloud that is the truth and not a reconstruction."""
 
 MAX_POINTS = 60_000
 """Largest number of points drawn; more would only look denser."""
+
+_FAINT = 0.05
+"""Optical depth below which a Gaussian is not drawn."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +71,9 @@ class Subject:
 
     scatters = False
     """Whether the clouds have a γ⁰."""
+
+    knows_errors = False
+    """Whether `error_m` can be asked."""
 
     knows_phases = False
     """Whether `interferogram` can be asked."""
@@ -123,11 +134,6 @@ class Subject:
     def gamma0(self, cloud: Cloud, view: View) -> Float[np.ndarray, " n"]:
         """γ⁰ of every place of a cloud towards the radar, linear; asked only if `scatters`."""
         raise NotImplementedError
-
-    @property
-    def knows_errors(self) -> bool:
-        """Whether `error_m` is known for any cloud."""
-        return False
 
     def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"]:
         """Distance of every place of a cloud from the true surface, m; asked only if `knows_errors`."""
@@ -197,3 +203,87 @@ def at_most(places: Any, most: int = MAX_POINTS) -> Float32[np.ndarray, "n 3"]:
     """A random choice of at most `most` places, float32 [N, 3]."""
     places = np.asarray(places, np.float32)
     return places if len(places) <= most else places[np.random.default_rng(0).permutation(len(places))[:most]]
+
+
+# ---- scenes of Gaussians ---------------------------------------------------------------------------------------------
+class OfScene(Subject):
+    """A subject that is a scene of Gaussians, shown with and without its ground and the shadow on it."""
+
+    renders = True
+    scatters = True
+
+    def look_at(self, model: SceneModel, degree: int) -> None:
+        """Set the scene and the degree of its harmonics; copied, so that a training may continue with it."""
+        self._model, self._groundless, self._degree = model.copy(), model.copy(ground=False), degree
+        self.scene, self.target = (part.detach() for part in (self._model.scene(degree), self._model.target(degree)))
+        self.has_ground = model.ground() is not None
+        self._nearest: dict[str, np.ndarray] = {}
+
+    @property
+    def maps_grid(self) -> ImageGrid:
+        return self._model.as_displaced(self.grid)
+
+    @cached_property
+    def gaussian_cloud(self) -> Cloud:
+        """The centres of the Gaussians that are not faint."""
+        places = self.target.means[self.target.optical_depth > _FAINT]
+        return Cloud("Gaussians", places.cpu().numpy(), self.grid.cell_m / 3)
+
+    def gamma0(self, cloud: Cloud, view: View) -> Float[np.ndarray, " n"]:
+        """See `Subject`: of the Gaussian nearest to each place."""
+        if cloud.name not in self._nearest:
+            self._nearest[cloud.name] = cKDTree(self.target.means.double().cpu().numpy()).query(cloud.places_m)[1]
+        towards = self.target.means.new_tensor(view.look.way_out)[None]
+        gamma0: Float[np.ndarray, " n"] = self.target.gamma0(towards)[0].cpu().numpy()[self._nearest[cloud.name]]
+        return gamma0
+
+    def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
+        if not self.has_ground or (ground and shadow):
+            return self._image(self._model, view)
+        target = self._image(self._groundless, view)
+        if not ground:
+            return target
+        # the noise floor is in both pictures
+        return target + self._image(self._model, view, empty=True) - self._image(self._groundless, view, empty=True)
+
+    @torch.no_grad()
+    def _image(self, model: SceneModel, view: View, *, empty: bool = False) -> Float32[np.ndarray, "rows columns"]:
+        rays = RayGrid.for_image(self.grid)
+        dropped = torch.ones(len(self.target), dtype=torch.bool, device=model.device) if empty else None
+        images, _ = model.render([view], self.grid, self._degree, rays=rays, dropped=dropped)
+        image: Float32[np.ndarray, "rows columns"] = images[0, model.power_channel].cpu().numpy()
+        return image
+
+    def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
+        """See `Subject`: by power."""
+        return self._shares(self.scene, len(self.target), view, pixel)
+
+
+class SceneAlone(OfScene):
+    """Gaussians that no run holds."""
+
+    surface = None  # its normals would take seconds
+
+    @cached_property
+    def clouds(self) -> list[Cloud]:
+        return [self.gaussian_cloud]
+
+
+def scene_of(
+    gaussians: Gaussians, grid: ImageGrid | None = None, views: Sequence[View] | None = None, peak: float | None = None
+) -> SceneAlone:
+    """Gaussians of one's own; grid, views and the power shown white are chosen unless given."""
+    config, snapshot = own_scene(gaussians, grid, views, peak, 0.0)
+    peak = peak or snapshot.brightest
+    scene = SceneAlone(f"{len(gaussians):,} Gaussians", snapshot.grid, snapshot.views, peak, None)
+    scene.look_at(SceneModel.saved(snapshot, config), config.harmonics_degree)
+    return scene
+
+
+def training_subject(dataset: Dataset, trainer: Trainer) -> SceneAlone:
+    """A training as it is between two steps; what is shown is copied."""
+    title = f"{dataset.target}: training, {trainer.iteration:,} steps, {trainer.gaussian_count:,} Gaussians"
+    images = dataset_subject(dataset)
+    scene = SceneAlone(title, images.grid, images.train_views, images.peak, dataset)
+    scene.look_at(trainer.model, trainer.model.degree(trainer.iteration))
+    return scene

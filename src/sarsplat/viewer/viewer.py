@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from html import escape
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.colours import DARK, ERROR, HEIGHT, STRENGTH, rgb
+from sarsplat.data import Dataset
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radar import Pixel
 from sarsplat.radiometry import to_db
+from sarsplat.runs import Step
 from sarsplat.viewer.controls import BY_ERROR, BY_GAMMA0, Choices, Controls
 from sarsplat.viewer.newest import Newest
 from sarsplat.viewer.pictures import (
@@ -32,10 +35,17 @@ from sarsplat.viewer.pictures import (
     phase_panel,
     power_panel,
 )
-from sarsplat.viewer.scene import OwnScene
 from sarsplat.viewer.server import HOST, start_server, stop_server
 from sarsplat.viewer.stage import Stage
-from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject
+from sarsplat.viewer.subject import (
+    TRUTH,
+    Cloud,
+    Contributors,
+    Subject,
+    dataset_subject,
+    scene_of,
+    training_subject,
+)
 
 _MARGIN = 1.4  # of the part of an image around the target: its shadow is behind it
 _GAMMA0_DB = 30.0  # shown below the strongest
@@ -86,12 +96,12 @@ class Viewer:
         grid: ImageGrid | None = None,
         views: Sequence[View] | None = None,
     ) -> None:
-        subject = OwnScene(subject, grid, views) if isinstance(subject, Gaussians) else subject
+        subject = scene_of(subject, grid, views) if isinstance(subject, Gaussians) else subject
         self._pause_until = 0.0
         self._subject = subject
         self._view, self._pixel = _first_view(subject), None  # type: tuple[View, Pixel | None]
         self._picked: tuple[View, Pixel, Contributors | None] | None = None
-        self._strip, self._part = Strip(subject.grid, 1, DARK), subject.grid
+        self._strip, self._part, self._corner = Strip(subject.grid, 1, DARK), subject.grid, (0, 0)
         self._offered, self._ready = True, False
         self.frame_s = 0.0
         self._server = start_server(port, self._pick_at)
@@ -141,7 +151,7 @@ class Viewer:
         States in between are left out.
         """
         now = self._subject
-        self.keep_up(lambda: OwnScene(gaussians, now.grid, now.train_views, now.peak))
+        self.keep_up(lambda: scene_of(gaussians, now.grid, now.train_views, now.peak))
 
     @checks_arguments
     def keep_up(self, newer: Callable[[], Subject]) -> None:
@@ -185,10 +195,12 @@ class Viewer:
             self._controls.offer(subject)
         choices = self._controls.choices
         part, window = self._window(view, choices.zoom)
-        heads, panels = self._panels(subject, view, choices)
-        cut = [replace(panel, rgb=panel.rgb[window]) for panel in panels]
+        panels = self._panels(subject, view, choices)
+        heads = [(panel.title, line) for panel, line in panels]
+        cut = [replace(panel, rgb=panel.rgb[window]) for panel, _ in panels]
         self._strip, self._part = Strip(part, min(len(cut), _ACROSS), choices.page), part
-        inside = None if pixel is None else _within(pixel, window)
+        self._corner = window[0].start, window[1].start
+        inside = None if pixel is None else _moved(pixel, -self._corner[0], -self._corner[1], part)
         on_plane = cut[-1 if choices.map else 0]
         with self._server.atomic():
             rows = [slice(first, first + _ACROSS) for first in range(0, len(cut), _ACROSS)]
@@ -207,36 +219,32 @@ class Viewer:
             self.frame_s = time.perf_counter() - begun
             self._controls.show_foot(self._text(subject, view, pixel, lit))
 
-    def _panels(self, subject: Subject, view: View, choices: Choices) -> tuple[list[tuple[str, str]], list[Panel]]:
-        """Every picture of the strip with its title and the line below that."""
-        heads, panels = [], []
-        here = _name(view)
+    def _panels(self, subject: Subject, view: View, choices: Choices) -> list[tuple[Panel, str]]:
+        """Every picture of the strip, and the line below its title."""
+        panels, here = [], _name(view)
         style = subject.peak, choices.limits_db, choices.colours, choices.page
         rendered = None
         if subject.renders:
             rendered = subject.render(view, ground=choices.ground, shadow=choices.shadow)
-            panels.append(power_panel("rendered", rendered, *style))
-            heads.append(("rendered", here))
+            panels.append((power_panel("rendered", rendered, *style), here))
         if subject.dataset is not None:
             index, apart_deg = subject.nearest(view)
             entry, power = subject.dataset.entries[index], subject.dataset.power[index]
             kind = "training" if entry.split == "train" else entry.split
-            panels.append(power_panel("nearest image", power, *style))
             away = "the same view" if apart_deg < _SAME_DEG else f"{apart_deg:.1f}° away: {_name(entry.view)}"
-            heads.append((f"nearest {kind} image", away))
+            panels.append((power_panel(f"nearest {kind} image", power, *style), away))
             if rendered is not None:
                 levels = subject.peak, choices.limits_db[0]
-                panels.append(difference_panel(rendered, power, *levels, choices.page, speckled=subject.speckled))
-                heads.append(("difference", "rendered over nearest image"))
+                panel = difference_panel(rendered, power, *levels, choices.page, speckled=subject.speckled)
+                panels.append((panel, "rendered over nearest image"))
         if choices.map == PHASES and subject.knows_phases:
             shown, pair = subject.interferogram(view)
-            panels.append(phase_panel(shown.phase, pair.cycle_m, choices.page))
-            heads.append((panels[-1].title, f"passes {pair.first + 1} and {pair.second + 1}, rendered"))
+            panel = phase_panel(shown.phase, pair.cycle_m, choices.page)
+            panels.append((panel, f"passes {pair.first + 1} and {pair.second + 1}, rendered"))
         elif choices.map in MAPS and (maps := subject.maps(view)) is not None:
             highest_m = heights_up_to(subject.clouds[0].places_m[:, 2])
-            panels.append(map_panel(choices.map, maps, highest_m, subject.grid.cell_m, choices.page))
-            heads.append((panels[-1].title, here))
-        return heads, panels
+            panels.append((map_panel(choices.map, maps, highest_m, subject.grid.cell_m, choices.page), here))
+        return panels
 
     def _window(self, view: View, zoom: bool) -> tuple[ImageGrid, tuple[slice, slice]]:
         """The part of an image that shows the target, of the same size from everywhere; its grid and its indices."""
@@ -267,7 +275,7 @@ class Viewer:
 
     # ---- picking ----------------------------------------------------------------------------------------------------
     def _pick_at(self, x: float, y: float) -> None:
-        self.pick(self._of_part(self._strip.pixel_at(x, y)))
+        self._pick_in_part(self._strip.pixel_at(x, y))
 
     def _pick_on_plane(self, origin: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]) -> None:
         frame, part = self._view.look.frame, self._part
@@ -275,17 +283,12 @@ class Viewer:
         azimuth, _, slant_range = frame @ (origin + down * direction)
         column = round((azimuth - part.azimuth_m[0]) / part.spacing_m[0])
         row = round((slant_range - part.range_m[0]) / part.spacing_m[1])
-        inside = 0 <= row < part.rows and 0 <= column < part.columns
-        self.pick(self._of_part(Pixel(row, column)) if inside else None)
+        self._pick_in_part(_moved(Pixel(row, column), 0, 0, part))
 
-    def _of_part(self, pixel: Pixel | None) -> Pixel | None:
-        """The same pixel in the whole image; None if it was picked already, which puts it out."""
-        if pixel is None:
-            return None
-        grid, part = self._subject.grid, self._part
-        row = round((part.range_m[pixel.row] - grid.range_m[0]) / grid.spacing_m[1])
-        picked = Pixel(row, round((part.azimuth_m[pixel.column] - grid.azimuth_m[0]) / grid.spacing_m[0]))
-        return None if picked == self._pixel else picked
+    def _pick_in_part(self, pixel: Pixel | None) -> None:
+        """Pick a pixel of the part that is shown; what was picked already is put out."""
+        picked = None if pixel is None else _moved(pixel, *self._corner, self._subject.grid)
+        self.pick(None if picked == self._pixel else picked)
 
     def _light(self, subject: Subject, view: View, pixel: Pixel | None) -> Contributors | None:
         if pixel is None:
@@ -311,6 +314,18 @@ class Viewer:
         if lit is None:
             return f"{where}. Nothing is known to be there. {took}"
         return f"{where}. {escape(_who(lit, subject.scatters))} {took}".replace("-", "−")
+
+
+@contextmanager
+def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator[Callable[[Step[Any]], None]]:
+    """A page that shows a training; call the yielded function after each step, which leaves the training unchanged.
+
+    The page is drawn while the training waits, at most for 3 % of its time (`Viewer.keep_up`). `say` gets a sentence
+    with the page's address. Raises `SarsplatError` if the port is taken; 0 takes any free one.
+    """
+    with Viewer(dataset_subject(dataset), port) as viewer:
+        say(f"open {viewer.address} in a browser on this machine to watch the training")
+        yield lambda step: viewer.keep_up(lambda: training_subject(dataset, step.trainer))
 
 
 def _first_view(subject: Subject) -> View:
@@ -350,8 +365,7 @@ def _name(view: View) -> str:
     return f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
 
 
-def _within(pixel: Pixel, window: tuple[slice, slice]) -> Pixel | None:
-    """The same pixel in a part of an image."""
-    row, column = pixel.row - window[0].start, pixel.column - window[1].start
-    size = window[0].stop - window[0].start, window[1].stop - window[1].start
-    return Pixel(row, column) if 0 <= row < size[0] and 0 <= column < size[1] else None
+def _moved(pixel: Pixel, rows: int, columns: int, grid: ImageGrid) -> Pixel | None:
+    """A pixel so many rows and columns farther on; None if that is outside the grid."""
+    row, column = pixel.row + rows, pixel.column + columns
+    return Pixel(row, column) if 0 <= row < grid.rows and 0 <= column < grid.columns else None

@@ -12,5 +12,5 @@ from sarsplat.settings.config import Config
 
 def parts_of(config: Config, frame: SceneFrame, device: torch.device) -> list[Part]:
     """The parts of a configuration's model, in the order in which they make a scene and its images."""
-    kinds = classes_in(__name__, Part)  # type: ignore[type-abstract]
+    kinds = classes_in(__name__, Part)
     return [kind(config, frame, device) for kind in kinds if kind.wanted(config)]

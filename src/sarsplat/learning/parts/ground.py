@@ -16,8 +16,6 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import Terrain
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.learning.parts.part import Learned, Parameters, Part, normal_nats
-from sarsplat.settings.config import Config
-from sarsplat.settings.sections import FlatGround
 
 _FAINTEST = 0.01
 """Its level at the start at least, of the images' mean: where most of an image is black, a logarithm could not rise."""
@@ -33,11 +31,8 @@ class FlatGroundPart(Part):
     """Logarithms of its γ⁰, of all of it and of single places in units of that, and its law of the grazing angle."""
 
     order = 20
+    section = "ground"
     surrounds = True
-
-    @classmethod
-    def wanted(cls, config: Config) -> bool:
-        return config.ground is not None
 
     @property
     def learned(self) -> dict[str, Learned]:
@@ -64,7 +59,7 @@ class FlatGroundPart(Part):
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         """Prior: neighbouring places have similar γ⁰."""
         if self._side:
-            yield normal_nats(p["ground_texture"], self._settings.std)
+            yield normal_nats(p["ground_texture"], self.settings.std)
 
     def ground(self, p: Parameters) -> Ground:
         exponent = p["ground_exponent"][0]
@@ -78,11 +73,6 @@ class FlatGroundPart(Part):
     def _height_m(self) -> float | Terrain:
         return 0.0 if self.frame.terrain is None else self.frame.terrain
 
-    @property
-    def _settings(self) -> FlatGround:
-        assert self.config.ground is not None  # `wanted`
-        return self.config.ground
-
     @cached_property
     def _sines(self) -> np.ndarray:
         """Logarithms of sin θ of the training views."""
@@ -91,12 +81,12 @@ class FlatGroundPart(Part):
     @cached_property
     def _pitch_m(self) -> float:
         """Distance of the places; of large scenes more than set, so that there are not too many."""
-        return max(self._settings.pitch * self.frame.cell_m, 2 * self._radius_m / _MOST)
+        return max(self.settings.pitch * self.frame.cell_m, 2 * self._radius_m / _MOST)
 
     @cached_property
     def _side(self) -> int:
         """Places along a side; 0: one γ⁰ for all."""
-        return 2 * math.ceil(self._radius_m / self._pitch_m) + 1 if self._settings.pitch else 0
+        return 2 * math.ceil(self._radius_m / self._pitch_m) + 1 if self.settings.pitch else 0
 
     @property
     def _radius_m(self) -> float:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -77,12 +77,14 @@ class Shot:
 class Part(ABC):
     """Base of the parts; each does only what it has methods for.
 
-    To add a part, put a file with a class derived from this one into this folder. Its settings are a `Record` in
-    `settings/sections.py` and a field of `Config` that is None where the part is absent.
+    To add a part, put a file with a class derived from this one into this folder.
     """
 
     order: ClassVar[int]
     """Parts with a smaller one come before it: they make what it changes."""
+
+    section: ClassVar[str] = ""
+    """The field of `Config` with its settings, None where a model lacks this part. Without one, every model has it."""
 
     name: ClassVar[str] = ""
     """What its state is saved under; only for parts that have any."""
@@ -95,11 +97,12 @@ class Part(ABC):
 
     def __init__(self, config: Config, frame: SceneFrame, device: torch.device) -> None:
         self.config, self.frame, self.device = config, frame, device
+        self.settings: Any = getattr(config, self.section, None)
 
     @classmethod
-    @abstractmethod
     def wanted(cls, config: Config) -> bool:
         """Whether a configuration's model has this part."""
+        return not cls.section or getattr(config, cls.section) is not None
 
     # ---- what is learned --------------------------------------------------------------------------------------------
     @property
@@ -170,19 +173,6 @@ class Part(ABC):
     def load(self, state: Parameters) -> None:
         """Undo `state`; raises ValueError or KeyError if that is not of this model."""
         return
-
-
-class Nuisance(Part):
-    """Base of the nuisance parts, which only measured images need: shifts, gains, texture, …"""
-
-    @classmethod
-    def wanted(cls, config: Config) -> bool:
-        return config.surroundings is not None
-
-    def __init__(self, config: Config, frame: SceneFrame, device: torch.device) -> None:
-        super().__init__(config, frame, device)
-        assert config.surroundings is not None  # `wanted`
-        self.settings = config.surroundings
 
 
 def drawn_like(values: Float[Tensor, "n ..."], count: int, rng: np.random.Generator) -> Float[Tensor, "{count} ..."]:

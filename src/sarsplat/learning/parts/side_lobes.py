@@ -12,15 +12,16 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, Response
-from sarsplat.learning.parts.part import Learned, Nuisance, Parameters, Shot
+from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.settings.config import Config
 
 
-class SideLobes(Nuisance):
+class SideLobes(Part):
     """The logarithm of their power in azimuth and in range, relative to those of a usual window."""
 
     order = 40
+    section = "surroundings"
 
     @classmethod
     def wanted(cls, config: Config) -> bool:

@@ -48,11 +48,6 @@ class Target(Part):
 
     order = 10
 
-    @classmethod
-    def wanted(cls, config: Config) -> bool:
-        """Every model has a target."""
-        return True
-
     def __init__(self, config: Config, frame: SceneFrame, device: torch.device) -> None:
         super().__init__(config, frame, device)
         self._cell_m = frame.cell_m
@@ -183,7 +178,6 @@ class Target(Part):
 
     @property
     def _coarsest_m(self) -> float:
-        """Resolution cell of the coarsest images looked at, m."""
         return self._levels.grid_at(self._levels.coarsest).cell_m
 
     @cached_property
@@ -242,10 +236,7 @@ class _Spread(torch.autograd.Function):
 def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ()) -> Scattering:
     """The configuration's law of scattering, as a training starts with it; in the polarisations of stacks, if any.
 
-    Raises
-    ------
-    SarsplatError
-        If a law of one's own starts with something else.
+    Refused if a law of one's own starts with something else.
     """
     kind = scattering_named(config.scattering)
     made = kind.initial(count, gamma0, config.p_min)
@@ -265,15 +256,10 @@ def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ())
 
 
 def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, float, float]:
-    """Smallest, first and largest standard deviation of a Gaussian, m; the smallest at least `MIN_SCALE`.
+    """Smallest, first and largest standard deviation of a Gaussian, m; refused if they cannot be rendered.
 
     The largest grows with the scene, whose flat surfaces are larger too: where the training begins with blocks of
     `coarsest` × `coarsest` pixels, by that number's sixth root.
-
-    Raises
-    ------
-    SarsplatError
-        If the first or the largest cannot be rendered.
     """
     smallest, first, largest = (
         cells * cell_m
@@ -289,7 +275,6 @@ def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, f
 
 
 def _cells(train: Dataset) -> float:
-    """How many resolution cells the target covers in an image."""
     if train.ground:
         shown = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
     else:
@@ -298,7 +283,6 @@ def _cells(train: Dataset) -> float:
 
 
 def _start_scales_m(config: Config, cell_m: float) -> list[float]:
-    """Standard deviations of a Gaussian at the start, m."""
     smallest, first, _ = scales_m(config, cell_m)
     if not scattering_named(config.scattering).oriented:
         return [first] * 3

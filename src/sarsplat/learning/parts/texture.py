@@ -16,7 +16,7 @@ from torch.nn.functional import grid_sample
 from sarsplat.errors import counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.shown import ground_radius_m
-from sarsplat.learning.parts.part import Nuisance, Parameters, Shot
+from sarsplat.learning.parts.part import Parameters, Part, Shot
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings
 
@@ -33,10 +33,11 @@ _LARGEST = 2**27
 """Numbers in all maps together; with more of them they are coarser."""
 
 
-class Texture(Nuisance):
+class Texture(Part):
     """The factor that `Maps` are, once it has been estimated: not learned by steps, but saved."""
 
     order = 70
+    section = "surroundings"
     name = "texture"
     estimated = True
     maps: Maps | None = None
@@ -67,21 +68,11 @@ class Maps:
     """A factor on the power of rendered images: what images show more or less than the scene, as a map on the ground.
 
     No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
-    ground from one image to the next. With single-look speckle, ratios r_k of measured to rendered power and factors
-    that are expected to be 1, by a gamma distribution worth n looks, the mean afterwards is
-    (n + Σ w_k r_k) / (n + Σ w_k). The weights w_k = exp(−Δ_k / reach) fall with the difference in azimuth. Images of
-    all grazing angles count the same: bumps, and corners between walls and ground, are seen under each.
+    ground from one image to the next (docs/concepts/measured-chips.md has the equation).
 
-    Parameters
-    ----------
-    tensors : dict of str to Tensor
-        Of the K training images `ratio`, float32 [K, rows, columns]: measured over rendered power, smoothed; `shift_m`,
-        float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth and grazing.
-        KeyError or ValueError if they are not.
-    grid : ImageGrid
-        Of all images.
-    settings : Surroundings
-        n and the reach.
+    The tensors are, of the K training images, `ratio`, float32 [K, rows, columns]: measured over rendered power,
+    smoothed; `shift_m`, float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth
+    and grazing.
     """
 
     def __init__(self, tensors: dict[str, Tensor], grid: ImageGrid, settings: Surroundings) -> None:
@@ -110,7 +101,6 @@ class Maps:
         grid: ImageGrid,
         settings: Surroundings,
     ) -> Maps:
-        """Maps estimated from the ratios of measured to rendered power, which are smoothed here."""
         sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)

@@ -52,7 +52,6 @@ class AzimuthRefinement(Configured):
         return State(whole={"offset_deg": torch.zeros(len(self._labelled), dtype=torch.float64, device="cpu")})
 
     def due(self, step: int) -> bool:
-        """Whether a round follows this step."""
         s = self._settings
         first, last = s.azimuth_from * self._iterations, s.azimuth_until * self._iterations
         return s.azimuth_rounds > 0 and at_round(step, first, last, s.azimuth_rounds - 1)

@@ -42,7 +42,6 @@ class DensityControl(Configured):
         return step <= self._config.stop
 
     def due(self, step: int) -> bool:
-        """Whether to act after this step."""
         c = self._config
         return c.start <= step < c.stop and step % c.every == 0
 

@@ -42,14 +42,12 @@ def rearrange(
 
 
 def remove(params: Params, optimizers: Optimiser, state: State, gone: Bool[Tensor, " n"]) -> Int64[Tensor, " m"]:
-    """Remove these Gaussians."""
     source = (~gone).nonzero()[:, 0]
     rearrange(params, optimizers, state, source, torch.ones_like(source, dtype=torch.bool))
     return source
 
 
 def duplicate(params: Params, optimizers: Optimiser, state: State, which: Bool[Tensor, " n"]) -> Int64[Tensor, " m"]:
-    """Append a copy of these Gaussians."""
     return _append(params, optimizers, state, torch.ones_like(which).nonzero()[:, 0], which.nonzero()[:, 0])
 
 

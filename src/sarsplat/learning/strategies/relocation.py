@@ -30,7 +30,6 @@ class Relocating(Configured):
         return cls(config.relocation, config.iterations) if config.relocation.rounds else None
 
     def due(self, step: int) -> bool:
-        """Whether a round follows this step."""
         return step > 0 and at_round(step, 0, self._config.until * self._iterations, self._config.rounds)
 
     def step_post_backward(

@@ -30,7 +30,6 @@ class TextureEstimation(Configured):
         return cls(config.surroundings, config.iterations) if config.surroundings and Texture.wanted(config) else None
 
     def due(self, step: int) -> bool:
-        """Whether it is estimated after this step."""
         first = self._settings.texture_from * self._iterations
         return at_round(step, first, self._iterations, self._settings.texture_rounds)
 

@@ -111,10 +111,11 @@ def chosen_engine(name: str, like: Tensor) -> str:
     SarsplatError
         If there is none of that name, or what "auto" means there did not pass its check.
     """
-    names = ("auto", *ENGINES, "reference")
-    if name not in names:
-        raise SarsplatError(f"engine {name!r} is unknown; choose one of {', '.join(names)}")
-    return _fitting(like.dtype, like.device) if name == "auto" else name
+    if name == "auto":
+        return _fitting(like.dtype, like.device)
+    if name not in ENGINES and name != "reference":
+        raise SarsplatError(f"engine {name!r} is unknown; choose one of auto, {', '.join(ENGINES)}, reference")
+    return name
 
 
 @cache

@@ -35,8 +35,8 @@ class Recorder(Protocol):
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
         """Record a program without running it.
 
-        Returns the tensors that it gives, and what runs it again, with other numbers in the same places. Once that is
-        forgotten, so are all tensors of the program.
+        Returns the tensors that it gives, and what runs it again, with other numbers in the same places; until another
+        program is recorded.
         """
         ...
 
@@ -46,6 +46,8 @@ class CudaRecorder:
 
     def __init__(self, launcher: Launcher) -> None:
         self.launcher, self._stream = launcher, torch.cuda.Stream(launcher.device)
+        self._latest: torch.cuda.CUDAGraph | None = None
+        self._read: list[object] = []  # by the latest
 
     def rehearse(self, program: Callable[[], T]) -> T:
         """As `Recorder.rehearse`."""
@@ -57,24 +59,21 @@ class CudaRecorder:
         return result
 
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
-        """As `Recorder.record`."""
+        """As `Recorder.record`. Programs share their memory: each is the last to be run until the next is recorded."""
         graph = torch.cuda.CUDAGraph()
+        memory = None if self._latest is None else self._latest.pool()
 
         def recorded() -> T:
-            graph.capture_begin(capture_error_mode="thread_local")
+            graph.capture_begin(pool=memory, capture_error_mode="thread_local")
             try:
                 return program()
             finally:
                 graph.capture_end()
 
-        with read_meanwhile() as things:
+        with read_meanwhile() as self._read:
             result = self.rehearse(recorded)
-
-        def again() -> None:
-            assert things is not None  # they live as long as this
-            graph.replay()
-
-        return result, again
+        self._latest = graph  # alive, so that its memory is
+        return result, graph.replay
 
 
 class Told:

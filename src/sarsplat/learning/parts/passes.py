@@ -1,7 +1,8 @@
-"""Phase screens: what atmosphere and unknown baselines add to the phases of each measured pass."""
+"""Nuisances of the passes of stacks: their noise, known or learned, and what is added to their phases."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -18,14 +19,56 @@ _TRIED = 512
 """Heights at which the mean scatterer of a stack is looked for."""
 
 
+class PassNoise(Part):
+    """Power of each pass where nothing scatters; its logarithm is learned unless the stacks say it."""
+
+    order = 60
+    section = "passes"
+
+    @property
+    def learned(self) -> dict[str, Learned]:
+        if self._known is not None:
+            return {}
+        return {"pass_noise": Learned(self._shape, (self.config.rates.nuisance,))}
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        start = torch.full(self._shape, math.log(self.settings.noise), device="cpu")
+        return dict.fromkeys(self.learned, start)
+
+    def of_passes(self, p: Parameters) -> Float[Tensor, "v passes"]:
+        """Noise power of the passes of each training image, in the model's unit."""
+        return p["pass_noise"].exp() if self._known is None else self._known
+
+    def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
+        """The mean over all passes: unseen images have no noise of their own."""
+        return images + self.of_passes(p).mean(1).mean(0)
+
+    def noise(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p"]:
+        """Noise power; for unseen images the mean over all passes, as in `images`, a single number."""
+        noise = self.of_passes(p)
+        return noise.mean().expand(1, 1) if shot.numbers is None else noise[shot.numbers]
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return len(self.frame.stacks), len(self.frame.stacks[0])
+
+    @property
+    def _known(self) -> Float[Tensor, "v passes"] | None:
+        noise = [stack.noise for stack in self.frame.stacks]
+        if None in noise:
+            return None
+        return torch.tensor(noise, dtype=torch.float64).div(self.frame.unit).float().to(self.device)
+
+
 class PhaseScreen(Part):
-    """A phase of each pass of each training image: constant, and slopes along azimuth and range.
+    """What atmosphere and unknown baselines add to the phases of each pass: a constant, and slopes over the image.
 
     All passes together do not show what grows with their baselines, which heights explain as well. Unseen images have
     none.
     """
 
     order = 50
+    section = "passes"
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
@@ -46,9 +89,7 @@ class PhaseScreen(Part):
         return {"phase_screen": start.flatten(1)}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """Prior: phases are small."""
-        assert self.config.passes is not None  # `wanted`
-        yield normal_nats(p["phase_screen"], self.config.passes.screen_std)
+        yield normal_nats(p["phase_screen"], self.settings.screen_std)
 
     def phases(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p h w"] | None:
         if shot.numbers is None:

@@ -1,4 +1,4 @@
-"""Silence of all torchrun processes but the first, so that nothing is printed twice."""
+"""How a signal ends a command, and the silence of all torchrun processes but the first: nothing is printed twice."""
 
 from __future__ import annotations
 
@@ -7,16 +7,40 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from types import FrameType
 
-from sarsplat.cli.stopped import SIGNALLED, Stopped, terminate
+SIGNALLED = 128
+"""And the signal's number: exit codes as in shells."""
 
 ABANDONED = 75
 """Exit code where another process has ended: whoever is left says so at once."""
 
 _PATIENCE_S = 5.0
 """For the first process to end, whereupon torchrun ends this one."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal that ended the work, of which the exit code tells; `text` is what it leaves, and how to go on."""
+
+    def __init__(self, number: int, text: str = "") -> None:
+        super().__init__(*([text] if text else []))
+        self.number = number
+
+
+def terminate(number: int, frame: FrameType | None) -> None:
+    """Handle SIGTERM as Ctrl-C, so that half-written output is removed."""
+    raise Stopped(number)
+
+
+@contextmanager
+def keeping(kept: Callable[[], str]) -> Iterator[None]:
+    """A signal that ends the block says what is kept."""
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        raise Stopped(getattr(interrupt, "number", signal.SIGINT), str(interrupt) or kept()) from None
 
 
 def follows() -> bool:

@@ -1,0 +1,114 @@
+"""Nuisances of measured images: each has a shift and a gain of its own, and all have a noise floor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.geometry import ImageGrid
+from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot, drawn_like, normal_nats
+
+
+class Shifts(Part):
+    """A displacement in azimuth and slant range of each training image, m: chips are cut out around targets by eye.
+
+    An unseen one is displaced as the mean of them, and its response widened by their spread; or drawn from them.
+    """
+
+    order = 30
+    section = "surroundings"
+
+    @property
+    def learned(self) -> dict[str, Learned]:
+        rate = self.config.rates.shift * self.frame.cell_m if self.settings.shift_std else 0.0
+        return {"shift": Learned((len(self.frame.views), 2), (rate,))}
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        return {"shift": torch.zeros(len(train), 2, device="cpu")}
+
+    def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
+        if self.settings.shift_std:
+            yield normal_nats(p["shift"], self.settings.shift_std * self.frame.cell_m)
+
+    def shot(self, shot: Shot, p: Parameters) -> Shot:
+        if shot.numbers is not None:
+            return replace(shot, shift=p["shift"][shot.numbers])
+        if shot.rng is not None:
+            return replace(shot, shift=drawn_like(p["shift"], len(shot.views), shot.rng))
+        widened = shot.grid.widened(*p["shift"].detach().var(dim=0, correction=0).tolist())
+        return replace(shot, grid=widened, shift=p["shift"].mean(0).expand(len(shot.views), 2))
+
+    def displaced(self, grid: ImageGrid, p: Parameters) -> ImageGrid:
+        azimuth, slant_range = p["shift"].detach().mean(0).tolist()
+        return replace(grid, center_m=(grid.center_m[0] - azimuth, grid.center_m[1] - slant_range))
+
+
+class Gains(Part):
+    """A factor on what is scattered in each training image; of mean 1, which is that of an unseen one unless drawn.
+
+    Scaled to that, the power added to an image of little gain is high.
+    """
+
+    order = 50
+    section = "surroundings"
+
+    @property
+    def learned(self) -> dict[str, Learned]:
+        rate = self.config.rates.nuisance if self.settings.gain_std else 0.0
+        return {"log_gain": Learned((len(self.frame.views),), (rate,))}
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        return {"log_gain": torch.zeros(len(train), device="cpu")}
+
+    def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
+        if self.settings.gain_std:
+            yield normal_nats(p["log_gain"], self.settings.gain_std)
+
+    def shot(self, shot: Shot, p: Parameters) -> Shot:
+        if shot.numbers is not None:
+            return shot
+        if shot.rng is not None:
+            return replace(shot, gain=drawn_like(gains(p).log(), len(shot.views), shot.rng).exp())
+        return replace(shot, additive=gains(p).reciprocal().mean())
+
+    def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
+        if shot.gain is not None:
+            return images * shot.gain[:, None, None, None]
+        if shot.numbers is None:
+            return images
+        # not by `render`, which would look at its values, and a GPU would be waited for; expanded, so that its gradient
+        # is summed column by column: to one number, torch would split it by threads
+        return images * gains(p)[shot.numbers, None, None, None].expand(-1, images.shape[1], 1, shot.grid.columns)
+
+
+def gains(p: Parameters) -> Float[Tensor, " v"]:
+    """Factors on the power of the training images, normalised to mean 1."""
+    return torch.softmax(p["log_gain"], dim=0) * len(p["log_gain"])
+
+
+class NoiseFloor(Part):
+    """The logarithm of a power that is added to every pixel."""
+
+    order = 60
+    section = "surroundings"
+
+    @property
+    def learned(self) -> dict[str, Learned]:
+        return {"noise": Learned((1,), (self.config.rates.nuisance,))}
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        return {"noise": torch.full((1,), math.log(self.settings.noise_floor), device="cpu")}
+
+    def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
+        floor = p["noise"].exp()
+        if shot.additive is not None:
+            floor = floor * shot.additive
+        power = torch.arange(images.shape[1], device=images.device) == shot.power_channel
+        # expanded, so that its gradient is summed column by column
+        return images + (floor * power.to(images)[:, None, None]).expand(-1, 1, shot.grid.columns)

@@ -1,0 +1,132 @@
+"""What records steps: in which order CUDA is asked, and what is told by the arguments of a launch."""
+
+from __future__ import annotations
+
+import weakref
+from contextlib import contextmanager
+from functools import partial
+
+import pytest
+import torch
+from emulated_cuda import Emulator
+from emulated_recorder import EmulatedRecorder
+
+from sarsplat.renderer.engines import on_device
+from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device
+from sarsplat.renderer.engines.recorder import MOST_WORDS, CudaRecorder, Told
+
+
+class Log(list):
+    """Streams and graphs that only say what they are asked."""
+
+    def stream(self, name: str) -> object:
+        log = self
+
+        class Stream:
+            def wait_stream(self, other: object) -> None:
+                log.append(f"{name} waits")
+
+        return Stream()
+
+    def graph(self) -> object:
+        log = self
+
+        class Graph:
+            def capture_begin(self, **options: object) -> None:
+                log.append(f"begin {options}")
+
+            def capture_end(self) -> None:
+                log.append("end")
+
+            def replay(self) -> None:
+                log.append("replay")
+
+            def pool(self) -> int:
+                return 7
+
+        return Graph()
+
+    @contextmanager
+    def on(self, stream: object):
+        self.append("on the own stream")
+        yield
+        self.append("back")
+
+
+@pytest.fixture
+def log(monkeypatch: pytest.MonkeyPatch) -> Log:
+    log = Log()
+    usual = log.stream("usual")
+    monkeypatch.setattr(torch.cuda, "Stream", lambda device: log.stream("own"))
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda device: usual)
+    monkeypatch.setattr(torch.cuda, "stream", log.on)
+    monkeypatch.setattr(torch.cuda, "CUDAGraph", log.graph)
+    return log
+
+
+def test_a_program_is_recorded_on_a_stream_of_its_own_and_run_on_the_usual_one(log, library):
+    recorder = CudaRecorder(Emulator(library))
+    assert recorder.rehearse(lambda: log.append("program") or 3) == 3
+    around = ["own waits", "on the own stream"], ["back", "usual waits"]
+    assert log == [*around[0], "program", *around[1]]
+    log.clear()
+    result, run = recorder.record(lambda: log.append("program") or 4)
+    begun = "begin {'pool': None, 'capture_error_mode': 'thread_local'}"
+    assert log == [*around[0], begun, "program", "end", *around[1]]
+    log.clear()
+    run()
+    assert (result, log) == (4, ["replay"])
+    recorder.record(lambda: None)
+    assert "begin {'pool': 7, 'capture_error_mode': 'thread_local'}" in log  # the memory of the one before
+
+
+def test_a_record_that_fails_is_ended(log, library):
+    def program() -> None:
+        raise NotRecordable("no")
+
+    with pytest.raises(NotRecordable):
+        CudaRecorder(Emulator(library)).record(program)
+    assert "end" in log
+
+
+def test_the_latest_record_keeps_what_it_reads_of_all_that_is_kept(log, library):
+    table = kept_on_device(maxsize=1)(lambda size: torch.arange(size))
+    recorder = CudaRecorder(Emulator(library))
+    recorder.record(lambda: [table(3)].clear())
+    read = weakref.ref(table(3))
+    table(4)  # the only one that is kept
+    assert read() is not None
+    recorder.record(lambda: None)
+    assert read() is None
+
+
+def test_what_is_told_arrives(library):
+    recorder = EmulatedRecorder(Emulator(library))
+    told = Told(recorder, {"rates": (torch.float32, 3), "chosen": (torch.int64, 2), "more": (torch.int32, 300)})
+    chosen, rates, more = (told.tensors[name] for name in ("chosen", "rates", "more"))
+    told.tell(chosen=torch.tensor([2**40, -1]), rates=torch.tensor([0.5, 1e-3, 3.0]), more=torch.arange(300))
+    assert chosen.tolist() == [2**40, -1]
+    assert torch.equal(rates, torch.tensor([0.5, 1e-3, 3.0]))
+    assert torch.equal(more, torch.arange(300).int())
+    told.tell(rates=torch.zeros(3))
+    assert (chosen.tolist(), rates.tolist()) == ([2**40, -1], [0.0, 0.0, 0.0])
+    with pytest.raises(RuntimeError):
+        Told(recorder, {"too much": (torch.int32, MOST_WORDS + 1)}).tell(**{"too much": torch.zeros(MOST_WORDS + 1)})
+
+
+def test_what_is_kept_on_a_device_is_made_once_and_never_in_a_record(monkeypatch):
+    made = []
+
+    @kept_on_device(maxsize=2)
+    def table(size: int) -> torch.Tensor:
+        made.append(size)
+        return torch.arange(size)
+
+    assert table(3) is table(3)
+    with monkeypatch.context() as patch:
+        patch.setattr(on_device, "being_recorded", lambda: True)
+        assert table(3) is table(3)
+        with pytest.raises(NotRecordable, match="table sends something to the device in every step"):
+            table(4)
+    assert made == [3]
+    assert partial(table, 4)().tolist() == [0, 1, 2, 3]
