@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sarsplat.data.evenly import even_azimuths, nearest_to
+from sarsplat.data.coverage import even_azimuths, nearest_to
 
 
 def test_a_whole_circle_is_shared_out_from_zero():

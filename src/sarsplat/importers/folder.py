@@ -13,8 +13,7 @@ from sarsplat.data.header import Calibration
 from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
-from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
-from sarsplat.importers.measured_scene import AboutImages
+from sarsplat.importers.images import AboutImages, MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.importers.quantity import likely_quantity, power_or_signal

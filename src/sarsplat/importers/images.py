@@ -7,24 +7,22 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Num, Shaped
 
-from sarsplat.data.coverage import largest_gap
+from sarsplat.data.coverage import evenly_chosen, largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
-from sarsplat.data.evenly import evenly_chosen
-from sarsplat.data.header import Calibration
+from sarsplat.data.header import Box, Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
-from sarsplat.geometry import ImageGrid, Stack, View
+from sarsplat.geometry import ImageGrid, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
-from sarsplat.importers.measured_scene import AboutImages
 from sarsplat.radiometry import to_db
 
 if TYPE_CHECKING:
@@ -51,6 +49,37 @@ _PIXELS = (8, 4096)
 
 EXAMINATIONS: WeakKeyDictionary[Dataset, Examination] = WeakKeyDictionary()
 """Of datasets that have been imported: the command line shows more of it than warnings, and need not look again."""
+
+
+class AboutScene(TypedDict, total=False):
+    """What a user knows of the scene.
+
+    Attributes
+    ----------
+    terrain : Terrain or None
+        Heights of the ground that the images show; level unless given.
+    target_box_m : pair of (x, y, z) or None
+        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Unless given, it is
+        derived from the images.
+    """
+
+    terrain: Terrain | None
+    target_box_m: Box | None
+
+
+class AboutImages(AboutScene, total=False):
+    """What a user also knows of images that come from anywhere.
+
+    Attributes
+    ----------
+    looks : float or None
+        Number of looks of the speckle, 1 unless given; None if there is none.
+    ground : bool
+        Whether the images show the ground around the target, as they do unless it is said.
+    """
+
+    looks: float | None
+    ground: bool
 
 
 @dataclass(frozen=True)

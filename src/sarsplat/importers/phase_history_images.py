@@ -18,8 +18,7 @@ from sarsplat.importers.apertures import Aperture, apertures
 from sarsplat.importers.files import each_once
 from sarsplat.importers.focus import focus
 from sarsplat.importers.histories import read_phase_history
-from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
-from sarsplat.importers.measured_scene import AboutScene
+from sarsplat.importers.images import AboutScene, MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.phase_history import FARTHEST_M, flights
 from sarsplat.progress import progress
 

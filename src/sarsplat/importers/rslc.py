@@ -22,8 +22,7 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Stack, View
-from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
-from sarsplat.importers.measured_scene import AboutImages
+from sarsplat.importers.images import AboutImages, MeasuredImage, check_sides, dataset_of, write_imported
 from sarsplat.importers.rslc_file import Rslc, read_rslc
 from sarsplat.names import CrossPolarised
 from sarsplat.radiometry import to_db

@@ -20,8 +20,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.files import each_once
-from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
-from sarsplat.importers.measured_scene import AboutImages
+from sarsplat.importers.images import AboutImages, MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel

@@ -16,8 +16,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import interpolate, taps
-from sarsplat.importers.sicd_fields import Axis
-from sarsplat.importers.sicd_file import Sicd
+from sarsplat.importers.sicd_file import Axis, Sicd
 from sarsplat.importers.sicd_geometry import Layout, middle_of
 
 _ASKEW = 0.05

@@ -24,7 +24,6 @@ from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, tracer
 from sarsplat.scenes._sparse_rays import sparse_hits
-from sarsplat.scenes._terrain import on_terrain
 from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity, check_terrain
 
 if TYPE_CHECKING:
@@ -34,6 +33,8 @@ _OFFSETS = (0.5, 0.5), (0.0, 0.0)
 _FAINTEST = 1e-3  # of the brightest pixel, where the error of the rays is measured
 _NO_TARGET = -1.0  # reflectivity of terrain: no patch is both
 _RAYS_PER_RESOLUTION, _RAYS_PER_MESH = 15.0, 100.0  # across a resolution cell, and along the mesh
+
+_STEEPEST_DEG = 85.0  # grazing angle of views whose images are to be full of ground
 
 
 @checks_arguments
@@ -250,3 +251,19 @@ def check_rays(
         raise SarsplatError(f"ray_spacing {ray_spacing} must be positive and finite, in metres")
     if not np.isfinite(ray_offset).all():
         raise SarsplatError(f"ray_offset {ray_offset} must be two finite numbers, in ray spacings")
+
+
+def on_terrain(mesh: trimesh.Trimesh, terrain: Terrain, grid: ImageGrid) -> trimesh.Trimesh:
+    """The mesh and, after its faces, two for each square of the terrain, level beyond its end."""
+    import trimesh
+
+    sides = (grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
+    reach = (math.hypot(*sides) + math.hypot(*grid.center_m)) / math.cos(math.radians(_STEEPEST_DEG))
+    places = terrain.padded(reach)
+    rows, columns = places.shape[:2]
+    at = np.arange(rows * columns).reshape(rows, columns) + len(mesh.vertices)
+    corner, right, up, both = (part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]))
+    faces = np.concatenate([np.column_stack(three) for three in ((corner, right, both), (corner, both, up))])
+    return trimesh.Trimesh(
+        np.concatenate([mesh.vertices, places.reshape(-1, 3)]), np.concatenate([mesh.faces, faces]), process=False
+    )

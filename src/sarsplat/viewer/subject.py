@@ -17,7 +17,7 @@ from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mes
 from sarsplat.radar.iso_range import contributions
 from sarsplat.regions.target_region import target_region
 from sarsplat.report.interferogram import Interferogram, Pair
-from sarsplat.scenes.mesh_files import read_mesh
+from sarsplat.scenes.meshes import read_mesh
 
 if TYPE_CHECKING:
     import trimesh
