@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -281,6 +282,15 @@ def test_angles_in_radians_are_said_once(tmp_path, capsys):
     assert shown.err.count("error:") == 1
     assert "warning:" not in shown.err
     assert "with 1 contradiction" in shown.out
+
+
+def test_every_import_in_one_process_says_what_contradicts_it(tmp_path):
+    folder = write_pictures(tmp_path / "in", POWER, [[f"{k}.npy", 1.5 * k, 0.52] for k in range(4)])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")  # says a sentence once
+        for _ in range(2):
+            import_pictures(folder)
+    assert ["radians" in str(one.message) for one in caught] == [True] * 2
 
 
 def test_warnings_of_an_import_that_fails_are_said(tmp_path, capsys):

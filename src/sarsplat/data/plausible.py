@@ -87,8 +87,10 @@ def suspicious_angles(views: Sequence[View]) -> list[str]:
     return [f"the {names} look like radians; if they are, multiply them by 57.2958 to get degrees"]
 
 
-def warn(texts: Iterable[str]) -> None:
-    """Issue each sentence as a `SarsplatWarning`, but do not repeat the last ones."""
+def warn(texts: Iterable[str], *, anew: bool = False) -> None:
+    """Issue each sentence as a `SarsplatWarning`, but do not repeat the last ones unless `anew`: of other data."""
+    if anew:
+        globals().get("__warningregistry__", {}).clear()
     for text in texts:
         warnings.warn(text, SarsplatWarning, stacklevel=1)  # one place, so that Python knows repetitions
 

@@ -39,6 +39,10 @@ _LEAST_PIXEL = 0.5
 
 _DECIBELS = "--quantity db, with --scale and --offset for decibels in 8 bits"
 
+_EVERY = ("quantity", "looks")
+_OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "phase-history": ()}
+"""Which of them an import has that lacks some, by the kind of the dataset's `source`."""
+
 
 def examine_units(dataset: Dataset, examined: Examination) -> None:
     """Add contradictions in unit, looks and resolution, given a dataset with near range on top."""
@@ -65,9 +69,22 @@ def _plausible_range(dataset: Dataset, examined: Examination) -> bool:
     examined.checks["unit"] = f"brightest pixels are {range_db:.0f} dB above the ground"
     examined.contradictions.append(
         f"brightest pixels are {range_db:.0f} dB above the ground, more than any radar image has, so the values are no "
-        "decibels, or scaled ones; import with --quantity amplitude, or with the --scale and --offset of the decibels"
+        "decibels, or scaled ones; "
+        + _remedy(
+            dataset, quantity="import with --quantity amplitude, or with the --scale and --offset of the decibels"
+        )
     )
     return False
+
+
+def _options(dataset: Dataset) -> tuple[str, ...]:
+    return _OPTIONS.get(str(dataset.source.get("kind")), _EVERY)
+
+
+def _remedy(dataset: Dataset, **by_option: str) -> str:
+    """What to do, as far as the import of the dataset has the options that this takes."""
+    named = [text for option, text in by_option.items() if option in _options(dataset)]
+    return ", or ".join(named) or "mend the files, for their import has no option that does"
 
 
 def _speckle(dataset: Dataset, examined: Examination) -> None:
@@ -86,7 +103,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
         if ground.contrast > _SPECKLED:
             examined.contradictions.append(
                 f"the {measured}, as of speckle with {1 / ground.contrast**2:.1f} looks, but the dataset states no "
-                "speckle; give the number of looks (--looks)"
+                f"speckle; {_remedy(dataset, looks='give the number of looks (--looks)')}"
             )
             examined.checks["resolution"] = "cannot be determined from speckle of unknown looks"
         return
@@ -97,22 +114,35 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
     if Evidence(ground.skewness).against(_LEAST_SKEWNESS):
         wrong = (
             f"more of the ground is dark than bright (skewness {ground.skewness.mean():.2f}), as in decibels, not in "
-            f"power or amplitude; import with {_DECIBELS}"
+            f"power or amplitude; {_remedy(dataset, quantity=f'import with {_DECIBELS}')}"
         )
     elif ground.contrast < of_amplitude**1.5 / of_power**0.5:
         wrong = (
             f"the {measured}, but speckle of {stated} has {of_power:.2f}, so the images are smoother than stated; "
-            f"give their number of looks (--looks), or 0 if there is no speckle, or {_DECIBELS}, if they hold these"
+            + _remedy(
+                dataset,
+                looks="give their number of looks (--looks), or 0 if there is no speckle",
+                quantity=f"{_DECIBELS}, if they hold these",
+            )
         )
     elif ground.contrast < (of_power * of_amplitude) ** 0.5:
         wrong = (
             f"the {measured}, as of amplitude with {stated} ({of_amplitude:.2f}), not of power ({of_power:.2f}); "
-            "square the values (--quantity amplitude), or give another number of looks (--looks) if they are power"
+            + _remedy(
+                dataset,
+                quantity="square the values (--quantity amplitude)",
+                looks="give another number of looks (--looks) if they are power",
+            )
         )
     elif ground.contrast > of_power**1.5 / of_amplitude**0.5:
         wrong = (
-            f"the {measured}, but power of {stated} has {of_power:.2f}; take the root of the values (--quantity power) "
-            f"if they were squared twice, or give another number of looks (--looks), or {_DECIBELS}"
+            f"the {measured}, but power of {stated} has {of_power:.2f}; "
+            + _remedy(
+                dataset,
+                quantity="take the root of the values (--quantity power) if they were squared twice",
+                looks="give another number of looks (--looks)",
+            )
+            + f", or {_DECIBELS}" * ("quantity" in _options(dataset))
         )
     if wrong:
         examined.contradictions.append(wrong)
@@ -139,9 +169,10 @@ def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by:
         blurred = by == "structure" and width > stated  # by the pixels, as speckle is not
         ratio = width / (max(stated, spacing) if blurred else stated)
         if not low_high[0] <= ratio <= low_high[1]:
+            options = " (--resolution, --spacing)" * ("quantity" in _options(dataset))  # which go together
             examined.contradictions.append(
                 f"{how} of a resolution of {width:.2g} m in {name}, but {stated:.3g} m is stated, with pixels of "
-                f"{spacing:.3g} m; correct the resolution or the pixel spacing in {name} (--resolution, --spacing)"
+                f"{spacing:.3g} m; correct the resolution or the pixel spacing in {name}{options}"
             )
     if measured:
         examined.checks["resolution"] = f"{how} of {' and '.join(measured)}"

@@ -13,10 +13,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Num, Shaped
 
+from sarsplat.arguments import checks_arguments, expect
 from sarsplat.data.coverage import evenly_chosen, largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
-from sarsplat.data.header import Box, Calibration
+from sarsplat.data.header import Box, Calibration, Pair
 from sarsplat.data.image import power_of
 from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
@@ -107,6 +108,11 @@ class MeasuredImage:
         Shape of the power response; Gaussian if unknown.
     stack : Stack or None
         The channels, if there are several.
+
+    Raises
+    ------
+    SarsplatError
+        If one of them is of another kind, or the pixels are no image.
     """
 
     name: str
@@ -119,6 +125,26 @@ class MeasuredImage:
     split: str | None = None
     response: Response = GAUSSIAN
     stack: Stack | None = None
+
+    def __post_init__(self) -> None:
+        expect(str, name=self.name)
+        expect(np.ndarray, pixels=self.pixels)
+        expect(View, view=self.view)
+        expect(Pair, spacing_m=self.spacing_m, resolution_m=self.resolution_m, center_m=self.center_m)
+        expect(float, azimuth_std_deg=self.azimuth_std_deg)
+        expect(str | None, split=self.split)
+        expect(Response, response=self.response)
+        expect(Stack | None, stack=self.stack)
+        kinds, sides = ("fc", 2) if self.stack is None else ("c", 3)
+        if self.pixels.dtype.kind not in kinds or self.pixels.ndim != sides:
+            raise SarsplatError(
+                f"{self.name} holds {self.pixels.dtype} of shape {self.pixels.shape}; give "
+                + (
+                    "complex amplitudes, or power as float32, in rows and columns"
+                    if sides == 2
+                    else "a stack's channels"
+                )
+            )
 
     @property
     def grid(self) -> ImageGrid:
@@ -135,6 +161,7 @@ def view_of(name: str, azimuth_deg: float, grazing_deg: float) -> View:
         raise SarsplatError(f"{name}: {error}") from error
 
 
+@checks_arguments
 def dataset_of(
     images: Sequence[MeasuredImage],
     *,
@@ -238,7 +265,7 @@ def write_imported(out: str | Path, dataset: Dataset, *, overwrite: bool) -> Dat
         dataset = replace(dataset, source={**dataset.source, "contradictions": wrong})
     dataset = write_dataset(out, dataset, overwrite=overwrite)
     EXAMINATIONS[dataset] = examined
-    warn([*wrong, *(odd for odd in suspicions(dataset) if odd not in wrong)])
+    warn([*wrong, *(odd for odd in suspicions(dataset) if odd not in wrong)], anew=True)
     return dataset
 
 
@@ -255,7 +282,7 @@ def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> Non
 def assume(assumptions: list[str], text: str) -> None:
     """Add an assumption that is worth a warning."""
     assumptions.append(text)
-    warnings.warn(text, AssumptionWarning, stacklevel=4)
+    warnings.warn(text, AssumptionWarning, stacklevel=5)
 
 
 def summary(dataset: Dataset) -> str:
