@@ -16,9 +16,9 @@ from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
 from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.data.orientation import SIDES, Layout, oriented
-from sarsplat.examination.clutter import contrast_of
 from sarsplat.examination.contradictions import examine
 from sarsplat.examination.running_numbers import counting
+from sarsplat.examination.units import contrast_of
 from sarsplat.geometry import ImageGrid, View
 
 trimesh = pytest.importorskip("trimesh")

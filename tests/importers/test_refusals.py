@@ -31,8 +31,7 @@ from refusals import Do, Refusals, check_refused
 from sample_files import write_sample
 from sarsplat.geometry import View
 from sarsplat.importers import MeasuredImage, dataset_of, import_phase_history, import_sample, read_phoenix
-from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import likely_quantity, power_or_signal
+from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
 
 # ---- pictures and a table ----
 

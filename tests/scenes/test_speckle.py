@@ -8,7 +8,7 @@ import pytest
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
 from sarsplat.scenes import mstar_grid
-from sarsplat.scenes.speckle import ResponseSpeckle, white_speckle
+from sarsplat.scenes.scattering import ResponseSpeckle, white_speckle
 
 GRID = ImageGrid(96, 128, (0.2, 0.25), (0.32, 0.3), response=TAYLOR)
 

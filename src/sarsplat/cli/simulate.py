@@ -170,8 +170,7 @@ def simulate(
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import is_larger, scaled, suspicious_size
-    from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db
-    from sarsplat.scenes.raycast_masks import raycast_masks
+    from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db, raycast_masks
     from sarsplat.scenes.scattering import check_terrain, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
 

@@ -15,8 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.importers.images import AboutImages, MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
-from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import likely_quantity, power_or_signal
+from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
 from sarsplat.names import Quantity, Side, Transmit
 

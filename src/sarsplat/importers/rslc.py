@@ -23,11 +23,11 @@ from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Stack, View
 from sarsplat.importers.images import AboutImages, MeasuredImage, check_sides, dataset_of, write_imported
+from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.rslc_file import Rslc, read_rslc
 from sarsplat.names import CrossPolarised
 from sarsplat.radiometry import to_db
 
-_LIGHT_M_S = 299_792_458.0
 _UNWEIGHTED = 0.886
 """Width of a response at half power, for a band of 1 without weights."""
 
@@ -108,7 +108,7 @@ def import_rslc(
         spacing,
         widths,
         center_m=(middle[0] * spacing[0] * (1 if rslc.look == "right" else -1), middle[1] * spacing[1]),
-        stack=Stack(_LIGHT_M_S / rslc.frequency_hz, (0.0,) * len(names), polarisations=names),
+        stack=Stack(SPEED_OF_LIGHT / rslc.frequency_hz, (0.0,) * len(names), polarisations=names),
     )
     source: dict[str, Any] = {
         "kind": "rslc",
@@ -212,6 +212,6 @@ def _resolution(
 ) -> tuple[tuple[float, float], bool]:
     """3 dB widths (azimuth, range), m, and whether the file states a wider band than its pixels can hold."""
     speed = _geolocated(rslc, spot, height_m)[2]
-    stated = speed / rslc.bandwidths_hz[0], _LIGHT_M_S / (2 * rslc.bandwidths_hz[1])
+    stated = speed / rslc.bandwidths_hz[0], SPEED_OF_LIGHT / (2 * rslc.bandwidths_hz[1])
     azimuth, away = np.maximum(stated, spacing)
     return (_UNWEIGHTED * float(azimuth), _UNWEIGHTED * float(away)), (azimuth, away) != stated

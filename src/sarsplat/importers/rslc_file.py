@@ -19,7 +19,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.importers.needed import require
-from sarsplat.importers.quantity import power_or_signal
+from sarsplat.importers.pictures import power_or_signal
 
 if TYPE_CHECKING:
     import h5py
