@@ -165,7 +165,7 @@ def simulate(
     from sarsplat.data import Dataset
     from sarsplat.data.dataset_folder import HEADER
     from sarsplat.data.masks import pillow
-    from sarsplat.data.plausible import warn
+    from sarsplat.examination.plausible import warn
     from sarsplat.geometry.responses import response_of
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
@@ -299,7 +299,7 @@ def _entries(views: list[tuple[View, str]], stack: Stack | None = None) -> tuple
 def _finish(out: Path, dataset: Dataset, surface: trimesh.Trimesh, masks: np.ndarray | None, overwrite: bool) -> None:
     """Write the dataset, and print warnings, a summary and the next command."""
     from sarsplat.data import write_dataset
-    from sarsplat.data.plausible import suspicions, warn
+    from sarsplat.examination.plausible import suspicions, warn
     from sarsplat.regions.target_region import box_misses
 
     dataset, grid = write_dataset(out, dataset, truth_mesh=surface, masks=masks, overwrite=overwrite), dataset.grid

@@ -19,8 +19,8 @@ from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
 from sarsplat.data.header import Box, Calibration, Pair
 from sarsplat.data.image import power_of
-from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
+from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
@@ -234,7 +234,12 @@ def dataset_of(
             )
         with np.errstate(over="ignore"):  # what is brighter than float32 holds is refused by the dataset
             pixels /= np.sqrt(scale, dtype=np.float32) if pixels.dtype.kind == "c" else np.float32(scale)
-        images = [replace(image, stack=_in_units(image.stack, scale)) for image in images]
+        images = [
+            replace(image, stack=replace(image.stack, noise=tuple(noise / scale for noise in image.stack.noise)))
+            if image.stack and image.stack.noise
+            else image
+            for image in images
+        ]
         source = {**source, "mean_power": scale}
     entries = tuple(
         DatasetEntry(image.view, image.split or "train", image.name, image.azimuth_std_deg, image.stack)
@@ -343,22 +348,14 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
     if any(grid.response != response for grid in grids):
         assume(assumptions, "responses differ in their shape, which is taken for that of a Gaussian")
         response = GAUSSIAN
-    low = np.max([_edges(grid)[0] for grid in grids], axis=0)
-    high = np.min([_edges(grid)[1] for grid in grids], axis=0)
+    low = np.max([(grid.azimuth_m[0], grid.range_m[0]) for grid in grids], axis=0)
+    high = np.min([(grid.azimuth_m[-1], grid.range_m[-1]) for grid in grids], axis=0)
     columns, rows = np.floor((high - low) / finest + _SAME_PLACE).astype(int) + 1
     if min(rows, columns) < 1:
         raise SarsplatError("the images have no part in common; give images around one spot")
     if len({(grid.rows, grid.columns) for grid in grids}) > 1 or (rows, columns) < (grids[0].rows, grids[0].columns):
         assume(assumptions, f"all images are cut to what they have in common, {rows} × {columns} pixels")
     return ImageGrid(int(rows), int(columns), tuple(finest), tuple(typical), tuple((low + high) / 2), response)
-
-
-def _edges(grid: ImageGrid) -> tuple[np.ndarray, np.ndarray]:
-    """The centres of the first and of the last pixel (azimuth, range), m."""
-    return (
-        np.array([grid.azimuth_m[0], grid.range_m[0]]),
-        np.array([grid.azimuth_m[-1], grid.range_m[-1]]),
-    )
 
 
 def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "*channels {grid.rows} {grid.columns}"]:
@@ -394,13 +391,6 @@ def _refuse_other_channels(images: Sequence[MeasuredImage]) -> None:
                 f"{first[0]} has {counted(first[1], 'channel')} and {name} has {channels} (0: no stack); give all "
                 "views the same number, or import those with others by themselves"
             )
-
-
-def _in_units(stack: Stack | None, scale: float) -> Stack | None:
-    """The stack when power is divided by `scale`."""
-    if stack is None or stack.noise is None:
-        return stack
-    return replace(stack, noise=tuple(noise / scale for noise in stack.noise))
 
 
 def _metres(pair: np.ndarray) -> str:

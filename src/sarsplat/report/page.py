@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from sarsplat.colours import DARK, LIGHT, PREDICTED, RADAR, TRUE
 from sarsplat.data import Dataset
-from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
 from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, all_metrics, paper_beside
+from sarsplat.examination.plausible import weakest_direction
 from sarsplat.report.figure import Figure
 from sarsplat.report.scores import Row, ScoreTable, score_tables
 from sarsplat.report.widget import Widget

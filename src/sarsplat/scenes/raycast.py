@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Float64, Int32, Real, UInt8
@@ -89,18 +89,11 @@ def simulate_raycast(
     SarsplatError
         If the mesh has no faces or is not finite, or a setting is out of range.
     """
-    caster = RayCaster(
-        mesh,
-        grid,
-        law,
-        reflectivity=reflectivity,
-        ground_gamma0=ground_gamma0,
-        terrain=terrain,
-        ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
-        ray_offset=ray_offset,
-        oversample=oversample,
+    spacing = default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing
+    known: dict[str, Any] = {"reflectivity": reflectivity, "ground_gamma0": ground_gamma0, "terrain": terrain}
+    return RayCaster(mesh, grid, law, **known, ray_spacing=spacing, ray_offset=ray_offset, oversample=oversample).image(
+        view
     )
-    return caster.image(view)
 
 
 class RayCaster:
@@ -199,29 +192,14 @@ def ray_error_db(
     view: View,
     grid: ImageGrid,
     law: ScatteringLaw,
-    *,
-    reflectivity: Float64[np.ndarray, " faces"] | None,
-    ground_gamma0: float | None,
-    terrain: Terrain | None,
-    ray_spacing: float,
+    **settings: Any,
 ) -> float | None:
     """Error of an image by its rays: RMS, in dB, over pixels within 30 dB of the brightest; None if it is empty.
 
-    Estimated from two images with other rays of the same spacing, each of which has this error.
+    Estimated from two images with other rays of the same spacing, each of which has this error; `settings` are those of
+    the `RayCaster`.
     """
-    casters = [
-        RayCaster(
-            mesh,
-            grid,
-            law,
-            reflectivity=reflectivity,
-            ground_gamma0=ground_gamma0,
-            terrain=terrain,
-            ray_spacing=ray_spacing,
-            ray_offset=offset,
-        )
-        for offset in _OFFSETS
-    ]
+    casters = [RayCaster(mesh, grid, law, **settings, ray_offset=offset) for offset in _OFFSETS]
     first, second = in_order(lambda caster, report: caster.image(view, report), casters)
     seen = np.minimum(first, second) > _FAINTEST * max(first.max(), second.max())
     if not seen.any():

@@ -11,8 +11,8 @@ import pytest
 
 from datasets import dataset_of
 from sarsplat.data import Dataset
-from sarsplat.data.plausible import suspicions, suspicious_angles, warn
 from sarsplat.errors import SarsplatWarning
+from sarsplat.examination.plausible import suspicions, suspicious_angles, warn
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.scenes import mstar_views, paper_views
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sarsplat.data.determined import weak_directions, weakest_direction
+from sarsplat.examination.plausible import weak_directions, weakest_direction
 from sarsplat.geometry import View
 from sarsplat.scenes import mstar_views, paper_views
 
