@@ -1,4 +1,4 @@
-"""Speckle through the response: of power 1, exponential, and as alike in neighbours as the window says."""
+"""Laws of scattering, and speckle through the response: of power 1, exponential, and as alike as the window says."""
 
 from __future__ import annotations
 
@@ -7,8 +7,44 @@ import pytest
 
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
-from sarsplat.scenes import mstar_grid
-from sarsplat.scenes.scattering import ResponseSpeckle, white_speckle
+from sarsplat.scenes import ScatteringLaw
+from sarsplat.scenes.scattering import ResponseSpeckle, part_reflectivity, white_speckle
+
+trimesh = pytest.importorskip("trimesh")
+
+
+@pytest.mark.parametrize(
+    ("law", "expected"),
+    [
+        (ScatteringLaw(0.1, 0.9), [1.0, 1.0, 0.325, 0.325, 0.1]),  # two-sided
+        (ScatteringLaw(0.3, 0.0), [0.3] * 5),
+        (ScatteringLaw(0.0, 2.0, 1.0), [2.0, 2.0, 1.0, 1.0, 0.0]),  # Lambert: σ⁰ = γ⁰·cos i ∝ cos²i
+        (ScatteringLaw(0.1, 2.56, 8), [2.66, 2.66, 0.11, 0.11, 0.1]),
+    ],
+)
+def test_law_is_floor_plus_lobe(law, expected):
+    np.testing.assert_allclose(law.gamma0(np.array([1.0, -1.0, 0.5, -0.5, 0.0])), expected)
+
+
+def test_law_can_be_recorded_and_restored():
+    law = ScatteringLaw(0.02, 3.0, 5.0)
+    assert law.as_dict() == {"floor": 0.02, "lobe": 3.0, "exponent": 5.0}
+    assert ScatteringLaw(**law.as_dict()) == law
+    assert ScatteringLaw(**{"floor": 0.1, "lobe": 0.9}) == ScatteringLaw(0.1, 0.9, 2.0)  # an old record
+
+
+def test_the_parts_of_a_mesh_differ_in_reflectivity():
+    parts = [trimesh.creation.box((1, 1, 1)).apply_translation((2 * k, 0, 0)) for k in range(300)]
+    mesh = trimesh.util.concatenate(parts)
+    mesh.unmerge_vertices()  # as an STL file has them
+    factors = part_reflectivity(mesh, 3.0, seed=1).reshape(300, 12)
+    assert (factors == factors[:, :1]).all()
+    decibels = 10 * np.log10(factors[:, 0])
+    assert decibels.std() == pytest.approx(3.0, rel=0.1)
+    assert decibels.mean() == pytest.approx(0.0, abs=0.5)
+    assert (part_reflectivity(mesh, 3.0, seed=2) != factors.ravel()).all()
+    assert (part_reflectivity(mesh, 0.0, seed=1) == 1.0).all()
+
 
 GRID = ImageGrid(96, 128, (0.2, 0.25), (0.32, 0.3), response=TAYLOR)
 
@@ -52,10 +88,3 @@ def test_white_speckle_is_white() -> None:
     assert power.mean() == pytest.approx(1, abs=0.02)
     assert abs(lag(power, 0)) < 0.02
     assert abs(lag(power, 1)) < 0.02
-
-
-def test_of_measured_chips() -> None:
-    """The public chips show .60 and .63, of which JPEG compression makes a part."""
-    grid = mstar_grid()
-    found = [expected(spacing, width) for spacing, width in zip(grid.spacing_m, grid.resolution_m, strict=True)]
-    assert found == pytest.approx([0.52, 0.48], abs=0.02)
