@@ -47,38 +47,26 @@ _PIXELS = 256
 
 @dataclass(frozen=True)
 class Orientation:
-    """What images say of their orientation.
-
-    Attributes
-    ----------
-    near : {"top", "right", "bottom", "left"} or None
-        The side that is near the radar; None if they do not tell.
-    shadow : SideEvidence
-        Decibels by which it is darker than the ground beyond what is bright; of no images if they show no ground.
-    edge : SideEvidence
-        Skewness of the target's amplitude away from each side.
-    layover : SideEvidence
-        Correlation of neighbouring images if what is bright is displaced to that side.
-    correlation : dict of str to (float, float)
-        Side that is near → mean correlation of neighbouring images, with azimuths as given and in the opposite sense.
-        Empty if there are no such images.
-    sense : Evidence
-        By how much that is higher with azimuths as given.
-    grazing : Evidence
-        By how much it is higher with grazing angles as given than with 90° less them.
-    spread : Evidence
-        By how much it is higher, in either sense, if azimuths that only count images are spread all round; of no
-        images if they do not.
-    """
+    """What images say of their orientation."""
 
     near: Side | None
+    """The side that is near the radar; None if they do not tell."""
     shadow: SideEvidence
+    """Decibels by which it is darker than the ground beyond what is bright; of no images if they show no ground."""
     edge: SideEvidence
+    """Skewness of the target's amplitude away from each side."""
     layover: SideEvidence
+    """Correlation of neighbouring images if what is bright is displaced to that side."""
     correlation: dict[Side, tuple[float, float]]
+    """Side that is near → mean correlation of neighbouring images, with azimuths as given and in the opposite sense.
+    Empty if there are no such images."""
     sense: Evidence
+    """By how much that is higher with azimuths as given."""
     grazing: Evidence
+    """By how much it is higher with grazing angles as given than with 90° less them."""
     spread: Evidence
+    """By how much it is higher, in either sense, if azimuths that only count images are spread all round; of no images
+    if they do not."""
 
     @property
     def by_shadow(self) -> bool:
@@ -112,20 +100,10 @@ def orientation(
     centred: bool = False,
     spread: Sequence[View] | None = None,
 ) -> Orientation:
-    """What images say of their orientation.
+    """What images (β⁰, linear power) say of their orientation.
 
-    Parameters
-    ----------
-    power : numpy.ndarray [V, rows, columns]
-        β⁰, linear power.
-    views, grid
-        Where they are said to be taken from, and where their pixels lie.
-    ground : bool
-        Whether they show ground around the target.
-    centred : bool
-        Whether the world's origin surely lies where the grid says, so that layover alone tells which side is near.
-    spread : sequence of View, optional
-        Where they may be taken from instead, if their azimuths only count them.
+    `centred` is whether the world's origin surely lies where the grid says, so that layover alone tells which side is
+    near; `spread` is where they may be taken from instead of `views`, if their azimuths only count them.
     """
     levels = levels_db(power, grid, ground)
     shadow = shadow_sides(levels if ground else levels[:0])
@@ -200,12 +178,7 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"]) -> SideEvidence:
     """For each side as near range: how much darker than the ground it is behind the bright target, dB.
 
     Beyond is the quadrant around the direction away from that side, as far as half the shorter side of the images. All
-    distances count the same, and bright pixels by their decibels.
-
-    Parameters
-    ----------
-    levels : numpy.ndarray, float64 [V, rows, columns]
-        Decibels above the ground, of images that show it.
+    distances count the same, and bright pixels by their decibels; `levels` are decibels above the ground.
     """
     step = math.ceil(max(levels.shape[1:]) / _PIXELS)
     rows, columns = (pixels // step for pixels in levels.shape[1:])
@@ -234,14 +207,8 @@ def _coarse(image: Float64[np.ndarray, "rows columns"], step: int) -> Float64[np
 def edge_sides(levels: Float64[np.ndarray, "v rows columns"], outlines: Sequence[Outline]) -> SideEvidence:
     """Skewness of the target's amplitude, summed over lines along each side, away from it.
 
-    It is positive if the target has a bright edge on that side, and a long tail beyond it.
-
-    Parameters
-    ----------
-    levels : numpy.ndarray, float64 [V, rows, columns]
-        Decibels above the ground, or above what counts as nothing.
-    outlines : sequence of Outline
-        Of the same images.
+    It is positive if the target has a bright edge on that side, and a long tail beyond it; `levels` are decibels above
+    the ground, or above what counts as nothing.
     """
     targets = np.array([outline.target for outline in outlines])
     amplitude = np.where(targets, 10 ** (levels / 20), 0.0)

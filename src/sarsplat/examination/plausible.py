@@ -42,21 +42,12 @@ _GRAZINGS = (15.0, 30.0, 45.0, 60.0, 75.0)  # degrees: what may be proposed
 
 
 def suspicions(dataset: Dataset) -> list[str]:
-    """Warnings about the views and images of a dataset, one sentence each.
+    """Warnings about a dataset's views and images: what is odd, and what to do if it is not meant, a sentence each.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Its views and images are looked at.
-
-    Returns
-    -------
-    list of str
-        One sentence each: what is odd, and what to do if it is not meant. Angles that look like radians; one training
-        view, views that are all the same, that leave out more than half of the circle or do not determine positions
-        along some direction; stacks with baselines that tell no heights, or with more noise than power; images that
-        are constant or all the same; test images that are training images; zeros in measured power; terrain smaller
-        than what images show. Empty if nothing is odd.
+    Angles that look like radians; one training view, views that are all the same, that leave out more than half of the
+    circle or do not determine positions along some direction; stacks with baselines that tell no heights, or with more
+    noise than power; images that are constant or all the same; test images that are training images; zeros in measured
+    power; terrain smaller than what images show. Empty if nothing is odd.
     """
     train = dataset.select("train")
     odd = suspicious_angles(train.views)  # of angles in another unit, nothing else follows
@@ -261,19 +252,13 @@ def _tested_on_training(dataset: Dataset) -> list[str]:
 
 @dataclass(frozen=True)
 class WeakestDirection:
-    """The direction along which the views determine positions worst, and by how much.
-
-    Attributes
-    ----------
-    conditioning : float
-        How many times less well a position is determined there than within an image: the inverse root of the smallest
-        eigenvalue, averaged over the sides of the target that are seen; infinite if not at all.
-    above_horizon_deg : float
-        The direction's angle above the horizon, degrees; of the side for which it is weakest.
-    """
+    """The direction along which the views determine positions worst, and by how much."""
 
     conditioning: float
+    """How many times less well a position is determined there than within an image: the inverse root of the smallest
+    eigenvalue, averaged over the sides of the target that are seen; infinite if not at all."""
     above_horizon_deg: float
+    """The direction's angle above the horizon; of the side for which it is weakest."""
 
     @property
     def uncertain(self) -> bool:

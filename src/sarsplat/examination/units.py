@@ -207,25 +207,17 @@ def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by:
 
 @dataclass(frozen=True)
 class Clutter:
-    """What blocks of ground look like, away from target and shadow.
-
-    Attributes
-    ----------
-    contrast : float
-        Standard deviation over mean, the median of all blocks.
-    skewness : numpy.ndarray, float64 [blocks]
-        Of each block's amplitude: positive for speckle, negative if decibels were read as power or amplitude.
-    values : float
-        Number of different values in a block, the median of all: few if pixels are quantised coarsely.
-    width_m : (float or None, float or None)
-        3 dB width in azimuth and slant range of the response that correlates neighbouring pixels of speckle so much;
-        None if they hardly do.
-    """
+    """What blocks of ground look like, away from target and shadow."""
 
     contrast: float
+    """Standard deviation over mean, the median of all blocks."""
     skewness: Float64[np.ndarray, " blocks"]
+    """Of each block's amplitude: positive for speckle, negative if decibels were read as power or amplitude."""
     values: float
+    """Number of different values in a block, the median of all: few if pixels are quantised coarsely."""
     width_m: tuple[float | None, float | None]
+    """3 dB width in azimuth and slant range of the response that correlates neighbouring pixels of speckle so much;
+    None if they hardly do."""
 
 
 def clutter(
@@ -234,17 +226,7 @@ def clutter(
     outlines: Sequence[Outline],
     grid: ImageGrid,
 ) -> Clutter | None:
-    """Statistics of the ground around the target; None if too little of it is seen.
-
-    Parameters
-    ----------
-    power, levels : numpy.ndarray [V, rows, columns]
-        Linear power, and decibels above the ground.
-    outlines : sequence of Outline
-        Target and shadow of the same images.
-    grid : ImageGrid
-        Where the pixels lie.
-    """
+    """Statistics of the ground around the target, given decibels above it; None if too little of it is seen."""
     across, along = (
         max(_SMALLEST_BLOCK, min(math.ceil(_CELLS_PER_BLOCK * width / spacing), pixels // _BLOCKS_PER_SIDE))
         for width, spacing, pixels in zip(grid.resolution_m, grid.spacing_m, (grid.columns, grid.rows), strict=True)

@@ -37,12 +37,8 @@ WIDEST_DEG = 60.0
 class PhaseHistory:
     """Pulses of one flight, in its order.
 
-    A scatterer of amplitude A at p contributes A·exp(−4πj f/c·(|antenna − p| − reference)) to a sample.
-
-    Raises
-    ------
-    SarsplatError
-        If sizes do not fit one another, frequencies are not as required, or a number is not finite or absurdly large.
+    A scatterer of amplitude A at p contributes A·exp(−4πj f/c·(|antenna − p| − reference)) to a sample. Refused if
+    sizes do not fit one another, frequencies are not as required, or a number is not finite or absurdly large.
     """
 
     name: str
@@ -131,12 +127,8 @@ class PhaseHistory:
 def flights(histories: Sequence[PhaseHistory]) -> list[PhaseHistory]:
     """Whole flights, joined from pieces in any order: a piece that begins where another ends continues it.
 
-    The gap between them may be three steps from pulse to pulse; the frequencies must be the same on both sides.
-
-    Raises
-    ------
-    SarsplatError
-        If pieces are of different bands, whose images show a target differently.
+    The gap between them may be three steps from pulse to pulse; the frequencies must be the same on both sides. Refused
+    if pieces are of different bands, whose images show a target differently.
     """
     waiting = [*histories]
     _require_one_band(histories)
@@ -238,12 +230,8 @@ def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_
 
     Each has `width_deg` of azimuth; what is left over is divided between both ends and not used. Without a width, the
     parts are equal and about as wide as makes the azimuth resolution that of slant range; a shorter flight is one part.
-
-    Raises
-    ------
-    SarsplatError
-        If the width is out of range or more than there is, the azimuth turns back during the flight, or the radar is
-        not above the place.
+    Refused if the width is out of range or more than there is, the azimuth turns back during the flight, or the radar
+    is not above the place.
     """
     directions = _unit(history.antenna_m - around_m)
     azimuth = np.unwrap(np.arctan2(-directions[:, 1], directions[:, 0]))

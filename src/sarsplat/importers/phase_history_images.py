@@ -197,12 +197,8 @@ def focus(
     A scatterer of amplitude A on the ground has A as its peak. Pixels are focused on the places of the ground, at the
     height of the aperture's place, that the radar frame maps to them, so that what stands there is where `View.look`
     says, without wavefront curvature. The carrier's phase, 4π f/c times slant range, is taken out, so that the spectrum
-    is around zero.
-
-    Raises
-    ------
-    SarsplatError
-        If the grid reaches beyond what the frequencies or the pulses show unambiguously, or finufft is not installed.
+    is around zero. Refused if the grid reaches beyond what the frequencies or the pulses show unambiguously, or finufft
+    is not installed.
     """
     require("finufft", "phase history needs", "phase-history")
     import finufft

@@ -34,13 +34,8 @@ def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
     """The pixels of one image: [rows, columns], or with a third dimension of 2 on either side of these: two bands.
 
     Grey pictures that are stored in colour are grey here; of a GeoTIFF, reduced copies (overviews) and where it lies on
-    the earth are not looked at.
-
-    Raises
-    ------
-    SarsplatError
-        If it cannot be read, is damaged or of another format, in colour, of several pages or matrices, holds Python
-        objects, or unpacks to far more than its size.
+    the earth are not looked at. Refused if it cannot be read, is damaged or of another format, in colour, of several
+    pages or matrices, holds Python objects, or unpacks to far more than its size.
     """
     ending = path.suffix.lower()
     if ending not in PICTURE_ENDINGS:
@@ -167,21 +162,10 @@ def power_or_signal(
 ) -> Shaped[np.ndarray, "rows columns"]:
     """Linear power (float32), or complex amplitude (complex64) where the phase is available.
 
-    Parameters
-    ----------
-    pixels : numpy.ndarray
-        [rows, columns], or two bands: the real and the imaginary part, before or after the other dimensions.
-    quantity : {"amplitude", "power", "db", "complex"}
-        What `scale`·pixels + `offset` is.
-    name : str
-        What to call the image.
-    scale, offset : float
-        For decibels in 8 bits, for example, 60/255 and −60.
-
-    Raises
-    ------
-    SarsplatError
-        If the pixels are of another kind than the quantity, or one is not finite, too large, or negative.
+    Pixels are [rows, columns], or two bands: the real and the imaginary part, before or after the other dimensions;
+    `quantity` is what `scale`·pixels + `offset` is, for decibels in 8 bits, for example, 60/255 and −60. Refused if
+    they are of another kind than the quantity, or one is not finite, too large, or negative; `name` is what to call the
+    image.
     """
     kind = "complex" if pixels.dtype.kind == "c" or pixels.ndim == 3 else "real"
     if (kind == "complex") != (quantity == "complex"):

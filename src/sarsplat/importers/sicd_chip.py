@@ -69,23 +69,11 @@ def response_along(sicd: Sicd, layout: Layout) -> Response:
 def chip(
     sicd: Sicd, layout: Layout, shape: tuple[int, int], spacing_m: tuple[float, float], absolute: bool
 ) -> Complex64[np.ndarray, "rows columns"]:
-    """Complex amplitudes around the spot; nothing else of the image is read.
+    """Complex amplitudes around the spot, range (near first) × azimuth; nothing else of the image is read.
 
-    Parameters
-    ----------
-    sicd, layout : Sicd, Layout
-        The file, and where the ground lies in its image.
-    shape : (int, int)
-        Rows (range, near first) and columns (azimuth).
-    spacing_m : (float, float)
-        Of (azimuth, range), m, at most `spacing_of`.
-    absolute : bool
-        Whether the squared amplitude is to be β⁰, which the file must then say how to get.
-
-    Raises
-    ------
-    SarsplatError
-        If the image does not reach as far, a pixel is not finite, or what is said of β⁰ is not positive.
+    `spacing_m` of (azimuth, range) is at most `spacing_of`; the squared amplitude is β⁰ if it is to be `absolute`,
+    which the file must then say how to get. Refused if the image does not reach as far, a pixel is not finite, or what
+    is said of β⁰ is not positive.
     """
     rows, columns = shape
     azimuth = (np.arange(columns) - (columns - 1) / 2) * spacing_m[0]
@@ -149,24 +137,11 @@ def stack_image(
     spacing_m: tuple[float, float],
     absolute: bool,
 ) -> MeasuredImage:
-    """The channels of one view around a spot.
+    """The channels of one view around a spot, of files on one grid, the first of which is seen from the view.
 
-    Parameters
-    ----------
-    name : str
-        What to call it.
-    sicds : sequence of Sicd
-        On one grid; the first is seen from the view.
-    spot, layout : Spot, Layout
-        The origin, and where the ground lies in the first file.
-    shape, spacing_m, absolute
-        See `chip`.
-
-    Raises
-    ------
-    SarsplatError
-        If there are fewer than two, their grids or frequencies differ, they do not say which they are, two are the
-        same, or one does not reach as far as is asked for.
+    `layout` is where the ground lies in that one; see `chip` for the rest. Refused if there are fewer than two files,
+    their grids or frequencies differ, they do not say which they are, two are the same, or one does not reach as far as
+    is asked for.
     """
     if len(sicds) < 2:
         raise SarsplatError(

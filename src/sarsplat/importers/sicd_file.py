@@ -81,10 +81,7 @@ class Sicd:
     def read(self, rows: tuple[int, int], columns: tuple[int, int]) -> Complex64[np.ndarray, "rows columns"]:
         """Amplitudes from the first row and column to before the last; nothing else of the image is read.
 
-        Raises
-        ------
-        SarsplatError
-            If an amplitude is not finite or absurdly large.
+        Refused if an amplitude is not finite or absurdly large.
         """
         raw = self._stored(rows, columns)
         if self.pixel_type == "RE32F_IM32F":
@@ -121,11 +118,8 @@ class Sicd:
 def read_sicd(path: Path) -> Sicd:
     """The metadata of one SICD.
 
-    Raises
-    ------
-    SarsplatError
-        If it is not a SICD of one radar (monostatic), truncated, garbled, compressed, or what is needed of its metadata
-        is missing or impossible.
+    Refused if it is not a SICD of one radar (monostatic), truncated, garbled, compressed, or what is needed of its
+    metadata is missing or impossible.
     """
     require("sarkit", "SICD files need", "sicd")
     with open_file(path) as file:
@@ -325,10 +319,7 @@ def _any_version(name: str) -> str:
 def modernise(path: Path, tree: lxml.etree._ElementTree) -> str:
     """Change metadata of a SICD to a version that sarkit has the schema of; returns the version that the file states.
 
-    Raises
-    ------
-    SarsplatError
-        If it is no version that can be read.
+    Refused if it is no version that can be read.
     """
     from sarkit.sicd import VERSION_INFO
 

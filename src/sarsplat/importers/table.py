@@ -56,10 +56,7 @@ _SIDES = {"left": True, "l": True, "right": False, "r": False}
 def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
     """The columns that matter: those `named` (meaning, az, graz, inc or std → column), and others by their usual names.
 
-    Raises
-    ------
-    SarsplatError
-        If there is no such meaning or column, or two columns may have the same meaning.
+    Refused if there is no such meaning or column, or two columns may have the same meaning.
     """
     chosen: Columns = {}
     for key, column in named.items():
@@ -192,12 +189,8 @@ def read_picture_table(
 
     `named` is that of `chosen_columns`; `target_class` is the one whose pictures are wanted; `grazing` and `spacing`
     say whether the table must have columns of these. Rows without a picture and pictures without a row are warned of.
-
-    Raises
-    ------
-    SarsplatError
-        If the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
-        folder, several classes are in it of which none is chosen, or a cell is not what its column should hold.
+    Refused if the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
+    folder, several classes are in it of which none is chosen, or a cell is not what its column should hold.
     """
     inside = files_in(folder, "the pictures")
     table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
