@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 from sarsplat import Dataset, Run, View, chips
 from sarsplat.evaluation.baselines import rotated_average
 from sarsplat.samples import Encoding
-from sarsplat.scenes.speckle import ResponseSpeckle
+from sarsplat.scenes.scattering import ResponseSpeckle
 from sarsplat.settings.config import DEFAULT_METHOD
 
 EACH = 720

@@ -10,7 +10,7 @@ from chip_draws import Draw, Measured, middle, runs
 from chip_statistics import CLUTTER, apart
 
 from sarsplat import View
-from sarsplat.scenes.speckle import ResponseSpeckle
+from sarsplat.scenes.scattering import ResponseSpeckle
 
 
 def new_clutter(measured: Measured, which: np.ndarray, draw: Draw, work: Path) -> np.ndarray:

@@ -24,7 +24,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.baselines import rotated_average
 from sarsplat.importers.mstar_chips import Chip, read_chips
 from sarsplat.samples import Encoding
-from sarsplat.scenes.speckle import ResponseSpeckle
+from sarsplat.scenes.scattering import ResponseSpeckle
 from sarsplat.settings.config import SCATTERERS
 
 ROOT = Path(__file__).resolve().parent.parent

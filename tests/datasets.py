@@ -31,7 +31,7 @@ def box_dataset(folder: Path, grid: ImageGrid, *, masks: bool = False) -> Datase
     """A box on the ground, seen from twelve sides and two others, by ray casting."""
     trimesh = pytest.importorskip("trimesh")
     pytest.importorskip("embreex")
-    from sarsplat.scenes.raycast_masks import raycast_masks
+    from sarsplat.scenes.raycast import raycast_masks
 
     sides = (3.0, 2.0, 1.2)
     mesh = trimesh.creation.box(sides)

@@ -7,7 +7,7 @@ import pytest
 
 from sarsplat.geometry.responses import TAYLOR
 from sarsplat.scenes import mstar_grid
-from sarsplat.scenes.speckle import ResponseSpeckle
+from sarsplat.scenes.scattering import ResponseSpeckle
 
 CLUTTER = np.zeros((40, 128, 128), np.uint8)
 

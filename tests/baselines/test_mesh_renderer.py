@@ -112,7 +112,7 @@ def overlap(first: np.ndarray, second: np.ndarray) -> float:
 def test_masks_of_a_box_are_those_of_ray_casting(view, sides):
     trimesh = pytest.importorskip("trimesh")
     pytest.importorskip("embreex")
-    from sarsplat.scenes.raycast_masks import raycast_mask
+    from sarsplat.scenes.raycast import raycast_mask
 
     mesh = box(sides)
     true = raycast_mask(trimesh.Trimesh(*mesh, process=False), view, GRID)

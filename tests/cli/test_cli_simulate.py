@@ -185,7 +185,7 @@ def test_a_protocol_is_named_only_if_views_and_pixels_are_its_own(tmp_path: Path
 
     monkeypatch.setattr("sarsplat.scenes.simulate.simulate_images", images)
     monkeypatch.setattr("sarsplat.scenes.raycast.ray_error_db", lambda *_, **__: 0.0)
-    monkeypatch.setattr("sarsplat.data.plausible.suspicions", lambda _: [])
+    monkeypatch.setattr("sarsplat.examination.plausible.suspicions", lambda _: [])
     named = {"": "paper", "--protocol mstar": "mstar", "--spacing 0.2": None, "--random-views 3": None}
     for words, protocol in named.items():
         out = str(tmp_path / (words.replace(" ", "") or "plain"))

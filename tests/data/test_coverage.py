@@ -1,4 +1,4 @@
-"""Views by set and grazing angle, and the widest gap between them."""
+"""Views by set and grazing angle, the widest gap between them, and training views evenly spread over what there is."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from datasets import dataset_of
 from sarsplat.data import Dataset
-from sarsplat.data.coverage import largest_gap, view_groups
+from sarsplat.data.coverage import even_azimuths, largest_gap, nearest_to, view_groups
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.scenes import mstar_views, paper_views
 from sarsplat.scenes.protocols import random_views
@@ -55,3 +55,17 @@ def test_one_direction_has_no_step(views):
 def test_the_step_is_the_median_without_the_largest_gap():
     (group,) = view_groups(dataset([(View(azimuth, 45), "train") for azimuth in (350, 10, 30, 180)]))
     assert group.step_deg == 20  # of 20, 20, 150 and 170
+
+
+def test_a_whole_circle_is_shared_out_from_zero():
+    assert even_azimuths(range(0, 360, 10), 4) == [0, 90, 180, 270]
+    assert nearest_to([5, 91, 179, 268, 275], [0, 90, 180, 270]) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(("count", "expected"), [(1, [0]), (2, [10, 70]), (4, [10, 30, 50, 70])])
+def test_a_part_of_it_is_shared_out_from_end_to_end(count, expected):
+    assert even_azimuths([10, 20, 35, 50, 70], count) == expected
+
+
+def test_a_part_across_zero():
+    assert [azimuth % 360 for azimuth in even_azimuths([330, 350, 10, 30], 3)] == [330, 0, 30]

@@ -11,7 +11,7 @@ import tifffile
 from datasets import small_dataset
 from sarsplat import Terrain, read_terrain, write_terrain
 from sarsplat.data import read_dataset, write_dataset
-from sarsplat.data.plausible import suspicions
+from sarsplat.examination.plausible import suspicions
 from terrains import hill, write_geotiff
 
 HEIGHTS = np.arange(12.0).reshape(3, 4)

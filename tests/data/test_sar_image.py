@@ -10,7 +10,7 @@ import torch
 from matplotlib.figure import Figure
 
 from sarsplat.data import SarImage
-from sarsplat.data.picture import _draw
+from sarsplat.data.image import _draw
 from sarsplat.geometry import ImageGrid, View
 
 GRID = ImageGrid(2, 3, (0.3, 0.3), (0.3, 0.3))

@@ -16,9 +16,9 @@ from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
 from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.data.orientation import SIDES, Layout, oriented
-from sarsplat.examination.clutter import contrast_of
 from sarsplat.examination.contradictions import examine
 from sarsplat.examination.running_numbers import counting
+from sarsplat.examination.units import contrast_of
 from sarsplat.geometry import ImageGrid, View
 
 trimesh = pytest.importorskip("trimesh")
@@ -229,6 +229,12 @@ def test_values_that_are_not_power(grounded: Dataset, looks: float) -> None:
     dataset = speckled(grounded, looks, 1)
     assert "square the values (--quantity amplitude)" in only(with_power(dataset, np.sqrt(dataset.power)))
     assert "take the root" in only(with_power(dataset, dataset.power**2))
+    for kind, remedy in (
+        ("sicd", "; give another number of looks (--looks)"),
+        ("mstar", "; mend the files, for their"),
+    ):
+        told = only(replace(with_power(dataset, dataset.power**2), source={"kind": kind}))
+        assert remedy in told and "--quantity" not in told
 
 
 @pytest.mark.parametrize("looks", [1.0, 4.0])

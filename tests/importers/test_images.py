@@ -1,5 +1,7 @@
 """Images of any format on one grid, in sets, on one scale."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from sarsplat.errors import SarsplatWarning
 from sarsplat.geometry import View
 from sarsplat.importers import MeasuredImage, dataset_of, summary
+from sarsplat.importers.band_limited import resample
 
 RESOLUTION = (0.3, 0.35)
 
@@ -98,3 +101,25 @@ def test_zeros_are_raised_and_that_is_said():
     with pytest.warns(SarsplatWarning, match=r"2 pixels of 3520 held zero.*raised to -30 dB"):
         made = imported(images)
     assert made.power.min() > 0
+
+
+@pytest.mark.parametrize("oversampling", [1.2, 1.5, 3.0])
+def test_a_band_limited_signal_is_found_between_its_samples(oversampling):
+    rng = np.random.default_rng(0)
+    frequencies = rng.uniform(-0.5, 0.5, (2, 20)) / oversampling  # cycles per pixel
+    levels = rng.normal(size=20) + 1j * rng.normal(size=20)
+
+    def signal(rows, columns):
+        along = np.exp(2j * np.pi * np.outer(rows, frequencies[0]))
+        return (along * levels) @ np.exp(2j * np.pi * np.outer(columns, frequencies[1])).T
+
+    pixels = signal(np.arange(70), np.arange(64)).astype(np.complex64)
+    rows, columns = np.linspace(25, 44, 37), np.linspace(24.3, 38.9, 33)  # half the taps from the edge
+    found = resample(pixels, rows, columns)
+    error_db = 20 * np.log10(np.abs(found - signal(rows, columns)).max() / np.abs(pixels).max())
+    assert error_db < -85
+    assert found.dtype == np.complex64
+
+
+def test_beyond_the_edge_there_is_nothing():
+    assert not resample(np.ones((5, 5), np.float32), np.array([60.0]), np.array([2.0])).any()

@@ -13,12 +13,11 @@ from sarsplat.data import read_dataset
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.geometry.responses import UNIFORM, Taylor
 from sarsplat.importers import import_phase_history
-from sarsplat.importers.apertures import apertures
-from sarsplat.importers.focus import focus, ground_points
 from sarsplat.importers.histories import FORMATS, PhaseHistoryFormat, read_phase_history
 from sarsplat.importers.history_gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
-from sarsplat.importers.phase_history import flights
+from sarsplat.importers.phase_history import apertures, flights
+from sarsplat.importers.phase_history_images import focus, ground_points
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "gotcha"
 needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured GOTCHA files are not here")

@@ -15,8 +15,7 @@ from PIL import Image
 
 from fuzz import watched
 from sarsplat.errors import SarsplatError
-from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import likely_quantity, power_or_signal
+from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
 
 EIGHT = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
 SIXTEEN = EIGHT.astype(np.uint16) * 250

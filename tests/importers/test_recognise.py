@@ -12,12 +12,18 @@ from PIL import Image
 from chip_files import MAGNITUDE, ROWS, phoenix_bytes, write_chips
 from sample_files import write_sample
 from sarsplat.cli import main
-from sarsplat.cli.importers import recognised
+from sarsplat.cli.importers import Recognised, recognised
 from sarsplat.errors import SarsplatError
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 POWER = np.random.default_rng(0).gamma(1.0, size=(4, 12, 10)).astype(np.float32) + 0.1
+
+
+def known(path: Path) -> Recognised:
+    it = recognised(path)
+    assert it is not None
+    return it
 
 
 def typed(command: str | None, out: Path, **words: str) -> int:
@@ -49,8 +55,7 @@ def shots(tmp_path: Path) -> Path:
 
 
 def test_pictures_with_a_table(shots, tmp_path, capsys):
-    it = recognised(shots)
-    assert it is not None
+    it = known(shots)
     assert it.kind == "pictures with a table of their angles"
     assert it.facts["columns"] == "file = file, azimuth = Azimuth (deg)"
     assert "--grazing DEGREES --spacing METRES" in str(it.command)
@@ -68,19 +73,16 @@ def test_reconstruct_leads_to_the_import(shots, capsys):
 
 def test_pictures_without_a_table(shots):
     (shots / "t.csv").write_text("some,thing\n1,2\n")
-    it = recognised(shots)
-    assert it is not None
+    it = known(shots)
     assert it.kind == "pictures with a table"
     assert it.facts["missing"] == "which column is the file and which the azimuth; it has some, thing"
     assert "--columns file=NAME,azimuth=NAME --grazing DEGREES --spacing METRES" in str(it.command)
     (shots / "u.csv").write_text("some,thing\n1,2\n")
-    it = recognised(shots)
-    assert it is not None
+    it = known(shots)
     assert it.facts["missing"] == f"which of 2 tables is theirs: {shots / 't.csv'}, {shots / 'u.csv'}"
     for table in ("t.csv", "u.csv"):
         (shots / table).unlink()
-    it = recognised(shots)
-    assert it is not None
+    it = known(shots)
     assert it.kind == "4 pictures (4 .png) without a table of their angles"
     assert "the columns file, azimuth, grazing, spacing" in it.facts["missing"]
     assert "--table TABLE.csv" in str(it.command)
@@ -88,8 +90,7 @@ def test_pictures_without_a_table(shots):
 
 def test_a_table_that_is_not_in_utf_8(shots):
     (shots / "t.csv").write_bytes("Höhe\n1\n".encode("latin-1"))
-    it = recognised(shots)
-    assert it is not None
+    it = known(shots)
     assert "byte 1 is not UTF-8; save" in it.facts["table"]
 
 
@@ -98,8 +99,7 @@ def test_a_table_with_columns_of_other_names(tmp_path):
     shots.mkdir()
     Image.fromarray(np.ones((5, 4), np.uint8)).save(shots / "a.png")
     (shots / "flights.csv").write_text("picture,pointing,elev,comment\na.png,10,30,fine\n")
-    it = recognised(shots)
-    assert it is not None
+    it = known(shots)
     assert it.facts["missing"].endswith("it has picture, pointing, elev, comment")
     assert "azimuth=NAME --spacing METRES" in str(it.command)
 
@@ -108,8 +108,7 @@ def test_the_sample_set(tmp_path):
     for image, azimuth in zip(POWER, (11.0, 30.0, 44.0, 60.0), strict=True):
         write_sample(tmp_path / "set", image * (1 + 1j), azimuth)
     write_sample(tmp_path / "set", POWER[0] * (1 + 1j), 30.0, kind="synth", target="m1")
-    it = recognised(tmp_path / "set")
-    assert it is not None
+    it = known(tmp_path / "set")
     assert it.facts == {"class m1": "1 synthetic", "class t72": "4 real"}
     assert "--class t72 --kind real --train-views 2" in str(it.command)
     assert typed(it.command, tmp_path / "out") == 0
@@ -122,8 +121,7 @@ def test_files_of_other_formats(tmp_path, ending, command):
     (tmp_path / "a b").mkdir()
     for k in range(3):
         (tmp_path / "a b" / f"{k}{ending}").write_bytes(b"\0")
-    it = recognised(tmp_path)
-    assert it is not None
+    it = known(tmp_path)
     assert it.kind.startswith(f"3 {ending} files")
     assert f"sarsplat {command} {shlex.quote(str(tmp_path / 'a b'))}/*{ending} --size METRES" in str(it.command)
 
@@ -134,8 +132,7 @@ def test_no_images_are_nothing(tmp_path):
 
 
 def test_labelled_jpegs(chips: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    it = recognised(chips)
-    assert it is not None
+    it = known(chips)
     assert it.facts["chips"] == "11"
     assert it.facts["class T72"] == "8 at 17°, 2 at 15°"
     assert it.command is not None
@@ -147,8 +144,7 @@ def test_labelled_jpegs(chips: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_the_table_itself_and_a_subfolder_lead_to_the_same(chips: Path, tmp_path: Path) -> None:
-    below = recognised(chips / "BMP2")
-    assert below is not None
+    below = known(chips / "BMP2")
     assert below.facts["chips"] == "1"
     assert f"{shlex.quote(str(chips))} --labels {shlex.quote(str(chips / 'labels.csv'))} --class BMP2" in str(
         below.command
@@ -159,8 +155,7 @@ def test_the_table_itself_and_a_subfolder_lead_to_the_same(chips: Path, tmp_path
 def test_another_depression_is_asked_for(chips: Path, tmp_path: Path) -> None:
     table = chips / "labels.csv"
     table.write_text(table.read_text().replace(",17,17.1,", ",30,30.1,"))
-    it = recognised(chips)
-    assert it is not None
+    it = known(chips)
     assert "--train-depression 30" in str(it.command)
     assert typed(it.command, tmp_path / "out") == 0
 
@@ -170,8 +165,7 @@ def test_phoenix_files(tmp_path: Path) -> None:
     folder.mkdir()
     for k in range(4):
         (folder / f"HB0000{k}.015").write_bytes(phoenix_bytes(MAGNITUDE + k, TargetAz=90.0 * k))
-    it = recognised(folder)
-    assert it is not None
+    it = known(folder)
     assert it.kind == "original MSTAR chips (Phoenix files)"
     assert typed(it.command, tmp_path / "out") == 0
 

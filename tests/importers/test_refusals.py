@@ -31,8 +31,7 @@ from refusals import Do, Refusals, check_refused
 from sample_files import write_sample
 from sarsplat.geometry import View
 from sarsplat.importers import MeasuredImage, dataset_of, import_phase_history, import_sample, read_phoenix
-from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import likely_quantity, power_or_signal
+from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
 
 # ---- pictures and a table ----
 
@@ -102,12 +101,16 @@ FOLDER: Refusals = [
 
 def images(*changes: dict[str, Any], **options: Any) -> Do:
     """One image for each set of changes, seen from as many sides."""
-    made = []
-    for k, change in enumerate(changes):
-        fields = {"pixels": np.full((40, 44), 1 + 1j, np.complex64), "center_m": (0.0, 0.0), **change}
-        view = View(k * 360 / len(changes), 20.0)
-        made.append(MeasuredImage(f"{k}.img", view=view, spacing_m=(0.15, 0.17), resolution_m=(0.3, 0.35), **fields))
-    return lambda _: dataset_of(made, target="thing", source={"kind": "made up", "assumptions": []}, **options)
+
+    def do(_: Path) -> object:
+        made = []
+        for k, change in enumerate(changes):
+            fields = {"pixels": np.full((40, 44), 1 + 1j, np.complex64), "spacing_m": (0.15, 0.17), **change}
+            view = View(k * 360 / len(changes), 20.0)
+            made.append(MeasuredImage(f"{k}.img", view=view, resolution_m=(0.3, 0.35), **fields))
+        return dataset_of(made, target="thing", source={"kind": "made up", "assumptions": []}, **options)
+
+    return do
 
 
 def constant(value: float) -> list[dict[str, Any]]:
@@ -125,6 +128,15 @@ IMAGES: Refusals = [
         for count in (0, 9)
     ),
     (images({}, {"split": "test-17"}, train_views=2), "the images name their sets"),
+    (images({"pixels": [[1.0, 2.0]]}), "pixels is .* give a numpy.ndarray"),
+    (
+        images({"pixels": np.ones((4, 4), np.uint8)}),
+        "0.img holds uint8 of shape .4, 4.; give complex amplitudes, or power",
+    ),
+    (images({"pixels": np.ones((2, 4, 4), np.complex64)}), "0.img holds complex64 of shape .2, 4, 4.; give complex"),
+    (images({"spacing_m": 0.3}), "spacing_m is 0.3; give 2 values"),
+    (images({}, train_views="2"), "train_views is '2'; give a whole number"),
+    (lambda _: dataset_of([1], target="thing", source={}), "images holds 1; make each an object of the class Measured"),
 ]
 
 # ---- chips ----

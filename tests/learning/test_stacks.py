@@ -27,7 +27,7 @@ from sarsplat import (
     simulate_stack,
 )
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
-from sarsplat.data.plausible import suspicions
+from sarsplat.examination.plausible import suspicions
 from sarsplat.learning import Inputs
 from sarsplat.learning.observations.stacks import Stacks
 from sarsplat.learning.strategies import Strategy

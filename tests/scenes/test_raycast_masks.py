@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, View, radar_frame
-from sarsplat.scenes.raycast_masks import raycast_mask, raycast_masks
+from sarsplat.scenes.raycast import raycast_mask, raycast_masks
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

@@ -22,7 +22,7 @@ from sarsplat.scenes import (
     target_mesh,
 )
 from sarsplat.scenes.meshes import scaled
-from sarsplat.scenes.raycast_masks import raycast_mask
+from sarsplat.scenes.raycast import raycast_mask
 from sarsplat.scenes.scattering import part_reflectivity
 from sarsplat.scenes.simulate import simulate_images
 from terrains import slope

@@ -110,7 +110,7 @@ class BaselineReconstruction(Reconstruction):
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
         """Masks of its surface on flat ground, by ray casting, which needs embreex."""
-        from sarsplat.scenes.raycast_masks import raycast_mask
+        from sarsplat.scenes.raycast import raycast_mask
 
         images = np.zeros((len(views), self.grid.rows, self.grid.columns), np.uint8)
         if len(self.surface.faces):

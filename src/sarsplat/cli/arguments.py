@@ -131,7 +131,7 @@ def views_from(
     azimuth: Sequence[str], grazing: Sequence[str], incidence: Sequence[str], prefix: str = ""
 ) -> list[View]:
     """Every azimuth at every grazing (or incidence) angle, without repetition; `prefix` names the options in errors."""
-    from sarsplat.data.plausible import suspicious_angles, warn
+    from sarsplat.examination.plausible import suspicious_angles, warn
     from sarsplat.geometry import View
 
     azimuths = angles(azimuth, f"{prefix}azimuth") if azimuth else []

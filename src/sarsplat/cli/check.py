@@ -43,8 +43,8 @@ def check(
         Replace an existing sheet.
     """
     from sarsplat.data import read_dataset, write_bytes
-    from sarsplat.data.plausible import left_open, suspicious_angles
     from sarsplat.examination.contradictions import examine
+    from sarsplat.examination.plausible import left_open, suspicious_angles
 
     if out is not None:
         if out.suffix.lower() != ".png":

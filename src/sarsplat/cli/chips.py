@@ -87,8 +87,7 @@ def chips(
     """
     from sarsplat.samples import chips as chips_of
     from sarsplat.samples import write_chips
-    from sarsplat.samples.made import MARKER
-    from sarsplat.samples.write import LABELS
+    from sarsplat.samples.write import LABELS, MARKER
 
     refuse_existing(out, overwrite, marker=MARKER)
     made = chips_of(

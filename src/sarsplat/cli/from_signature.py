@@ -232,7 +232,7 @@ def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
 
     The exit code is 1 if the images contradict what was assumed.
     """
-    from sarsplat.data.plausible import warn
+    from sarsplat.examination.plausible import warn
     from sarsplat.importers import summary
     from sarsplat.regions.target_region import box_misses
 

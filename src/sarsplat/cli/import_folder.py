@@ -13,7 +13,7 @@ from sarsplat.cli.importers import Contents, Recognised, dataset_name, typed_imp
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
-    from sarsplat.importers.columns import Columns
+    from sarsplat.importers.table import Columns
 
 
 _LEAST_CERTAIN = 0.1
@@ -67,7 +67,7 @@ def recognise(contents: Contents) -> Recognised | None:
 def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     """Pictures and a table, which may lack columns or not be readable."""
     from sarsplat.data.csv_table import read_table
-    from sarsplat.importers.columns import chosen_columns
+    from sarsplat.importers.table import chosen_columns
 
     facts = {"pictures": str(pictures)}
     try:

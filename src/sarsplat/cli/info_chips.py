@@ -12,7 +12,7 @@ from sarsplat.cli.importers import dataset_name, typed_import
 from sarsplat.errors import counted
 
 if TYPE_CHECKING:
-    from sarsplat.samples.made import Made
+    from sarsplat.samples.write import Made
 
 
 def chips_in(path: Path) -> Path | None:
@@ -25,7 +25,7 @@ def chips_in(path: Path) -> Path | None:
 
 def describe_chips(path: Path, place: Path) -> None:
     """Say what the set is that lies, or is to lie, at a path."""
-    from sarsplat.samples.made import Made
+    from sarsplat.samples.write import Made
 
     made, finished = Made.read(place), place == path
     each = Counter(run.target for run in made.runs)

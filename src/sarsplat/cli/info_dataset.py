@@ -36,7 +36,7 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
     """Say what is in a dataset, and draw its views as a picture if asked to."""
     from sarsplat.data import read_dataset
     from sarsplat.data.coverage import view_groups
-    from sarsplat.data.plausible import suspicions
+    from sarsplat.examination.plausible import suspicions
 
     kind = None if plot is None else _format(plot)
     dataset = read_dataset(path)
@@ -73,7 +73,7 @@ def _format(plot: Path) -> str:
 
 def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
     from sarsplat.data.coverage import largest_gap
-    from sarsplat.data.determined import weakest_direction
+    from sarsplat.examination.plausible import weakest_direction
 
     train = dataset.select("train").views
     return {

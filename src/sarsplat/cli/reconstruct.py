@@ -154,7 +154,7 @@ def reconstruct(
     if not options.print_config:
         _announce(dataset)
     from sarsplat.data import read_dataset
-    from sarsplat.data.determined import weakest_direction
+    from sarsplat.examination.plausible import weakest_direction
     from sarsplat.processes import Processes
     from sarsplat.runs import reconstruct as train
     from sarsplat.runs.run_folder import HEADER, read_header

@@ -164,13 +164,12 @@ def simulate(
     from sarsplat.data import Dataset
     from sarsplat.data.dataset_folder import HEADER
     from sarsplat.data.masks import pillow
-    from sarsplat.data.plausible import warn
+    from sarsplat.examination.plausible import warn
     from sarsplat.geometry.responses import response_of
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import is_larger, scaled, suspicious_size
-    from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db
-    from sarsplat.scenes.raycast_masks import raycast_masks
+    from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db, raycast_masks
     from sarsplat.scenes.scattering import check_terrain, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
 
@@ -273,7 +272,7 @@ def _entries(views: list[tuple[View, str]], stack: Stack | None = None) -> tuple
 def _finish(out: Path, dataset: Dataset, surface: trimesh.Trimesh, masks: np.ndarray | None, overwrite: bool) -> None:
     """Write the dataset, and print warnings, a summary and the next command."""
     from sarsplat.data import write_dataset
-    from sarsplat.data.plausible import suspicions, warn
+    from sarsplat.examination.plausible import suspicions, warn
     from sarsplat.regions.target_region import box_misses
 
     dataset, grid = write_dataset(out, dataset, truth_mesh=surface, masks=masks, overwrite=overwrite), dataset.grid

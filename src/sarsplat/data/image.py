@@ -1,22 +1,32 @@
-"""One SAR image with its view and its grid."""
+"""One SAR image with its view and its grid, and as a picture: decibels in grey, axes in metres, near range on top."""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from jaxtyping import Complex, Complex64, Float, Float32, Real
 
 from sarsplat.arguments import checks_arguments, expect
+from sarsplat.colours import POWER, colormap
 from sarsplat.data.files import write_bytes
-from sarsplat.data.picture import open_window, picture_png
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, amplitude, to_db
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _LARGEST_POWER = 1e18  # 180 dB: beyond any calibration, and its square still fits into float32
+
+_INCHES = 5.0  # the image's longer side
+_DPI = 120
+Power = Real[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True)
@@ -184,3 +194,59 @@ def check_signal(
             + (f" for {passes} passes" if passes else "")
             + "; make it with of_complex"
         )
+
+
+def picture_png(power: Power, view: View, grid: ImageGrid, dynamic_range_db: float) -> bytes:
+    """β⁰ of one image as a PNG file; parameters and errors as for `SarImage` and its `save`."""
+    with _matplotlib_needed():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    figure, buffer = Figure(), io.BytesIO()
+    FigureCanvasAgg(figure)
+    _draw(power, view, grid, figure, dynamic_range_db)
+    figure.savefig(buffer, format="png", dpi=_DPI)
+    return buffer.getvalue()
+
+
+def open_window(power: Power, view: View, grid: ImageGrid, dynamic_range_db: float) -> None:
+    """Show the image with pyplot: a window, or a picture in a notebook."""
+    with _matplotlib_needed():
+        from matplotlib import pyplot
+    _draw(power, view, grid, pyplot.figure(), dynamic_range_db)
+    pyplot.show()
+
+
+@contextmanager
+def _matplotlib_needed() -> Iterator[None]:
+    try:
+        yield
+    except ImportError as error:
+        raise SarsplatError("pictures need matplotlib; install it with: pip install 'sarsplat[report]'") from error
+
+
+def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_range_db: float) -> None:
+    """White is the brightest pixel, black is `dynamic_range_db` below it and everything darker."""
+    if not 0 < dynamic_range_db < np.inf:
+        raise SarsplatError(
+            f"a dynamic range of {dynamic_range_db} dB cannot be drawn; give a positive one, such as 40"
+        )
+    extent = grid.extent_m
+    width, height = extent[1] - extent[0], extent[2] - extent[3]
+    scale = _INCHES / max(width, height)
+    figure.set_size_inches(max(width * scale, 1.5) + 1.9, max(height * scale, 1.5) + 1.0)
+    figure.set_layout_engine("constrained")
+    axes = figure.add_subplot()
+    brightest = float(power.max(initial=0))
+    top = to_db(brightest or 1.0)
+    shades = axes.imshow(
+        np.maximum(to_db(power, least=0.0), top - dynamic_range_db),
+        cmap=colormap(POWER),
+        vmin=top - dynamic_range_db,
+        vmax=top,
+        extent=extent,
+        interpolation="nearest",
+    )
+    axes.set_title(f"azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°")
+    axes.set_xlabel("azimuth, m")
+    axes.set_ylabel("slant range, m")
+    figure.colorbar(shades, ax=axes, label="β⁰, dB", shrink=0.9)

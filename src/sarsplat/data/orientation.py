@@ -21,10 +21,7 @@ def oriented(
 ) -> Shaped[np.ndarray, "*v m n"]:
     """The pictures with their side `near` at the top, and their columns flipped if they are then mirror images.
 
-    Raises
-    ------
-    SarsplatError
-        If there is no such side.
+    Refused if there is no such side.
     """
     if near not in SIDES:
         raise SarsplatError(f"near is {near!r}; it must be one of {', '.join(SIDES)}")
@@ -34,22 +31,16 @@ def oriented(
 
 @dataclass(frozen=True)
 class Layout:
-    """Orientation of pictures and sense of azimuths, as told to `import folder`.
-
-    Attributes
-    ----------
-    near : {"top", "right", "bottom", "left"}
-        Side of the pictures that is near the radar.
-    mirrored, counter_clockwise : bool
-        Whether the pictures, turned with the near side up, are mirror images, and azimuths run counter-clockwise.
-    looks_left : bool
-        Whether the table says that the radar looked to the left, which mirrors the pictures once more.
-    """
+    """Orientation of pictures and sense of azimuths, as told to `import folder`."""
 
     near: Side = "top"
+    """Side of the pictures that is near the radar."""
     mirrored: bool = False
+    """Whether the pictures, turned with the near side up, are mirror images."""
     counter_clockwise: bool = False
+    """Whether azimuths run counter-clockwise."""
     looks_left: bool = False
+    """Whether the table says that the radar looked to the left, which mirrors the pictures once more."""
 
     @classmethod
     def of(cls, source: Mapping[str, Any]) -> Self | None:
@@ -62,12 +53,7 @@ class Layout:
     def corrected(self, near: Side, opposite: bool) -> Self:
         """The corrected layout, given that the side `near` of the dataset's images is near range; never mirrored.
 
-        Parameters
-        ----------
-        near : {"top", "right", "bottom", "left"}
-            As seen in the dataset.
-        opposite : bool
-            Whether the dataset's azimuths run the other way, or its images are mirrored.
+        `opposite` is whether the dataset's azimuths run the other way, or its images are mirrored.
         """
         flipped = self.mirrored != self.looks_left
         turns = SIDES.index(self.near) + (-1 if flipped else 1) * SIDES.index(near)

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json
-from sarsplat.data.ply_table import named, read_ply, stacked, write_ply
+from sarsplat.data.ply_points import named, read_ply, stacked, write_ply
 from sarsplat.data.viewer_colours import ODD, viewer_colours
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import (

@@ -1,8 +1,12 @@
-"""Points as PLY, with named scalars. Needs no torch."""
+"""PLY files of points with named scalars, binary little endian; meshes are read elsewhere.
+
+The files come from strangers: the counts in a header are trusted only if the file is as long as they say.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +14,125 @@ import numpy as np
 from jaxtyping import Float32, Real
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.ply_table import named, read_ply, stacked, write_ply
-from sarsplat.errors import SarsplatError
+from sarsplat.data.files import open_file, write_bytes
+from sarsplat.errors import SarsplatError, shown
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "<i2"),
+    **dict.fromkeys(("ushort", "uint16"), "<u2"),
+    **dict.fromkeys(("int", "int32"), "<i4"),
+    **dict.fromkeys(("uint", "uint32"), "<u4"),
+    **dict.fromkeys(("float", "float32"), "<f4"),
+    **dict.fromkeys(("double", "float64"), "<f8"),
+}
+_FORMAT = "format binary_little_endian 1.0"
+_LONGEST_HEADER = 65_536
+_AT_A_TIME = 1 << 18  # vertices
 
 _FARTHEST = 1e9  # m from the origin: squares of it stay finite
+
+
+def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comments: Sequence[str]) -> None:
+    """Write the properties of vertices as float32, and comments as lines of ASCII, whole or not at all."""
+    table = np.empty(len(next(iter(columns.values()))), dtype=[(name, "<f4") for name in columns])
+    for name, column in columns.items():
+        table[name] = column
+    lines = [line.encode("ascii", "backslashreplace").decode() for text in comments for line in text.splitlines()]
+    header = [
+        *("ply", _FORMAT, *(f"comment {line}" for line in lines)),
+        *(f"element vertex {len(table)}", *(f"property float {name}" for name in columns), "end_header"),
+    ]
+    write_bytes(Path(path), "\n".join(header).encode("ascii") + b"\n" + table.tobytes())
+
+
+def read_ply(
+    path: Path, wanted: Callable[[str, list[str]], bool] | None = None
+) -> tuple[dict[str, Float32[np.ndarray, " n"]], list[str]]:
+    """Read the properties of vertices, by name, and the comments of the header.
+
+    `wanted` says, of a name and the comments, what to read; vertices are read some at a time, for a file can be several
+    times as large as what is wanted of it.
+    """
+    with open_file(path) as file:
+        data = file.read(_LONGEST_HEADER)
+        head, end, _ = data.partition(b"\nend_header\n")
+        size = file.seek(0, 2)
+        if not head.startswith(b"ply\n") or not end:
+            raise SarsplatError(f"{path} is not a PLY file; give one made by `sarsplat export` or a 3DGS program")
+        if not re.fullmatch(rb"[\n\t -~]*", head):
+            raise SarsplatError(
+                f"{path} has a PLY header that is not plain ASCII text with LF line ends; create it again"
+            )
+        header = head.decode("ascii").split("\n")[1:]
+        offset, count, dtype = _vertices(path, header, len(head) + len(end), size)
+        file.seek(offset)
+        comments = [line.removeprefix("comment").strip() for line in header if line.split()[:1] == ["comment"]]
+        names = [name for name in dtype.names or () if wanted is None or wanted(name, comments)]
+        columns = {name: np.empty(count, np.float32) for name in names}
+        for first in range(0, count, _AT_A_TIME):
+            some = min(_AT_A_TIME, count - first)
+            rows = np.ndarray(some, dtype, file.read(some * dtype.itemsize))
+            with np.errstate(over="ignore"):
+                for name, column in columns.items():
+                    column[first : first + some] = rows[name]
+    return columns, comments
+
+
+def named(names: Iterable[str], values: Real[np.ndarray, "n k"]) -> dict[str, Real[np.ndarray, " n"]]:
+    """A table's columns by name."""
+    return dict(zip(names, values.T, strict=True))
+
+
+def stacked(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Float32[np.ndarray, "n {len(names)}"]:
+    """Columns that were read, side by side, float32 [N, len(names)]; refused if one is missing or not finite."""
+    for name in names:
+        if name not in columns:
+            raise SarsplatError(f"{path} is missing the vertex property {name!r}; give a PLY file of the right kind")
+        if not np.isfinite(columns[name]).all():
+            raise SarsplatError(f"{path} holds NaN or an infinity in {name!r}; create it again")
+    rows = len(next(iter(columns.values()), ()))
+    return np.stack([columns[name] for name in names], axis=1) if names else np.empty((rows, 0), np.float32)
+
+
+def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[int, int, np.dtype]:
+    """Offset, number and type of the vertices in a file of `size` bytes, in which the data begin at `offset`."""
+    elements = _elements(path, header)
+    names = [name for name, _, _ in elements]
+    if names.count("vertex") != 1:
+        raise SarsplatError(f"{path} has the elements {shown(names)} in its PLY header, not one of vertices")
+    sizes = [count * sum(np.dtype(kind).itemsize for _, kind in properties) for _, count, properties in elements]
+    if size != offset + sum(sizes):
+        state = "is truncated" if size < offset + sum(sizes) else "is too long"
+        raise SarsplatError(
+            f"{path} {state}: {size} bytes where its header asks for {offset + sum(sizes)}; create it again"
+        )
+    place = names.index("vertex")
+    _, count, properties = elements[place]
+    if len({name for name, _ in properties}) < len(properties):
+        raise SarsplatError(f"{path} has two vertex properties with the same name in its PLY header; create it again")
+    return offset + sum(sizes[:place]), count if properties else 0, np.dtype(properties)
+
+
+def _elements(path: Path, header: list[str]) -> list[tuple[str, int, list[tuple[str, str]]]]:
+    """Name, count and properties (name, numpy type) of each element."""
+    elements: list[tuple[str, int, list[tuple[str, str]]]] = []
+    if header[:1] != [_FORMAT]:
+        raise SarsplatError(f"{path} is a PLY of {shown(header[:1])}; only {_FORMAT!r} is read")
+    for line in header[1:]:
+        match line.split():
+            case ["comment" | "obj_info", *_]:
+                pass
+            case ["element", name, number] if re.fullmatch(r"[0-9]{1,12}", number):
+                elements.append((name, int(number), []))
+            case ["property", kind, name] if kind in _TYPES and elements:
+                elements[-1][2].append((name, _TYPES[kind]))
+            case ["property", *_]:
+                raise SarsplatError(f"{path} has {shown(line)} in its header: it is a mesh, not points or Gaussians")
+            case _:
+                raise SarsplatError(f"{path} has {shown(line)} in its PLY header, which is garbled; create it again")
+    return elements
 
 
 @checks_arguments

@@ -14,10 +14,8 @@ from jaxtyping import Float, Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, Mask, read_masks
-from sarsplat.data.determined import weakest_direction
 from sarsplat.data.files import open_file
 from sarsplat.data.folders import only_writer
-from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.alignment import MOST_TURNED_DEG, align
 from sarsplat.evaluation.baselines import baseline_scores
@@ -38,6 +36,7 @@ from sarsplat.evaluation.metrics import (
 )
 from sarsplat.evaluation.points import Cloud, PointMetrics, Yardstick, side_by_side
 from sarsplat.evaluation.surface import imaged_alone, of_stacks, read_truth_mesh, visible_surface
+from sarsplat.examination.plausible import warn, weakest_direction
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.runs import Run

@@ -18,7 +18,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import order_in_space
 from sarsplat.geometry import View
 from sarsplat.geometry.shown import ground_radius_m
-from sarsplat.scenes.mesh_files import read_mesh
+from sarsplat.scenes.meshes import read_mesh
 from sarsplat.scenes.surface_samples import surface_samples
 from sarsplat.surface.points import imaged
 

@@ -12,10 +12,10 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.data.image import power_of
 from sarsplat.data.orientation import SIDES, Layout, oriented
-from sarsplat.data.plausible import suspicious_angles, suspicious_images
 from sarsplat.errors import counted
 from sarsplat.examination.orientation import Orientation, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
+from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.running_numbers import Counting, counting
 from sarsplat.examination.units import examine_units
 from sarsplat.geometry import View
@@ -63,7 +63,8 @@ def examine(dataset: Dataset) -> Examination:
     angles = suspicious_angles(dataset.select("train").views)
     wrong = suspicious_images(dataset)
     examined.contradictions.extend([*angles, *wrong])
-    examined.checks["images"] = "see below" if wrong else _all_differ(len(dataset))
+    differ = "the only one is not constant" if len(dataset) == 1 else f"all {len(dataset)} differ, none is constant"
+    examined.checks["images"] = "see below" if wrong else differ
     count = min(len(dataset), _MOST_IMAGES)
     places = [k * len(dataset) // count for k in range(count)]
     chosen = _of_one_channel(dataset.take(places))
@@ -80,10 +81,6 @@ def _of_one_channel(dataset: Dataset) -> Dataset:
         return dataset
     entries = tuple(replace(entry, stack=None) for entry in dataset.entries)
     return replace(dataset, entries=entries, power=power_of(dataset.signal[:, 0]), signal=None)
-
-
-def _all_differ(images: int) -> str:
-    return "the only one is not constant" if images == 1 else f"all {images} differ, none is constant"
 
 
 def _upright(

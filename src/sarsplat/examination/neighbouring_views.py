@@ -40,22 +40,16 @@ _RADII = np.arange(1, 6) / 5 / 3
 
 @dataclass(frozen=True)
 class Matches:
-    """Correlation of each pair of images as a function of the shift, after rotating one onto the other on the ground.
-
-    Attributes
-    ----------
-    correlations : numpy.ndarray, float64 [N, places, places]
-        Of one pair each; shifts are wrapped around, as `numpy.fft.fftfreq` has them.
-    turns : numpy.ndarray, float64 [N, 2, 2]
-        What brings (azimuth, ground range) of the first image to that of the second.
-    half_m, pitch_m : float
-        Half the side of the ground that was compared, and the distance of its places, m.
-    """
+    """Correlation of pairs of images as a function of the shift, after rotating one onto the other on the ground."""
 
     correlations: Float64[np.ndarray, "n places places"]
+    """Of one pair each; shifts are wrapped around, as `numpy.fft.fftfreq` has them."""
     turns: Float64[np.ndarray, "n 2 2"]
+    """What brings (azimuth, ground range) of the first image to that of the second."""
     half_m: float
+    """Half the side of the ground that was compared."""
     pitch_m: float
+    """Distance of its places."""
 
     def best(self) -> Float64[np.ndarray, " n"]:
         """Each pair's highest correlation, the shift being free."""
@@ -86,18 +80,9 @@ def match(
 ) -> Matches:
     """Correlate pairs of images on the ground.
 
-    Parameters
-    ----------
-    bright : numpy.ndarray, float64 [V, rows, columns]
-        Decibels above the ground, or above what counts as nothing, not negative: shadows do not turn with the target.
-    views, grid
-        Where they were taken from, and where their pixels lie.
-    pairs : sequence of (int, int)
-        Which are compared.
-    sense : int
-        1 if azimuths run as given, −1 if they run the other way.
-    within : float
-        Radius of the ground that is compared, of the largest that every image shows.
+    `bright` is decibels above the ground, or above what counts as nothing, not negative: shadows do not turn with the
+    target. `sense` is 1 if azimuths run as given, −1 if they run the other way; `within` is the radius of the ground
+    that is compared, of the largest that every image shows.
     """
     half = reach(grid)
     axis = np.linspace(-half, half, _PLACES)

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Real
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 from sarsplat.data.orientation import SIDES, oriented
-from sarsplat.examination.near_side import edge_sides, shadow_sides
 from sarsplat.examination.neighbouring_views import (
     as_grazing_and_incidence,
     match,
@@ -26,7 +26,7 @@ from sarsplat.examination.neighbouring_views import (
 from sarsplat.examination.significance import CHANCE, Evidence, SideEvidence
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import Side
-from sarsplat.regions.outlines import levels_db, outline
+from sarsplat.regions.outlines import Outline, levels_db, outline
 
 _LEAST_SHADOW_DB = 0.2
 _LEAST_EDGE = 0.05
@@ -35,41 +35,38 @@ _LEAST_SENSE = 0.01
 _LEAST_GRAZING = 0.01
 """Differences of decibels, skewness and correlation below these are no evidence, however many images show them."""
 
+_BRIGHT_DB, _BRIGHTEST_DB = 3.0, 23.0
+"""Above the ground: from where on something stands out from speckle, and where its brightness says no more."""
+
+_DARKEST_DB = -10.0
+"""Below the ground: what is darker says no more."""
+
+_PIXELS = 256
+"""Most on a side in the search for shadow: larger images are averaged."""
+
 
 @dataclass(frozen=True)
 class Orientation:
-    """What images say of their orientation.
-
-    Attributes
-    ----------
-    near : {"top", "right", "bottom", "left"} or None
-        The side that is near the radar; None if they do not tell.
-    shadow : SideEvidence
-        Decibels by which it is darker than the ground beyond what is bright; of no images if they show no ground.
-    edge : SideEvidence
-        Skewness of the target's amplitude away from each side.
-    layover : SideEvidence
-        Correlation of neighbouring images if what is bright is displaced to that side.
-    correlation : dict of str to (float, float)
-        Side that is near → mean correlation of neighbouring images, with azimuths as given and in the opposite sense.
-        Empty if there are no such images.
-    sense : Evidence
-        By how much that is higher with azimuths as given.
-    grazing : Evidence
-        By how much it is higher with grazing angles as given than with 90° less them.
-    spread : Evidence
-        By how much it is higher, in either sense, if azimuths that only count images are spread all round; of no
-        images if they do not.
-    """
+    """What images say of their orientation."""
 
     near: Side | None
+    """The side that is near the radar; None if they do not tell."""
     shadow: SideEvidence
+    """Decibels by which it is darker than the ground beyond what is bright; of no images if they show no ground."""
     edge: SideEvidence
+    """Skewness of the target's amplitude away from each side."""
     layover: SideEvidence
+    """Correlation of neighbouring images if what is bright is displaced to that side."""
     correlation: dict[Side, tuple[float, float]]
+    """Side that is near → mean correlation of neighbouring images, with azimuths as given and in the opposite sense.
+    Empty if there are no such images."""
     sense: Evidence
+    """By how much that is higher with azimuths as given."""
     grazing: Evidence
+    """By how much it is higher with grazing angles as given than with 90° less them."""
     spread: Evidence
+    """By how much it is higher, in either sense, if azimuths that only count images are spread all round; of no images
+    if they do not."""
 
     @property
     def by_shadow(self) -> bool:
@@ -103,20 +100,10 @@ def orientation(
     centred: bool = False,
     spread: Sequence[View] | None = None,
 ) -> Orientation:
-    """What images say of their orientation.
+    """What images (β⁰, linear power) say of their orientation.
 
-    Parameters
-    ----------
-    power : numpy.ndarray [V, rows, columns]
-        β⁰, linear power.
-    views, grid
-        Where they are said to be taken from, and where their pixels lie.
-    ground : bool
-        Whether they show ground around the target.
-    centred : bool
-        Whether the world's origin surely lies where the grid says, so that layover alone tells which side is near.
-    spread : sequence of View, optional
-        Where they may be taken from instead, if their azimuths only count them.
+    `centred` is whether the world's origin surely lies where the grid says, so that layover alone tells which side is
+    near; `spread` is where they may be taken from instead of `views`, if their azimuths only count them.
     """
     levels = levels_db(power, grid, ground)
     shadow = shadow_sides(levels if ground else levels[:0])
@@ -185,3 +172,54 @@ def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centr
     by_layover = layover.side(_LEAST_LAYOVER, significance)
     agree = by_layover == edge.side(_LEAST_EDGE, significance) and (not shadow.count or shadow.strongest == by_layover)
     return by_layover if agree else None
+
+
+def shadow_sides(levels: Float64[np.ndarray, "v rows columns"]) -> SideEvidence:
+    """For each side as near range: how much darker than the ground it is behind the bright target, dB.
+
+    Beyond is the quadrant around the direction away from that side, as far as half the shorter side of the images. All
+    distances count the same, and bright pixels by their decibels; `levels` are decibels above the ground.
+    """
+    step = math.ceil(max(levels.shape[1:]) / _PIXELS)
+    rows, columns = (pixels // step for pixels in levels.shape[1:])
+    padded = next_fast_len(2 * rows), next_fast_len(2 * columns)
+    down, right = np.meshgrid(*(np.fft.fftfreq(n, 1 / n) for n in padded), indexing="ij")
+    distance = np.hypot(down, right)
+    weight = np.where((distance > 0) & (distance <= min(rows, columns) / 2), 1 / np.maximum(distance, 1.0), 0.0)
+    beyond = (down > abs(right), -right > abs(down), -down > abs(right), right > abs(down))  # of top, right …
+    quadrants = [rfft2(weight * where) for where in beyond]
+    darkness = []
+    for level in levels:
+        bright = rfft2(_coarse(np.clip(level - _BRIGHT_DB, 0.0, _BRIGHTEST_DB - _BRIGHT_DB), step), padded)
+        dark = _coarse(np.clip(-level, 0.0, -_DARKEST_DB), step)
+        reached = [irfft2(bright * quadrant, padded)[:rows, :columns] for quadrant in quadrants]
+        if bright[0, 0].real > 0 and min(share.sum() for share in reached) > 0:
+            darkness.append([float((share * dark).sum() / share.sum()) for share in reached])
+    return SideEvidence(np.array(darkness).reshape(-1, 4))
+
+
+def _coarse(image: Float64[np.ndarray, "rows columns"], step: int) -> Float64[np.ndarray, "m n"]:
+    """Means of squares of pixels; what is left over at the ends is left out."""
+    rows, columns = (pixels // step for pixels in image.shape)
+    return image[: rows * step, : columns * step].reshape(rows, step, columns, step).mean(axis=(1, 3))
+
+
+def edge_sides(levels: Float64[np.ndarray, "v rows columns"], outlines: Sequence[Outline]) -> SideEvidence:
+    """Skewness of the target's amplitude, summed over lines along each side, away from it.
+
+    It is positive if the target has a bright edge on that side, and a long tail beyond it; `levels` are decibels above
+    the ground, or above what counts as nothing.
+    """
+    targets = np.array([outline.target for outline in outlines])
+    amplitude = np.where(targets, 10 ** (levels / 20), 0.0)
+    amplitude = amplitude[amplitude.any(axis=(1, 2))]
+    down, right = _skewness(amplitude.sum(axis=2)), _skewness(amplitude.sum(axis=1))
+    return SideEvidence(np.stack([down, -right, -down, right], axis=1))
+
+
+def _skewness(profiles: Float64[np.ndarray, "v n"]) -> Float64[np.ndarray, " v"]:
+    place = np.arange(profiles.shape[1], dtype=float)
+    share = profiles / profiles.sum(axis=1, keepdims=True)
+    off = place - (share @ place)[:, None]
+    spread = np.maximum((share * off**2).sum(axis=1), 1e-9)
+    return (share * off**3).sum(axis=1) / spread**1.5

@@ -17,19 +17,14 @@ _LEAST_GAP_DEG = 60.0
 
 @dataclass(frozen=True)
 class Counting:
-    """Azimuths that are whole degrees one after another and leave out a part of the circle.
-
-    Attributes
-    ----------
-    first_deg, last_deg : float
-        Where they begin and end, clockwise.
-    spread : list of View
-        The same views, with those of each grazing angle evenly all round in their order.
-    """
+    """Azimuths that are whole degrees one after another and leave out a part of the circle."""
 
     first_deg: float
+    """Where they begin, clockwise."""
     last_deg: float
+    """Where they end."""
     spread: list[View]
+    """The same views, with those of each grazing angle evenly all round in their order."""
 
     @property
     def from_one(self) -> bool:

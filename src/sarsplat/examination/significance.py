@@ -21,15 +21,10 @@ _FEWEST = 5
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence of many images, or pairs of images, for one alternative.
-
-    Attributes
-    ----------
-    values : numpy.ndarray, float64 [N]
-        One for each image or pair: positive for the alternative, negative against it.
-    """
+    """Evidence of many images, or pairs of images, for one alternative."""
 
     values: Float64[np.ndarray, " n"]
+    """One for each image or pair: positive for the alternative, negative against it."""
 
     @property
     def count(self) -> int:
@@ -55,15 +50,10 @@ class Evidence:
 
 @dataclass(frozen=True)
 class SideEvidence:
-    """Evidence of many images, or pairs of images, for each side being the near one.
-
-    Attributes
-    ----------
-    values : numpy.ndarray, float64 [N, 4]
-        One row for each image or pair; top, right, bottom, left.
-    """
+    """Evidence of many images, or pairs of images, for each side being the near one."""
 
     values: Float64[np.ndarray, "n 4"]
+    """One row for each image or pair; top, right, bottom, left."""
 
     @property
     def count(self) -> int:

@@ -1,15 +1,22 @@
-"""Whether the statistics of images contradict the unit, the looks and the resolution that are stated."""
+"""Whether the statistics of clutter, and sharpness, contradict the unit, looks and resolution that are stated."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
+from jaxtyping import Float64, Real, Shaped
+from scipy.ndimage import binary_dilation
 
 from sarsplat.data import Dataset
-from sarsplat.examination.clutter import clutter, contrast_of, sharpest_widths_m
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.significance import Evidence
-from sarsplat.radiometry import to_db
-from sarsplat.regions.outlines import levels_db, outline
+from sarsplat.geometry import ImageGrid
+from sarsplat.geometry.responses import width_of
+from sarsplat.radiometry import brighter, to_db
+from sarsplat.regions.outlines import Outline, levels_db, outline
 
 _SPECKLED = 0.4
 """Contrast from which on ground is speckled: about that of six looks."""
@@ -39,6 +46,26 @@ _LEAST_PIXEL = 0.5
 
 _DECIBELS = "--quantity db, with --scale and --offset for decibels in 8 bits"
 
+_EVERY = ("quantity", "looks")
+_OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "phase-history": ()}
+"""Which of them an import has that lacks some, by the kind of the dataset's `source`."""
+
+_CELLS_PER_BLOCK, _SMALLEST_BLOCK = 6, 8
+"""Side of the blocks of clutter, in resolution widths and in pixels: ground hardly changes within one."""
+
+_BLOCKS_PER_SIDE = 4
+"""Of an image at least, if that is large enough: the resolution stated may be far too coarse."""
+
+_FEWEST_BLOCKS = 20
+_WHITE = 0.1
+"""Neighbouring pixels of speckle that correlate less are taken as drawn independently of each other."""
+
+_BRIGHT_DB = 25.0
+"""Below the brightest of an image: what is darker is not looked at for its sharpness."""
+
+_SHARPEST = 0.9999
+"""Quantile of curvatures: that of the sharpest structure, but not of a single pixel."""
+
 
 def examine_units(dataset: Dataset, examined: Examination) -> None:
     """Add contradictions in unit, looks and resolution, given a dataset with near range on top."""
@@ -65,9 +92,22 @@ def _plausible_range(dataset: Dataset, examined: Examination) -> bool:
     examined.checks["unit"] = f"brightest pixels are {range_db:.0f} dB above the ground"
     examined.contradictions.append(
         f"brightest pixels are {range_db:.0f} dB above the ground, more than any radar image has, so the values are no "
-        "decibels, or scaled ones; import with --quantity amplitude, or with the --scale and --offset of the decibels"
+        "decibels, or scaled ones; "
+        + _remedy(
+            dataset, quantity="import with --quantity amplitude, or with the --scale and --offset of the decibels"
+        )
     )
     return False
+
+
+def _options(dataset: Dataset) -> tuple[str, ...]:
+    return _OPTIONS.get(str(dataset.source.get("kind")), _EVERY)
+
+
+def _remedy(dataset: Dataset, **by_option: str) -> str:
+    """What to do, as far as the import of the dataset has the options that this takes."""
+    named = [text for option, text in by_option.items() if option in _options(dataset)]
+    return ", or ".join(named) or "mend the files, for their import has no option that does"
 
 
 def _speckle(dataset: Dataset, examined: Examination) -> None:
@@ -86,7 +126,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
         if ground.contrast > _SPECKLED:
             examined.contradictions.append(
                 f"the {measured}, as of speckle with {1 / ground.contrast**2:.1f} looks, but the dataset states no "
-                "speckle; give the number of looks (--looks)"
+                f"speckle; {_remedy(dataset, looks='give the number of looks (--looks)')}"
             )
             examined.checks["resolution"] = "cannot be determined from speckle of unknown looks"
         return
@@ -97,22 +137,35 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
     if Evidence(ground.skewness).against(_LEAST_SKEWNESS):
         wrong = (
             f"more of the ground is dark than bright (skewness {ground.skewness.mean():.2f}), as in decibels, not in "
-            f"power or amplitude; import with {_DECIBELS}"
+            f"power or amplitude; {_remedy(dataset, quantity=f'import with {_DECIBELS}')}"
         )
     elif ground.contrast < of_amplitude**1.5 / of_power**0.5:
         wrong = (
             f"the {measured}, but speckle of {stated} has {of_power:.2f}, so the images are smoother than stated; "
-            f"give their number of looks (--looks), or 0 if there is no speckle, or {_DECIBELS}, if they hold these"
+            + _remedy(
+                dataset,
+                looks="give their number of looks (--looks), or 0 if there is no speckle",
+                quantity=f"{_DECIBELS}, if they hold these",
+            )
         )
     elif ground.contrast < (of_power * of_amplitude) ** 0.5:
         wrong = (
             f"the {measured}, as of amplitude with {stated} ({of_amplitude:.2f}), not of power ({of_power:.2f}); "
-            "square the values (--quantity amplitude), or give another number of looks (--looks) if they are power"
+            + _remedy(
+                dataset,
+                quantity="square the values (--quantity amplitude)",
+                looks="give another number of looks (--looks) if they are power",
+            )
         )
     elif ground.contrast > of_power**1.5 / of_amplitude**0.5:
         wrong = (
-            f"the {measured}, but power of {stated} has {of_power:.2f}; take the root of the values (--quantity power) "
-            f"if they were squared twice, or give another number of looks (--looks), or {_DECIBELS}"
+            f"the {measured}, but power of {stated} has {of_power:.2f}; "
+            + _remedy(
+                dataset,
+                quantity="take the root of the values (--quantity power) if they were squared twice",
+                looks="give another number of looks (--looks)",
+            )
+            + f", or {_DECIBELS}" * ("quantity" in _options(dataset))
         )
     if wrong:
         examined.contradictions.append(wrong)
@@ -139,9 +192,10 @@ def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by:
         blurred = by == "structure" and width > stated  # by the pixels, as speckle is not
         ratio = width / (max(stated, spacing) if blurred else stated)
         if not low_high[0] <= ratio <= low_high[1]:
+            options = " (--resolution, --spacing)" * ("quantity" in _options(dataset))  # which go together
             examined.contradictions.append(
                 f"{how} of a resolution of {width:.2g} m in {name}, but {stated:.3g} m is stated, with pixels of "
-                f"{spacing:.3g} m; correct the resolution or the pixel spacing in {name} (--resolution, --spacing)"
+                f"{spacing:.3g} m; correct the resolution or the pixel spacing in {name}{options}"
             )
     if measured:
         examined.checks["resolution"] = f"{how} of {' and '.join(measured)}"
@@ -149,3 +203,99 @@ def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by:
         examined.checks["resolution"] = (
             "cannot be determined: neighbouring pixels do not correlate, or too little is seen"
         )
+
+
+@dataclass(frozen=True)
+class Clutter:
+    """What blocks of ground look like, away from target and shadow."""
+
+    contrast: float
+    """Standard deviation over mean, the median of all blocks."""
+    skewness: Float64[np.ndarray, " blocks"]
+    """Of each block's amplitude: positive for speckle, negative if decibels were read as power or amplitude."""
+    values: float
+    """Number of different values in a block, the median of all: few if pixels are quantised coarsely."""
+    width_m: tuple[float | None, float | None]
+    """3 dB width in azimuth and slant range of the response that correlates neighbouring pixels of speckle so much;
+    None if they hardly do."""
+
+
+def clutter(
+    power: Real[np.ndarray, "v rows columns"],
+    levels: Float64[np.ndarray, "v rows columns"],
+    outlines: Sequence[Outline],
+    grid: ImageGrid,
+) -> Clutter | None:
+    """Statistics of the ground around the target, given decibels above it; None if too little of it is seen."""
+    across, along = (
+        max(_SMALLEST_BLOCK, min(math.ceil(_CELLS_PER_BLOCK * width / spacing), pixels // _BLOCKS_PER_SIDE))
+        for width, spacing, pixels in zip(grid.resolution_m, grid.spacing_m, (grid.columns, grid.rows), strict=True)
+    )
+    parts = []
+    for image, level, seen in zip(power, levels, outlines, strict=True):
+        other = binary_dilation(seen.target | seen.shadow | (np.abs(level) > 6.0))
+        blocks = _blocks(image, along, across)
+        parts.append(blocks[(blocks.mean(axis=(1, 2)) > 0) & ~_blocks(other, along, across).any(axis=(1, 2))])
+    blocks = np.concatenate(parts).astype(np.float64)
+    if len(blocks) < _FEWEST_BLOCKS:
+        return None
+    rest = _standardised(blocks)
+    pixels = np.sort(blocks.reshape(len(blocks), -1), axis=1)
+    neighbours = (rest[:, :, 1:] * rest[:, :, :-1], rest[:, 1:] * rest[:, :-1])
+    widths = [
+        _response_width(float(products.mean()), spacing)
+        for products, spacing in zip(neighbours, grid.spacing_m, strict=True)
+    ]
+    return Clutter(
+        float(np.median(blocks.std(axis=(1, 2), ddof=1) / blocks.mean(axis=(1, 2)))),
+        (_standardised(np.sqrt(blocks)) ** 3).mean(axis=(1, 2)),
+        float(np.median(1 + (np.diff(pixels, axis=1) > 0).sum(axis=1))),
+        (widths[0], widths[1]),
+    )
+
+
+def _standardised(blocks: Float64[np.ndarray, "n along across"]) -> Float64[np.ndarray, "n along across"]:
+    """Each block with mean 0 and standard deviation 1; 0 if it is constant."""
+    rest = blocks - blocks.mean(axis=(1, 2), keepdims=True)
+    return rest / np.maximum(blocks.std(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
+
+
+def _blocks(image: Shaped[np.ndarray, "rows columns"], along: int, across: int) -> Shaped[np.ndarray, "n along across"]:
+    """An image cut into blocks; what is left over at its ends is left out."""
+    rows, columns = (pixels // side for pixels, side in zip(image.shape, (along, across), strict=True))
+    cut = image[: rows * along, : columns * across].reshape(rows, along, columns, across)
+    return cut.swapaxes(1, 2).reshape(-1, along, across)
+
+
+def _response_width(correlation: float, spacing_m: float) -> float | None:
+    """3 dB width of a Gaussian response, from the correlation of speckle power, which is √2 times as wide."""
+    if not _WHITE < correlation < 1:
+        return None
+    return spacing_m * math.sqrt(2 * math.log(2) / -math.log(correlation))
+
+
+def contrast_of(looks: float) -> tuple[float, float]:
+    """Standard deviation over mean of speckle of so many looks: of power, and of amplitude."""
+    ratio = math.exp(math.lgamma(looks) + math.lgamma(looks + 1) - 2 * math.lgamma(looks + 0.5))
+    return 1 / math.sqrt(looks), math.sqrt(ratio - 1)
+
+
+def sharpest_widths_m(power: Real[np.ndarray, "v rows columns"], grid: ImageGrid) -> tuple[float, float] | None:
+    """3 dB widths in azimuth and slant range of the sharpest structure in images without speckle, m.
+
+    However scatterers lie, the logarithm of a sum of Gaussian responses is nowhere curved more than that of one. None
+    if there is nothing to look at.
+    """
+    peak = power.max(axis=(1, 2), keepdims=True)
+    bright = brighter(power, -_BRIGHT_DB, peak) & (power > 0)
+    logarithm = np.log(np.where(bright, power, 1.0), dtype=np.float64)
+    widths = []
+    for axis, spacing in zip((2, 1), grid.spacing_m, strict=True):
+        values, shown = np.moveaxis(logarithm, axis, 2), np.moveaxis(bright, axis, 2)
+        curvature = (2 * values[..., 1:-1] - values[..., 2:] - values[..., :-2]) / spacing**2
+        curvature = curvature[shown[..., 1:-1] & shown[..., 2:] & shown[..., :-2]]
+        most = float(np.quantile(curvature, _SHARPEST)) if len(curvature) else 0.0
+        if not most > 0:
+            return None
+        widths.append(width_of(1 / most))
+    return widths[0], widths[1]

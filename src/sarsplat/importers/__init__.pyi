@@ -1,6 +1,5 @@
 from .folder import import_folder
-from .images import MeasuredImage, dataset_of, summary, write_imported
-from .measured_scene import AboutImages, AboutScene
+from .images import AboutImages, AboutScene, MeasuredImage, dataset_of, summary, write_imported
 from .mstar import import_mstar
 from .phase_history_images import import_phase_history
 from .phoenix import PhoenixChip, read_phoenix

@@ -50,12 +50,8 @@ def listed_files(
 ) -> list[tuple[Row, Path]]:
     """Rows with the files that they name, relative to the folder of `of`, such as "chip"; endings may be left out.
 
-    Rows without a file are counted in a warning.
-
-    Raises
-    ------
-    SarsplatError
-        If no row has a file, or one leads out of the folder, be it by a link.
+    Rows without a file are counted in a warning. Refused if no row has a file, or one leads out of the folder, be it by
+    a link.
     """
     listed = [(row, path) for row in rows if (path := _listed_file(folder, table, row, column, of, endings))]
     if not listed:

@@ -13,12 +13,10 @@ from sarsplat.data.header import Calibration
 from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
-from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
-from sarsplat.importers.measured_scene import AboutImages
+from sarsplat.importers.images import AboutImages, MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
-from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import likely_quantity, power_or_signal
-from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
+from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
+from sarsplat.importers.table import ListedPicture, read_picture_table
 from sarsplat.names import Quantity, Side, Transmit
 
 Pair = tuple[float, float]
@@ -175,6 +173,9 @@ def import_folder(
         )
     if recording is not None:
         images = stacks_of(listed, images, recording)
+    looks = {bool(picture.looks_left) for picture in listed.pictures}
+    layout = {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))} if len(looks) == 1 else {}
+    resolution_known = resolution_m is not None or any("resolution" in meaning for meaning in listed.columns)
     source: dict[str, Any] = {
         "kind": "folder",
         "table": listed.path.name,
@@ -183,14 +184,14 @@ def import_folder(
         "scale": scale,
         "offset": offset,
         "ground_range": ground_range,
-        **_layout(near, mirrored, counter_clockwise, listed),
+        **layout,  # if it is that of all
         "assumptions": [
-            _said_by(listed),
+            "columns of the table: " + ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items()),
             *([f"the numbers are {guessed}"] if quantity is None else []),
             f"the radar is at the {near} of the pictures, which are {'' if mirrored else 'not '}mirrored",
             f"azimuths are directions to the radar, {'counter-' if counter_clockwise else ''}clockwise; 0 is "
             f"{azimuth_offset_deg:g}° from the target's nose",
-            *([] if _resolution_known(listed, resolution_m) else ["the resolution is the pixel spacing"]),
+            *([] if resolution_known else ["the resolution is the pixel spacing"]),
             *([] if recording is None else _said_of_phases(recording)),
         ],
     }
@@ -226,12 +227,6 @@ def _said_of_phases(recording: Recording) -> list[str]:
     ]
 
 
-def _layout(near: Side, mirrored: bool, counter_clockwise: bool, listed: PictureTable) -> dict[str, Any]:
-    """How all pictures lie; nothing if some look to the left and others do not."""
-    looks = {bool(picture.looks_left) for picture in listed.pictures}
-    return {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))} if len(looks) == 1 else {}
-
-
 def _either(own: float | None, common: float) -> float:
     return common if own is None else own
 
@@ -256,11 +251,3 @@ def _lengths(table: Path, picture: ListedPicture, what: str, common: Pair | None
             f"column with --columns {what}=NAME"
         )
     return azimuth, slant_range * slant
-
-
-def _resolution_known(listed: PictureTable, resolution_m: Pair | None) -> bool:
-    return resolution_m is not None or any("resolution" in meaning for meaning in listed.columns)
-
-
-def _said_by(listed: PictureTable) -> str:
-    return "columns of the table: " + ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items())

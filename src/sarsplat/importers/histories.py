@@ -56,10 +56,7 @@ def format_of(path: Path) -> PhaseHistoryFormat | None:
 def read_phase_history(path: Path) -> PhaseHistory:
     """The pulses of one file, of whichever format.
 
-    Raises
-    ------
-    SarsplatError
-        If it is of no format that is known here, or cannot be used.
+    Refused if it is of no format that is known here, or cannot be used.
     """
     known = format_of(path)
     if known is None:

@@ -23,11 +23,8 @@ from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 def read_gotcha(path: str | Path) -> PhaseHistory:
     """Read one file, and apply the autofocus that it states.
 
-    Raises
-    ------
-    SarsplatError
-        If it is no MATLAB 5 file, a field is missing or of the wrong kind, sizes contradict one another, `r0` is not
-        the distance from the scene centre, or a number is not finite.
+    Refused if it is no MATLAB 5 file, a field is missing or of the wrong kind, sizes contradict one another, `r0` is
+    not the distance from the scene centre, or a number is not finite.
     """
     path = Path(path)
     record = read_mat(path).get("data")

@@ -7,24 +7,23 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Num, Shaped
 
-from sarsplat.data.coverage import largest_gap
+from sarsplat.arguments import checks_arguments, expect
+from sarsplat.data.coverage import evenly_chosen, largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
-from sarsplat.data.evenly import evenly_chosen
-from sarsplat.data.header import Calibration
+from sarsplat.data.header import Box, Calibration, Pair
 from sarsplat.data.image import power_of
-from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
-from sarsplat.geometry import ImageGrid, Stack, View
+from sarsplat.examination.plausible import suspicions, warn
+from sarsplat.geometry import ImageGrid, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
-from sarsplat.importers.measured_scene import AboutImages
 from sarsplat.radiometry import to_db
 
 if TYPE_CHECKING:
@@ -53,6 +52,37 @@ EXAMINATIONS: WeakKeyDictionary[Dataset, Examination] = WeakKeyDictionary()
 """Of datasets that have been imported: the command line shows more of it than warnings, and need not look again."""
 
 
+class AboutScene(TypedDict, total=False):
+    """What a user knows of the scene.
+
+    Attributes
+    ----------
+    terrain : Terrain or None
+        Heights of the ground that the images show; level unless given.
+    target_box_m : pair of (x, y, z) or None
+        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Unless given, it is
+        derived from the images.
+    """
+
+    terrain: Terrain | None
+    target_box_m: Box | None
+
+
+class AboutImages(AboutScene, total=False):
+    """What a user also knows of images that come from anywhere.
+
+    Attributes
+    ----------
+    looks : float or None
+        Number of looks of the speckle, 1 unless given; None if there is none.
+    ground : bool
+        Whether the images show the ground around the target, as they do unless it is said.
+    """
+
+    looks: float | None
+    ground: bool
+
+
 @dataclass(frozen=True)
 class MeasuredImage:
     """One image as a reader returns it.
@@ -78,6 +108,11 @@ class MeasuredImage:
         Shape of the power response; Gaussian if unknown.
     stack : Stack or None
         The channels, if there are several.
+
+    Raises
+    ------
+    SarsplatError
+        If one of them is of another kind, or the pixels are no image.
     """
 
     name: str
@@ -90,6 +125,26 @@ class MeasuredImage:
     split: str | None = None
     response: Response = GAUSSIAN
     stack: Stack | None = None
+
+    def __post_init__(self) -> None:
+        expect(str, name=self.name)
+        expect(np.ndarray, pixels=self.pixels)
+        expect(View, view=self.view)
+        expect(Pair, spacing_m=self.spacing_m, resolution_m=self.resolution_m, center_m=self.center_m)
+        expect(float, azimuth_std_deg=self.azimuth_std_deg)
+        expect(str | None, split=self.split)
+        expect(Response, response=self.response)
+        expect(Stack | None, stack=self.stack)
+        kinds, sides = ("fc", 2) if self.stack is None else ("c", 3)
+        if self.pixels.dtype.kind not in kinds or self.pixels.ndim != sides:
+            raise SarsplatError(
+                f"{self.name} holds {self.pixels.dtype} of shape {self.pixels.shape}; give "
+                + (
+                    "complex amplitudes, or power as float32, in rows and columns"
+                    if sides == 2
+                    else "a stack's channels"
+                )
+            )
 
     @property
     def grid(self) -> ImageGrid:
@@ -106,6 +161,7 @@ def view_of(name: str, azimuth_deg: float, grazing_deg: float) -> View:
         raise SarsplatError(f"{name}: {error}") from error
 
 
+@checks_arguments
 def dataset_of(
     images: Sequence[MeasuredImage],
     *,
@@ -178,7 +234,12 @@ def dataset_of(
             )
         with np.errstate(over="ignore"):  # what is brighter than float32 holds is refused by the dataset
             pixels /= np.sqrt(scale, dtype=np.float32) if pixels.dtype.kind == "c" else np.float32(scale)
-        images = [replace(image, stack=_in_units(image.stack, scale)) for image in images]
+        images = [
+            replace(image, stack=replace(image.stack, noise=tuple(noise / scale for noise in image.stack.noise)))
+            if image.stack and image.stack.noise
+            else image
+            for image in images
+        ]
         source = {**source, "mean_power": scale}
     entries = tuple(
         DatasetEntry(image.view, image.split or "train", image.name, image.azimuth_std_deg, image.stack)
@@ -209,7 +270,7 @@ def write_imported(out: str | Path, dataset: Dataset, *, overwrite: bool) -> Dat
         dataset = replace(dataset, source={**dataset.source, "contradictions": wrong})
     dataset = write_dataset(out, dataset, overwrite=overwrite)
     EXAMINATIONS[dataset] = examined
-    warn([*wrong, *(odd for odd in suspicions(dataset) if odd not in wrong)])
+    warn([*wrong, *(odd for odd in suspicions(dataset) if odd not in wrong)], anew=True)
     return dataset
 
 
@@ -226,7 +287,7 @@ def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> Non
 def assume(assumptions: list[str], text: str) -> None:
     """Add an assumption that is worth a warning."""
     assumptions.append(text)
-    warnings.warn(text, AssumptionWarning, stacklevel=4)
+    warnings.warn(text, AssumptionWarning, stacklevel=5)
 
 
 def summary(dataset: Dataset) -> str:
@@ -287,22 +348,14 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
     if any(grid.response != response for grid in grids):
         assume(assumptions, "responses differ in their shape, which is taken for that of a Gaussian")
         response = GAUSSIAN
-    low = np.max([_edges(grid)[0] for grid in grids], axis=0)
-    high = np.min([_edges(grid)[1] for grid in grids], axis=0)
+    low = np.max([(grid.azimuth_m[0], grid.range_m[0]) for grid in grids], axis=0)
+    high = np.min([(grid.azimuth_m[-1], grid.range_m[-1]) for grid in grids], axis=0)
     columns, rows = np.floor((high - low) / finest + _SAME_PLACE).astype(int) + 1
     if min(rows, columns) < 1:
         raise SarsplatError("the images have no part in common; give images around one spot")
     if len({(grid.rows, grid.columns) for grid in grids}) > 1 or (rows, columns) < (grids[0].rows, grids[0].columns):
         assume(assumptions, f"all images are cut to what they have in common, {rows} × {columns} pixels")
     return ImageGrid(int(rows), int(columns), tuple(finest), tuple(typical), tuple((low + high) / 2), response)
-
-
-def _edges(grid: ImageGrid) -> tuple[np.ndarray, np.ndarray]:
-    """The centres of the first and of the last pixel (azimuth, range), m."""
-    return (
-        np.array([grid.azimuth_m[0], grid.range_m[0]]),
-        np.array([grid.azimuth_m[-1], grid.range_m[-1]]),
-    )
 
 
 def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "*channels {grid.rows} {grid.columns}"]:
@@ -338,13 +391,6 @@ def _refuse_other_channels(images: Sequence[MeasuredImage]) -> None:
                 f"{first[0]} has {counted(first[1], 'channel')} and {name} has {channels} (0: no stack); give all "
                 "views the same number, or import those with others by themselves"
             )
-
-
-def _in_units(stack: Stack | None, scale: float) -> Stack | None:
-    """The stack when power is divided by `scale`."""
-    if stack is None or stack.noise is None:
-        return stack
-    return replace(stack, noise=tuple(noise / scale for noise in stack.noise))
 
 
 def _metres(pair: np.ndarray) -> str:

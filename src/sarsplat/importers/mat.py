@@ -35,12 +35,8 @@ def read_mat(path: str | Path) -> dict[str, Any]:
     """The variables of a MATLAB 5 file, as `save -v6` or `save -v7` (MATLAB's default) writes it.
 
     Numbers are arrays of MATLAB's shape and type, complex ones included; a struct is a dict of its fields. What has no
-    counterpart here (text, cells, arrays of structs, sparse matrices …) is None, and as a variable left out.
-
-    Raises
-    ------
-    SarsplatError
-        If it is not such a file, is truncated or garbled, or expands to far more than measured data do.
+    counterpart here (text, cells, arrays of structs, sparse matrices …) is None, and as a variable left out. Refused if
+    it is not such a file, is truncated or garbled, or expands to far more than measured data do.
     """
     path = Path(path)
     with open_file(path) as file:

@@ -25,13 +25,12 @@ import numpy as np
 from jaxtyping import Num
 
 from sarsplat.arguments import checks_arguments
+from sarsplat.data.coverage import nearest_to
 from sarsplat.data.dataset import Dataset
-from sarsplat.data.evenly import nearest_to
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.importers.files import warn_caller
-from sarsplat.importers.images import MeasuredImage, dataset_of, view_of, write_imported
-from sarsplat.importers.measured_scene import AboutScene
+from sarsplat.importers.images import AboutScene, MeasuredImage, dataset_of, view_of, write_imported
 from sarsplat.importers.mstar_chips import Chip, read_chips
 
 MIN_DN = 2.0

@@ -66,26 +66,14 @@ class Chip:
 def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chip]:
     """Every chip of one class in a folder and its subfolders, in the order of the table or of the files' names.
 
-    Pixels of JPEGs are not read yet.
+    `labels` is a table (CSV) of JPEGs, whose pixels are not read yet: path relative to `folder`, class, serial,
+    desired_depression_deg, measured_depression_deg (where it is empty, the desired one counts), target_az_deg; where
+    azimuths are uncertain, azimuth_std_deg; and if chips are scaled each in its own way, dn_per_magnitude: digital
+    numbers per unit of magnitude, in any unit that all chips have in common (none for any chip: 1). None: read Phoenix
+    files, which carry all that in their headers. `T72` and a Phoenix header's `t72_tank` are the same class.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the chips lie.
-    labels : Path or None
-        Table (CSV) of the JPEGs: path relative to `folder`, class, serial, desired_depression_deg,
-        measured_depression_deg (where it is empty, the desired one counts), target_az_deg; where azimuths are
-        uncertain, azimuth_std_deg; and if chips are scaled each in its own way, dn_per_magnitude: digital numbers per
-        unit of magnitude, in any unit that all chips have in common (none for any chip: 1). None: read Phoenix files,
-        which carry all that in their headers.
-    target_class : str
-        E.g. `T72`; a Phoenix header's `t72_tank` is the same class.
-
-    Raises
-    ------
-    SarsplatError
-        If the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
-        match no chip, the class is unknown, or a Phoenix file is damaged. What the table lacks otherwise is warned of.
+    Refused if the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
+    match no chip, the class is unknown, or a Phoenix file is damaged. What the table lacks otherwise is warned of.
     """
     files = files_in(folder, "the MSTAR chips")
     if not files:
@@ -212,10 +200,7 @@ def has_label_columns(path: Path) -> bool:
 def read_labels(path: Path) -> CsvTable:
     """The table of labels.
 
-    Raises
-    ------
-    SarsplatError
-        If it cannot be read, a column is missing, there are no rows or too many, or a path leads out of the folder.
+    Refused if it cannot be read, a column is missing, there are no rows or too many, or a path leads out of the folder.
     """
     table = read_table(path, "the table of labels", LABEL_COLUMNS)
     for row in table.rows:

@@ -66,11 +66,8 @@ def is_nitf(path: Path) -> bool:
 def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list[Segment]]:
     """The metadata of a SICD, without entities or references to other files, and its image segments in their order.
 
-    Raises
-    ------
-    SarsplatError
-        If it is no NITF file, is truncated or states lengths that contradict its size, holds no SICD, or its XML is
-        garbled or not plain.
+    Refused if it is no NITF file, is truncated or states lengths that contradict its size, holds no SICD, or its XML is
+    garbled or not plain.
     """
     size = file.seek(0, 2)
     file.seek(0)

@@ -28,27 +28,18 @@ _SHARED = {
 
 @dataclass(frozen=True)
 class Recording:
-    """How all channels were recorded.
-
-    Parameters
-    ----------
-    wavelength_m : float
-        Wavelength λ, m.
-    transmit : {"each", "one"}
-        Whether each pass transmits and receives itself, or one transmits for all.
-    noise : float, optional
-        Power of the noise in each channel, in the unit of the squared amplitudes.
-    conjugate : bool
-        Whether what is farther away has more phase: exp(+jkR).
-    flattened : bool
-        Whether the phases of the level plane z = 0 were taken out (`Stack.plane_phases`); they are put back.
-    """
+    """How all channels were recorded."""
 
     wavelength_m: float
+    """λ, m."""
     transmit: str = "each"
+    """Whether each pass transmits and receives itself ("each"), or one transmits for all ("one")."""
     noise: float | None = None
+    """Power of the noise in each channel, in the unit of the squared amplitudes."""
     conjugate: bool = False
+    """Whether what is farther away has more phase: exp(+jkR)."""
     flattened: bool = False
+    """Whether the phases of the level plane z = 0 were taken out (`Stack.plane_phases`); they are put back."""
 
 
 def lists_stacks(listed: PictureTable) -> bool:
@@ -58,22 +49,10 @@ def lists_stacks(listed: PictureTable) -> bool:
 
 
 def stacks_of(listed: PictureTable, images: Sequence[MeasuredImage], recording: Recording) -> list[MeasuredImage]:
-    """The stack of each view, in the order of the table.
+    """The stack of each view, in the order of the table, given the image of each row.
 
-    Parameters
-    ----------
-    listed : PictureTable
-        Rows with `view`, and `baseline` (b/R, rad; 0 where no column says it) or `polarisation`.
-    images : sequence of MeasuredImage
-        That of each row.
-    recording : Recording
-        How they were recorded.
-
-    Raises
-    ------
-    SarsplatError
-        If columns are missing, images have no phase, channels of a view differ in more than their phases, or they are
-        no valid `Stack`.
+    Rows have `view`, and `baseline` (b/R, rad; 0 where no column says it) or `polarisation`. Refused if columns are
+    missing, images have no phase, channels of a view differ in more than their phases, or they are no valid `Stack`.
     """
     _check_columns(listed)
     channels: dict[str, list[tuple[ListedPicture, MeasuredImage]]] = {}

@@ -1,9 +1,14 @@
-"""Phase history: for every pulse, the echo of the scene at every frequency, with the antenna's place."""
+"""Phase history: for every pulse, the echo of the scene at every frequency, with the antenna's place.
+
+A flight is cut into sub-apertures: the pulses of each image, their view and their resolution.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Self
 
@@ -11,6 +16,8 @@ import numpy as np
 from jaxtyping import Complex64, Float64
 
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry import View
+from sarsplat.geometry.responses import Taylor
 
 SPEED_OF_LIGHT = 299_792_458.0
 FARTHEST_M = 1e8
@@ -22,17 +29,16 @@ _OTHER_BAND = 0.1  # of the bandwidth: what may differ between passes of one rad
 _UNEVEN = 0.01
 """Largest distance of a frequency from its place among evenly spaced ones, in steps. Single precision costs 0.03 %."""
 
+WIDEST_DEG = 60.0
+"""Widest aperture: beyond it the radar has no one direction."""
+
 
 @dataclass(frozen=True)
 class PhaseHistory:
     """Pulses of one flight, in its order.
 
-    A scatterer of amplitude A at p contributes A·exp(−4πj f/c·(|antenna − p| − reference)) to a sample.
-
-    Raises
-    ------
-    SarsplatError
-        If sizes do not fit one another, frequencies are not as required, or a number is not finite or absurdly large.
+    A scatterer of amplitude A at p contributes A·exp(−4πj f/c·(|antenna − p| − reference)) to a sample. Refused if
+    sizes do not fit one another, frequencies are not as required, or a number is not finite or absurdly large.
     """
 
     name: str
@@ -121,12 +127,8 @@ class PhaseHistory:
 def flights(histories: Sequence[PhaseHistory]) -> list[PhaseHistory]:
     """Whole flights, joined from pieces in any order: a piece that begins where another ends continues it.
 
-    The gap between them may be three steps from pulse to pulse; the frequencies must be the same on both sides.
-
-    Raises
-    ------
-    SarsplatError
-        If pieces are of different bands, whose images show a target differently.
+    The gap between them may be three steps from pulse to pulse; the frequencies must be the same on both sides. Refused
+    if pieces are of different bands, whose images show a target differently.
     """
     waiting = [*histories]
     _require_one_band(histories)
@@ -174,3 +176,120 @@ def _joined(pieces: Sequence[PhaseHistory]) -> PhaseHistory:
         np.concatenate([piece.reference_m for piece in pieces]),
         np.concatenate([piece.samples for piece in pieces], axis=1),
     )
+
+
+@dataclass(frozen=True)
+class Aperture:
+    """Pulses that make one image of what is around a place."""
+
+    history: PhaseHistory
+    around_m: Float64[np.ndarray, " 3"]
+    """The place, world frame."""
+    view: View
+    """Direction to the middle of the aperture from there."""
+    width_deg: float
+    """Azimuths it covers, half a pulse beyond the outer ones included."""
+
+    @property
+    def cross(self) -> Float64[np.ndarray, " pulses"]:
+        """Direction to the antenna along the image's columns: the sine of the angle from the middle."""
+        return self._directions() @ self.view.look.gradients[0]
+
+    @property
+    def looks_left(self) -> bool:
+        """Whether the radar looks to the left of its flight."""
+        return bool(self.cross[-1] < self.cross[0])
+
+    @property
+    def tilt_deg(self) -> float:
+        """Turn of the slant plane about the line of sight: what stands up is displaced across by its tangent."""
+        across, up, _ = self.view.look.frame @ (self._directions()[-1] - self._directions()[0])
+        return math.degrees(math.atan2(math.copysign(1, across) * up, abs(across)))
+
+    @property
+    def extent(self) -> float:
+        """Extent of `cross`, half a pulse beyond the outer ones included."""
+        return float(np.ptp(self.cross)) * len(self.history) / (len(self.history) - 1)
+
+    @property
+    def unambiguous_m(self) -> float:
+        """Extent along the columns beyond which echoes come back at the other side."""
+        return SPEED_OF_LIGHT / (2 * self.history.carrier_hz * float(np.abs(np.diff(self.cross)).max()))
+
+    def resolution_m(self, weighting: Taylor) -> tuple[float, float]:
+        """3 dB width of the power response (azimuth, slant range), m."""
+        factor = weighting.width * SPEED_OF_LIGHT / 2
+        return factor / (self.history.carrier_hz * self.extent), factor / self.history.bandwidth_hz
+
+    def _directions(self) -> Float64[np.ndarray, "pulses 3"]:
+        return _unit(self.history.antenna_m - self.around_m)
+
+
+def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_deg: float | None) -> list[Aperture]:
+    """The parts of a whole flight around a place, in its order.
+
+    Each has `width_deg` of azimuth; what is left over is divided between both ends and not used. Without a width, the
+    parts are equal and about as wide as makes the azimuth resolution that of slant range; a shorter flight is one part.
+    Refused if the width is out of range or more than there is, the azimuth turns back during the flight, or the radar
+    is not above the place.
+    """
+    directions = _unit(history.antenna_m - around_m)
+    azimuth = np.unwrap(np.arctan2(-directions[:, 1], directions[:, 0]))
+    step = np.diff(azimuth)
+    turned = np.flatnonzero(step * step[0] <= 0)
+    if len(turned):
+        raise SarsplatError(
+            f"{history.name}: the azimuth turns back after pulse {turned[0]}; give pulses of one pass, in its order"
+        )
+    pulses = len(azimuth)
+    span = math.degrees(abs(azimuth[-1] - azimuth[0])) * pulses / (pulses - 1)
+    if width_deg is None:
+        square = math.degrees(history.bandwidth_hz / history.carrier_hz / np.hypot(*directions[:, :2].T).mean())
+        count = min(max(1, round(span / square), math.ceil(span / WIDEST_DEG)), pulses // 2)
+        width_deg = span / count
+    else:
+        count = _count(history, width_deg, span)
+    edges = (np.arange(count + 1) - count / 2) * math.radians(width_deg) + (azimuth[0] + azimuth[-1]) / 2
+    if step[0] < 0:
+        edges = edges[::-1]
+    sign = np.sign(step[0])
+    places = np.searchsorted(sign * azimuth, sign * edges)
+    parts = []
+    for first, last in pairwise(places):
+        if last - first < 2:
+            raise SarsplatError(_too_few(history, width_deg, last - first))
+        middle = _unit(directions[first:last].sum(axis=0, keepdims=True))[0]
+        azimuth_deg = math.degrees((azimuth[first] + azimuth[last - 1]) / 2) % 360
+        if middle[2] <= 0:
+            raise SarsplatError(f"{history.name}: the antenna is not above what --around names; heights are in metres")
+        view = View(azimuth_deg, View.towards(middle).grazing_deg)
+        parts.append(Aperture(history.part(slice(first, last)), around_m, view, width_deg))
+    return parts
+
+
+def _count(history: PhaseHistory, width_deg: float, span_deg: float) -> int:
+    """How many apertures of a width fit into a flight; a pulse more or less does not matter."""
+    if not 0 < width_deg <= WIDEST_DEG:  # also catches NaN
+        raise SarsplatError(
+            f"an aperture of {width_deg:g}° is not possible; give more than 0° and at most {WIDEST_DEG:g}°"
+        )
+    count = math.floor(span_deg / width_deg + 0.02)
+    if count < 1:
+        raise SarsplatError(
+            f"an aperture of {width_deg:g}° is more than the {span_deg:.3g}° of {history.name}; give --aperture a "
+            "smaller angle, or further files of the same flight"
+        )
+    if count > len(history):
+        raise SarsplatError(_too_few(history, width_deg, 0))
+    return count
+
+
+def _too_few(history: PhaseHistory, width_deg: float, pulses: int) -> str:
+    return (
+        f"{history.name}: an aperture of {width_deg:.3g}° holds {pulses} of {len(history)} pulses; give --aperture a "
+        "larger angle"
+    )
+
+
+def _unit(vectors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.finfo(np.float64).tiny)

@@ -22,13 +22,12 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Stack, View
-from sarsplat.importers.images import MeasuredImage, check_sides, dataset_of, write_imported
-from sarsplat.importers.measured_scene import AboutImages
+from sarsplat.importers.images import AboutImages, MeasuredImage, check_sides, dataset_of, write_imported
+from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.rslc_file import Rslc, read_rslc
 from sarsplat.names import CrossPolarised
 from sarsplat.radiometry import to_db
 
-_LIGHT_M_S = 299_792_458.0
 _UNWEIGHTED = 0.886
 """Width of a response at half power, for a band of 1 without weights."""
 
@@ -93,14 +92,14 @@ def import_rslc(
             f"{rslc.path} has {', '.join(rslc.polarisations)} alone; give a file of several polarisations"
         )
     spot = _spot(rslc, pixel)
-    view, spacing = _seen(rslc, spot, height_m, heading_deg)
+    view, spacing, widths, wider = _seen(rslc, spot, height_m, heading_deg)
     lines, samples = _cut(rslc, spot, size_m, spacing)
     signals = {
-        name[::-1]: _laid_out(rslc.read(name, lines, samples), rslc.look) for name in rslc.polarisations
-    }  # received, transmitted
+        name[::-1]: np.ascontiguousarray(rslc.read(name, lines, samples).T[:, :: 1 if rslc.look == "right" else -1])
+        for name in rslc.polarisations
+    }  # received, transmitted; columns run along the flight of a right-looking radar
     assumptions = [_cross(signals)] if cross == "mean" and {"HV", "VH"} <= signals.keys() else []
     names = tuple(sorted(signals))  # HH, HV, VH, VV
-    widths, wider = _resolution(rslc, spacing, spot, height_m)
     middle = [(low + high - 1) / 2 - at for (low, high), at in zip((lines, samples), spot, strict=True)]
     image = MeasuredImage(
         rslc.path.stem,
@@ -109,7 +108,7 @@ def import_rslc(
         spacing,
         widths,
         center_m=(middle[0] * spacing[0] * (1 if rslc.look == "right" else -1), middle[1] * spacing[1]),
-        stack=Stack(_LIGHT_M_S / rslc.frequency_hz, (0.0,) * len(names), polarisations=names),
+        stack=Stack(SPEED_OF_LIGHT / rslc.frequency_hz, (0.0,) * len(names), polarisations=names),
     )
     source: dict[str, Any] = {
         "kind": "rslc",
@@ -147,11 +146,14 @@ def _spot(rslc: Rslc, pixel: tuple[float, float] | None) -> tuple[float, float]:
 
 def _seen(
     rslc: Rslc, spot: tuple[float, float], height_m: float, heading_deg: float
-) -> tuple[View, tuple[float, float]]:
-    """From where the spot is seen, and the pixel spacing (azimuth, range) there, m."""
+) -> tuple[View, tuple[float, float], tuple[float, float], bool]:
+    """From where the spot is seen, pixel spacing and 3 dB widths (azimuth, range) there, m, and whether the file states
+    a wider band than its pixels can hold.
+    """
     if not abs(heading_deg) <= 360:
         raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
-    east, north, speed = _geolocated(rslc, spot, height_m)
+    time, away = (first + step * at for (first, step), at in zip((rslc.times_s, rslc.ranges_m), spot, strict=True))
+    east, north, speed = rslc.geolocation.at(height_m, time, away)
     up = math.sqrt(max(1 - east**2 - north**2, 0.0))
     if not 0 < up < 1 or not 1 < speed < 1e5:
         raise SarsplatError(
@@ -161,12 +163,11 @@ def _seen(
     heading = math.radians(heading_deg)
     ahead = math.sin(heading) * east + math.cos(heading) * north
     left = math.sin(heading) * north - math.cos(heading) * east
-    return View.towards((ahead, left, up)), (rslc.times_s[1] * speed, rslc.ranges_m[1])
-
-
-def _geolocated(rslc: Rslc, spot: tuple[float, float], height_m: float) -> tuple[float, float, float]:
-    time, away = (first + step * at for (first, step), at in zip((rslc.times_s, rslc.ranges_m), spot, strict=True))
-    return rslc.geolocation.at(height_m, time, away)
+    spacing = rslc.times_s[1] * speed, rslc.ranges_m[1]
+    stated = speed / rslc.bandwidths_hz[0], SPEED_OF_LIGHT / (2 * rslc.bandwidths_hz[1])
+    widest = np.maximum(stated, spacing)
+    widths = _UNWEIGHTED * float(widest[0]), _UNWEIGHTED * float(widest[1])
+    return View.towards((ahead, left, up)), spacing, widths, tuple(widest) != stated
 
 
 def _cut(
@@ -188,11 +189,6 @@ def _cut(
     return ends[0], ends[1]
 
 
-def _laid_out(image: Complex64[np.ndarray, "lines samples"], look: str) -> Complex64[np.ndarray, "samples lines"]:
-    """Slant ranges × azimuth; columns run along the flight of a right-looking radar."""
-    return np.ascontiguousarray(image.T if look == "right" else image.T[:, ::-1])
-
-
 def _cross(signals: dict[str, Complex64[np.ndarray, "rows columns"]]) -> str:
     """Replace HV and VH by their mean, and say how alike they were."""
     one, other = signals["HV"], signals.pop("VH")
@@ -206,13 +202,3 @@ def _cross(signals: dict[str, Complex64[np.ndarray, "rows columns"]]) -> str:
         f"HV and VH are one channel, HV, their mean: coherence {alike:.2f}, phase {degrees:.0f}° and {decibels:.1f} dB "
         "between them, which after calibration are 1, 0° and 0 dB but for noise"
     )
-
-
-def _resolution(
-    rslc: Rslc, spacing: tuple[float, float], spot: tuple[float, float], height_m: float
-) -> tuple[tuple[float, float], bool]:
-    """3 dB widths (azimuth, range), m, and whether the file states a wider band than its pixels can hold."""
-    speed = _geolocated(rslc, spot, height_m)[2]
-    stated = speed / rslc.bandwidths_hz[0], _LIGHT_M_S / (2 * rslc.bandwidths_hz[1])
-    azimuth, away = np.maximum(stated, spacing)
-    return (_UNWEIGHTED * float(azimuth), _UNWEIGHTED * float(away)), (azimuth, away) != stated

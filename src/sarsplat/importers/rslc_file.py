@@ -19,7 +19,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.importers.needed import require
-from sarsplat.importers.quantity import power_or_signal
+from sarsplat.importers.pictures import power_or_signal
 
 if TYPE_CHECKING:
     import h5py
@@ -85,10 +85,7 @@ class Rslc:
     ) -> Complex64[np.ndarray, "lines samples"]:
         """Amplitudes of one polarisation, from the first azimuth time and slant range to before the last.
 
-        Raises
-        ------
-        SarsplatError
-            If they cannot be read, are not complex, or one is not finite.
+        Refused if they cannot be read, are not complex, or one is not finite.
         """
         name = f"{self.group}/{polarisation}"
         with _opened(self.path) as file:
@@ -110,10 +107,7 @@ def is_hdf5(path: Path) -> bool:
 def read_rslc(path: Path) -> Rslc:
     """What one file says of its images.
 
-    Raises
-    ------
-    SarsplatError
-        If it is no RSLC, damaged, or what is needed is missing or impossible.
+    Refused if it is no RSLC, damaged, or what is needed is missing or impossible.
     """
     require("h5py", "RSLC files need", "rslc")
     if not is_hdf5(path):

@@ -20,12 +20,10 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.files import each_once
-from sarsplat.importers.images import MeasuredImage, assume, check_sides, dataset_of, write_imported
-from sarsplat.importers.measured_scene import AboutImages
-from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of
+from sarsplat.importers.images import AboutImages, MeasuredImage, assume, check_sides, dataset_of, write_imported
+from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of, stack_image
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
-from sarsplat.importers.sicd_stack import stack_image
 
 _LARGEST_SIZE_M = 1e5
 _LEANS = 0.05

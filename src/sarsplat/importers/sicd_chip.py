@@ -3,25 +3,46 @@
 The complex pixels are interpolated within their band, wherever in the spectrum that lies (`DeltaKCOAPoly`): it is moved
 to zero, and back afterwards. So the phase stays what the file has: SICDs are at baseband, and a scatterer shows, at its
 own pixel, the phase ±4π/λ times its range from the scene centre point, with the sign that the file states.
+
+Coregistered SICDs of one scene, passes or polarisations, become the channels of one view.
+
+The first file is the view's. The phase of a scatterer in another file is that of its range from the file's own antenna,
+referred to the range of the scene centre point. On level ground through the spot it is replaced by what parallel rays
+have there (`Stack.plane_phases`), so that the rounding of wavefronts is undone; what stands on the ground keeps its
+difference, and the spot has the same phase in all passes.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.polynomial.polynomial as polynomials
 from jaxtyping import Complex64, Float64
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry import ImageGrid, Stack
 from sarsplat.geometry.responses import GAUSSIAN, Response
+from sarsplat.geometry.stack import POLARISATIONS
 from sarsplat.importers.band_limited import interpolate, taps
-from sarsplat.importers.sicd_fields import Axis
-from sarsplat.importers.sicd_file import Sicd
-from sarsplat.importers.sicd_geometry import Layout, middle_of
+from sarsplat.importers.images import MeasuredImage
+from sarsplat.importers.nitf import sarkit_errors
+from sarsplat.importers.phase_history import SPEED_OF_LIGHT
+from sarsplat.importers.sicd_file import Axis, Sicd
+from sarsplat.importers.sicd_geometry import Layout, Spot, middle_of, on_ground
 
 _ASKEW = 0.05
 """Slope of an image's axes against ours from which on its side lobes run beside these."""
+
+_APART = 0.1
+"""Pixels by which the corners of one grid may differ from those of another."""
+
+_SAME_FREQUENCY = 1e-4
+"""Relative difference of centre frequencies that are meant to be the same."""
+
+_DIGITS = 8
+"""Of offsets, rad: below is rounding, millimetres of the antenna's place."""
 
 
 def spacing_of(sicd: Sicd, layout: Layout) -> tuple[float, float]:
@@ -48,23 +69,11 @@ def response_along(sicd: Sicd, layout: Layout) -> Response:
 def chip(
     sicd: Sicd, layout: Layout, shape: tuple[int, int], spacing_m: tuple[float, float], absolute: bool
 ) -> Complex64[np.ndarray, "rows columns"]:
-    """Complex amplitudes around the spot; nothing else of the image is read.
+    """Complex amplitudes around the spot, range (near first) × azimuth; nothing else of the image is read.
 
-    Parameters
-    ----------
-    sicd, layout : Sicd, Layout
-        The file, and where the ground lies in its image.
-    shape : (int, int)
-        Rows (range, near first) and columns (azimuth).
-    spacing_m : (float, float)
-        Of (azimuth, range), m, at most `spacing_of`.
-    absolute : bool
-        Whether the squared amplitude is to be β⁰, which the file must then say how to get.
-
-    Raises
-    ------
-    SarsplatError
-        If the image does not reach as far, a pixel is not finite, or what is said of β⁰ is not positive.
+    `spacing_m` of (azimuth, range) is at most `spacing_of`; the squared amplitude is β⁰ if it is to be `absolute`,
+    which the file must then say how to get. Refused if the image does not reach as far, a pixel is not finite, or what
+    is said of β⁰ is not positive.
     """
     rows, columns = shape
     azimuth = (np.arange(columns) - (columns - 1) / 2) * spacing_m[0]
@@ -117,3 +126,133 @@ def _polynomial(
     coefficients: Float64[np.ndarray, "m n"], place: Float64[np.ndarray, "*n 2"]
 ) -> Float64[np.ndarray, "*n"]:
     return np.asarray(polynomials.polyval2d(place[..., 0], place[..., 1], coefficients), np.float64)
+
+
+def stack_image(
+    name: str,
+    sicds: Sequence[Sicd],
+    spot: Spot,
+    layout: Layout,
+    shape: tuple[int, int],
+    spacing_m: tuple[float, float],
+    absolute: bool,
+) -> MeasuredImage:
+    """The channels of one view around a spot, of files on one grid, the first of which is seen from the view.
+
+    `layout` is where the ground lies in that one; see `chip` for the rest. Refused if there are fewer than two files,
+    their grids or frequencies differ, they do not say which they are, two are the same, or one does not reach as far as
+    is asked for.
+    """
+    if len(sicds) < 2:
+        raise SarsplatError(
+            f"{sicds[0].path} is one file; a stack needs several, so add the others or leave out --stack"
+        )
+    first = sicds[0]
+    for sicd in sicds[1:]:
+        _refuse_other_grid(first, sicd)
+    frame = layout.view.look.frame
+    here = layout.place_of(np.zeros(1), np.zeros(1))
+    lines = [spot.axes @ (_antenna_at(sicd, here)[0] - spot.ecef) for sicd in sicds]
+    seen = np.array(lines) @ frame.T
+    offsets = np.round(seen[:, 1] / -seen[:, 2], _DIGITS) + 0.0  # of elevation alone; no negative zero
+    names = ", ".join(sicd.path.name for sicd in sicds)
+    try:
+        stack = Stack(_wavelength(sicds), tuple(map(float, offsets)), polarisations=_polarisations(sicds))
+    except SarsplatError as error:
+        raise SarsplatError(f"{names} are no stack: {error}") from error
+    grid = ImageGrid(*shape, spacing_m, resolution_of(first, layout), response=response_along(first, layout))
+    plane = stack.plane_phases(layout.view, grid)
+    azimuth, away = (part.ravel() for part in np.meshgrid(grid.azimuth_m, grid.range_m))
+    reference = _ranges(first, spot, layout, azimuth, away) - np.linalg.norm(lines[0])
+    signals = []
+    for sicd, level in zip(sicds, plane, strict=True):
+        pixels = chip(sicd, layout, shape, spacing_m, absolute)
+        if sicd.row.sign > 0:  # what is farther away has more phase there
+            pixels = pixels.conj()
+        to_centre = np.linalg.norm(_antenna_at(sicd, np.zeros((1, 2))) - sicd.projection.SCP)
+        farther = _ranges(sicd, spot, layout, azimuth, away) - to_centre - reference
+        phase = stack.wavenumber * farther.reshape(shape) + level - plane[0]
+        signals.append((pixels * np.exp(1j * phase)).astype(np.complex64))
+    return MeasuredImage(
+        name,
+        np.stack(signals),
+        layout.view,
+        spacing_m,
+        grid.resolution_m,
+        response=grid.response,
+        stack=stack,
+    )
+
+
+def _antenna_at(sicd: Sicd, place: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
+    """Where the antenna was (ECEF, m) at the centre of the aperture of each place (xrow, ycol)."""
+    from sarkit.sicd import projection
+
+    with sarkit_errors(sicd.path):
+        time = projection.compute_coa_time(sicd.projection.cT_COA, place)
+        state = projection.compute_coa_pos_vel(sicd.projection, time)
+    assert isinstance(state, projection.CoaPosVelsMono)  # read_sicd refuses others
+    return np.asarray(state.ARP_COA, np.float64)
+
+
+def _ranges(
+    sicd: Sicd, spot: Spot, layout: Layout, azimuth_m: Float64[np.ndarray, " n"], range_m: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, " n"]:
+    """From the antenna to level ground in each pixel, m."""
+    ground = spot.ecef + on_ground(layout.view, azimuth_m, range_m) @ spot.axes
+    antennas = _antenna_at(sicd, layout.place_of(azimuth_m, range_m))
+    distances: Float64[np.ndarray, " n"] = np.linalg.norm(antennas - ground, axis=1)
+    return distances
+
+
+def _refuse_other_grid(first: Sicd, other: Sicd) -> None:
+    if first.shape != other.shape:
+        sizes = (" × ".join(map(str, one.shape)) for one in (first, other))
+        raise SarsplatError(
+            f"{first.path} has {next(sizes)} pixels and {other.path} {next(sizes)}; coregister them to one grid, or "
+            "leave out --stack"
+        )
+    apart = float(np.linalg.norm(_corners(first) - _corners(other), axis=1).max())
+    if not apart <= _APART * min(axis.spacing_m for axis in first.axes):
+        raise SarsplatError(
+            f"{other.path} lies on another grid than {first.path}, whose corners are up to {apart:.3g} m away; "
+            "coregister them to one grid, or leave out --stack"
+        )
+
+
+def _corners(sicd: Sicd) -> Float64[np.ndarray, "4 3"]:
+    """Of the image, ECEF, m."""
+    rows, columns = sicd.shape
+    places = sicd.place_of(np.array([[0, 0], [0, columns - 1], [rows - 1, 0], [rows - 1, columns - 1]], np.float64))
+    metadata = sicd.projection
+    corners: Float64[np.ndarray, "4 3"] = metadata.SCP + places @ np.array([metadata.uRow, metadata.uCol])
+    return corners
+
+
+def _wavelength(sicds: Sequence[Sicd]) -> float:
+    """That of the centre frequency, m."""
+    frequencies = []
+    for sicd in sicds:
+        if sicd.frequency_hz is None:
+            raise SarsplatError(
+                f"{sicd.path.name} does not say which frequencies it has (TxFrequencyProc); get it again"
+            )
+        frequencies.append(sicd.frequency_hz)
+    if np.ptp(frequencies) > _SAME_FREQUENCY * frequencies[0]:
+        raise SarsplatError(
+            f"centre frequencies are {min(frequencies) / 1e9:.6g} to {max(frequencies) / 1e9:.6g} GHz; give files of "
+            "one, or leave out --stack"
+        )
+    return SPEED_OF_LIGHT / frequencies[0]
+
+
+def _polarisations(sicds: Sequence[Sicd]) -> tuple[str, ...] | None:
+    """Received and transmitted, which the files have the other way round; None if all say the same that is none."""
+    stated = [sicd.collection.get("polarization", "") for sicd in sicds]
+    names = tuple("".join(part[:1] for part in reversed(text.split(":"))) for text in stated)
+    if set(names) <= set(POLARISATIONS):
+        return names
+    if len(set(stated)) == 1:
+        return None
+    other = next(text for text, name in zip(stated, names, strict=True) if name not in POLARISATIONS)
+    raise SarsplatError(f"a polarisation is {shown(other)} (transmitted, received); give files of H, V, RHC or LHC")

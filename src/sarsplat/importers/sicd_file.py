@@ -4,22 +4,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Complex64, Float64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
 from sarsplat.importers.needed import require
 from sarsplat.importers.nitf import Segment, read_nitf, sarkit_errors
-from sarsplat.importers.sicd_fields import FARTHEST, LARGEST, Axis, SicdFields
-from sarsplat.importers.sicd_versions import modernise
 
 if TYPE_CHECKING:
+    import lxml.etree
     from sarkit.sicd.projection import AdjustableParameterOffsets, MetadataParams
 
 _MOST_PIXELS_PER_SIDE = 1_000_000
+
+LARGEST = 1e9
+"""No amplitude comes near it, and its square still fits into float32."""
+
+FARTHEST = 1e12
+"""Nor does any number of the metadata that is used here."""
+
+_NAMESPACE = "urn:SICD:"
+_READ_AS = dict.fromkeys(("0.4.0", "0.4.1", "0.5.0", "1.0.0", "1.0.1"), "1.1.0") | {"1.2.0": "1.2.1"}
+"""Versions without a schema in sarkit → the next one with it, whose fields that are used here mean the same."""
 
 
 @dataclass(frozen=True)
@@ -71,10 +81,7 @@ class Sicd:
     def read(self, rows: tuple[int, int], columns: tuple[int, int]) -> Complex64[np.ndarray, "rows columns"]:
         """Amplitudes from the first row and column to before the last; nothing else of the image is read.
 
-        Raises
-        ------
-        SarsplatError
-            If an amplitude is not finite or absurdly large.
+        Refused if an amplitude is not finite or absurdly large.
         """
         raw = self._stored(rows, columns)
         if self.pixel_type == "RE32F_IM32F":
@@ -111,11 +118,8 @@ class Sicd:
 def read_sicd(path: Path) -> Sicd:
     """The metadata of one SICD.
 
-    Raises
-    ------
-    SarsplatError
-        If it is not a SICD of one radar (monostatic), truncated, garbled, compressed, or what is needed of its metadata
-        is missing or impossible.
+    Refused if it is not a SICD of one radar (monostatic), truncated, garbled, compressed, or what is needed of its
+    metadata is missing or impossible.
     """
     require("sarkit", "SICD files need", "sicd")
     with open_file(path) as file:
@@ -190,3 +194,156 @@ def _check_segments(path: Path, metadata: MetadataParams, pixel_type: str, segme
             f"{path} says that its image has {metadata.NumRows} × {metadata.NumCols} pixels of type {pixel_type}, but "
             "its segments hold other numbers of bytes; get it again"
         )
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What the metadata say of the rows or the columns of an image."""
+
+    spacing_m: float
+    """Distance of pixels within the image plane."""
+    resolution_m: float
+    """3 dB width of the power response, within the image plane."""
+    bandwidth: float
+    """Bandwidth of the response, cycles/m."""
+    sign: int
+    """Sign of the exponent in the Fourier transform to spatial frequencies, 1 or −1."""
+    carrier: Float64[np.ndarray, "m n"]
+    """Where the band is centred, cycles/m: a polynomial in (xrow, ycol), m."""
+    window: str
+    """How the band was weighted, in the file's words; "" where it does not say."""
+    response: Response
+    """What follows from that; a Gaussian where the file does not say enough."""
+
+    @property
+    def occupied(self) -> float:
+        """Share of the sampled band that the image fills."""
+        return min(self.bandwidth * self.spacing_m, 1.0)
+
+
+class SicdFields:
+    """Single fields of the XML, each refused with a sentence if it is not what it must be."""
+
+    def __init__(self, path: Path, tree: lxml.etree._ElementTree) -> None:
+        from sarkit.sicd import XmlHelper
+
+        self._path, self._tree, self._helper = path, tree, XmlHelper(tree)
+
+    def _load(self, name: str) -> Any:
+        return self._helper.load(_any_version(name))
+
+    def _text(self, name: str) -> str:
+        text = self._tree.findtext(_any_version(name)) or ""
+        return "".join(letter if letter.isprintable() else "?" for letter in text.strip())[:80]
+
+    def _number(self, name: str, least: float, most: float) -> float:
+        value = self._load(name)
+        if not isinstance(value, int | float) or not least <= value <= most:  # also catches NaN
+            raise SarsplatError(
+                f"{self._path} has {shown(value)} as {name}; it must be a number from {least:g} to {most:g}, so get it "
+                "again"
+            )
+        return float(value)
+
+    def polynomial(self, name: str) -> Float64[np.ndarray, "m n"] | None:
+        """A polynomial in two variables; None where there is none."""
+        value = self._load(name)
+        if value is not None and not np.all(np.abs(value) <= FARTHEST):
+            raise SarsplatError(f"{self._path} has a polynomial {name} that is not finite; get it again")
+        return value
+
+    def axis(self, name: str) -> Axis:
+        """Rows (`Row`) or columns (`Col`)."""
+        carrier = self.polynomial(f"Grid/{name}/DeltaKCOAPoly")
+        window = self._text(f"Grid/{name}/WgtType/WindowName")
+        sign = self._load(f"Grid/{name}/Sgn")
+        if sign not in (1, -1):
+            raise SarsplatError(f"{self._path} has {shown(sign)} as Grid/{name}/Sgn; it must be 1 or -1")
+        return Axis(
+            self._number(f"Grid/{name}/SS", 1e-4, 1e4),
+            self._number(f"Grid/{name}/ImpRespWid", 1e-4, 1e4),
+            self._number(f"Grid/{name}/ImpRespBW", 1e-5, 1e4),
+            sign,
+            np.zeros((1, 1)) if carrier is None else carrier,
+            "" if window == "UNKNOWN" else window,
+            self._response(f"Grid/{name}/WgtType", window),
+        )
+
+    def _response(self, name: str, window: str) -> Response:
+        """The response that a window leads to, if it is one of ours and stated with its parameters."""
+        if window == "UNIFORM":
+            return UNIFORM
+        stated = {item.get("name"): item.text for item in self._tree.iterfind(_any_version(f"{name}/Parameter"))}
+        return stated_taylor(stated.get("SLL"), stated.get("NBAR")) if window == "TAYLOR" else GAUSSIAN
+
+    def pixel_type(self) -> str:
+        """One of those that sarkit knows."""
+        from sarkit.sicd import PIXEL_TYPES
+
+        name = self._text("ImageData/PixelType")
+        if name not in PIXEL_TYPES:
+            raise SarsplatError(f"{self._path} has pixels of type {shown(name)}; give {', '.join(PIXEL_TYPES)}")
+        return name
+
+    def amplitudes(self) -> Float64[np.ndarray, " 256"] | None:
+        """The table of amplitudes, if there is one."""
+        values = self._load("ImageData/AmpTable")
+        if values is not None and not (np.shape(values) == (256,) and np.all((values >= 0) & (values <= LARGEST))):
+            raise SarsplatError(f"{self._path} has a table of amplitudes that is not 256 numbers ≥ 0; get it again")
+        return values
+
+    def centre_frequency(self) -> float | None:
+        """Of the processed band, Hz; None where the file does not say it."""
+        ends = [self._load(f"ImageFormation/TxFrequencyProc/{name}") for name in ("MinProc", "MaxProc")]
+        if not all(isinstance(end, int | float) and 1e6 <= end <= FARTHEST for end in ends):  # also catches NaN
+            return None
+        return sum(map(float, ends)) / 2
+
+    def collection(self) -> dict[str, str]:
+        """Who took it, when and how."""
+        names = {
+            "sensor": "CollectionInfo/CollectorName",
+            "collection": "CollectionInfo/CoreName",
+            "mode": "CollectionInfo/RadarMode/ModeType",
+            "start": "Timeline/CollectStart",
+            "polarization": "ImageFormation/TxRcvPolarizationProc",
+        }
+        return {key: text for key, name in names.items() if (text := self._text(name))}
+
+
+def _any_version(name: str) -> str:
+    """A path of elements whatever their namespace, which is that of a version."""
+    return "/".join("{*}" + part for part in name.split("/"))
+
+
+def modernise(path: Path, tree: lxml.etree._ElementTree) -> str:
+    """Change metadata of a SICD to a version that sarkit has the schema of; returns the version that the file states.
+
+    Refused if it is no version that can be read.
+    """
+    from sarkit.sicd import VERSION_INFO
+
+    root = tree.getroot()
+    version = str(root.tag).partition("}")[0].removeprefix("{" + _NAMESPACE)
+    if _NAMESPACE + version in VERSION_INFO:
+        return version
+    if version not in _READ_AS:
+        known = sorted((*_READ_AS, *(name.removeprefix(_NAMESPACE) for name in VERSION_INFO)))
+        raise SarsplatError(
+            f"{path} is SICD of version {shown(version)[1:-1]}, and {', '.join(known)} are read; get it in one of these"
+        )
+    for element in root.iter("*"):
+        element.tag = f"{{{_NAMESPACE}{_READ_AS[version]}}}{str(element.tag).rpartition('}')[2]}"
+        element.attrib.pop("class", None)  # types of values, up to 0.4.1
+    for name in ("Row", "Col"):  # up to 0.4.1 the name of the window alone
+        weighting = root.find(f"{{*}}Grid/{{*}}{name}/{{*}}WgtType")
+        if weighting is not None and len(weighting) == 0:
+            window = weighting.makeelement(str(weighting.tag).replace("WgtType", "WindowName"))
+            window.text, weighting.text = weighting.text, None
+            weighting.append(window)
+    rate = root.find("{*}RMA/{*}INCA/{*}DRateSFPoly")
+    if rate is not None and rate.get("order2") is None:  # of one variable in 0.4.0
+        rate.set("order2", "0")
+        for coefficient in rate:
+            coefficient.set("exponent2", "0")
+    return version

@@ -107,10 +107,7 @@ def middle_of(sicd: Sicd) -> str:
 def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) -> Spot:
     """The place on the ground, as high as the scene centre point, that a pixel shows.
 
-    Raises
-    ------
-    SarsplatError
-        If the pixel is outside the image or shows no such place.
+    Refused if the pixel is outside the image or shows no such place.
     """
     from sarkit import wgs84
     from sarkit.sicd import projection
@@ -143,11 +140,8 @@ def spot_of_centre(sicd: Sicd, heading_deg: float) -> Spot:
 def layout_around(sicd: Sicd, spot: Spot, extent_m: float) -> Layout:
     """Where the ground up to `extent_m` from the spot, in azimuth and slant range, lies in an image.
 
-    Raises
-    ------
-    SarsplatError
-        If the image does not show the spot, its radar is below the horizon there, its metadata contradict themselves,
-        or its slant plane is tilted by more than 60° about the line of sight.
+    Refused if the image does not show the spot, its radar is below the horizon there, its metadata contradict
+    themselves, or its slant plane is tilted by more than 60° about the line of sight.
     """
     with sarkit_errors(sicd.path):
         place = _locate(sicd, spot, np.zeros((1, 3)))

@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.data.plausible import warn
 from sarsplat.errors import SarsplatError
+from sarsplat.examination.plausible import warn
 from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.initialise import Region

@@ -19,7 +19,7 @@ from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.part import Shot
 from sarsplat.names import Speckle
 from sarsplat.renderer import render
-from sarsplat.scenes.speckle import ResponseSpeckle, white_speckle
+from sarsplat.scenes.scattering import ResponseSpeckle, white_speckle
 
 _FINE_ENOUGH = 1.5
 """Pixels on which what is scattered is imaged without a response, in standard deviations of small Gaussians …"""

@@ -13,7 +13,7 @@ from sarsplat.gaussians.initialise import Region, bounded_region
 from sarsplat.geometry.terrain import heights_of
 from sarsplat.regions.flattened import levelled
 from sarsplat.regions.target_box import stands_out_db, target_box
-from sarsplat.scenes.mesh_files import read_mesh
+from sarsplat.scenes.meshes import read_mesh
 
 _MUCH = 0.2
 """Share of what stands out from the ground that may lie beyond the box: side lobes, and what is there by chance."""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from sarsplat.colours import DARK, LIGHT, PREDICTED, RADAR, TRUE
 from sarsplat.data import Dataset
-from sarsplat.data.determined import weakest_direction
 from sarsplat.errors import counted
 from sarsplat.evaluation import (
     IMAGE_METRICS,
@@ -26,6 +25,7 @@ from sarsplat.evaluation import (
     paper_beside,
 )
 from sarsplat.evaluation.tables import baselines, whose
+from sarsplat.examination.plausible import weakest_direction
 from sarsplat.report.figure import Figure
 from sarsplat.runs import Run
 from sarsplat.version import program_version

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Complex, Float64
 
-from sarsplat.data.evenly import evenly_chosen
+from sarsplat.data.coverage import evenly_chosen
 from sarsplat.report.figure import Block, Figure
 from sarsplat.report.images import Part, address, indexed, target_window, view_name
 from sarsplat.report.interferogram import averaged, covariances

@@ -8,8 +8,8 @@ from typing import Any, cast
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, read_dataset
-from sarsplat.data.plausible import suspicions, warn
 from sarsplat.errors import SarsplatError
+from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.learning.device import device_named
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.method import Inputs

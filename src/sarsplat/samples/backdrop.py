@@ -10,8 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid
-from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.quantity import likely_quantity, power_or_signal
+from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
 from sarsplat.learning.sampler import LEARNED, UNIFORM
 
 _GROUND_CELLS = 3.0

@@ -1,5 +1,4 @@
-from .building_profile import BuildingProfile, building_profile
-from .buildings import BUILDINGS, Building, Gamma0
+from .buildings import BUILDINGS, Building, BuildingProfile, Gamma0, building_profile
 from .mechanisms import Mechanisms
 from .meshes import load_mesh
 from .protocols import mstar_grid, mstar_views, paper_grid, paper_views

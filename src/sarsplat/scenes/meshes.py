@@ -1,12 +1,20 @@
-"""Targets from mesh files, dirty ones included."""
+"""Targets from mesh files, dirty ones and untrusted ones included.
+
+trimesh reads many formats, follows names in a file to other files, unpacks archives, and allocates what a glTF header
+asks for. Here it reads the bytes of one regular file in one of five formats, and nothing else.
+"""
 
 from __future__ import annotations
 
+import io
+import json
+import logging
 import math
 import os
+import re
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,14 +22,27 @@ from jaxtyping import Bool, Float, Int
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid
-from sarsplat.scenes.mesh_files import read_mesh
 
 if TYPE_CHECKING:
     import trimesh
 
+
 # Plausible sizes of a target, in image sides and in resolution widths. A vehicle in inches, centimetres, millimetres or
 # kilometres is outside.
 _LARGEST_TARGET, _SMALLEST_TARGET = 1.0, 2.0
+
+_FORMATS = (".obj", ".stl", ".ply", ".off", ".glb")
+_FARTHEST = 1e9  # m from the origin: beyond any unit mistaken for the metre, with squares that are finite
+_LARGEST_FILE = 1 << 28  # bytes
+# Bytes of text: trimesh takes up to fifty times as much memory for the first two, eighty times for the others.
+_LONGEST_TEXT = {".obj": 1 << 25, ".stl": 1 << 25, ".off": 1 << 24, ".ply": 1 << 24}
+_FREE_NUMBERS = 100_000  # to which a .glb file of any size may expand
+_LONGEST_SCENE = 1 << 20  # bytes of JSON in a .glb file
+_MAX_PARTS = 2_000  # nodes and primitives of a glTF scene: trimesh takes about a tenth of a millisecond for each
+_MAX_SOLIDS = 1_000  # in an ASCII .stl file: half a millisecond for each
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+
+logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # our own errors report what is wrong with a file
 
 
 @checks_arguments
@@ -111,3 +132,126 @@ def _first_of_equals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, 
     _, number = np.unique(vertices, axis=0, return_inverse=True)
     _, first = np.unique(np.sort(number.reshape(-1)[faces], axis=1), axis=0, return_index=True)
     return np.isin(np.arange(len(faces)), first)
+
+
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    """All triangles of a self-contained .obj, .stl, .ply, .off or .glb file, unchanged; parts of a scene become one.
+
+    Materials and textures are ignored. Every face refers to existing vertices, which may be NaN or infinite. Raises
+    `SarsplatError` if the file is missing, of another format or damaged, or expands to far more than its size.
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    if kind not in _FORMATS:
+        raise SarsplatError(f"'{path}' is not in a supported mesh format; give an {', '.join(_FORMATS)} file")
+    import trimesh
+
+    try:
+        if not path.is_file():  # nor a pipe or a device, which may never end
+            raise SarsplatError(f"there is no mesh file at '{path}'; give the path of an {', '.join(_FORMATS)} file")
+        if (size := path.stat().st_size) > _LARGEST_FILE:
+            raise SarsplatError(f"'{path}' has {size} bytes, more than is sensible for a target; simplify the mesh")
+        if kind in (".obj", ".off"):
+            _check_length(path, size)
+        data = path.read_bytes()
+    except (OSError, MemoryError) as error:
+        raise SarsplatError(f"cannot read '{path}': {error}; check the path and its permissions") from error
+    if kind == ".glb":
+        _check_glb(path, data)
+    elif not _is_binary(kind, data):
+        data = _plain_text(path, kind, data)
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            # numpy only warns about a number it cannot read, and skips the rest of the line.
+            warnings.filterwarnings("error", message="string or file could not be read")
+            # Unprocessed: merging vertices would move them. A stream without resolver: no other file can be named.
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True)
+            mesh = scene.to_mesh()
+            if kind == ".glb":  # y is up there
+                mesh.vertices = mesh.vertices[:, [0, 2, 1]] * (1, -1, 1)
+    except Exception as error:  # the readers behind trimesh raise whatever their parsers raise
+        reason = repr(str(error) or type(error).__name__)[:200]
+        raise SarsplatError(f"'{path}' cannot be read as a mesh ({reason}); repair it or give another file") from error
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if len(faces) == 0:
+        raise SarsplatError(f"'{path}' holds no faces, only {len(vertices)} vertices; give a triangle mesh")
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
+        raise SarsplatError(f"'{path}' has faces that refer to missing vertices; repair the mesh")
+    if (far := np.abs(vertices[np.isfinite(vertices)])).size and far.max() > _FARTHEST:
+        raise SarsplatError(f"'{path}' has a vertex {far.max():.3g} m from the origin; repair it or scale it to metres")
+    return mesh
+
+
+def _check_length(path: Path, size: int) -> None:
+    if size > _LONGEST_TEXT[path.suffix.lower()]:
+        raise SarsplatError(f"'{path}' has {size} bytes of text; simplify the mesh or export it as .glb or binary .ply")
+
+
+def _is_binary(kind: str, data: bytes) -> bool:
+    if kind == ".stl":
+        return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
+    return kind == ".ply" and not re.match(rb"[^\n]*\n[^\n]*ascii", data, re.IGNORECASE)  # as trimesh tells them apart
+
+
+def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
+    """UTF-8 without what is far more expensive for trimesh than its size: materials, comments, empty lines."""
+    _check_length(path, len(data))
+    if kind == ".stl" and b"\0" in data:
+        faces = int.from_bytes(data[80:84], "little")
+        raise SarsplatError(
+            f"'{path}' declares {faces} faces ({84 + 50 * faces} bytes) but has {len(data)} bytes; export it again"
+        )
+    data = data.decode("utf-8", "replace").encode()
+    if kind == ".stl" and (solids := data.lower().count(b"endsolid")) > _MAX_SOLIDS:
+        raise SarsplatError(f"'{path}' holds {solids} solids, each a mesh; export it as one plain mesh")
+    if kind == ".obj":
+        if re.search(rb"^f[^\n]*[ \t]-", data, flags=re.MULTILINE):
+            raise SarsplatError(f"'{path}' uses relative vertex numbers in its faces; export it with absolute ones")
+        return data.replace(b"usemtl", b"#")  # each change of material would be a mesh, for milliseconds
+    if kind == ".off":
+        return re.sub(rb"(?:[\n-\r\x1c-\x1e]|#[^\n]*)(?:[\s\x1c-\x1e]+|#[^\n]*)*+", b"\n", data)
+    return re.sub(rb"[\n-\r\x1c-\x1e][\s\x1c-\x1e]*", b"\n", data)
+
+
+def _check_glb(path: Path, data: bytes) -> None:
+    """Refuse a scene whose JSON describes far more data than the file holds."""
+    length = int.from_bytes(data[12:16], "little")
+    if data[:4] != b"glTF" or data[16:20] != b"JSON" or length > len(data) - 20:
+        raise SarsplatError(f"'{path}' is not a whole .glb file; export it again")
+    if length > _LONGEST_SCENE:
+        raise SarsplatError(f"'{path}' describes its scene in {length} bytes of JSON; export it as one plain mesh")
+    try:
+        numbers, parts = _unfolded(json.loads(data[20 : 20 + length].decode()))
+    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        raise SarsplatError(f"'{path}' has a garbled scene ({repr(error)[:200]}); export it again") from error
+    if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MAX_PARTS:
+        raise SarsplatError(
+            f"'{path}' expands {len(data)} bytes to {numbers} numbers in {parts} parts; export it as one plain mesh"
+        )
+
+
+def _unfolded(scene: dict[str, Any]) -> tuple[int, int]:
+    """How many numbers trimesh would hold, counting every instance of every part, and how many instances."""
+    views, accessors, meshes, nodes = (scene.get(key, []) for key in ("bufferViews", "accessors", "meshes", "nodes"))
+    numbers = sum(_natural(view["byteLength"]) // 4 for view in views)
+    for accessor in accessors:
+        if "sparse" in accessor or "bufferView" not in accessor:
+            raise ValueError("sparse and compressed data are not read")
+        numbers += _natural(accessor["count"]) * _COMPONENTS[accessor["type"]]
+    loads, parts = [], len(nodes)
+    for mesh in meshes:
+        primitives = mesh["primitives"]
+        if any("KHR_draco_mesh_compression" in primitive.get("extensions", ()) for primitive in primitives):
+            raise ValueError("compressed data are not read")
+        used = [index for p in primitives for index in (*p["attributes"].values(), p.get("indices"))]
+        loads.append((sum(accessors[index]["count"] for index in used if index is not None), len(primitives)))
+    for load, count in [*loads, *(loads[node["mesh"]] for node in nodes if "mesh" in node)]:
+        numbers, parts = numbers + load, parts + count
+    return numbers, parts + sum(len(node.get("children", ())) for node in nodes)
+
+
+def _natural(value: object) -> int:
+    if isinstance(value, int) and value >= 0:
+        return value
+    raise ValueError(f"{value!r:.40} is not a count")

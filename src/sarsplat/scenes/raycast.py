@@ -1,4 +1,4 @@
-"""Truth for experiments: β⁰ images of a triangle mesh by ray casting, which shares no code with the renderer.
+"""Truth for experiments: β⁰ images and masks of a mesh by ray casting, which shares no code with the renderer.
 
 Parallel rays along the line of sight stand on the computation plane (x_r, y_r), dense along the edges of flat surfaces
 and sparse within them; each deposits the cross-section γ⁰(i)·δx·δy of its first hit on the imaging plane (x_r, z_r),
@@ -10,21 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Float64, Int32, Real
+from jaxtyping import Float, Float64, Int32, Real, UInt8
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, Look, Terrain, View
+from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, Look, Terrain, View
 from sarsplat.radiometry import to_db
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._patches import Patches
-from sarsplat.scenes._rays import Facets, Region, Trace, tracer
-from sarsplat.scenes._sparse_rays import sparse_hits
-from sarsplat.scenes._terrain import on_terrain
+from sarsplat.scenes._rays import Facets, Region, Trace, first_hits, sparse_hits, tracer
 from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity, check_terrain
 
 if TYPE_CHECKING:
@@ -34,6 +32,12 @@ _OFFSETS = (0.5, 0.5), (0.0, 0.0)
 _FAINTEST = 1e-3  # of the brightest pixel, where the error of the rays is measured
 _NO_TARGET = -1.0  # reflectivity of terrain: no patch is both
 _RAYS_PER_RESOLUTION, _RAYS_PER_MESH = 15.0, 100.0  # across a resolution cell, and along the mesh
+
+_STEEPEST_DEG = 85.0  # grazing angle of views whose images are to be full of ground
+
+_PARTS = 5  # along each side of a pixel, each lit or not
+_RAYS = 2  # along the shorter side of a part, so that every part of a surface has one
+_OFFSET = 0.5, 0.5
 
 
 @checks_arguments
@@ -85,18 +89,11 @@ def simulate_raycast(
     SarsplatError
         If the mesh has no faces or is not finite, or a setting is out of range.
     """
-    caster = RayCaster(
-        mesh,
-        grid,
-        law,
-        reflectivity=reflectivity,
-        ground_gamma0=ground_gamma0,
-        terrain=terrain,
-        ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
-        ray_offset=ray_offset,
-        oversample=oversample,
+    spacing = default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing
+    known: dict[str, Any] = {"reflectivity": reflectivity, "ground_gamma0": ground_gamma0, "terrain": terrain}
+    return RayCaster(mesh, grid, law, **known, ray_spacing=spacing, ray_offset=ray_offset, oversample=oversample).image(
+        view
     )
-    return caster.image(view)
 
 
 class RayCaster:
@@ -195,29 +192,14 @@ def ray_error_db(
     view: View,
     grid: ImageGrid,
     law: ScatteringLaw,
-    *,
-    reflectivity: Float64[np.ndarray, " faces"] | None,
-    ground_gamma0: float | None,
-    terrain: Terrain | None,
-    ray_spacing: float,
+    **settings: Any,
 ) -> float | None:
     """Error of an image by its rays: RMS, in dB, over pixels within 30 dB of the brightest; None if it is empty.
 
-    Estimated from two images with other rays of the same spacing, each of which has this error.
+    Estimated from two images with other rays of the same spacing, each of which has this error; `settings` are those of
+    the `RayCaster`.
     """
-    casters = [
-        RayCaster(
-            mesh,
-            grid,
-            law,
-            reflectivity=reflectivity,
-            ground_gamma0=ground_gamma0,
-            terrain=terrain,
-            ray_spacing=ray_spacing,
-            ray_offset=offset,
-        )
-        for offset in _OFFSETS
-    ]
+    casters = [RayCaster(mesh, grid, law, **settings, ray_offset=offset) for offset in _OFFSETS]
     first, second = in_order(lambda caster, report: caster.image(view, report), casters)
     seen = np.minimum(first, second) > _FAINTEST * max(first.max(), second.max())
     if not seen.any():
@@ -250,3 +232,76 @@ def check_rays(
         raise SarsplatError(f"ray_spacing {ray_spacing} must be positive and finite, in metres")
     if not np.isfinite(ray_offset).all():
         raise SarsplatError(f"ray_offset {ray_offset} must be two finite numbers, in ray spacings")
+
+
+def on_terrain(mesh: trimesh.Trimesh, terrain: Terrain, grid: ImageGrid) -> trimesh.Trimesh:
+    """The mesh and, after its faces, two for each square of the terrain, level beyond its end."""
+    import trimesh
+
+    sides = (grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
+    reach = (math.hypot(*sides) + math.hypot(*grid.center_m)) / math.cos(math.radians(_STEEPEST_DEG))
+    places = terrain.padded(reach)
+    rows, columns = places.shape[:2]
+    at = np.arange(rows * columns).reshape(rows, columns) + len(mesh.vertices)
+    corner, right, up, both = (part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]))
+    faces = np.concatenate([np.column_stack(three) for three in ((corner, right, both), (corner, both, up))])
+    return trimesh.Trimesh(
+        np.concatenate([mesh.vertices, places.reshape(-1, 3)]), np.concatenate([mesh.faces, faces]), process=False
+    )
+
+
+def raycast_masks(
+    mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, *, progress: Callable[[int], object] | None = None
+) -> UInt8[np.ndarray, "v {grid.rows} {grid.columns}"]:
+    """Masks of a mesh from every view, see `raycast_mask`; `progress` gets the number of finished ones after each."""
+    masks = np.empty((len(views), grid.rows, grid.columns), np.uint8)
+    for index, view in enumerate(views):
+        masks[index] = raycast_mask(mesh, view, grid)
+        if progress is not None:
+            progress(index + 1)
+    return masks
+
+
+def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np.ndarray, "{grid.rows} {grid.columns}"]:
+    """Mask of a mesh that stands on flat ground at z = 0: 0 clutter, 1 target (lit), 2 shadow; row 0 near range.
+
+    A pixel is target if visible surfaces cover at least half of it, or if their area across the line of sight is at
+    least half that of flat ground: what faces the radar covers little of the image. Layover counts; neither brightness
+    nor resolution nor the orientation of the triangles matters. Otherwise it is shadow if the mesh hides at least half
+    of its ground. Nothing below the ground is seen. Raises `SarsplatError` if the mesh has no faces, is not finite or
+    needs too many rays, or embreex is missing.
+    """
+    spacing = min(grid.spacing_m) / _PARTS / _RAYS
+    check_rays(mesh, None, spacing, _OFFSET)
+    slope_of_ground = 1 / view.look.slope
+    width, depth = grid.spacing_m
+    left, near = grid.azimuth_m[0] - width / 2, grid.range_m[0] - depth / 2
+    rows, columns = grid.rows * _PARTS, grid.columns * _PARTS
+    begun = np.zeros((rows + 1) * columns, dtype=np.int64)  # surfaces that begin in a part, less those that have ended
+    appearing, hidden = np.zeros((2, grid.rows, grid.columns), dtype=np.int64)  # rays
+    facets = Facets.of(mesh, view)
+    for position, face in first_hits(facets, (left, left + grid.columns * width), spacing, _OFFSET):
+        x, y = position.T
+        z, z_ground = facets.depth(face, position), y * slope_of_ground
+        column = np.floor((x - left) / width * _PARTS)
+        seen = (z < z_ground + 1e-6) & (column >= 0) & (column < columns)
+        z, z_ground, face, column = z[seen], z_ground[seen], face[seen], column[seen].astype(np.int64)
+        # one ray represents a square, which on a steep surface spans several parts in range
+        reach = np.abs(facets.slope[face]).sum(axis=1) * spacing / 2
+        ends = (np.clip(end, *facets.z_span[:, face]) for end in (z - reach, z + reach))
+        # it covers the parts with centres between both ends
+        first, beyond = (np.ceil((end - near) / depth * _PARTS - 0.5) for end in ends)
+        for row, sign in ((first, 1), (beyond, -1)):
+            parts = np.clip(row, 0, rows).astype(np.int64) * columns + column
+            begun += sign * np.bincount(parts, minlength=len(begun))
+        for counts, ranges in ((appearing, z), (hidden, z_ground)):
+            row = np.floor((ranges - near) / depth)
+            inside = (row >= 0) & (row < grid.rows)
+            pixels = row[inside].astype(np.int64) * grid.columns + column[inside] // _PARTS
+            counts += np.bincount(pixels, minlength=counts.size).reshape(counts.shape)
+    covered = begun.reshape(rows + 1, columns)[:-1].cumsum(axis=0) > 0
+    shares = covered.reshape(grid.rows, _PARTS, grid.columns, _PARTS).mean(axis=(1, 3))
+    rays_on_open_ground = width * depth / slope_of_ground / spacing**2
+    mask = np.where(hidden >= 0.5 * rays_on_open_ground, SHADOW, CLUTTER)
+    lit = (shares >= 0.5) | (appearing >= 0.5 * rays_on_open_ground)
+    return np.where(lit, TARGET, mask).astype(np.uint8)

@@ -24,7 +24,7 @@ from sarsplat.radar.iso_range import contributions
 from sarsplat.regions.target_region import target_region
 from sarsplat.report.interferogram import Interferogram, Pair
 from sarsplat.runs.own_gaussians import own_scene
-from sarsplat.scenes.mesh_files import read_mesh
+from sarsplat.scenes.meshes import read_mesh
 
 if TYPE_CHECKING:
     import trimesh

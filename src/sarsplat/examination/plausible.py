@@ -1,7 +1,13 @@
-"""Plausibility checks of a dataset: warnings of what looks like a mistake but may be intended.
+"""Plausibility of a dataset: warnings of what looks like a mistake but may be intended.
 
 What would make a result meaningless (no views, pixels that are not finite or negative, paths out of the folder) is
 refused where a dataset is read; see `read_dataset`.
+
+Whether views determine a shape: an image fixes a position in azimuth and slant range, and says nothing of the third
+direction, the view's elevation y_r. What all views together say of it is the mean of x_r x_rᵀ + z_r z_rᵀ, which is
+1 − y_r y_rᵀ: its smallest eigenvalue is 1 where every direction is fixed by every image, and 0 where one is fixed by
+none. A side of the target is seen by the views in front of it only, each weighted by the area it sees; without that,
+two views from opposite sides would pass for a stereo pair, though no surface but the roof is in both.
 """
 
 from __future__ import annotations
@@ -9,13 +15,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Real
 
 from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
-from sarsplat.data.determined import weak_directions
 from sarsplat.errors import SarsplatWarning, counted
 from sarsplat.geometry import View
 from sarsplat.geometry.shown import ground_radius_m
@@ -27,23 +33,21 @@ _BLIND = 100.0  # resolutions in elevation, of what images show: phases change b
 _LOUDER = 1.2  # noise, of power that it is a part of: nothing but noise is not odd
 _FROM_ABOVE_DEG = 80.0  # and above: a view that favours no side
 
+_SIDES = 72
+_HARDLY, _WEAKLY = 10.0, 3.0
+"""Conditioning above which a shape cannot be determined, and above which it is uncertain; see the calibration in
+docs/reference/checks.md."""
+
+_GRAZINGS = (15.0, 30.0, 45.0, 60.0, 75.0)  # degrees: what may be proposed
+
 
 def suspicions(dataset: Dataset) -> list[str]:
-    """Warnings about the views and images of a dataset, one sentence each.
+    """Warnings about a dataset's views and images: what is odd, and what to do if it is not meant, a sentence each.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Its views and images are looked at.
-
-    Returns
-    -------
-    list of str
-        One sentence each: what is odd, and what to do if it is not meant. Angles that look like radians; one training
-        view, views that are all the same, that leave out more than half of the circle or do not determine positions
-        along some direction; stacks with baselines that tell no heights, or with more noise than power; images that
-        are constant or all the same; test images that are training images; zeros in measured power; terrain smaller
-        than what images show. Empty if nothing is odd.
+    Angles that look like radians; one training view, views that are all the same, that leave out more than half of the
+    circle or do not determine positions along some direction; stacks with baselines that tell no heights, or with more
+    noise than power; images that are constant or all the same; test images that are training images; zeros in measured
+    power; terrain smaller than what images show. Empty if nothing is odd.
     """
     train = dataset.select("train")
     odd = suspicious_angles(train.views)  # of angles in another unit, nothing else follows
@@ -87,8 +91,10 @@ def suspicious_angles(views: Sequence[View]) -> list[str]:
     return [f"the {names} look like radians; if they are, multiply them by 57.2958 to get degrees"]
 
 
-def warn(texts: Iterable[str]) -> None:
-    """Issue each sentence as a `SarsplatWarning`, but do not repeat the last ones."""
+def warn(texts: Iterable[str], *, anew: bool = False) -> None:
+    """Issue each sentence as a `SarsplatWarning`, but do not repeat the last ones unless `anew`: of other data."""
+    if anew:
+        globals().get("__warningregistry__", {}).clear()
     for text in texts:
         warnings.warn(text, SarsplatWarning, stacklevel=1)  # one place, so that Python knows repetitions
 
@@ -242,3 +248,64 @@ def _tested_on_training(dataset: Dataset) -> list[str]:
         f"{counted(len(odd), 'test image')} can be found among the training images ({odd[0][0]} is {odd[0][1]}), "
         "so their scores only measure memorisation; remove them from one set"
     ]
+
+
+@dataclass(frozen=True)
+class WeakestDirection:
+    """The direction along which the views determine positions worst, and by how much."""
+
+    conditioning: float
+    """How many times less well a position is determined there than within an image: the inverse root of the smallest
+    eigenvalue, averaged over the sides of the target that are seen; infinite if not at all."""
+    above_horizon_deg: float
+    """The direction's angle above the horizon; of the side for which it is weakest."""
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether the views determine the shape badly, if at all."""
+        return self.conditioning > _WEAKLY
+
+    @property
+    def undetermined(self) -> bool:
+        """Whether the views cannot determine the shape."""
+        return self.conditioning > _HARDLY
+
+    def __str__(self) -> str:
+        where = f"{self.above_horizon_deg:.0f}° above the horizon"
+        if self.undetermined:
+            return f"{where}; positions are not determined along it"
+        return (
+            f"{where}; positions are {self.conditioning:.1f} times less well determined along it than within an image"
+        )
+
+
+def weakest_direction(views: Sequence[View]) -> WeakestDirection:
+    """The direction along which positions are determined least, for sides of a target that face all azimuths."""
+    frames = np.array([view.look.frame for view in views])
+    azimuths = np.arange(_SIDES) * (2 * math.pi / _SIDES)
+    normals = np.stack([np.cos(azimuths), -np.sin(azimuths), np.zeros(_SIDES)], axis=1)
+    seen = np.maximum(normals @ -frames[:, 2].T, 0.0)  # [sides, views]
+    seen[seen < 1e-6] = 0.0  # rounding, of views along a side
+    seen = seen[seen.any(axis=1)]
+    weights = seen / seen.sum(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("sv,vi,vj->sij", weights, frames[:, 1], frames[:, 1]))
+    fixed = np.maximum(1 - values[:, -1], 0.0)
+    direction = vectors[fixed.argmin(), :, -1]
+    conditioning = 1 / math.sqrt(fixed.mean()) if fixed.mean() > 1e-9 else math.inf
+    return WeakestDirection(conditioning, math.degrees(math.asin(min(abs(direction[2]), 1.0))))
+
+
+def weak_directions(views: Sequence[View]) -> list[str]:
+    """Whether the views leave a direction (nearly) open: one sentence that says which and what to add, or none."""
+    weakest = weakest_direction(views)
+    if not weakest.uncertain:
+        return []
+    lifted = {grazing: [*views, *(replace(view, grazing_deg=grazing) for view in views)] for grazing in _GRAZINGS}
+    best = min(_GRAZINGS, key=lambda grazing: weakest_direction(lifted[grazing]).conditioning)
+    where = f"along directions {weakest.above_horizon_deg:.0f}° above the horizon"
+    if weakest.undetermined:
+        verdict = f"do not determine positions {where}, and so not the shape"
+    else:
+        less = f"{weakest.conditioning:.1f} times less well {where} than within an image"
+        verdict = f"determine positions {less}, so the shape is uncertain"
+    return [f"the {len(views)} training views {verdict}; add views at other grazing angles, such as {best:g}°"]
