@@ -252,7 +252,7 @@ def lists_of_tiles() -> Iterator[dict[str, dict[str, int]]]:
 
     def kept(self: cuda.Pass, name: str, plane: Any, slots: int, *others: Any, **options: Any) -> None:
         usual(self, name, plane, slots, *others, **options)
-        lengths = self._arrays[f"{name} starts"].diff()
+        lengths = self.arrays[f"{name} starts"].diff()
         count = {"tiles": plane.tiles, "filled": int((lengths > 0).sum()), "longest": int(lengths.max())}
         found[name] = count | {"slots": slots, "used": int(lengths.sum())}
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from sarsplat import Dataset, preset
 from sarsplat.learning import Trainer
-from sarsplat.renderer.engines import choice, cuda
+from sarsplat.renderer.engines import choice, cuda, cuda_arrays
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, FlatGround, Relocation, Surroundings
 from terrains import hill
@@ -87,7 +87,7 @@ def test_steps_run_again_are_steps(name: str, dataset: Dataset, recorder: Emulat
         assert torch.equal(*losses), step
         if recorder.records > records:
             records = recorder.records
-            cuda._sent.cache_clear()  # the record keeps what it reads
+            cuda_arrays._sent.cache_clear()  # the record keeps what it reads
         assert {k: float(v) for k, v in by_itself.terms.items()} == {k: float(v) for k, v in launched.terms.items()}
     assert by_itself.records
     assert recorder.replays > STEPS // 2

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from sarsplat.renderer.engines import cuda, on_device
+from sarsplat.renderer.engines import cuda_arrays, on_device
 
 T = TypeVar("T")
 
@@ -48,7 +48,7 @@ class EmulatedRecorder(TorchDispatchMode):
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(self.launcher, "launch", launch)
-            for module in (on_device, cuda):
+            for module in (on_device, cuda_arrays):
                 patch.setattr(module, "being_recorded", lambda: True)
             with self, on_device.read_meanwhile() as things:
                 result = program()

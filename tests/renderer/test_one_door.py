@@ -15,6 +15,7 @@ from sarsplat.renderer import attenuate, project, render, render_covariances, sp
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.engines.abi import HEADER, structure_of
 from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.engines.cuda_operations import OPERATIONS
 from sarsplat.renderer.engines.operation import Operation
 
 RAYS = RayGrid.for_image(GRID)
@@ -63,7 +64,7 @@ def declared() -> list[type[Operation]]:
 def test_every_operation_of_the_header_is_declared_in_python_once() -> None:
     listed = [line.split("_(")[1].split(",")[0] for line in HEADER.read_text().splitlines() if line.startswith("  _(")]
     assert sorted(listed) == sorted(["adam", *(one.operation for one in declared())])  # which steps in place
-    assert cuda._OPERATIONS.keys() < set(listed)
+    assert OPERATIONS.keys() < set(listed)
     for one in declared():
         _, members = structure_of(one.operation)
         assert set(one.names) < members

@@ -6,17 +6,16 @@ import ctypes
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from ctypes import c_float, c_int32, c_int64, c_void_p
-from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.abi import api
-from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, TILE, Capacity
-from sarsplat.renderer.engines.cpu import FAULTS, LIMITS
-from sarsplat.renderer.engines.cuda_ground import lit_ground, lit_terrain
+from sarsplat.renderer.engines.bounds import LEFT_BOUNDS, Capacity
+from sarsplat.renderer.engines.cpu import FAULTS
+from sarsplat.renderer.engines.cuda_arrays import THREADS, Arrays, Launcher
 from sarsplat.renderer.engines.cuda_lattices import (
     State,
     ViewLattice,
@@ -26,16 +25,16 @@ from sarsplat.renderer.engines.cuda_lattices import (
     smallest_lattice,
     total,
 )
-from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded, is_read
+from sarsplat.renderer.engines.cuda_operations import OPERATIONS
 from sarsplat.renderer.engines.passes import within
 
 # of csrc/cuda_state.cuh
-_THREADS, _WARPS = 256, 8
+_WARPS = 8
 _SPLAT_FLOATS = 8
 _PAIR_FLOATS = 23  # of cuda_project.cuh
 _CHUNK = 128
-_TOGETHER, _MOST_GROUPS, _WINDOW = 4, 15, 11
-"""Of csrc/cuda_pixels.cuh and cuda_training.cuh: the most channels and parameters to a launch; of loss_math.h."""
+_TOGETHER = 4
+"""The most channels to a launch, of csrc/cuda_pixels.cuh."""
 
 _MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
 """Largest side and most rays of a view's lattice, as on the CPU engine."""
@@ -51,36 +50,17 @@ _NOTHING = (1 << 63) - 1
 _BACKWARD = ("h", "returns", "slot_moments", "pixel_moments", "planes", "pair gradients")
 """What of the state only a backward pass needs."""
 
-_OPERATIONS: dict[str, dict[str, float]] = {
-    "adam": LIMITS["adam"],
-    "amplitude_loss": {},
-    "lit_ground": {},
-    "lit_terrain": {},
-    "normal_lobes": {},
-}
-"""The operations of one structure that there are kernels for, and the largest of some numbers that they take."""
 
-
-class Launcher(Protocol):
-    """What runs kernels: a GPU, or the tests' emulator."""
-
-    device: torch.device
-
-    def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
-        """Queue a kernel after those before it; its arguments are C values."""
-        ...
-
-
-class Pass:
+class Pass(Arrays):
     """One forward pass and what its backward pass needs; the same interface as the CPU engine's.
 
     With a capacity `forward` waits for nothing and rejects nothing: what goes wrong, `Capacity.broken` says later.
     """
 
     def __init__(self, launcher: Launcher, capacity: Capacity | None = None) -> None:
-        self._launcher, self._capacity = launcher, capacity
+        super().__init__(launcher)
+        self._capacity = capacity
         self._state = State()
-        self._arrays: dict[str, Tensor] = {}
         self._pairs = 0
         self._chunks: dict[str, int] = {}
         self._lattices: list[tuple[int, int, int, int]] = []
@@ -113,47 +93,15 @@ class Pass:
     def trace(self, problem: ctypes.Structure, depth: float, transmittance: int, first_return: int | None) -> None:
         """Fill T_end and, unless None, the first-return ranges of the rays of all views, one after the other."""
         arrays = c_void_p(transmittance), c_void_p(first_return)
-        self._launch("trace_tiles", total(self._rays)[1], problem, self._state, c_float(depth), *arrays)
+        self.launch("trace_tiles", total(self._rays)[1], problem, self._state, c_float(depth), *arrays)
 
     def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
         """Whether it does an operation of one structure, given the numbers in that."""
-        return operation in _OPERATIONS and within(_OPERATIONS[operation], numbers)
+        return operation in OPERATIONS and within(OPERATIONS[operation].limits, numbers)
 
     def run(self, operation: str, call: ctypes.Structure) -> None:
         """Fill in what such an operation gives."""
-        getattr(self, f"_{operation}")(call)
-
-    # ---- operations of one structure
-    def _adam(self, step: ctypes.Structure) -> None:
-        for first in range(0, step.count, _MOST_GROUPS):
-            groups = step.groups[first : min(first + _MOST_GROUPS, step.count)]
-            blocks = sum(-(-group.rows * group.columns // _THREADS) for group in groups)
-            together = (api.adam_group * _MOST_GROUPS)(*groups)
-            self._launch("step_adam", blocks, together, step, c_int32(first), c_int32(len(groups)))
-
-    def _amplitude_loss(self, loss: ctypes.Structure) -> None:
-        of_pixels, of_windows = (
-            loss.views * -(-(loss.rows - reach) // TILE) * -(-(loss.columns - reach) // TILE)
-            for reach in (0, _WINDOW - 1)
-        )
-        sums, similar, slopes = c_void_p(self._new("sums", of_pixels).data_ptr()), c_void_p(), c_void_p()
-        if loss.ssim_weight > 0:
-            windows = (loss.rows - _WINDOW + 1) * (loss.columns - _WINDOW + 1)
-            slopes = c_void_p(self._new("slopes", 3, loss.views, windows).data_ptr())
-            similar = c_void_p(self._new("similar", of_windows).data_ptr())
-            self._launch("similarity_slopes", of_windows, loss, slopes, similar)
-        self._launch("amplitude_loss", of_pixels, loss, slopes, sums)
-        self._launch("sum_loss", 1, loss, sums, c_int64(of_pixels), similar, c_int64(of_windows))
-
-    def _lit_ground(self, ground: ctypes.Structure) -> None:
-        lit_ground(ground, self._new, self._sent, self._launch)
-
-    def _lit_terrain(self, terrain: ctypes.Structure) -> None:
-        lit_terrain(terrain, self._new, self._sent, self._launch)
-
-    def _normal_lobes(self, lobes: ctypes.Structure) -> None:
-        kernel = "normal_lobes_backward" if lobes.d_amplitudes else "normal_lobes"
-        self._launch(kernel, -(-lobes.gaussians // _THREADS), lobes)
+        OPERATIONS[operation].run(self, call)
 
     # ---- a whole rendering
     def _render(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:
@@ -161,7 +109,7 @@ class Pass:
         self._new_planes("rays", "pixels")
         self._fill(slope=(self._pairs, 2), lit_area=(self._pairs,))
         if problem.coefficients:
-            self._new("gamma0", self._pairs)
+            self.new("gamma0", self._pairs)
         channels = self._channels(problem)
         self._over_pairs("project_gaussians", problem, problem, self._state, self._gamma0("gamma0"))
         if (fault := self._place_lattices(bounds)) is not None:
@@ -170,16 +118,16 @@ class Pass:
         self._arrange(problem, {"rays": self._rays, "pixels": pixels})
         if self._capacity is not None:
             broken = c_void_p(self._capacity.broken.data_ptr())
-            self._launch("keep_fault", 1, problem, self._state, c_int64(LEFT_BOUNDS), broken)
+            self.launch("keep_fault", 1, problem, self._state, c_int64(LEFT_BOUNDS), broken)
         self._attenuate_tiles(problem, channels, outputs)
         self._splat_tiles(problem, channels, pixels, outputs.images)
         return "", -1
 
     def _render_backward(self, problem: ctypes.Structure, gradients: ctypes.Structure) -> None:
         channels = self._channels(problem)
-        through_images = self._new("d_cross_sections", self._pairs, channels.count).data_ptr()
+        through_images = self.new("d_cross_sections", self._pairs, channels.count).data_ptr()
         if problem.coefficients:
-            d_amplitudes = self._new("gamma0 gradient", self._pairs).data_ptr()
+            d_amplitudes = self.new("gamma0 gradient", self._pairs).data_ptr()
         else:
             d_amplitudes = gradients.amplitudes
         self._splat_tiles_backward(problem, channels, gradients.images, through_images)
@@ -197,12 +145,12 @@ class Pass:
         self, problem: ctypes.Structure, seeds: ctypes.Structure, gradients: ctypes.Structure
     ) -> None:
         pairs = problem.views * problem.gaussians
-        self._state.planes = gradients.planes or self._new("planes", pairs, 4).data_ptr()
-        shares = c_void_p(self._new("pair gradients", pairs, _PAIR_FLOATS).data_ptr())
+        self._state.planes = gradients.planes or self.new("planes", pairs, 4).data_ptr()
+        shares = c_void_p(self.new("pair gradients", pairs, _PAIR_FLOATS).data_ptr())
         self._over_pairs("project_pairs_backward", problem, problem, self._state, seeds, shares)
-        self._launch("project_gaussians_backward", -(-problem.gaussians // _THREADS), problem, shares, gradients)
+        self.launch("project_gaussians_backward", -(-problem.gaussians // THREADS), problem, shares, gradients)
         if gradients.shift:
-            self._launch("sum_shift", problem.views, problem, self._state, c_void_p(gradients.shift))
+            self.launch("sum_shift", problem.views, problem, self._state, c_void_p(gradients.shift))
 
     def _attenuate(self, problem: ctypes.Structure, footprints: ctypes.Structure, lit_area: int) -> tuple[str, int]:
         bounds = self._begin(problem)
@@ -258,7 +206,7 @@ class Pass:
         self._pairs = views * n
         if self._pairs >= _MAX_PAIRS:
             raise SarsplatError(f"{views} views of {n} Gaussians are too many at once; render fewer views at a time")
-        minima = self._new("minima", 2 + 4 * views, dtype=torch.int64).fill_(-1)
+        minima = self.new("minima", 2 + 4 * views, dtype=torch.int64).fill_(-1)
         self._state.minima = minima.data_ptr()
         return minima
 
@@ -269,26 +217,26 @@ class Pass:
             yield
         except torch.OutOfMemoryError as error:
             raise SarsplatError(
-                f"the memory of {self._launcher.device} is not enough for the rendering; render fewer views at a time "
+                f"the memory of {self.launcher.device} is not enough for the rendering; render fewer views at a time "
                 "or use coarser rays"
             ) from error
         for name in ("gamma0 gradient", "d_cross_sections", *_BACKWARD):
-            self._arrays.pop(name, None)
+            self.arrays.pop(name, None)
 
     def _new_planes(self, *names: str) -> None:
         for name in names:
             plane = getattr(self._state, name)
-            plane.splats = self._new(f"{name} splats", self._pairs, _SPLAT_FLOATS).data_ptr()
-            plane.reach = self._new(f"{name} reach", self._pairs, 2).data_ptr()
+            plane.splats = self.new(f"{name} splats", self._pairs, _SPLAT_FLOATS).data_ptr()
+            plane.reach = self.new(f"{name} reach", self._pairs, 2).data_ptr()
 
     def _gamma0(self, name: str) -> ctypes.Structure:
         """What the kernels of a whole rendering read and write of a projection; the rest is never written out."""
-        array = self._arrays.get(name)
+        array = self.arrays.get(name)
         return api.projection(gamma0=None if array is None else array.data_ptr())
 
     def _channels(self, problem: ctypes.Structure) -> ctypes.Structure:
         """What is multiplied by lit areas in a whole rendering."""
-        return api.channels(problem.channels, problem.amplitudes or self._arrays["gamma0"].data_ptr())
+        return api.channels(problem.channels, problem.amplitudes or self.arrays["gamma0"].data_ptr())
 
     def _place_lattices(self, minima: Tensor) -> tuple[str, int] | None:
         """Rays that hold all footprints; or what was rejected."""
@@ -318,7 +266,7 @@ class Pass:
         if self._capacity is not None:
             numbers = [[self._pairs * self._capacity.tiles[name], problem.gaussians] for name in planes]
         else:
-            counted = ((self._arrays[f"{name} counts"], self._arrays[f"{name} in tile"]) for name in planes)
+            counted = ((self.arrays[f"{name} counts"], self.arrays[f"{name} in tile"]) for name in planes)
             found = torch.stack([n for count, listed in counted for n in (count.sum(), listed.max().long())])
             numbers = found.view(-1, 2).tolist()  # here the CPU waits for the GPU
         for name, (slots, longest) in zip(planes, numbers, strict=True):
@@ -332,10 +280,10 @@ class Pass:
         rays, _ = total(self._rays)
         self._fill(transmittance=(rays,))
         self._fill(torch.int32, last=(rays,))
-        self._fill(slot_weights=(len(self._arrays["rays owners"]),))
-        self._state.rays.sums = self._new("rays sums", self._chunks["rays"], _THREADS).data_ptr()
+        self._fill(slot_weights=(len(self.arrays["rays owners"]),))
+        self._state.rays.sums = self.new("rays sums", self._chunks["rays"], THREADS).data_ptr()
         for kernel in ("sum_depths", "attenuate_chunks"):
-            self._launch(kernel, self._chunks["rays"], problem, self._state)
+            self.launch(kernel, self._chunks["rays"], problem, self._state)
         self._over_pairs("light_gaussians", problem, problem, self._state, channels, outputs)
 
     def _splat_tiles(
@@ -344,12 +292,12 @@ class Pass:
         """Once the pixels are arranged."""
         chunks, tiles = self._chunks["pixels"], total(pixels)[1]
         most = 1 if channels.count == 1 else _TOGETHER
-        self._state.pixels.sums = self._new("pixels sums", chunks, most, _THREADS).data_ptr()
+        self._state.pixels.sums = self.new("pixels sums", chunks, most, THREADS).data_ptr()
         for first, kernel, together in _in_groups(channels):
             group = channels, c_int32(first)
-            self._launch(kernel, chunks, problem, self._state, *group)
-            self._launch("sum_chunks", tiles, problem, self._state, *group, c_int32(together), c_void_p(images))
-        del self._arrays["pixels sums"]
+            self.launch(kernel, chunks, problem, self._state, *group)
+            self.launch("sum_chunks", tiles, problem, self._state, *group, c_int32(together), c_void_p(images))
+        del self.arrays["pixels sums"]
 
     def _splat_tiles_backward(
         self,
@@ -363,17 +311,17 @@ class Pass:
         for first, kernel, _ in _in_groups(channels):
             arguments = channels, c_int32(first), *map(c_void_p, (d_images, d_cross_sections, d_elevation))
             blocks = -(-self._pairs // _WARPS)
-            self._launch(f"{kernel}_backward", blocks, problem, self._state, *arguments)
+            self.launch(f"{kernel}_backward", blocks, problem, self._state, *arguments)
 
     def _attenuate_tiles_backward(
         self, problem: ctypes.Structure, channels: ctypes.Structure, d_transmittance: int | None, *seeds: c_void_p
     ) -> None:
-        self._fill(h=(self._pairs,), slot_moments=(len(self._arrays["slot_weights"]), 6))
+        self._fill(h=(self._pairs,), slot_moments=(len(self.arrays["slot_weights"]), 6))
         self._over_pairs("light_gaussians_backward", problem, problem, self._state, channels, *seeds)
-        self._state.rays.returns = self._new("returns", self._chunks["rays"], _THREADS).data_ptr()
-        self._launch("sum_returns", self._chunks["rays"], problem, self._state)
+        self._state.rays.returns = self.new("returns", self._chunks["rays"], THREADS).data_ptr()
+        self.launch("sum_returns", self._chunks["rays"], problem, self._state)
         arguments = self._state, c_void_p(d_transmittance)
-        self._launch("attenuate_chunks_backward", self._chunks["rays"], problem, *arguments)
+        self.launch("attenuate_chunks_backward", self._chunks["rays"], problem, *arguments)
 
     def _count(
         self, name: str, plane: ctypes.Structure, lattices: Sequence[ctypes.Structure], problem: ctypes.Structure
@@ -382,74 +330,48 @@ class Pass:
         if name == "rays" and self._capacity is not None and self._capacity.chosen is not None:
             there = self._chosen_lattices(lattices, self._capacity.chosen)
         else:
-            there = self._sent(b"".join(lattices))
-        plane.lattices = self._keep(f"{name} lattices", there).data_ptr()
-        counts = self._new(f"{name} counts", problem.views * problem.gaussians, dtype=torch.int64)
+            there = self.sent(b"".join(lattices))
+        plane.lattices = self.keep(f"{name} lattices", there).data_ptr()
+        counts = self.new(f"{name} counts", problem.views * problem.gaussians, dtype=torch.int64)
         plane.counts, plane.tiles = counts.data_ptr(), total(lattices)[1]
-        in_tile = self._new(f"{name} in tile", plane.tiles + 1, dtype=torch.int32).zero_()
+        in_tile = self.new(f"{name} in tile", plane.tiles + 1, dtype=torch.int32).zero_()
         plane.in_tile = in_tile.data_ptr()
         most = _NOTHING if self._capacity is None else self._capacity.tiles[name]
         self._over_pairs("count_tiles", problem, problem, self._state, plane, c_int64(most))
-        plane.starts = self._keep(f"{name} starts", torch.cumsum(in_tile, 0)).data_ptr()
-        ends = self._keep(f"{name} ends", torch.cumsum(counts, 0))
+        plane.starts = self.keep(f"{name} starts", torch.cumsum(in_tile, 0)).data_ptr()
+        ends = self.keep(f"{name} ends", torch.cumsum(counts, 0))
         plane.ends = ends.data_ptr()
 
     def _chosen_lattices(self, places: Sequence[ctypes.Structure], chosen: Tensor) -> Tensor:
         """The chosen views' lattices, each with room for the largest; `places` says where those begin."""
         alone = [cut_into_tiles([lattice], 0.5)[0] for lattice in self._lattices]
-        return _words(self._sent(b"".join(alone))).index_select(0, chosen).add_(_words(self._sent(begins(places))))
-
-    def _sent(self, content: bytes) -> Tensor:
-        device = self._launcher.device
-        stream = torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
-        return is_read(_sent(content, device, stream))
+        return _words(self.sent(b"".join(alone))).index_select(0, chosen).add_(_words(self.sent(begins(places))))
 
     def _list(
         self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool, ranked: bool
     ) -> None:
         """List the Gaussians of every tile."""
         self._chunks[name] = slots // _CHUNK + plane.tiles
-        keys = self._new(f"{name} keys", slots, dtype=torch.int64)
+        keys = self.new(f"{name} keys", slots, dtype=torch.int64)
         if not ranked:
             keys.fill_(_NOTHING)  # what is not used comes last
         plane.keys = keys.data_ptr()
-        plane.owners = self._new(f"{name} owners", slots, dtype=torch.int32).data_ptr()
+        plane.owners = self.new(f"{name} owners", slots, dtype=torch.int32).data_ptr()
         self._over_pairs("list_tiles", problem, problem, plane, c_int32(by_depth), c_int32(ranked))
         if ranked:
-            plane.order = self._new(f"{name} order", slots, dtype=torch.int64).data_ptr()
-            self._launch("rank_chunks", self._chunks[name], problem, plane)
+            plane.order = self.new(f"{name} order", slots, dtype=torch.int64).data_ptr()
+            self.launch("rank_chunks", self._chunks[name], problem, plane)
         else:
-            plane.order = self._keep(f"{name} order", torch.sort(keys, stable=True).indices).data_ptr()
-        del self._arrays[f"{name} keys"]
-
-    def _launch(self, name: str, blocks: int, *arguments: ctypes._CData) -> None:
-        if blocks:
-            self._launcher.launch(name, blocks, _THREADS, *arguments)
+            plane.order = self.keep(f"{name} order", torch.sort(keys, stable=True).indices).data_ptr()
+        del self.arrays[f"{name} keys"]
 
     def _over_pairs(self, name: str, problem: ctypes.Structure, *arguments: ctypes._CData) -> None:
-        self._launch(name, problem.views * -(-problem.gaussians // _THREADS), *arguments)
-
-    def _new(self, name: str, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-        return self._keep(name, torch.empty(shape, dtype=dtype, device=self._launcher.device))
-
-    def _keep(self, name: str, array: Tensor) -> Tensor:
-        self._arrays[name] = array  # kernels hold its address only
-        return array
+        self.launch(name, problem.views * -(-problem.gaussians // THREADS), *arguments)
 
     def _fill(self, dtype: torch.dtype = torch.float32, **shapes: tuple[int, ...]) -> None:
         """New arrays of the state, by name."""
         for name, shape in shapes.items():
-            setattr(self._state, name, self._new(name, *shape, dtype=dtype).data_ptr())
-
-
-# The pixels of views are always the same, and a training asks for the same few views again and again.
-@lru_cache(maxsize=256)
-def _sent(content: bytes, device: torch.device, stream: int) -> Tensor:
-    """On the device, as soon as the stream gets there; from pinned memory, for the CPU waits for any other copy."""
-    if being_recorded():
-        raise NotRecordable("lattices are sent in every step")
-    array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
-    return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)
+            setattr(self._state, name, self.new(name, *shape, dtype=dtype).data_ptr())
 
 
 def _words(lattices: Tensor) -> Tensor:

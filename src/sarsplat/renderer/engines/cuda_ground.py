@@ -3,38 +3,27 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
 from ctypes import c_int32
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from sarsplat.renderer.engines.abi import SOURCES, api, structures
+from sarsplat.renderer.engines.cuda_arrays import THREADS, Arrays
 
 _GroundState, _TerrainState = (
     structures((SOURCES / f"cuda_{name.lower()}.cuh").read_text(encoding="utf-8"), (f"{name}State",))[f"{name}State"]
     for name in ("Ground", "Terrain")
 )
 
-# of csrc/cuda_state.cuh and csrc/cuda_ground.cuh
-_THREADS, _ROWS, _COLUMNS = 256, 8, 32
+# of csrc/cuda_ground.cuh
+_ROWS, _COLUMNS = 8, 32
 _RESPONSE_END = 6.0
 
 
-class New(Protocol):
-    """A new array on the device."""
-
-    def __call__(self, name: str, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor: ...
-
-
-def lit_ground(
-    ground: ctypes.Structure, new: New, sent: Callable[[bytes], Tensor], launch: Callable[..., None]
-) -> None:
-    """Fill in what is lit of the ground, or the gradients of that.
-
-    `sent` is a copy on the device, and `launch` takes a kernel's name, how many blocks, and its arguments.
-    """
+def lit_ground(on: Arrays, ground: ctypes.Structure) -> None:
+    """Fill in what is lit of the ground, or the gradients of that."""
     patches = ground.patches[: ground.of_views]
     rows, columns = (max(one.count for one in axes) for axes in zip(*((p.rows, p.columns) for p in patches)))
     pixels = ground.views, ground.rows.count + ground.columns.count
@@ -42,41 +31,39 @@ def lit_ground(
     widths = [_width(axis, std) for p in patches for axis, std in ((p.rows, range_std), (p.columns, azimuth_std))]
     state = _GroundState(width=max(1, *widths), columns=columns)
     for name in ("first", "end"):
-        setattr(state, name, new(name, *pixels, dtype=torch.int32).data_ptr())
+        setattr(state, name, on.new(name, *pixels, dtype=torch.int32).data_ptr())
     for name in ("weight", "slope") if ground.d_shift else ("weight",):
-        setattr(state, name, new(name, *pixels, state.width).data_ptr())
-    state.between = new("between", ground.views, ground.rows.count, columns).data_ptr()
+        setattr(state, name, on.new(name, *pixels, state.width).data_ptr())
+    state.between = on.new("between", ground.views, ground.rows.count, columns).data_ptr()
 
     def over(kernel: str, rows: int, columns: int) -> None:
         blocks = _blocks(rows, columns)
-        launch(kernel, ground.views * blocks, there, state, c_int32(blocks))
+        on.launch(kernel, ground.views * blocks, there, state, c_int32(blocks))
 
     there = api.ground.from_buffer_copy(ground)
-    on_device = sent(ctypes.string_at(ground.patches, ctypes.sizeof(api.patches) * ground.of_views))
+    on_device = on.sent(ctypes.string_at(ground.patches, ctypes.sizeof(api.patches) * ground.of_views))
     there.patches = ctypes.cast(on_device.data_ptr(), type(there.patches))
-    launch("weigh_ground", -(-pixels[0] * pixels[1] * state.width // _THREADS), there, state)
+    on.launch("weigh_ground", -(-pixels[0] * pixels[1] * state.width // THREADS), there, state)
     if not ground.d_lit:
         over("see_ground", ground.rows.count, columns)
         over("light_ground", ground.rows.count, ground.columns.count)
         return
     blocks = _blocks(ground.rows.count, columns)
-    state.shares = new("shares", 2, ground.views, blocks).data_ptr()
+    state.shares = on.new("shares", 2, ground.views, blocks).data_ptr()
     over("light_ground_backward", ground.rows.count, columns)
     over("see_ground_backward", rows, columns)
     if ground.d_shift:
-        launch("sum_ground_shift", 2 * ground.views, there, state, c_int32(blocks))
+        on.launch("sum_ground_shift", 2 * ground.views, there, state, c_int32(blocks))
 
 
-def lit_terrain(
-    terrain: ctypes.Structure, new: New, sent: Callable[[bytes], Tensor], launch: Callable[..., None]
-) -> None:
+def lit_terrain(on: Arrays, terrain: ctypes.Structure) -> None:
     """Fill in what terrain returns, or the gradients of that."""
     patches, views, columns = terrain.patches[: terrain.of_views], terrain.views, terrain.columns.count
     rows, across = max(one.rows for one in patches), max(one.across.count for one in patches)
     traced = [max(one.traced[axis] for one in patches) for axis in range(2)]
     places, cells = terrain.places[0] * terrain.places[1], max(one.rows * one.across.count for one in patches)
     there = api.terrain.from_buffer_copy(terrain)
-    on_device = sent(ctypes.string_at(terrain.patches, ctypes.sizeof(api.terrain_patches) * terrain.of_views))
+    on_device = on.sent(ctypes.string_at(terrain.patches, ctypes.sizeof(api.terrain_patches) * terrain.of_views))
     there.patches = ctypes.cast(on_device.data_ptr(), type(there.patches))
 
     # columns alone, as if the ground were level
@@ -84,26 +71,26 @@ def lit_terrain(
         views=views, columns=terrain.columns, std=terrain.std, shift=terrain.shift, chosen=terrain.chosen
     )
     bands = (api.patches * terrain.of_views)(*(api.patches(columns=one.across) for one in patches))
-    bands_there = sent(bytes(bands))
+    bands_there = on.sent(bytes(bands))
     level.patches = ctypes.cast(bands_there.data_ptr(), type(level.patches))
     ground = _GroundState(width=max(1, *(_width(one.across, terrain.std[0]) for one in patches)), columns=across)
     for name in ("first", "end"):
-        setattr(ground, name, new(name, views, columns, dtype=torch.int32).data_ptr())
+        setattr(ground, name, on.new(name, views, columns, dtype=torch.int32).data_ptr())
     for name in ("weight", "slope") if terrain.d_shift else ("weight",):
-        setattr(ground, name, new(name, views, columns, ground.width).data_ptr())
-    launch("weigh_ground", -(-views * columns * ground.width // _THREADS), level, ground)
+        setattr(ground, name, on.new(name, views, columns, ground.width).data_ptr())
+    on.launch("weigh_ground", -(-views * columns * ground.width // THREADS), level, ground)
 
     state = _TerrainState(cells=cells, columns=across)
 
     def arrays(*names: str, of: tuple[int, ...], dtype: torch.dtype = torch.float32) -> list[Tensor]:
-        made = [new(name, views, *of, dtype=dtype) for name in names]
+        made = [on.new(name, views, *of, dtype=dtype) for name in names]
         for name, array in zip(names, made, strict=True):
             setattr(state, name, array.data_ptr())
         return made
 
     def over(kernel: str, rows: int, columns: int, *states: ctypes.Structure) -> None:
         blocks = _blocks(rows, columns)
-        launch(kernel, views * blocks, there, *states, c_int32(blocks))
+        on.launch(kernel, views * blocks, there, *states, c_int32(blocks))
 
     arrays("returned", of=(cells,))
     over("return_cells", rows, across, state)
@@ -111,7 +98,7 @@ def lit_terrain(
         arrays("reached", "ahead", of=(cells,))
         arrays("seen", of=(terrain.rows.count, across))
         strips = -(-across // _COLUMNS)
-        launch("reach_cells", views * strips, there, state, c_int32(strips))
+        on.launch("reach_cells", views * strips, there, state, c_int32(strips))
         over("see_cells", terrain.rows.count, across, state)
     if not terrain.d_lit:
         over("light_terrain", terrain.rows.count, columns, ground, state)
@@ -129,9 +116,9 @@ def lit_terrain(
     over("see_cells_backward", rows, across, state)
     over("tell_rays", *traced, state)
     over("tell_places", rows, across, state)
-    launch("write_places", -(-views * places // _THREADS), there, state)
+    on.launch("write_places", -(-views * places // THREADS), there, state)
     if terrain.d_shift:
-        launch("sum_terrain_shift", views, there, state, *map(c_int32, shares))
+        on.launch("sum_terrain_shift", views, there, state, *map(c_int32, shares))
 
 
 def _width(patches: Any, std: float) -> int:

@@ -13,6 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.engines import cpu, cuda, disk_cache, nvrtc
+from sarsplat.renderer.engines.cuda_arrays import Launcher
 from sarsplat.renderer.engines.cuda_device import device, require_cuda
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.stages import Render
@@ -52,7 +53,7 @@ def _sources() -> list[str]:
     return [*nvrtc.sources().values(), *(path.read_text(encoding="utf-8") for path in plan)]
 
 
-def _disagreement(launcher: cuda.Launcher) -> str:
+def _disagreement(launcher: Launcher) -> str:
     expected = _rendered(partial(cpu.Pass, "auto"), torch.device("cpu"))
     try:
         computed = _rendered(partial(cuda.Pass, launcher), launcher.device)
