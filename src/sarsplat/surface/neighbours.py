@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Self
 
 import torch
 from jaxtyping import Bool, Float64, Int64
@@ -34,41 +33,32 @@ class _Pairs:
     """Points of each place."""
 
 
-@dataclass(frozen=True)
 class _Cubes:
-    """Points sorted by the cubes of a side in which they lie, with an empty cube beyond the last on all sides."""
+    """Points sorted by the cubes of a side, m, in which they lie, with an empty cube beyond the last on all sides."""
 
-    side_m: float
-    low: Float64[Tensor, " 3"]
-    size: tuple[int, int, int]
-    numbers: Int64[Tensor, " n"]
-    order: Int64[Tensor, " n"]
-    points: Float64[Tensor, "n 3"]
-
-    @classmethod
-    def of(cls, points: Float64[Tensor, "n 3"], side_m: float) -> Self:
-        low, high = points.aminmax(dim=0)
-        x, y, z = ((high - low) / side_m).floor().long().add(3).tolist()
-        cubes = cls(side_m, low, (x, y, z), *2 * (points.new_empty(0, dtype=torch.int64),), points)
-        numbers, order = cubes._numbered(cubes._cubes_of(points)).sort(stable=True)
-        return cls(side_m, low, (x, y, z), numbers, order, points[order])
+    def __init__(self, points: Float64[Tensor, "n 3"], side_m: float) -> None:
+        self._side_m = side_m
+        self._low, high = points.aminmax(dim=0)
+        self._size = ((high - self._low) / side_m).floor().long() + 3
+        _, self._rows, self._layers = self._size.tolist()
+        self._numbers, self.order = self._numbered(self._cubes_of(points)).sort(stable=True)
+        self.points = points[self.order]
 
     def _cubes_of(self, places: Float64[Tensor, "q 3"]) -> Int64[Tensor, "q 3"]:
         """The cube of each place; of those farther away, an empty one."""
-        last = torch.tensor(self.size, device=places.device) - 1
-        return ((places - self.low) / self.side_m).floor().add(1).clamp(min=0).minimum(last).long()
+        return ((places - self._low) / self._side_m).floor().add(1).clamp(min=0).minimum(self._size - 1).long()
 
-    def _numbered(self, cubes: Int64[Tensor, "*q 3"]) -> Int64[Tensor, "*q"]:
-        _, ny, nz = self.size
-        return (cubes[..., 0] * ny + cubes[..., 1]) * nz + cubes[..., 2]
+    def _numbered(self, cubes: Int64[Tensor, "q 3"]) -> Int64[Tensor, " q"]:
+        x, y, z = cubes.unbind(1)
+        return (x * self._rows + y) * self._layers + z
 
     def pairs(self, places: Float64[Tensor, "q 3"]) -> Iterator[_Pairs]:
         """Some places at a time."""
         side = torch.arange(-1, 2, device=places.device)
-        columns = (side[:, None] * self.size[1] + side).flatten() * self.size[2]  # of three cubes along z each
+        columns = (side[:, None] * self._rows + side).flatten() * self._layers  # of three cubes along z each
         middle = self._numbered(self._cubes_of(places))[:, None] + columns
-        first = torch.searchsorted(self.numbers, middle - 1)
-        counts = torch.searchsorted(self.numbers, middle + 1, right=True) - first
+        first = torch.searchsorted(self._numbers, middle - 1)
+        counts = torch.searchsorted(self._numbers, middle + 1, right=True) - first
         of_places = counts.sum(1)
         ends = of_places.cumsum(0)
         blocks = int(ends[-1]) // _PAIRS + 1
@@ -87,10 +77,10 @@ class _Cubes:
 
     def seen_around(self, places: Float64[Tensor, "q 3"]) -> Float64[Tensor, " q"]:
         """How far from each place no point is missed, m."""
-        cube, size = self._cubes_of(places), torch.tensor(self.size, device=places.device)
-        below = places - (self.low + (cube - 2) * self.side_m)
-        above = self.low + (cube + 1) * self.side_m - places
-        below, above = below.where(cube > 2, math.inf), above.where(cube < size - 3, math.inf)
+        cube = self._cubes_of(places)
+        below = places - (self._low + (cube - 2) * self._side_m)
+        above = self._low + (cube + 1) * self._side_m - places
+        below, above = below.where(cube > 2, math.inf), above.where(cube < self._size - 3, math.inf)
         return below.minimum(above).amin(1)
 
 
@@ -100,7 +90,7 @@ def sums_within(
     """Sums of what points have, each over those within a radius, m, of it, itself included."""
     if not len(points):
         return values
-    cubes, sums = _Cubes.of(points, radius), torch.empty_like(values)
+    cubes, sums = _Cubes(points, radius), torch.empty_like(values)
     values = values[cubes.order]
     for some in cubes.pairs(points):
         apart = cubes.points[some.row] - points[some.places][some.owner]
@@ -109,28 +99,37 @@ def sums_within(
     return sums
 
 
-def nearest(
-    points: Float64[Tensor, "n 3"], places: Float64[Tensor, "q 3"], count: int
-) -> tuple[Float64[Tensor, "q k"], Int64[Tensor, "q k"]]:
-    """Squared distances, m², of so many points around each place, the nearest first, and which they are.
+class Neighbours:
+    """Points that are asked for again and again."""
 
-    There must be so many points. Those equally far away to seven digits may change places.
-    """
-    apart = places.new_empty(len(places), count)
-    index = torch.empty(len(places), count, dtype=torch.int64, device=places.device)
-    left, side_m = torch.arange(len(places), device=places.device), _first_side(points, count)
-    while len(left):
-        cubes, asked = _Cubes.of(points, side_m), places[left]
-        within = cubes.seen_around(asked).square()
-        found = torch.zeros_like(left, dtype=torch.bool)
-        for some in cubes.pairs(asked):
-            apart2 = (cubes.points[some.row] - asked[some.places][some.owner]).square_().sum(1)
-            best, there = _smallest(apart2, some.owner, some.counts, count)
-            squares = apart2[best].where(there, math.inf)
-            found[some.places] = squares[:, -1] <= within[some.places]
-            apart[left[some.places]], index[left[some.places]] = squares, cubes.order[some.row[best]]
-        left, side_m = left[~found], 2 * side_m
-    return apart, index
+    def __init__(self, points: Float64[Tensor, "n 3"]) -> None:
+        self._points = points
+        self._cubes: dict[float, _Cubes] = {}
+
+    def nearest(
+        self, places: Float64[Tensor, "q 3"], count: int
+    ) -> tuple[Float64[Tensor, "q k"], Int64[Tensor, "q k"]]:
+        """Squared distances, m², of so many points around each place, the nearest first, and which they are.
+
+        There must be so many points. Those equally far away to seven digits may change places.
+        """
+        apart = places.new_empty(len(places), count)
+        index = torch.empty(len(places), count, dtype=torch.int64, device=places.device)
+        left, side_m = torch.arange(len(places), device=places.device), _first_side(self._points, count)
+        while len(left):
+            if side_m not in self._cubes:
+                self._cubes[side_m] = _Cubes(self._points, side_m)
+            cubes, asked = self._cubes[side_m], places[left]
+            within = cubes.seen_around(asked).square()
+            found = torch.zeros_like(left, dtype=torch.bool)
+            for some in cubes.pairs(asked):
+                squares = (cubes.points[some.row] - asked[some.places][some.owner]).square_().sum(1)
+                best, there = _smallest(squares, some.owner, some.counts, count)
+                square = squares[best].where(there, math.inf)
+                found[some.places] = square[:, -1] <= within[some.places]
+                apart[left[some.places]], index[left[some.places]] = square, cubes.order[some.row[best]]
+            left, side_m = left[~found], 2 * side_m
+        return apart, index
 
 
 def _first_side(points: Float64[Tensor, "n 3"], count: int) -> float:

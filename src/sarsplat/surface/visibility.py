@@ -17,7 +17,7 @@ from sarsplat.progress import stage
 from sarsplat.renderer import render
 from sarsplat.surface import cells
 from sarsplat.surface.first_returns import some_at_once
-from sarsplat.surface.neighbours import nearest
+from sarsplat.surface.neighbours import Neighbours
 from sarsplat.uninterruptible import uninterruptible
 
 _RAYS_PER_PIXEL = 4.0
@@ -93,9 +93,9 @@ class Seen:
         self, places: Float64[Tensor, "p 3"], count: int
     ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:
         """The same where the Gaussians are."""
-        found = []
+        found, near = [], Neighbours(self.means)
         for some in places.split(_AT_ONCE):
-            square, index = nearest(self.means, some, count)
+            square, index = near.nearest(some, count)
             weight = torch.exp(-0.5 * (square - square[:, :1]) / self.radius_m**2)
             area, section = ((weight * each[index]).sum(1) for each in (self.lit_area, self.cross_section))
             gamma0 = (section / area).where(area > 0, 0.0)
