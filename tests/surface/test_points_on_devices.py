@@ -23,7 +23,7 @@ from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.visibility import Seen
 from terrains import hill
 
-RING = [View(azimuth, grazing) for azimuth in range(7, 360, 45) for grazing in (25.0, 50.0)]
+RING = [View(azimuth, grazing) for azimuth in range(7, 360, 60) for grazing in (25.0, 50.0)]
 
 
 class Scene(NamedTuple):
@@ -60,7 +60,7 @@ def with_haze(gaussians: Gaussians, count: int, reach_m: float) -> Gaussians:
 def scenes() -> dict[str, Scene]:
     pytest.importorskip("trimesh")
     vehicle = surface_gaussians(target_mesh("t72"), 0.4)[0]
-    fine, coarse = PointExtraction(rays_per_pixel=3.0, voxel=0.2), PointExtraction(rays_per_pixel=2.0, voxel=0.3)
+    fine, coarse = PointExtraction(rays_per_pixel=2.0, voxel=0.3), PointExtraction(rays_per_pixel=2.0, voxel=0.4)
     return {
         "vehicle": Scene(with_haze(vehicle, 300, 5.0), ImageGrid(128, 128, (0.3, 0.3), (0.3, 0.3)), fine),
         "on a hill": Scene(vehicle, ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)), coarse, hill()),
@@ -76,7 +76,7 @@ def scenes() -> dict[str, Scene]:
 def village(module: Callable[[str], Any]) -> Scene:
     """38 m of it."""
     gaussians = surface_gaussians(module("benchmarks/village").village(38.0, edge_m=4.0), 1.0)[0]
-    how = PointExtraction(rays_per_pixel=1.5, voxel=0.5)
+    how = PointExtraction(rays_per_pixel=1.5, voxel=0.6)
     return Scene(with_haze(gaussians, 1000, 18.0), ImageGrid(128, 128, (0.3, 0.3), (0.3, 0.3)), how)
 
 
