@@ -18,6 +18,7 @@ from sarsplat.learning.strategies.ranking import whole_sums
 from sarsplat.scenes import surface_gaussians, target_mesh
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells, first_returns, neighbours, normals, voxels
+from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.neighbours import Neighbours, sums_within
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.visibility import Seen
@@ -144,6 +145,20 @@ def test_strongest_centres_are_those_of_the_cpu(scenes: dict[str, Scene], elsewh
     np.testing.assert_array_equal(Found.of(scene).points, expected)
 
 
+def test_a_mesh_is_that_of_the_cpu(scenes: dict[str, Scene], elsewhere: Any) -> None:
+    pytest.importorskip("skimage")
+    scene = scenes["seen often"]
+    found, seen = Found.of(scene), Seen.of(scene.gaussians, RING, scene.grid)
+    expected = surface_mesh(found.points, found.normals, seen, scene.grid.cell_m)
+    elsewhere()
+    actual = surface_mesh(found.points, found.normals, seen, scene.grid.cell_m)
+    assert len(actual.faces) == pytest.approx(len(expected.faces), rel=5e-3)
+    assert actual.area == pytest.approx(expected.area, rel=1e-3)
+    assert cKDTree(actual.vertices).query(expected.vertices)[0].mean() < 1e-3 * scene.grid.cell_m
+    single = surface_mesh(found.points[:1], found.normals[:1], seen, scene.grid.cell_m)
+    assert len(single.faces) < 100
+
+
 @pytest.mark.parametrize("kind", ["even", "clusters", "a line", "one place", "a few"])
 def test_nearest_points_are_the_nearest(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(neighbours, "_PAIRS", 1000)
@@ -196,7 +211,9 @@ def test_points_spread_least_along_the_axis_of_the_smallest_eigenvalue() -> None
     for matrix, expected in ((line, [-0.48, 0, 0.36]), (ball, [0, 0, 1]), (none, [0, 0, 1])):
         spread = torch.tensor(matrix[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]])[None].double()
         found = normals._across(spread, torch.tensor(towards[:1]))[0].numpy()
-        np.testing.assert_allclose(found / np.linalg.norm(found), expected / np.linalg.norm(expected), atol=1e-6)
+        np.testing.assert_allclose(
+            found / np.linalg.norm(found), np.divide(expected, np.linalg.norm(expected)), atol=1e-6
+        )
 
 
 def test_heights_above_terrain_are_those_of_the_terrain() -> None:
