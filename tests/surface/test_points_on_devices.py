@@ -210,9 +210,9 @@ def test_points_spread_least_along_the_axis_of_the_smallest_eigenvalue() -> None
     line, ball, none = np.outer([3.0, 0, 4], [3.0, 0, 4]), np.eye(3), np.zeros((3, 3))
     for matrix, expected in ((line, [-0.48, 0, 0.36]), (ball, [0, 0, 1]), (none, [0, 0, 1])):
         spread = torch.tensor(matrix[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]])[None].double()
-        found = normals._across(spread, torch.tensor(towards[:1]))[0].numpy()
+        axis = normals._across(spread, torch.tensor(towards[:1]))[0].numpy()
         np.testing.assert_allclose(
-            found / np.linalg.norm(found), np.divide(expected, np.linalg.norm(expected)), atol=1e-6
+            axis / np.linalg.norm(axis), np.divide(expected, np.linalg.norm(expected)), atol=1e-6
         )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -66,13 +67,14 @@ class FirstReturns:
 
     def points(self, terrain: Terrain | None, lowest_m: float) -> Iterator[Float64[Tensor, "p 3"]]:
         """The returns of each view in the world frame, m, that lie so high above the terrain."""
-        ranges, block = self.range_m.split(self._sizes), []
-        for view in range(len(ranges)):
-            block.append(view)
-            following = self._sizes[view + 1] if view + 1 < len(ranges) else _AT_ONCE
-            if sum(self._sizes[k] for k in block) + following > _AT_ONCE:
+        sizes, rays, block = self._sizes, 0, list[int]()
+        ranges = self.range_m.split(sizes)
+        for view, size in enumerate(sizes):
+            if block and rays + size > _AT_ONCE:
                 yield from self._points_of(block, ranges, terrain, lowest_m)
-                block = []
+                block, rays = [], 0
+            block, rays = [*block, view], rays + size
+        yield from self._points_of(block, ranges, terrain, lowest_m)
 
     def _points_of(
         self, views: Sequence[int], ranges: Sequence[Tensor], terrain: Terrain | None, lowest_m: float
@@ -80,8 +82,8 @@ class FirstReturns:
         placed = [self._placed(view, ranges[view]) for view in views]
         points, finite = torch.cat(placed), torch.cat([ranges[view] for view in views]).isfinite()
         kept = finite & (_heights(points, terrain) >= lowest_m)
-        ends = torch.tensor([len(each) for each in placed]).cumsum(0) - 1
-        upto = kept.cumsum(0)[ends.to(kept.device)].tolist()
+        ends = torch.from_numpy(np.cumsum([len(each) for each in placed])).to(kept.device)
+        upto = torch.cat([kept.new_zeros(1, dtype=torch.int64), kept.cumsum(0)])[ends].tolist()
         return points[kept].split(np.diff([0, *upto]).tolist())
 
     def _placed(self, view: int, ranges: Float[Tensor, " r"]) -> Float64[Tensor, "r 3"]:
@@ -100,11 +102,11 @@ class FirstReturns:
     ) -> Bool[Tensor, " p"]:
         """Which points at most that share of the views look through, by more than `behind_m`, and so many see."""
         counts = torch.zeros(2, len(points), dtype=torch.int64, device=points.device)
-        device, sizes = points.device, self._sizes
-        shapes = torch.tensor([each.first_return.shape for each in self.maps]).to(device)
-        firsts = torch.tensor([0, *np.cumsum(sizes)[:-1].tolist()]).to(device)
-        origins = torch.tensor([each.origin for each in self.maps], dtype=torch.float64).to(device)
-        spacing = torch.tensor(self.spacing_m, dtype=torch.float64).to(device)
+        sizes, new = self._sizes, partial(torch.tensor, device=points.device)
+        shapes = new([each.first_return.shape for each in self.maps])
+        firsts = new(np.cumsum([0, *sizes[:-1]]))
+        origins = new([each.origin for each in self.maps], dtype=torch.float64)
+        spacing = new(self.spacing_m, dtype=torch.float64)
         each = max(1, _AT_ONCE // max(1, len(points)))
         for k in range(0, len(sizes), each):
             some = slice(k, k + each)
