@@ -27,7 +27,7 @@ from sarsplat.renderer.engines import cuda
 from sarsplat.runs import Step
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, Relocation
-from sarsplat.surface import extract_points, points
+from sarsplat.surface import cells, extract_points, first_returns
 
 DENSITY = Densification(
     start=4,
@@ -252,7 +252,8 @@ def test_points_of_the_cuda_engines_source_are_the_cpus(
     views = dataset.select("train").views[:2]
     how = finished.config.points
     expected = extract_points(finished.gaussians, views, dataset.grid, how)
-    monkeypatch.setattr(points, "render", partial(render_on, Emulator(library)))
+    monkeypatch.setattr(first_returns, "render", partial(render_on, Emulator(library)))
+    monkeypatch.setattr(cells, "on_cpu", lambda tensor: False)  # all views at once, as on a GPU
     actual = extract_points(finished.gaussians, views, dataset.grid, how)
     assert len(actual) == len(expected) > 100
     assert np.abs(actual - expected).max() < 1e-3

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from sarsplat import Gaussians, ImageGrid, View, memory
 from sarsplat.errors import SarsplatError
@@ -14,7 +15,9 @@ from sarsplat.progress import Reporter
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import extract_points
 from sarsplat.surface import points as of_points
-from sarsplat.surface.points import _cluster, _FirstReturns, _Voxels, between, spread
+from sarsplat.surface import voxels as of_voxels
+from sarsplat.surface.points import _cluster, _FirstReturns, between, spread
+from sarsplat.surface.voxels import Voxels
 from upright import upright
 
 GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))
@@ -96,31 +99,31 @@ def test_voxels_are_the_same_however_the_points_come(offset: float, monkeypatch:
     """All at once or in parts, and where cells are so many that no number counts them."""
     places = np.random.default_rng(0).uniform(-1, 1, (500, 3))
     places[0] += offset
-    once = _Voxels(0.3)
-    once.add(places)
-    monkeypatch.setattr(of_points, "_AT_ONCE", 40)
-    parts = _Voxels(0.3)
+    once = Voxels(0.3)
+    once.add(torch.from_numpy(places))
+    monkeypatch.setattr(of_voxels, "AT_ONCE", 40)
+    parts = Voxels(0.3)
     for part in np.array_split(places, 20):
-        parts.add(part)
+        parts.add(torch.from_numpy(part))
     cells = np.unique(np.floor(places / 0.3), axis=0)
     assert len(once.means()) == len(cells)
-    np.testing.assert_array_equal(np.floor(once.means() / 0.3), cells)
+    np.testing.assert_array_equal(np.floor(once.means().numpy() / 0.3), cells)
     np.testing.assert_allclose(parts.means(), once.means(), rtol=1e-12)
-    assert _Voxels(0.3).means().shape == (0, 3)
+    assert Voxels(0.3).means().shape == (0, 3)
 
 
 def test_voxels_grow_where_there_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory and what is done with the points have a limit, also while points are added; none is lost."""
-    monkeypatch.setattr(of_points, "_AT_ONCE", 1000)
-    monkeypatch.setattr(of_points, "_MOST_POINTS", 600)
+    monkeypatch.setattr(of_voxels, "AT_ONCE", 1000)
+    monkeypatch.setattr(of_voxels, "MOST_POINTS", 600)
     places = np.random.default_rng(0).uniform(-1, 1, (9000, 3)) * [1, 1, 0]
-    voxels = _Voxels(0.01)
+    voxels = Voxels(0.01)
     for part in np.array_split(places, 9):
-        voxels.add(part)
+        voxels.add(torch.from_numpy(part))
         assert len(voxels._cells) <= 600
     assert 300 < len(voxels.means()) <= 600
-    assert voxels._counts.sum() == len(places)
-    np.testing.assert_allclose(voxels._sums.sum(axis=0), places.sum(axis=0), atol=1e-9)
+    assert voxels._sums[:, 3].sum() == len(places)
+    np.testing.assert_allclose(voxels._sums[:, :3].sum(0), places.sum(axis=0), atol=1e-9)
 
 
 def test_many_views_are_thinned_evenly() -> None:

@@ -229,7 +229,8 @@ class GaussianReconstruction(Reconstruction):
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
         """Normals of the planes through their neighbours."""
         towards = self._seen.around(points)[1]
-        return surface_normals(points, towards, _NORMAL_RADIUS * self.grid.cell_m).astype(np.float32)
+        radius, device = _NORMAL_RADIUS * self.grid.cell_m, self.gaussians.means.device
+        return surface_normals(points, towards, radius, device).astype(np.float32)
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
         """Mean γ⁰ over the views that see the Gaussians there, weighted by how much they see."""

@@ -8,9 +8,7 @@ one after the other: time grows with the surface, and memory hardly.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -19,29 +17,22 @@ from jaxtyping import Float64, Int64, Real
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import stage
 from sarsplat.radiometry import shade
+from sarsplat.surface.planes import Planes, planes_through, some_at_a_time
 from sarsplat.surface.visibility import Seen
-from sarsplat.uninterruptible import uninterruptible
 
 if TYPE_CHECKING:
     import trimesh
 
-# Lengths in units: resolution cells, or more where points are so far apart that smaller ones would fall between them.
-_SPACINGS = 7.5  # of the points, in a unit at least: nothing is farther from the next one than the mesh reaches
+# Lengths in units of the planes.
 _VOXEL = 0.25
-_SMOOTHING = 0.25  # standard deviation of the points' weights
 _REACH = 0.2  # of the mesh from the nearest point
 
 # A part that is smaller, of the whole area and in square units, floats.
 _SMALLEST_PART, _SMALLEST_UNITS = 0.01, 12.0
-_NEIGHBOURS = 24  # points that count for a place
-_AT_ONCE = 50_000  # places whose points are searched
-_SUMMED = 4096  # places whose points are summed: what is calculated of them stays in the processor's cache
-_ASKED = 10_000  # points, at most, how far the next one is
 _SEARCH, _NEAR, _NORMALS = 70, 75, 90  # per cent of the time, until they are done
 _BRICK = 128  # voxels along a side
 _DARKEST_DB = -30.0  # of the brightest vertex: black
@@ -68,16 +59,16 @@ def surface_mesh(
     vertices, faces, vertex_normals = np.empty((0, 3)), np.empty((0, 3), np.int64), None
     with stage("surface: mesh", 100) as shown:
         if len(points):
-            planes = _Planes.through(np.asarray(points, np.float64), normals, cell)
+            planes = planes_through(np.asarray(points, np.float64), normals, cell, seen.means.device)
             vertices, faces = _zero_surface(planes, marching_cubes, lambda share: shown.update(_SEARCH * share))
             near = np.empty(len(vertices), bool)
-            for part in _some_at_a_time(len(vertices)):
-                near[part] = uninterruptible(planes.tree.query, vertices[part], workers=-1)[0] <= _REACH * planes.unit_m
+            for part in some_at_a_time(len(vertices)):
+                near[part] = planes.apart(vertices[part]) <= _REACH * planes.unit_m
                 shown.update(_SEARCH + (_NEAR - _SEARCH) * part.stop / len(vertices))
             vertices, faces = _without_crumbs(vertices, faces[near[faces].all(axis=1)], planes.unit_m)
             if len(faces):
                 vertex_normals = np.empty((len(vertices), 3))
-                for part in _some_at_a_time(len(vertices)):  # of many points: those of a voxel's few triangles jump
+                for part in some_at_a_time(len(vertices)):  # of many points: those of a voxel's few triangles jump
                     _, vertex_normals[part] = planes.at(vertices[part])
                     shown.update(_NEAR + (_NORMALS - _NEAR) * part.stop / len(vertices))
         gamma0, _ = seen.around(vertices)
@@ -93,57 +84,8 @@ def surface_mesh(
     )
 
 
-@dataclass(frozen=True)
-class _Planes:
-    """The plane through the weighted mean of the points around a place."""
-
-    oriented: Float64[np.ndarray, "p 6"]
-    """Points, m, and their normals."""
-    tree: cKDTree
-    unit_m: float
-
-    @classmethod
-    def through(cls, points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], cell: float) -> _Planes:
-        tree = cKDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False)  # the fastest to make and ask
-        spacing = 0.0
-        if len(points) > 1:
-            some = points[:: math.ceil(len(points) / _ASKED)]
-            spacing = float(np.median(tree.query(some, k=[2], workers=-1)[0]))
-        return cls(np.concatenate([points, normals], axis=1), tree, max(cell, _SPACINGS * spacing))
-
-    def at(self, places: Real[np.ndarray, "q 3"]) -> tuple[Float64[np.ndarray, " q"], Float64[np.ndarray, "q 3"]]:
-        """Signed distances of places from their planes, m, and the planes' unit normals."""
-        distance, normal = np.empty(len(places)), np.empty((len(places), 3))
-        count = np.arange(1, min(_NEIGHBOURS, len(self.oriented)) + 1)
-        for part in _some_at_a_time(len(places)):
-            apart, index = uninterruptible(self.tree.query, places[part], k=count, workers=-1)
-            for few in range(0, len(apart), _SUMMED):
-                some = slice(few, few + _SUMMED)
-                place, plane = self._means(apart[some], index[some])
-                offset = places[part][some] - place
-                distance[part][some], normal[part][some] = np.einsum("pc,pc->p", offset, plane), plane
-        return distance, normal
-
-    def _means(
-        self, apart: Float64[np.ndarray, "q k"], index: Int64[np.ndarray, "q k"]
-    ) -> tuple[Float64[np.ndarray, "q 3"], Float64[np.ndarray, "q 3"]]:
-        """Weighted mean places and unit normals of points that are so far away, m."""
-        weight = np.exp(-0.5 * (apart**2 - apart[:, :1] ** 2) / (_SMOOTHING * self.unit_m) ** 2)
-        sums = np.zeros((len(apart), 6))
-        for of, near in zip(weight.T.copy(), index.T.copy(), strict=True):  # one after the other: no large arrays
-            sums += of[:, None] * self.oriented[near]
-        length = np.linalg.norm(sums[:, 3:], axis=1, keepdims=True)
-        # normals on both sides of a sheet may cancel
-        return sums[:, :3] / weight.sum(1, keepdims=True), sums[:, 3:] / np.maximum(length, 1e-12)
-
-
-def _some_at_a_time(count: int) -> Iterator[slice]:
-    """Chunks of the places, to bound memory."""
-    return (slice(first, min(first + _AT_ONCE, count)) for first in range(0, count, _AT_ONCE))
-
-
 def _zero_surface(
-    planes: _Planes, marching_cubes: Callable[..., tuple[np.ndarray, ...]], tell: Callable[[float], object]
+    planes: Planes, marching_cubes: Callable[..., tuple[np.ndarray, ...]], tell: Callable[[float], object]
 ) -> tuple[Float64[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:
     """Vertices, m, and faces where the signed distance, positive outside, changes its sign near points.
 
@@ -152,7 +94,7 @@ def _zero_surface(
     unit = planes.unit_m
     voxel = _VOXEL * unit
     band = _REACH * unit + 2 * voxel  # beyond what is kept: cubes at its rim are whole
-    points = planes.oriented[:, :3]
+    points = planes.points
     corner = points.min(axis=0) - band
     voxels = np.rint((points - corner) / voxel).astype(np.int64)
     order, starts = _sorted(voxels)

@@ -26,20 +26,17 @@ from sarsplat.memory import required
 from sarsplat.progress import stage
 from sarsplat.renderer import render
 from sarsplat.settings.sections import PointExtraction
+from sarsplat.surface import cells
+from sarsplat.surface.first_returns import FirstReturns, some_at_once
+from sarsplat.surface.voxels import AT_ONCE, MOST_POINTS, Voxels
 from sarsplat.tiles.plan import memory_bytes
 
 _MOST_VIEWS = 96
 _MOST_RAYS = 2e7
 """In all views together."""
 
-_MOST_POINTS = 1_000_000
-"""Before those are removed that only some views see."""
-
 _SAMPLES = 3.0
 """Returns that a voxel has at least, on average; a surface is seen by about a third of the views."""
-
-_AT_ONCE = 1 << 22
-"""Returns that wait to be thinned."""
 
 _RETURN, _POINT = 130, 650
 """Bytes at most: of a return while it is thinned, and of a point while normals and mesh are made of it."""
@@ -94,9 +91,9 @@ def extract_points(
         if how.power_share < 1:
             kept &= _strongest(gaussians, views, grid, how.power_share)
         points = gaussians.means[kept].double().cpu().numpy()
-        voxels = _Voxels(how.voxel * cell)
-        voxels.add(points[heights_of(points, terrain) >= how.min_height * cell])
-        points = voxels.means()
+        voxels = Voxels(how.voxel * cell)
+        voxels.add(torch.from_numpy(points[heights_of(points, terrain) >= how.min_height * cell]))
+        points = voxels.means().numpy()
     else:
         points = _seen_points(gaussians, [*views, *between(views)], grid, how, terrain)
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
@@ -105,12 +102,12 @@ def extract_points(
 def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, share: float) -> Bool[Tensor, " n"]:
     """The fewest Gaussians that return this share of the power in images; those outside of all images do not count."""
     rays, strongest = RayGrid.for_image(grid), gaussians.means.new_zeros(len(gaussians))
-    channel = gaussians.scattering.power_channel
-    for view in spread(views, _MOST_VIEWS):
+    channel, means = gaussians.scattering.power_channel, gaussians.means.double().cpu().numpy()
+    for some in some_at_once(gaussians, spread(views, _MOST_VIEWS), grid, rays):
         with torch.no_grad():
-            sections = render(gaussians, [view], grid, rays=rays).cross_sections[0, :, channel]
-        inside = torch.from_numpy(imaged(gaussians.means.double().cpu().numpy(), view, grid)).to(sections.device)
-        strongest = torch.maximum(strongest, sections * inside)
+            sections = render(gaussians, some, grid, rays=rays).cross_sections[..., channel]
+        inside = torch.from_numpy(np.stack([imaged(means, view, grid) for view in some])).to(sections.device)
+        strongest = torch.maximum(strongest, (sections * inside).amax(0))
     order = strongest.argsort(descending=True, stable=True)
     before = strongest[order].double().cumsum(0) - strongest[order]
     return torch.zeros_like(strongest, dtype=torch.bool).index_put((order,), before < share * strongest.double().sum())
@@ -138,18 +135,26 @@ def _seen_points(
     much = required("extracting the surface", _bytes(gaussians, grid, min(count, _MOST_RAYS), len(views)), _FEWER)
     rays = RayGrid((coarser * rays.spacing_m[0], coarser * rays.spacing_m[1]))
     needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if coarser > 1 else 0.0
-    voxels, returns = _Voxels(max(how.voxel * cell, needed_m)), []
+    voxels, returns = Voxels(max(how.voxel * cell, needed_m), gaussians.means.device), []
+    enough = min(how.seen_by, len(views) // 5)  # a fifth, so that of few views there are points, too
     rarer = f" {coarser:.2g} times as far apart as set" if coarser > 1 else ""
     with stage(f"surface: rays{rarer} from {said}", len(views)) as shown:
         if much is not None:
             shown.note(much)
+        if not cells.on_cpu(gaussians.means):
+            traced = FirstReturns.of(gaussians, views, grid, rays, how.optical_depth)
+            for found in traced.points(terrain, how.min_height * cell):
+                voxels.add(found)
+            means = voxels.means()
+            kept = traced.confirmed(means, how.behind * cell, how.seen_through, enough)
+            return means[kept].cpu().numpy()
         for view in views:
             returns.append(_FirstReturns.of(gaussians, view, grid, rays, how.optical_depth))
             points = returns[-1].points()
-            voxels.add(points[heights_of(points, terrain) >= how.min_height * cell])
+            voxels.add(torch.from_numpy(points[heights_of(points, terrain) >= how.min_height * cell]))
             shown.advance(1)
     # haze that one view takes for a surface is looked through by others, or seen by no other
-    points = voxels.means()
+    points = voxels.means().numpy()
     through, seen, left = np.zeros(len(points), int), np.zeros(len(points), int), np.arange(len(points))
     with stage("surface: points compared with the views", len(views)) as shown:
         for number in _mixed(len(views)):  # so that haze is soon looked through
@@ -158,7 +163,6 @@ def _seen_points(
             seen[left] += abs(beyond) <= how.behind * cell
             left = left[through[left] <= how.seen_through * len(views)]
             shown.advance(1)
-    enough = min(how.seen_by, len(views) // 5)  # a fifth, so that of few views there are points, too
     return points[left[seen[left] >= enough]]
 
 
@@ -168,7 +172,7 @@ def _bytes(gaussians: Gaussians, grid: ImageGrid, rays: float, views: int) -> fl
         len(gaussians), gaussians.scattering.parameters.shape[1], rays / views, grid.rows * grid.columns
     )
     ranges = np.dtype(np.float32).itemsize * rays
-    thinned, kept = min(rays, _AT_ONCE + rays / views), min(rays / _SAMPLES, _MOST_POINTS)
+    thinned, kept = min(rays, AT_ONCE + rays / views), min(rays / _SAMPLES, MOST_POINTS)
     return ranges + max(of_a_view + _RETURN * (thinned + kept), _POINT * kept)
 
 
@@ -250,50 +254,6 @@ class _FirstReturns:
         last = np.array(self.range_m.shape[::-1]) - 1
         column, row = np.rint((local[:, :2] - self.origin) / self.spacing_m).clip(0, last).astype(np.int32).T
         return self.range_m[row, column] - local[:, 2]
-
-
-class _Voxels:
-    """Sums of points in cubes of a side, m, which grows where there are too many."""
-
-    def __init__(self, side_m: float) -> None:
-        self._side_m = side_m
-        self._cells, self._sums = np.empty((0, 3), np.int64), np.empty((0, 3))
-        self._counts: Float64[np.ndarray, " v"] = np.empty(0)
-        self._waiting: list[Float64[np.ndarray, "p 3"]] = []
-
-    def add(self, points: Float64[np.ndarray, "p 3"]) -> None:
-        self._waiting.append(points)
-        if sum(map(len, self._waiting)) > _AT_ONCE:
-            self._merge()
-
-    def means(self) -> Float64[np.ndarray, "v 3"]:
-        """The mean of the points in each cube that has any."""
-        self._merge()
-        return self._sums / self._counts[:, None]
-
-    def _merge(self) -> None:
-        points, self._waiting = np.concatenate([np.empty((0, 3)), *self._waiting]), []
-        self._sums = np.concatenate([self._sums, points])
-        self._counts = np.concatenate([self._counts, np.ones(len(points))])
-        self._group(np.concatenate([self._cells, np.floor(points / self._side_m).astype(np.int64)]))
-        while len(self._cells) > _MOST_POINTS:
-            self._side_m *= max(1.1, (len(self._cells) / _MOST_POINTS) ** (1 / 3))  # a volume, at most
-            self._group(np.floor(self._sums / self._counts[:, None] / self._side_m).astype(np.int64))
-
-    def _group(self, cells: Int64[np.ndarray, "p 3"]) -> None:
-        if not len(cells):
-            return
-        low = cells.min(axis=0)
-        size = [int(side) for side in cells.max(axis=0) - low + 1]
-        if math.prod(size) < 1 << 62:  # one number is sorted many times as fast as three
-            keys, axis = np.ravel_multi_index(tuple((cells - low).T), size), None
-        else:
-            keys, axis = cells, 0
-        _, first, owner = np.unique(keys, axis=axis, return_index=True, return_inverse=True)
-        owner = owner.ravel()
-        self._cells = cells[first]
-        self._sums = np.stack([np.bincount(owner, self._sums[:, k], len(first)) for k in range(3)], axis=1)
-        self._counts = np.bincount(owner, self._counts, len(first))
 
 
 def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Float64[np.ndarray, "fewer 3"]:

@@ -11,6 +11,7 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
+from sarsplat.learning.strategies.ranking import running_sums
 from sarsplat.learning.strategies.strategy import Configured, Info, State
 from sarsplat.settings.config import Config
 
@@ -38,8 +39,6 @@ class Growing(Configured):
 
 def holding(errors: Float[Tensor, " n"], share: float) -> Bool[Tensor, " n"]:
     """The smallest set of items whose values sum to at least this share of the total."""
-    largest, order = errors.double().cpu().sort(descending=True, stable=True)
-    held = largest.cumsum(0)
-    chosen = torch.zeros(len(errors), dtype=torch.bool, device="cpu")
-    chosen[order] = held - largest < share * held[-1]
-    return chosen.to(errors.device)
+    largest, order = errors.double().sort(descending=True, stable=True)
+    held = running_sums(largest)
+    return torch.zeros_like(order, dtype=torch.bool).index_copy(0, order, held - largest < share * held[-1])

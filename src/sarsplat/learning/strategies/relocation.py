@@ -11,6 +11,7 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
+from sarsplat.learning.strategies.ranking import running_sums
 from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Relocation
@@ -37,25 +38,26 @@ class Relocating(Configured):
     ) -> None:
         if self.due(step):
             info.check()
-            rows = pairs(info.cross_sections(), self._config.idle_share, info.generator)
-            idle, strong = (numbers.to(info.model.device) for numbers in rows)
+            idle, strong = pairs(info.cross_sections(), self._config.idle_share, info.generator)
             ops.relocate(params, optimizers, state, idle, strong, info.generator)
 
 
 def pairs(
     cross_sections: Float[Tensor, " n"], idle_share: float, generator: torch.Generator
 ) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
-    """Indices of the idle Gaussians, and of the strong one that each joins; on the CPU, no index in both.
+    """Indices of the idle Gaussians, and of the strong one that each joins; no index in both.
 
     Idle are the weakest that together have at most `idle_share` of all radar cross-sections σ, m². The probability to
     be joined is proportional to σ.
     """
-    sigma = cross_sections.double().cpu()
+    sigma = cross_sections.double()
     order = sigma.argsort(stable=True)
-    held = sigma[order].cumsum(0)
+    held = running_sums(sigma[order])
     idle = order[held <= idle_share * held[-1]][: len(order) // 2]
     weights = sigma.index_fill(0, idle, 0.0)
     idle = idle[: int((weights > 0).sum())]
     if not len(idle):
         return idle, idle
-    return idle, torch.multinomial(weights, len(idle), generator=generator)
+    # as `torch.multinomial` does on the CPU, with the same numbers on every device
+    chance = torch.empty(len(sigma), dtype=torch.float64, device="cpu").exponential_(generator=generator)
+    return idle, (weights / chance.to(weights.device)).topk(len(idle)).indices
