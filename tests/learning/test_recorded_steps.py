@@ -16,7 +16,7 @@ from torch import Tensor
 
 from sarsplat import Dataset, preset
 from sarsplat.learning import Trainer
-from sarsplat.renderer.engines import choice, cuda
+from sarsplat.renderer.engines import bounds, choice, cuda
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, FlatGround, Relocation, Surroundings
 from terrains import hill
@@ -94,3 +94,19 @@ def test_steps_run_again_are_steps(name: str, dataset: Dataset, recorder: Emulat
     mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
     assert [name for name, tensor in theirs.items() if not torch.equal(mine[name], tensor)] == []
     print(name, recorder.records, recorder.replays)
+
+
+@pytest.mark.parametrize("name", ["ground", "terrain"])
+@pytest.mark.parametrize("views", [2, 12])
+def test_scenes_that_are_too_large_are_learned_launch_by_launch(
+    name: str, views: int, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where rays stand is read back there, and is not known of views that only the device knows."""
+    monkeypatch.setattr(bounds, "_MOST", 100)
+    if name == "terrain":
+        dataset = replace(dataset, ground=True, terrain=hill(-0.5, width_m=4.0))
+    asked, launched = (Trainer(dataset, replace(CONFIGS[name], views_per_step=views)) for _ in range(2))
+    launched.records = False
+    for _ in range(2):
+        assert torch.equal(asked.step(), launched.step())
+    assert not asked.records
