@@ -16,6 +16,7 @@ from torch import Tensor
 
 from sarsplat import Dataset, preset
 from sarsplat.learning import Trainer
+from sarsplat.learning.strategies.relocation import Relocating
 from sarsplat.renderer.engines import bounds, choice, cuda
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, FlatGround, Relocation, Surroundings
@@ -110,3 +111,17 @@ def test_scenes_that_are_too_large_are_learned_launch_by_launch(
     for _ in range(2):
         assert torch.equal(asked.step(), launched.step())
     assert not asked.records
+
+
+def test_steps_in_which_a_strategy_acts_before_gradients_are_not_recorded(
+    dataset: Dataset, recorder: EmulatedRecorder
+) -> None:
+    class Watching(Relocating):
+        name, seen = "watching", 0
+
+        def step_pre_backward(self, *_: Any) -> None:
+            self.seen += 1
+
+    trainer = Trainer(dataset, CONFIGS["default"], strategies=[watching := Watching(Relocation(), STEPS)])
+    trainer.step()
+    assert (trainer.records, watching.seen) == (False, 1)

@@ -142,9 +142,10 @@ class Trainer:
             stepper.step_told(gradients, rates)
             return loss, _done(rendering), self.terms
 
-        kind = self._factor, model.degree(self.iteration), self._rays, self._wants_plane_gradients(step)
+        wanted = tuple(strategy.wants_plane_gradients(step) for strategy in self.strategies)
+        kind = self._factor, model.degree(self.iteration), self._rays, wanted
         kept = [tensor for part in model.parts for tensor in part.state().values()]
-        kept += [tensor for state in self._states for tensor in state.rows.values()]
+        kept += [tensor for state in self._states for tensor in state.tensors().values()]
         things = stepper, self.images.truth, self.images.views, *model.parameters.values(), *kept
         rates = self.optimiser.numbers(self.iteration)
         try:
@@ -203,7 +204,7 @@ class Trainer:
         recorder = recorder_for(next(iter(self.model.parameters.values())))
         law = scattering_named(self.config.scattering)
         ours = loss is None and law.__module__.startswith("sarsplat.") and self._processes is None
-        ours = ours and all(isinstance(one, Configured) and not one.acts_before for one in self.strategies)
+        ours = ours and all(isinstance(one, Configured) and not one.acts_before() for one in self.strategies)
         views, rates = self._queue.size, len(self.model.parameters) + 2
         if recorder is None or not RecordedSteps.has_room(views, rates):
             return None
