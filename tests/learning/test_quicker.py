@@ -63,7 +63,7 @@ def test_where_a_step_fails_it_is_not_done(fails: str, chosen: str, message: str
         def step(self) -> None:
             raise SarsplatError("the memory of cuda:0 is not enough\nfor it")
 
-    where, said = quicker(lambda where: (Failing if where.type == fails else Taking)(0.001), GPU)  # type: ignore[arg-type]
+    where, said = quicker(lambda where: (Failing if where.type == fails else Taking)(0.001), GPU)  # type: ignore[arg-type, return-value]
     assert (where.type, said) == (chosen, message)
 
 

@@ -75,7 +75,7 @@ class CudaRecorder:
             graph.capture_end()
             return made
 
-        torch.cuda.empty_cache()  # it lends a record nothing, and that is as large as what a rehearsal has left there
+        torch.cuda.empty_cache()  # which has what the rehearsal took, and could not give it to the record
         with read_meanwhile() as self._read:
             result = self.rehearse(recorded)
         self._latest = graph  # alive, so that its memory is
