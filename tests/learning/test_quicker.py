@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from functools import cache
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ import torch
 from sarsplat import Dataset, Run, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.quicker import quicker
+from sarsplat.renderer.engines import cpu
 from sarsplat.runs import reconstruction
 
 GPU = torch.device("cuda", 0)
@@ -50,6 +52,29 @@ def test_the_quicker_one(on_gpu: float, on_cpu: float, chosen: str) -> None:
         assert said.startswith("training on the CPU: a step takes 1.")
         assert " ms there, and 2" in said
         assert said.endswith("device cuda takes the GPU nevertheless")
+
+
+@pytest.mark.parametrize(
+    ("fails", "chosen", "message"),
+    [("cuda", "cpu", "training on the CPU: on the GPU, the memory of cuda:0 is not enough"), ("cpu", "cuda", "")],
+)
+def test_where_a_step_fails_it_is_not_done(fails: str, chosen: str, message: str) -> None:
+    class Failing(Taking):
+        def step(self) -> None:
+            raise SarsplatError("the memory of cuda:0 is not enough\nfor it")
+
+    where, said = quicker(lambda where: (Failing if where.type == fails else Taking)(0.001), GPU)  # type: ignore[arg-type, return-value]
+    assert (where.type, said) == (chosen, message)
+
+
+def test_what_is_said_once_of_the_cpu_engine_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cpu, "torch_pool", lambda: None)
+    monkeypatch.setattr(cpu, "library", cache(cpu.library.__wrapped__))
+    with pytest.warns(UserWarning, match="runs on one thread"):
+        quicker(lambda _: Taking(0.001), GPU)  # type: ignore[arg-type, return-value]
+    monkeypatch.undo()
+    cpu.library.cache_clear()
+    cpu.library()  # with torch's threads again
 
 
 def test_a_reconstruction_says_so_and_goes_on_where_it_began(

@@ -15,8 +15,10 @@ from emulated_recorder import EmulatedRecorder
 from torch import Tensor
 
 from sarsplat import Dataset, preset
+from sarsplat.errors import SarsplatWarning
 from sarsplat.learning import Trainer
-from sarsplat.renderer.engines import choice, cuda, cuda_arrays
+from sarsplat.learning.strategies.relocation import Relocating
+from sarsplat.renderer.engines import bounds, choice, cuda, cuda_arrays
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, FlatGround, Relocation, Surroundings
 from terrains import hill
@@ -94,3 +96,53 @@ def test_steps_run_again_are_steps(name: str, dataset: Dataset, recorder: Emulat
     mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
     assert [name for name, tensor in theirs.items() if not torch.equal(mine[name], tensor)] == []
     print(name, recorder.records, recorder.replays)
+
+
+@pytest.mark.parametrize("name", ["ground", "terrain"])
+@pytest.mark.parametrize("views", [2, 12])
+def test_scenes_that_are_too_large_are_learned_launch_by_launch(
+    name: str, views: int, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where rays stand is read back there, and is not known of views that only the device knows."""
+    monkeypatch.setattr(bounds, "_MOST", 100)
+    if name == "terrain":
+        dataset = replace(dataset, ground=True, terrain=hill(-0.5, width_m=4.0))
+    asked, launched = (Trainer(dataset, replace(CONFIGS[name], views_per_step=views)) for _ in range(2))
+    launched.records = False
+    for _ in range(2):
+        assert torch.equal(asked.step(), launched.step())
+    assert not asked.records
+
+
+def test_steps_in_which_a_strategy_acts_before_gradients_are_not_recorded(
+    dataset: Dataset, recorder: EmulatedRecorder
+) -> None:
+    class Watching(Relocating):
+        name, seen = "watching", 0
+
+        def step_pre_backward(self, *_: Any) -> None:
+            self.seen += 1
+
+    trainer = Trainer(dataset, CONFIGS["default"], strategies=[watching := Watching(Relocation(), STEPS)])
+    trainer.step()
+    assert (trainer.records, watching.seen) == (False, 1)
+
+
+def test_a_record_that_fails_is_warned_of_and_nothing_is_lost(
+    dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    by_itself, launched = (Trainer(dataset, CONFIGS["quick"]) for _ in range(2))
+    launched.records = False
+
+    def refused(program: object) -> None:
+        raise RuntimeError("operation failed due to a previous error during capture")
+
+    monkeypatch.setattr(recorder, "record", refused)
+    with pytest.warns(
+        SarsplatWarning, match="steps are made launch by launch, because .* error during capture"
+    ) as said:
+        for _ in range(5):
+            assert torch.equal(by_itself.step(), launched.step())
+    assert len(said) == 1
+    mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
+    assert all(torch.equal(mine[name], tensor) for name, tensor in theirs.items())

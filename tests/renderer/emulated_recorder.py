@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any, NoReturn, TypeVar
 
 import pytest
 import torch
@@ -19,6 +20,9 @@ T = TypeVar("T")
 
 _FROM_THE_CPU = ("_local_scalar_dense", "lift_fresh", "nonzero", "is_nonzero", "equal", "masked_select", "pin_memory")
 """What would make a CPU wait for a GPU, or the other way round: while a graph is recorded, CUDA refuses it."""
+
+_UNSEEN = [(Tensor, "tolist"), (Tensor, "numpy"), (Tensor, "cpu"), (torch, "from_numpy"), (torch, "as_tensor")]
+"""The same, of which there are no operations where everything is on the CPU."""
 
 
 class EmulatedRecorder(TorchDispatchMode):
@@ -50,6 +54,8 @@ class EmulatedRecorder(TorchDispatchMode):
             patch.setattr(self.launcher, "launch", launch)
             for module in (on_device, cuda_arrays):
                 patch.setattr(module, "being_recorded", lambda: True)
+            for of, name in _UNSEEN:
+                patch.setattr(of, name, partial(_refuse, name))
             with self, on_device.read_meanwhile() as things:
                 result = program()
         self.records += 1
@@ -69,7 +75,7 @@ class EmulatedRecorder(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         name, kwargs = func.overloadpacket.__name__, kwargs or {}
         if name in _FROM_THE_CPU:
-            raise RuntimeError(f"{name}: operation not permitted when stream is capturing")
+            _refuse(name)
         result = func(*args, **kwargs)
         inputs, outputs = ([t for t in tree_leaves(of) if isinstance(t, Tensor)] for of in ((args, kwargs), result))
         self._kept += [args, kwargs, result]
@@ -85,3 +91,7 @@ class EmulatedRecorder(TorchDispatchMode):
 
         self._steps.append(again)
         return result
+
+
+def _refuse(name: str, *_: object, **__: object) -> NoReturn:
+    raise RuntimeError(f"{name}: operation not permitted when stream is capturing")

@@ -87,6 +87,16 @@ def test_edge_on(amplitudes_towards: Towards) -> None:
     assert quaternions.grad.isfinite().all() and parameters.grad.isfinite().all()
 
 
+def test_what_is_no_number_stays_that(amplitudes_towards: Towards) -> None:
+    """A training that has gone wrong is to say so."""
+    scene = gaussians(12)
+    for column in range(3):
+        scene.scattering.parameters.detach()[2 + 3 * column, column] = math.nan
+    seen = amplitudes_towards(scene, VIEWS)[..., 0].isnan()
+    assert seen.all(0).nonzero()[:, 0].tolist() == [2, 5, 8]
+    assert seen.any(0).sum() == 3
+
+
 def test_the_engine_itself_does_it(amplitudes_towards: Towards) -> None:
     """Not the law, in torch, which takes several times as long."""
     made = amplitudes_towards(gaussians(5), VIEWS)

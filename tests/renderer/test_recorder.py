@@ -19,6 +19,9 @@ from sarsplat.renderer.engines.recorder import MOST_WORDS, CudaRecorder, Told
 class Log(list):
     """Streams and graphs that only say what they are asked."""
 
+    fails = False
+    """Whether a record cannot be ended."""
+
     def stream(self, name: str) -> object:
         log = self
 
@@ -37,6 +40,8 @@ class Log(list):
 
             def capture_end(self) -> None:
                 log.append("end")
+                if log.fails:
+                    raise RuntimeError("operation failed due to a previous error during capture")
 
             def replay(self) -> None:
                 log.append("replay")
@@ -80,11 +85,13 @@ def test_a_program_is_recorded_on_a_stream_of_its_own_and_run_on_the_usual_one(l
     assert "begin {'pool': 7, 'capture_error_mode': 'thread_local'}" in log  # the memory of the one before
 
 
-def test_a_record_that_fails_is_ended(log, library):
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_record_that_fails_is_ended_and_says_why(fails, log, library):
     def program() -> None:
+        log.fails = fails
         raise NotRecordable("no")
 
-    with pytest.raises(NotRecordable):
+    with pytest.raises(NotRecordable, match="no"):
         CudaRecorder(Emulator(library)).record(program)
     assert "end" in log
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.adam import EngineAdam
@@ -142,16 +143,21 @@ class Trainer:
             stepper.step_told(gradients, rates)
             return loss, _done(rendering), self.terms
 
-        kind = self._factor, model.degree(self.iteration), self._rays, self._wants_plane_gradients(step)
+        wanted = tuple(strategy.wants_plane_gradients(step) for strategy in self.strategies)
+        kind = self._factor, model.degree(self.iteration), self._rays, wanted
         kept = [tensor for part in model.parts for tensor in part.state().values()]
-        kept += [tensor for state in self._states for tensor in state.rows.values()]
+        kept += [tensor for state in self._states for tensor in state.tensors().values()]
         things = stepper, self.images.truth, self.images.views, *model.parameters.values(), *kept
         rates = self.optimiser.numbers(self.iteration)
         try:
             loss, rendering, self.terms = self._recorded.run((kind, things), program, chosen, step, rates)
         except (NotRecordable, RuntimeError, SarsplatError) as error:
             self._recorded = None
-            _log.info("steps are made launch by launch, because they cannot be recorded: %s", error)
+            said = f"steps are made launch by launch, because they cannot be recorded: {error}"
+            if isinstance(error, NotRecordable):
+                _log.info(said)
+            else:  # or the same step fails again, and says why
+                warnings.warn(said, SarsplatWarning, stacklevel=2)
             return None
         self.optimiser.stepped()
         stepper.tell_torch()
@@ -203,7 +209,7 @@ class Trainer:
         recorder = recorder_for(next(iter(self.model.parameters.values())))
         law = scattering_named(self.config.scattering)
         ours = loss is None and law.__module__.startswith("sarsplat.") and self._processes is None
-        ours = ours and all(isinstance(one, Configured) and not one.acts_before for one in self.strategies)
+        ours = ours and all(isinstance(one, Configured) and not one.acts_before() for one in self.strategies)
         views, rates = self._queue.size, len(self.model.parameters) + 2
         if recorder is None or not RecordedSteps.has_room(views, rates):
             return None

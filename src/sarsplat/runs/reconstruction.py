@@ -74,7 +74,7 @@ def reconstruct(
         For `sar-gs`: what else happens between steps, besides what the configuration says.
     device : {"auto", "cpu", "cuda"}
         Where to train; "auto" is a GPU if there is one that passes the CUDA engine's check, unless steps are quicker
-        on the CPU, which is tried and said.
+        on the CPU or fail on the GPU, which is tried and said.
     on_step : callable, optional
         Called after every step (`Step`), by the first process. If it returns True, the training ends there, and the run
         is what has been learned so far. An exception ends it too; what has been learned is then kept in `out`.

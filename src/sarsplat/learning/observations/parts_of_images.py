@@ -46,6 +46,7 @@ class PartsOfImages(SingleImages):
     switch = "tiles 1"
     goes_with: ClassVar = {"surroundings": None, "densification": None}
     takes = frozenset()
+    recordable = False  # images have windows of their own
 
     def __init__(self, dataset: Dataset, config: Config, device: torch.device, whole: Snapshot, tile: Tile) -> None:
         super().__init__(dataset, config, device)

@@ -20,7 +20,6 @@ class ElevationOnly(Configured):
 
     order = 5
     name = "elevation"
-    acts_before = True
 
     def __init__(self, axis: np.ndarray, until: int) -> None:
         self._axis, self._until = torch.from_numpy(axis).float(), until

@@ -218,8 +218,10 @@ class Configured(Strategy):
     order: ClassVar[int]
     """Those with a smaller one act before it."""
 
-    acts_before: ClassVar[bool] = False
-    """Whether it has anything to do before a step's gradients, which cannot be recorded, then."""
+    @classmethod
+    def acts_before(cls) -> bool:
+        """Whether it has anything to do before a step's gradients, which cannot be recorded, then."""
+        return cls.step_pre_backward is not Strategy.step_pre_backward
 
     @classmethod
     @abstractmethod

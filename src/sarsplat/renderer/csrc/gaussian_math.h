@@ -94,7 +94,7 @@ template <class F> SG_FN Softplus<F> softplus(F x) {
   const F e = power2(larger(absolute(x) * -kLog2e, splat(-120.0f)));
   const F one = e + 1.0f, rounded = one - 1.0f;
   const F log1p = choose(rounded == 0.0f, e, natural_log(one) * e / choose(rounded == 0.0f, splat(1.0f), rounded));
-  return {larger(x, splat(0.0f)) + log1p, choose(x < 0.0f, e, splat(1.0f)) / one};
+  return {choose(x < 0.0f, splat(0.0f), x) + log1p, choose(x < 0.0f, e, splat(1.0f)) / one};  // NaN stays NaN
 }
 
 // ---- adjoints --------------------------------------------------------------------------------------------------------

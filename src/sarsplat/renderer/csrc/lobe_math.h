@@ -34,7 +34,7 @@ template <class F> struct Law {
   F exponent, in_range;  // e, and whether it moves with its parameter
 };
 template <class F> SG_FN Law<F> law_of(const F* p) {
-  const F log = smaller(larger(p[2], splat(-kMostLog)), splat(kMostLog));
+  const F log = choose(p[2] < -kMostLog, splat(-kMostLog), choose(p[2] > kMostLog, splat(kMostLog), p[2]));  // NaN stays NaN
   return {{softplus(p[0]), softplus(p[1])}, power2(log * kLog2e), choose(log == p[2], splat(1.0f), splat(0.0f))};
 }
 
@@ -42,7 +42,8 @@ template <class F> SG_FN Law<F> law_of(const F* p) {
 template <class F> struct Lobe { F log, height; };
 template <class F> SG_FN Lobe<F> lobe(const Law<F>& law, F cosine) {
   const F log = natural_log(larger(cosine * cosine, splat(kGrazing))) * 0.5f;
-  return {log, power2(larger(law.exponent * log * kLog2e, splat(-120.0f)))};
+  const F power = law.exponent * log * kLog2e;
+  return {log, power2(choose(power < -120.0f, splat(-120.0f), power))};
 }
 
 template <class F> SG_FN F cosine_of(const Facing<F>& f, const float* u) {

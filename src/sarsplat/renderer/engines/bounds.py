@@ -18,6 +18,7 @@ from sarsplat.renderer.checks import ALLOWED, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
 from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.engines.cpu import FAULTS
+from sarsplat.renderer.engines.on_device import NotRecordable
 
 TILE = 16
 """Points on a side, of csrc/cuda_state.cuh."""
@@ -103,7 +104,13 @@ class Bounds:
         self.broken.copy_(torch.where(self.broken < 0, code, self.broken))
 
     def capacity(self, gaussians: int, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Capacity | None:
-        """What a rendering of so many Gaussians takes at most; None if that is too much to allocate unasked."""
+        """What a rendering of so many Gaussians takes at most; None if that is too much to allocate unasked.
+
+        Raises
+        ------
+        NotRecordable
+            If it is too much, and only the device knows which views these are.
+        """
         chosen = views.numbers if isinstance(views, ChosenViews) else None
         of = views.all if isinstance(views, ChosenViews) else views
         deviations = math.sqrt(2 * math.log(max(1.0, self.optical_depth / MIN_RAY_DEPTH)))
@@ -121,7 +128,11 @@ class Bounds:
         slots = len(views) * gaussians * max(tiles.values())
         sizes = [rows * columns for *_, rows, columns in lattices]
         points = sum(sizes) if chosen is None else len(views) * math.prod(sides)
-        return Capacity(lattices, tiles, self.broken, chosen) if max(slots, points) <= _MOST else None
+        if max(slots, points) <= _MOST:
+            return Capacity(lattices, tiles, self.broken, chosen)
+        if chosen is not None:  # there are no other lattices of all that may be chosen
+            raise NotRecordable("the worst would be too much to allocate unasked")
+        return None
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from ctypes import c_int32, c_void_p
 from typing import Protocol, TypeVar
 
@@ -66,10 +67,16 @@ class CudaRecorder:
         def recorded() -> T:
             graph.capture_begin(pool=memory, capture_error_mode="thread_local")
             try:
-                return program()
-            finally:
-                graph.capture_end()
+                made = program()
+            except BaseException:
+                with suppress(RuntimeError):  # which would only say that it failed
+                    graph.capture_end()
+                raise
+            graph.capture_end()
+            return made
 
+        if memory is None:
+            torch.cuda.empty_cache()  # what the rehearsal took is kept there, and could not be given to a record
         with read_meanwhile() as self._read:
             result = self.rehearse(recorded)
         self._latest = graph  # alive, so that its memory is
