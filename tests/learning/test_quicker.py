@@ -42,7 +42,7 @@ def test_the_quicker_one(on_gpu: float, on_cpu: float, chosen: str) -> None:
         made.append((where.type, Taking(on_gpu if where == GPU else on_cpu)))
         return made[-1][1]
 
-    where, said = quicker(make, GPU)  # type: ignore[arg-type]
+    where, said = quicker(make, GPU, 1000)  # type: ignore[arg-type]
     assert where.type == chosen
     assert [kind for kind, _ in made] == ["cuda", "cpu"]
     if chosen == "cuda":
@@ -83,7 +83,9 @@ def test_a_reconstruction_says_so_and_goes_on_where_it_began(
     named, asked = reconstruction.device_named, []
     monkeypatch.setattr(reconstruction, "device_named", lambda name: GPU if name == "auto" else named(name))
     monkeypatch.setattr(
-        reconstruction, "quicker", lambda make, gpu: asked.append(gpu) or (torch.device("cpu"), "on the CPU: said")
+        reconstruction,
+        "quicker",
+        lambda make, gpu, iterations: asked.append(gpu) or (torch.device("cpu"), "on the CPU: said"),
     )
     run = reconstruct(dataset, config, tmp_path / "run", on_step=lambda step: step.iteration == 21)
     assert "on the CPU: said" in capsys.readouterr().out
@@ -93,3 +95,7 @@ def test_a_reconstruction_says_so_and_goes_on_where_it_began(
     with pytest.raises((SarsplatError, RuntimeError, AssertionError)):
         reconstruct(dataset, config, loss=lambda a, b: (a - b).abs().mean())  # of one's own: on the GPU, unasked
     assert len(asked) == 1
+
+
+def test_few_iterations_are_not_tried() -> None:
+    assert quicker(lambda where: pytest.fail("is tried"), GPU, 100) == (GPU, "")

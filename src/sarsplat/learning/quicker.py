@@ -17,14 +17,19 @@ _UNTIMED = 3
 
 _TIMED = 10
 
+_FEW = 10 * (_UNTIMED + _TIMED)
+"""So many are made while others are tried."""
+
 _CPU = torch.device("cpu")
 
 
-def quicker(make: Callable[[torch.device], Trainable], gpu: torch.device) -> tuple[torch.device, str]:
+def quicker(make: Callable[[torch.device], Trainable], gpu: torch.device, iterations: int) -> tuple[torch.device, str]:
     """The CPU, and a sentence that says why, if a step takes longer on the GPU or fails there; else the GPU, and "".
 
-    `make` makes a training at its beginning, on a device.
+    `make` makes a training at its beginning, on a device. One of few iterations is on the GPU untried.
     """
+    if iterations < _FEW:
+        return gpu, ""
     try:
         cpu.library()  # which warns once, and that must not be while nothing is said
     except SarsplatError:

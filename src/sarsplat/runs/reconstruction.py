@@ -122,7 +122,7 @@ def reconstruct(
         on = device_named("cpu")  # as it was begun
     note = ""
     if device == "auto" and on.type == "cuda" and begun is None and not (loss or strategies):
-        on, note = quicker(lambda where: chosen.trainer(dataset, config, inputs, where, None), on)
+        on, note = quicker(lambda where: chosen.trainer(dataset, config, inputs, where, None), on, config.iterations)
     trainer = chosen.trainer(dataset, config, inputs, on, learned)
     follows = processes is not None and not processes.leads
     heading, about = chosen.about(trainer.config, dataset.grid)
