@@ -63,7 +63,7 @@ def test_where_a_step_fails_it_is_not_done(fails: str, chosen: str, message: str
         def step(self) -> None:
             raise SarsplatError("the memory of cuda:0 is not enough\nfor it")
 
-    where, said = quicker(lambda where: (Failing if where.type == fails else Taking)(0.001), GPU)  # type: ignore[arg-type, return-value]
+    where, said = quicker(lambda where: (Failing if where.type == fails else Taking)(0.001), GPU, 1000)  # type: ignore[arg-type, return-value]
     assert (where.type, said) == (chosen, message)
 
 
@@ -71,7 +71,7 @@ def test_what_is_said_once_of_the_cpu_engine_is_said(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(cpu, "torch_pool", lambda: None)
     monkeypatch.setattr(cpu, "library", cache(cpu.library.__wrapped__))
     with pytest.warns(UserWarning, match="runs on one thread"):
-        quicker(lambda _: Taking(0.001), GPU)  # type: ignore[arg-type, return-value]
+        quicker(lambda _: Taking(0.001), GPU, 1000)  # type: ignore[arg-type, return-value]
     monkeypatch.undo()
     cpu.library.cache_clear()
     cpu.library()  # with torch's threads again
@@ -85,7 +85,7 @@ def test_a_reconstruction_says_so_and_goes_on_where_it_began(
     monkeypatch.setattr(
         reconstruction,
         "quicker",
-        lambda make, gpu, iterations: asked.append(gpu) or (torch.device("cpu"), "on the CPU: said"),
+        lambda make, gpu, _: asked.append(gpu) or (torch.device("cpu"), "on the CPU: said"),
     )
     run = reconstruct(dataset, config, tmp_path / "run", on_step=lambda step: step.iteration == 21)
     assert "on the CPU: said" in capsys.readouterr().out
