@@ -71,6 +71,7 @@ def test_help_shows_every_setting(capsys: pytest.CaptureFixture[str], monkeypatc
     with pytest.raises(SystemExit):
         main(["reconstruct", "--help"])
     shown = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
+    assert "on the ground (docs/concepts/measured-chips.md); any of its options below switches it on." in shown
     whole = Config(densification=Densification(), ground=FlatGround(), surroundings=Surroundings())
     parts = ("rates", "points", "densification", "ground", "surroundings")
     for record, prefix in ((whole, ""), *((getattr(whole, part), f"{part}.") for part in parts)):

@@ -62,7 +62,7 @@ Settings = make_dataclass(
 
 
 def _switch(kind: type[Record]) -> object:
-    about = re.split(r"[.;]", kind.__doc__ or "")[0]
+    about = re.split(r"[.;](?!\w)", kind.__doc__ or "")[0]
     return tyro.conf.arg(
         metavar="{on,off}",
         help=f"{about}; any of its options below switches it on.",

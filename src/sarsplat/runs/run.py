@@ -90,6 +90,7 @@ class Run(Result):
 
     @cached_property
     def snapshot(self) -> Snapshot:
+        """The newest state of its training."""
         if self.memory is not None:
             return self.memory.snapshot
         if (checkpoint := RunFolder(self.folder).checkpoint_path) is None:
@@ -98,6 +99,7 @@ class Run(Result):
 
     @property
     def files(self) -> RunFolder | None:
+        """Its folder, file by file; None if it is in memory only."""
         return None if self.path is None else RunFolder(self.path)
 
     # ---- what it was made from --------------------------------------------------------------------------------------
@@ -325,6 +327,7 @@ class Run(Result):
             self.memory.metrics = scores
 
     def write_header(self) -> None:
+        """Write the `config.json` of its folder."""
         where = None if self.dataset_path is None else str(self.dataset_path)
         settings = self.config.as_dict()
         made = self.fingerprint, settings, self.method, self.target, self.trained_on

@@ -71,6 +71,7 @@ class TensorBoard:
         self._awaited: Path | None = None  # the run's folder, if it is not there yet and nothing else is
 
     def __call__(self, step: Step[Any]) -> None:
+        """Look at a training after a step."""
         if self._began_at is None:
             self._begin(step)
         if step.line is not None:

@@ -41,10 +41,12 @@ class Result:
 
     @property
     def finished(self) -> bool:
+        """Whether it has scores."""
         return self.row is not None and self.row.state == "finished"
 
     @property
     def reason(self) -> str:
+        """Why it failed, if it did."""
         return "" if self.row is None else self.row.reason
 
     @property
@@ -121,6 +123,7 @@ class Results:
 
     @property
     def failed(self) -> list[Result]:
+        """Runs that failed."""
         return [one for one in self.results if one.row is not None and one.row.state == "failed"]
 
     def lines(self) -> list[Line]:

@@ -46,6 +46,15 @@ class Observation(ABC):
     """Base of the observations: the training images of a dataset, on a device.
 
     To add one, put a file with a class derived from this one into this folder.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Its training images are learned from.
+    config : Config
+        How.
+    device : torch.device
+        Where the images are kept.
     """
 
     order: ClassVar[int]
@@ -76,7 +85,13 @@ class Observation(ABC):
 
     @classmethod
     def refuse(cls, config: Config, dataset: Dataset, inputs: Inputs) -> None:
-        """Refuse what it cannot be combined with, which would be left out in silence, and unfit datasets."""
+        """Refuse what it cannot be combined with, which would otherwise be left out in silence.
+
+        Raises
+        ------
+        SarsplatError
+            If the configuration or the inputs ask for it, or the dataset does not have what it learns from.
+        """
         for name, value in cls.goes_with.items():
             if (asked := getattr(config, name)) != value:
                 said, remedy = ("on", "off") if value is None else (shown(asked), shown(value))
