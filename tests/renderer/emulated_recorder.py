@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -13,12 +14,16 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from sarsplat.renderer.engines import cuda, on_device
+from sarsplat.renderer.engines import on_device
 
 T = TypeVar("T")
 
 _FROM_THE_CPU = ("_local_scalar_dense", "lift_fresh", "nonzero", "is_nonzero", "equal", "masked_select", "pin_memory")
 """What would make a CPU wait for a GPU, or the other way round: while a graph is recorded, CUDA refuses it."""
+
+
+_RECORDING = threading.Lock()
+"""One thread records at a time, while others launch."""
 
 
 class EmulatedRecorder(TorchDispatchMode):
@@ -38,18 +43,23 @@ class EmulatedRecorder(TorchDispatchMode):
         return program()
 
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
+        with _RECORDING:
+            return self._record(program, threading.get_ident())
+
+    def _record(self, program: Callable[[], T], me: int) -> tuple[T, Callable[[], None]]:
         self._steps, self._kept = [], []
         usual = self.launcher.launch
 
         def launch(name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
+            if threading.get_ident() != me:
+                return usual(name, blocks, threads, *arguments)
             copies = [type(argument).from_buffer_copy(argument) for argument in arguments]  # type: ignore[attr-defined]
             self._steps.append(lambda: usual(name, blocks, threads, *copies))
             usual(name, blocks, threads, *arguments)
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(self.launcher, "launch", launch)
-            for module in (on_device, cuda):
-                patch.setattr(module, "being_recorded", lambda: True)
+            patch.setattr(on_device, "being_recorded", lambda: threading.get_ident() == me)
             with self:
                 result = program()
         self.records += 1

@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from ctypes import c_float, c_int32, c_int64, c_void_p
-from functools import lru_cache
 from typing import Any, Protocol
 
 import torch
@@ -26,7 +25,7 @@ from sarsplat.renderer.engines.cuda_lattices import (
     tiles_of,
     total,
 )
-from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded
+from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device
 from sarsplat.renderer.engines.passes import within
 
 # of csrc/cuda_state.cuh
@@ -397,8 +396,7 @@ class Pass:
         return _words(self._sent(b"".join(alone))).index_select(0, chosen).add_(_words(self._sent(begins(places))))
 
     def _sent(self, content: bytes) -> Tensor:
-        device = self._launcher.device
-        return _sent(content, device, torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0)
+        return _sent(content, self._launcher.device)
 
     def _list(
         self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool, ranked: bool
@@ -439,11 +437,9 @@ class Pass:
 
 
 # The pixels of views are always the same, and a training asks for the same few views again and again.
-@lru_cache(maxsize=256)
-def _sent(content: bytes, device: torch.device, stream: int) -> Tensor:
+@kept_on_device(maxsize=256)
+def _sent(content: bytes, device: torch.device) -> Tensor:
     """On the device, as soon as the stream gets there; from pinned memory, for the CPU waits for any other copy."""
-    if being_recorded():
-        raise NotRecordable("lattices are sent in every step")
     array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
     return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)
 

@@ -1,16 +1,17 @@
-"""Tensors that are sent to a device once and kept there, whoever needs them, and never while a step is recorded."""
+"""Tensors that are sent to a device once and kept there, for each of its queues, and never while a step is recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import lru_cache, wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 import torch
-from torch import Tensor
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+_CPU = torch.device("cpu")
 
 
 class NotRecordable(Exception):
@@ -22,27 +23,36 @@ def being_recorded() -> bool:
     return torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
 
 
-def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function of hashable arguments that makes one tensor or several: the latest results are kept.
+def queue_of(device: torch.device) -> int:
+    """In which of a device's queues this thread works: torch's current stream of a GPU."""
+    return torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
 
-    They are whole when they are returned, for other threads use other streams. What were made while a step is recorded
-    would lie in the record's own memory: that is an error, since the steps before it have made all that it needs.
+
+def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Decorate a function of hashable arguments, the device among them, that makes tensors: the latest are kept.
+
+    Each queue has its own. So they are whole before they are read, and what is forgotten is not overwritten while
+    another queue reads it; nor do the trainings of other threads drive out what a recorded step reads (recorder.py).
+    What were made while a step is recorded would lie in the record's own memory: that is an error, since the steps
+    before it have made all that it needs.
     """
 
     def decorate(make: Callable[P, T]) -> Callable[P, T]:
         def made(*arguments: P.args, **named: P.kwargs) -> T:
             if being_recorded():
                 raise NotRecordable(f"{make.__name__} sends something to the device in every step")
-            result = make(*arguments, **named)
-            for tensor in _tensors(result):
-                if tensor.is_cuda:
-                    torch.cuda.current_stream(tensor.device).synchronize()
-            return result
+            return make(*arguments, **named)
 
-        return wraps(make)(lru_cache(maxsize=maxsize)(made))  # type: ignore[return-value]
+        by_queue: dict[int, Callable[P, T]] = {}
+
+        @wraps(make)
+        def kept(*arguments: P.args, **named: P.kwargs) -> T:
+            devices = (argument for argument in arguments if isinstance(argument, torch.device))
+            queue = queue_of(next(devices, _CPU))
+            if queue not in by_queue:
+                by_queue.setdefault(queue, lru_cache(maxsize=maxsize)(made))  # type: ignore[arg-type]
+            return by_queue[queue](*arguments, **named)
+
+        return kept
 
     return decorate
-
-
-def _tensors(result: Any) -> Iterable[Tensor]:
-    return (result,) if isinstance(result, Tensor) else result
