@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber
+from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber, one_of
 from sarsplat.cli.ending import keeping
 from sarsplat.errors import counted
 from sarsplat.sweeps.executor import EXECUTORS, Means
 
 _FAILED = 1
 """Exit code if a run has failed."""
+
+Device = Literal["cpu", "cuda"]
 
 if TYPE_CHECKING:
     ExecutorName = str
@@ -29,7 +31,7 @@ def sweep(
     *,
     out: Folder,
     executor: ExecutorName = "local",
-    device: Literal["cpu", "cuda"] | None = None,
+    device: Annotated[Device | None, one_of(Device)] = None,
     processes: OptionalCount = None,
     per_device: OptionalCount = None,
     address: str = "auto",
