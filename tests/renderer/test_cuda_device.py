@@ -142,7 +142,7 @@ def test_threads_that_ask_for_a_gpu_at_once_compile_it_once(monkeypatch):
     monkeypatch.setattr(cuda_device, "Device", Slow)
     monkeypatch.setattr(cuda_device, "_device", cache(cuda_device._device.__wrapped__))
 
-    def ask(_: int) -> Slow:
+    def ask(_: int) -> object:
         all_there.wait()
         return cuda_device.device(3)
 
