@@ -104,7 +104,7 @@ def test_the_section_has_a_table_of_every_gpu(generator):
     ):
         assert said in wheel
     assert (
-        "Not measured, or not to the end: machine, scenes, recording, steps, kernels, demo, waits, paper, village"
+        "Not measured, or not to the end: machine, scenes, recording, steps, kernels, demo, waits, paper, fleet"
         in lever
     )
 

@@ -93,6 +93,24 @@ def test_a_process_that_dies_loses_its_runs_and_no_other(place, cells, endless):
         assert crew.ask(cells[0]).state == "finished"  # by a new process
 
 
+@pytest.mark.slow
+def test_runs_that_were_lost_go_on_from_their_checkpoints(place, plan, cells, results):
+    plan["settings"] |= {"iterations": 1500, "checkpoint_every": 100}
+    longer, out = cells_of(Plan.from_dict(plan), place), place / "out"
+    crew = Worker(out, again=False, at_a_time=2)
+    with under_way(crew, longer, out) as asked:
+        end = time.monotonic() + 120
+        while not all((out / "runs" / cell.address / "checkpoints").exists() for cell in longer):
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        os.kill(crew._process.pid, signal.SIGKILL)
+        assert [answer.result(timeout=60).state for answer in asked] == ["failed", "failed"]
+        with ThreadPoolExecutor(2) as pool:
+            assert [row.state for row in pool.map(crew.ask, longer)] == ["finished", "finished"]
+    sweep(plan, place / "alone", executor="here", quiet=True)
+    assert results(out) == results(place / "alone")
+
+
 def test_a_sweep_that_is_ended_ends_all_that_is_under_way(place, endless):
     out = place / "out"
     crew = Worker(out, again=False, at_a_time=2)
