@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from datetime import date
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -176,6 +177,29 @@ def of_waits(gpu: Gpu) -> Found:
         yield name, gpu.waits(trainer.step)
 
 
+def of_a_fleet(gpu: Gpu) -> Found:
+    """Small targets to their points, several at a time in threads of one process, as in a sweep: how many a minute."""
+    dataset, threads, alone = gpu.dataset("small"), torch.get_num_threads(), None
+
+    def learned(seed: int) -> torch.Tensor:
+        run, _ = gpu.trained(dataset, "quick", gpu.device, seed=seed)
+        return run.gaussians.means.cpu()
+
+    learned(0)  # compiles, and reads programs from the disk
+    torch.set_num_threads(1)
+    try:
+        for together in (1, 2, 4, 8)[: gpu.few(4, 2)]:
+            begun = time.perf_counter()
+            with ThreadPoolExecutor(together, initializer=gpu.begin_queue) as pool:
+                means = [*pool.map(learned, range(gpu.few(24, 2)))]
+            minutes = (time.perf_counter() - begun) / 60
+            alone = alone or means
+            same = all(map(torch.equal, means, alone))
+            yield f"{together}", {"targets": len(means), "per_minute": len(means) / minutes, "same_bits": same}
+    finally:
+        torch.set_num_threads(threads)
+
+
 def of_a_village(gpu: Gpu) -> Found:
     """A village of 640 × 640 pixels with two presets, stage by stage; and its points' scores."""
     from village import village
@@ -228,6 +252,7 @@ SECTIONS: dict[str, tuple[Section, float]] = {
     "demo": (of_the_demo, 40),
     "waits": (of_waits, 30),
     "paper": (of_the_paper, 30),
+    "fleet": (of_a_fleet, 120),
     "village": (of_a_village, 120),
     "sanitizer": (of_the_sanitizer, 120),
 }

@@ -36,6 +36,7 @@ KINDS = {
     "ground": ("--ground", "0.05", "--looks", "1", "--target-box", "-3.8", "-2", "-1", "6.2", "2", "2.4"),
     "stack": ("--passes", "4", "--baseline", "0.006"),
     "polarimetric": ("--polarimetric",),
+    "small": ("--pixels", "64"),
 }
 """What is simulated, besides a T-72 from the views of the demo."""
 LONGEST = 12
@@ -76,6 +77,10 @@ class Gpu:
         event = torch.cuda.Event(enable_timing=True)
         event.record()
         return event
+
+    def begin_queue(self) -> None:
+        """Have this thread ask for work in a queue of its own."""
+        torch.cuda.set_stream(torch.cuda.Stream())
 
     def peak_bytes(self, program: Callable[[], object]) -> int:
         """The most memory that is taken at a time."""
@@ -177,7 +182,7 @@ class Gpu:
         if kind == "terrain":  # what images show does not matter to a step
             return replace(self.dataset("ground"), terrain=Terrain(np.outer(*2 * [np.hanning(9)]), (2.0, 2.0)))
         views = (*FEW, "--pixels", "32") if self.quick else VIEWS
-        words = ["simulate", "--target", "t72", *views, *KINDS[kind], "--out", f"{self.folder}/{kind}"]
+        words = ["simulate", "--target", "t72", *KINDS[kind], *views, "--out", f"{self.folder}/{kind}"]
         with redirect_stdout(StringIO()):
             if code := main(words):
                 raise RuntimeError(f"sarsplat {' '.join(words)} ended with {code}")
@@ -199,12 +204,12 @@ class Gpu:
         trainer.records = trainer.records and recorded
         return trainer
 
-    def trained(self, dataset: Any, preset: str, where: str) -> tuple[Any, dict[str, Any]]:
+    def trained(self, dataset: Any, preset: str, where: str, **changes: Any) -> tuple[Any, dict[str, Any]]:
         """A run with its points and normals, computed there, and the seconds of these."""
         from sarsplat import reconstruct
         from sarsplat.learning.method_sar_gs import METHOD
 
-        config, clock = METHOD.preset(preset, dataset), Clock()
+        config, clock = replace(METHOD.preset(preset, dataset), **changes), Clock()
         if self.quick:
             few = replace(config.points, rays_per_pixel=2.0, voxel=0.3, optical_depth=0.01, seen_through=1.0, seen_by=0)
             config = replace(config, iterations=3, gaussians=60, views_per_step=2, points=few)

@@ -243,6 +243,13 @@ def cuda(device: dict[str, Any]) -> str:
         )
     for name, one in found["paper"].items():
         said.append(f"The paper's training takes {one['training_s']:.1f} s for {name}.")
+    if fleet := found["fleet"]:
+        bits = "the same bits" if all(one["same_bits"] for one in fleet.values()) else "OTHER BITS"
+        rates = ", ".join(f"{one['per_minute']:.0f} ({together} at a time)" for together, one in fleet.items())
+        said.append(
+            f"Targets of 64 × 64 pixels that one process trains a minute with `quick`, to their points: {rates}; they "
+            f"learn {bits}."
+        )
     if found["waits"]:
         counts = ", ".join(f"`{name}` {sum(lines.values())}" for name, lines in found["waits"].items())
         said.append(f"So often a training step makes Python wait for the GPU: {counts}.")

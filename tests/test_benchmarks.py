@@ -100,11 +100,11 @@ def test_the_section_has_a_table_of_every_gpu(generator):
         "After it: points 1.5 s.",
         "wait for the GPU: `default` 3, `paper` 0.",
         "Copying, it moves 3000 GB/s. It multiplies and adds float32 matrices at 2.0 TFlop/s.",
-        "Not measured, or not to the end: recording, paper, village, sanitizer (",
+        "Not measured, or not to the end: recording, paper, fleet, village, sanitizer (",
     ):
         assert said in wheel
     assert (
-        "Not measured, or not to the end: machine, scenes, recording, steps, kernels, demo, waits, paper, village"
+        "Not measured, or not to the end: machine, scenes, recording, steps, kernels, demo, waits, paper, fleet"
         in lever
     )
 

@@ -11,6 +11,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from threading import get_ident
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -21,7 +22,7 @@ from emulated_recorder import EmulatedRecorder
 from torch.profiler import DeviceType
 
 from programs import ROOT
-from sarsplat.renderer.engines import choice, cuda
+from sarsplat.renderer.engines import choice, cuda, on_device
 from sarsplat.scenes.targets import TARGETS
 from sarsplat.settings.presets import PRESETS
 
@@ -38,10 +39,10 @@ def suite(module: Callable[[str], ModuleType]) -> ModuleType:
 def emulator(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulator]:
     """On the CPU, all that a GPU would do is emulated."""
     emulator = Emulator(library)
-    recorder = EmulatedRecorder(emulator)
     engine = choice.Engine(
-        "cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True, recorder=lambda _: recorder
+        "cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True, recorder=lambda _: EmulatedRecorder(emulator)
     )
+    monkeypatch.setattr(on_device, "queue_of", lambda device: get_ident())
     monkeypatch.setitem(choice.ENGINES, "cuda", engine)
     monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))  # so "auto" is not
     choice._fitting.cache_clear()
@@ -74,6 +75,9 @@ def gpu(suite: ModuleType, emulator: Emulator, tmp_path: Path, monkeypatch: pyte
         def moment(self) -> SimpleNamespace:
             now = time.perf_counter()
             return SimpleNamespace(now=now, elapsed_time=lambda later: 1e3 * (later.now - now))
+
+        def begin_queue(self) -> None:
+            pass
 
         def peak_bytes(self, program: Callable[[], object]) -> int:
             return 0
@@ -111,6 +115,8 @@ def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_pa
         assert part["recorded"], name
         assert min(part["recorded_ms"], part["launched_ms"]) > 0
     assert [part["training_s"] > 0 for part in found["paper"].values()] == [True, True]
+    assert found["fleet"].keys() == {"1", "2"}
+    assert all(part["same_bits"] and part["per_minute"] > 0 for part in found["fleet"].values())
     assert found["waits"].keys() == {*PRESETS, "default with ground", "default with terrain"}
     paced = [part for name in ("steps", "kernels") for part in found[name].values() if "views" in part]
     assert len(paced) == 4 + 5
@@ -130,6 +136,7 @@ def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_pa
         "memcheck, racecheck find no fault",
         "Steps that the GPU makes by itself, instead of launch by launch, take: `default` ",
         "they learn the same bits",
+        " (1 at a time), ",
     ):
         assert said in text
     assert not [word for word in ("nan", "FAULTS", "Not measured") if word in text]

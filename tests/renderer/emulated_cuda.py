@@ -8,6 +8,7 @@ import math
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -84,6 +85,10 @@ def without_barrier(library: Path, file: str, which: int) -> Iterator[None]:
     left_out.line = 0
 
 
+_ONE_AT_A_TIME = threading.Lock()
+"""The emulated GPU runs one kernel after the other, whichever threads ask for them."""
+
+
 class Emulator:
     """A launcher, as `sarsplat.renderer.engines.cuda` wants it, whose device is the CPU."""
 
@@ -97,7 +102,9 @@ class Emulator:
         """Run a kernel to its end."""
         order = (ctypes.c_int * threads)(*SCHEDULES[self._schedule](threads))
         addresses = (ctypes.c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
-        fault = self._library.emulate(name.encode(), blocks, threads, order, self._schedule == "backwards", addresses)
+        backwards = self._schedule == "backwards"
+        with _ONE_AT_A_TIME:
+            fault = self._library.emulate(name.encode(), blocks, threads, order, backwards, addresses)
         if fault is not None:
             raise RuntimeError(f"{name}: {fault.decode()}")
 

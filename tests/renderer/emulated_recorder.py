@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import threading
 from collections.abc import Callable
-from functools import partial
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 import pytest
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from sarsplat.renderer.engines import cuda_arrays, on_device
+from sarsplat.renderer.engines import on_device
 
 T = TypeVar("T")
 
@@ -23,6 +23,10 @@ _FROM_THE_CPU = ("_local_scalar_dense", "lift_fresh", "nonzero", "is_nonzero", "
 
 _UNSEEN = [(Tensor, "tolist"), (Tensor, "numpy"), (Tensor, "cpu"), (torch, "from_numpy"), (torch, "as_tensor")]
 """The same, of which there are no operations where everything is on the CPU."""
+
+
+_RECORDING = threading.Lock()
+"""One thread records at a time, while others launch."""
 
 
 class EmulatedRecorder(TorchDispatchMode):
@@ -42,20 +46,25 @@ class EmulatedRecorder(TorchDispatchMode):
         return program()
 
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
+        with _RECORDING:
+            return self._record(program, threading.get_ident())
+
+    def _record(self, program: Callable[[], T], me: int) -> tuple[T, Callable[[], None]]:
         self._steps, self._kept = [], []
         usual = self.launcher.launch
 
         def launch(name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
+            if threading.get_ident() != me:
+                return usual(name, blocks, threads, *arguments)
             copies = [type(argument).from_buffer_copy(argument) for argument in arguments]  # type: ignore[attr-defined]
             self._steps.append(lambda: usual(name, blocks, threads, *copies))
             usual(name, blocks, threads, *arguments)
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(self.launcher, "launch", launch)
-            for module in (on_device, cuda_arrays):
-                patch.setattr(module, "being_recorded", lambda: True)
+            patch.setattr(on_device, "being_recorded", lambda: threading.get_ident() == me)
             for of, name in _UNSEEN:
-                patch.setattr(of, name, partial(_refuse, name))
+                patch.setattr(of, name, _refusing(name, me, getattr(of, name)))
             with self, on_device.read_meanwhile() as things:
                 result = program()
         self.records += 1
@@ -75,7 +84,7 @@ class EmulatedRecorder(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         name, kwargs = func.overloadpacket.__name__, kwargs or {}
         if name in _FROM_THE_CPU:
-            _refuse(name)
+            raise RuntimeError(f"{name}: operation not permitted when stream is capturing")
         result = func(*args, **kwargs)
         inputs, outputs = ([t for t in tree_leaves(of) if isinstance(t, Tensor)] for of in ((args, kwargs), result))
         self._kept += [args, kwargs, result]
@@ -93,5 +102,10 @@ class EmulatedRecorder(TorchDispatchMode):
         return result
 
 
-def _refuse(name: str, *_: object, **__: object) -> NoReturn:
-    raise RuntimeError(f"{name}: operation not permitted when stream is capturing")
+def _refusing(name: str, recording: int, usual: Callable[..., Any]) -> Callable[..., Any]:
+    def refuse(*arguments: Any, **named: Any) -> Any:
+        if threading.get_ident() == recording:
+            raise RuntimeError(f"{name}: operation not permitted when stream is capturing")
+        return usual(*arguments, **named)
+
+    return refuse

@@ -6,8 +6,11 @@ import ctypes
 import logging
 import shutil
 import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from functools import partial
+from functools import cache, partial
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import SimpleNamespace
@@ -121,6 +124,31 @@ def test_a_kernel_runs_on_its_gpu_whichever_is_current(gpu, monkeypatch):
     gpu.launch("sum_loss", 1, 256, *arguments)
     assert asked == [gpu.device]
     assert sums.tolist() == [1.0, 0.5]
+
+
+def test_a_stream_of_ones_own_is_made_by_the_driver(gpu, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "ExternalStream", lambda address, device: (address, device))
+    assert gpu.new_stream() == (0x1234, gpu.device)
+
+
+def test_threads_that_ask_for_a_gpu_at_once_compile_it_once(monkeypatch):
+    made, all_there = [], threading.Barrier(4, timeout=60)
+
+    class Slow:
+        def __init__(self, device: torch.device) -> None:
+            made.append(device)
+            time.sleep(0.05)
+
+    monkeypatch.setattr(cuda_device, "Device", Slow)
+    monkeypatch.setattr(cuda_device, "_device", cache(cuda_device._device.__wrapped__))
+
+    def ask(_: int) -> object:
+        all_there.wait()
+        return cuda_device.device(3)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert len({*pool.map(ask, range(4))}) == 1
+    assert made == [torch.device("cuda", 3)]
 
 
 def test_the_driver_refuses(gpu, monkeypatch):

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import weakref
 from contextlib import contextmanager
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import torch
 from emulated_cuda import Emulator
 from emulated_recorder import EmulatedRecorder
 
-from sarsplat.renderer.engines import on_device
+from sarsplat.renderer.engines import on_device, recorder
 from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device
 from sarsplat.renderer.engines.recorder import MOST_WORDS, CudaRecorder, Told
 
@@ -62,15 +64,22 @@ class Log(list):
 def log(monkeypatch: pytest.MonkeyPatch) -> Log:
     log = Log()
     usual = log.stream("usual")
-    monkeypatch.setattr(torch.cuda, "Stream", lambda device: log.stream("own"))
     monkeypatch.setattr(torch.cuda, "current_stream", lambda device: usual)
     monkeypatch.setattr(torch.cuda, "stream", log.on)
     monkeypatch.setattr(torch.cuda, "CUDAGraph", log.graph)
+    monkeypatch.setattr(recorder, "_IDLE", {})
+    monkeypatch.setattr(recorder, "_RETIRED", [])
     return log
 
 
-def test_a_program_is_recorded_on_a_stream_of_its_own_and_run_on_the_usual_one(log, library):
-    recorder = CudaRecorder(Emulator(library))
+@pytest.fixture
+def gpu(log: Log) -> SimpleNamespace:
+    """What a recorder asks of a GPU besides launches."""
+    return SimpleNamespace(device=torch.device("cuda", 0), new_stream=lambda: log.stream("own"))
+
+
+def test_a_program_is_recorded_on_a_stream_of_its_own_and_run_on_the_usual_one(log, gpu):
+    recorder = CudaRecorder(gpu)
     assert recorder.rehearse(lambda: log.append("program") or 3) == 3
     around = ["own waits", "on the own stream"], ["back", "usual waits"]
     assert log == [*around[0], "program", *around[1]]
@@ -85,20 +94,49 @@ def test_a_program_is_recorded_on_a_stream_of_its_own_and_run_on_the_usual_one(l
     assert "begin {'pool': 7, 'capture_error_mode': 'thread_local'}" in log  # the memory of the one before
 
 
+def test_recorders_have_a_stream_each_and_hand_it_on(log, gpu):
+    first, second = CudaRecorder(gpu), CudaRecorder(gpu)
+    streams = first._stream, second._stream
+    assert streams[0] is not streams[1]
+    _, run = first.record(lambda: None)
+    del first
+    assert CudaRecorder(gpu)._stream not in streams  # whoever can run it holds the recorder
+    del run
+    assert CudaRecorder(gpu)._stream is streams[0]
+
+
+def test_graphs_leave_only_when_nobody_records(log, gpu):
+    first, second = CudaRecorder(gpu), CudaRecorder(gpu)
+    first.record(lambda: None)
+
+    def program() -> None:
+        nonlocal first
+        del first
+        gc.collect()
+        assert len(recorder._RETIRED) == 1
+
+    second.record(program)
+    assert recorder._RETIRED == []
+    third = CudaRecorder(gpu)
+    third.record(lambda: None)
+    del third
+    assert recorder._RETIRED == []
+
+
 @pytest.mark.parametrize("fails", [False, True])
-def test_a_record_that_fails_is_ended_and_says_why(fails, log, library):
+def test_a_record_that_fails_is_ended_and_says_why(fails, log, gpu):
     def program() -> None:
         log.fails = fails
         raise NotRecordable("no")
 
     with pytest.raises(NotRecordable, match="no"):
-        CudaRecorder(Emulator(library)).record(program)
+        CudaRecorder(gpu).record(program)
     assert "end" in log
 
 
-def test_the_latest_record_keeps_what_it_reads_of_all_that_is_kept(log, library):
+def test_the_latest_record_keeps_what_it_reads_of_all_that_is_kept(log, gpu):
     table = kept_on_device(maxsize=1)(lambda size: torch.arange(size))
-    recorder = CudaRecorder(Emulator(library))
+    recorder = CudaRecorder(gpu)
     recorder.record(lambda: [table(3)].clear())
     read = weakref.ref(table(3))
     table(4)  # the only one that is kept
@@ -137,3 +175,19 @@ def test_what_is_kept_on_a_device_is_made_once_and_never_in_a_record(monkeypatch
             table(4)
     assert made == [3]
     assert partial(table, 4)().tolist() == [0, 1, 2, 3]
+
+
+def test_what_is_kept_is_kept_for_each_queue(monkeypatch):
+    queue = 1
+    monkeypatch.setattr(on_device, "queue_of", lambda device: queue)
+
+    @kept_on_device(maxsize=1)
+    def table(size: int, device: torch.device) -> torch.Tensor:
+        return torch.arange(size, device=device)
+
+    mine = table(3, torch.device("cpu"))
+    queue = 2
+    assert table(3, torch.device("cpu")) is not mine
+    table(4, torch.device("cpu"))  # drives out what this queue had
+    queue = 1
+    assert table(3, torch.device("cpu")) is mine

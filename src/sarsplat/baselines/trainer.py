@@ -61,7 +61,7 @@ class BaselineTrainer(Trainable):
 
     def check(self) -> None:
         if self._device.type == "cuda":
-            torch.cuda.synchronize(self._device)
+            torch.cuda.current_stream(self._device).synchronize()  # of the whole GPU, another thread may record a part
 
     def snapshot(self, seconds: float) -> Snapshot:
         scene = self._scene

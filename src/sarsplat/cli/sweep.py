@@ -5,18 +5,20 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber
+from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber, one_of
 from sarsplat.cli.ending import keeping
 from sarsplat.errors import counted
 from sarsplat.sweeps.executor import EXECUTORS, Means
 
 _FAILED = 1
 """Exit code if a run has failed."""
+
+Device = Literal["cpu", "cuda"]
 
 if TYPE_CHECKING:
     ExecutorName = str
@@ -29,7 +31,9 @@ def sweep(
     *,
     out: Folder,
     executor: ExecutorName = "local",
+    device: Annotated[Device | None, one_of(Device)] = None,
     processes: OptionalCount = None,
+    per_device: OptionalCount = None,
     address: str = "auto",
     gpus: OptionalNumber = None,
     retries: int = 3,
@@ -48,9 +52,14 @@ def sweep(
         Folder of the sweep: results.csv, index.html and the runs. Of what is there already only the missing is done:
         Ctrl-C stops at once, and the same command continues.
     executor
-        Who does it: local, processes of this machine with one thread each, or ray, a Ray cluster.
+        Who does it: local, this machine, or ray, a Ray cluster.
+    device
+        Where runs are trained, cpu or cuda (default: as the plan says).
     processes
-        Runs at a time with local (default: as many as processors). Each takes the memory of one reconstruction.
+        Runs at a time on the CPU with local (default: as many as processors). Each takes the memory of one
+        reconstruction.
+    per_device
+        Runs at a time on each GPU with local (default: 4, or as many as there are processors for it).
     address
         Of the cluster with ray; auto is the one that runs here.
     gpus
@@ -66,10 +75,10 @@ def sweep(
     """
     from sarsplat.sweeps import sweep as do
 
-    means = Means(processes, address, gpus, retries, again)
+    means = Means(processes, address, gpus, retries, again, per_device)
     words = shlex.join(["sarsplat", "sweep", str(plan), "--out", str(out)])
     with keeping(lambda: f"what is finished is kept, and `{words}` with the same options continues"):
-        results = do(plan, out, executor=executor, means=means, shard=shard, run=not show)
+        results = do(plan, out, executor=executor, means=means, device=device, shard=shard, run=not show)
     console.show(results.table())
     done = sum(one.finished for one in results.results)
     console.finish(

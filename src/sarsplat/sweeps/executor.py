@@ -22,7 +22,7 @@ class Means:
     Parameters
     ----------
     processes : int or None
-        Runs at a time on this machine; None: as many as there are processors.
+        Runs at a time on the CPU of this machine; None: as many as there are processors.
     address : str
         Of the Ray cluster, as in `ray.init`; "auto" is the one that is running here.
     gpus : float or None
@@ -31,6 +31,8 @@ class Means:
         How often Ray starts a run again whose node or process has died.
     again : bool
         Whether failed runs are tried again.
+    per_device : int or None
+        Runs at a time on each GPU of this machine, in one process; None: four, or as many as it has processors.
     """
 
     processes: int | None = None
@@ -38,10 +40,12 @@ class Means:
     gpus: float | None = None
     retries: int = 3
     again: bool = False
+    per_device: int | None = None
 
     def __post_init__(self) -> None:
-        if self.processes is not None and self.processes < 1:
-            raise SarsplatError(f"processes is {self.processes}; give at least 1")
+        for name, count in (("processes", self.processes), ("per_device", self.per_device)):
+            if count is not None and count < 1:
+                raise SarsplatError(f"{name} is {count}; give at least 1")
         if self.gpus is not None and not 0 <= self.gpus < float("inf"):
             raise SarsplatError(f"gpus is {self.gpus}; give a share of a GPU such as 0.25, or a whole number")
         if self.retries < 0:
@@ -49,7 +53,7 @@ class Means:
 
 
 class Executor(Protocol):
-    """Does runs, each by `work.do` in a process that has one thread of the engine."""
+    """Does runs, each by `work.do` in a process that has one thread of the engine; several on a GPU may share it."""
 
     def __call__(self, cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
         """Yield every run with its row as it ends; None where another process is at it.

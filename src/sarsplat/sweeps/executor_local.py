@@ -1,132 +1,91 @@
-"""Runs on this machine: processes with one thread each, which live as long as there is something to do.
-
-As a program, this is such a process: a line of JSON for each job in, one for each result out; it ends with its parent.
-"""
+"""Runs on this machine: on the CPU in processes with one thread each, on a GPU several at a time in one process."""
 
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 from queue import SimpleQueue
 
-import msgspec
+import torch
 
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.executor import Means
-from sarsplat.sweeps.work import Row, do, lost
+from sarsplat.sweeps.work import Row
+from sarsplat.sweeps.worker import Worker
 
-_SIGNALS = {one.value: one.name for one in signal.Signals}
+_PER_DEVICE = 4
+"""Trainings of a GPU at a time, unless it is said: one leaves it idle while Python and the scores keep a core busy; but
+they all wait for the one Python of their process, and for memory."""
 
-
-class Worker:
-    """A process that does runs, started when it is first asked, and again where it has died."""
-
-    def __init__(self, out: Path, again: bool) -> None:
-        self._out, self._again, self._ended = out, again, False
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def ask(self, cell: Cell) -> Row | None:
-        """Do a run; a process that dies is a row with its reason."""
-        if self._process is None:
-            self._process = self._started()
-        process = self._process
-        assert process.stdin is not None and process.stdout is not None
-        with suppress(BrokenPipeError):
-            process.stdin.write(msgspec.json.encode(cell) + b"\n")
-            process.stdin.flush()
-        if answer := process.stdout.readline():
-            return msgspec.json.decode(answer, type=Row | None)
-        code = process.wait()
-        self.close()
-        if self._ended:
-            return None
-        by = _SIGNALS.get(-code, f"signal {-code}")
-        ended = f"was ended by {by}" if code < 0 else f"ended with code {code}"
-        why = ", as when memory runs out: give fewer --processes" if by == "SIGKILL" else ""
-        return lost(cell, self._out, f"its process {ended}{why}; start the sweep again to continue it")
-
-    def kill(self) -> None:
-        """End it at once: a run may be stopped at any moment."""
-        self._ended = True
-        if self._process is not None:
-            self._process.kill()
-
-    def close(self) -> None:
-        """Forget a process that has ended or is about to."""
-        if (process := self._process) is not None:
-            self._process = None
-            with suppress(BrokenPipeError), process:  # closes its pipes and waits for its end
-                pass
-
-    def _started(self) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-m", "sarsplat.sweeps.executor_local", str(self._out), str(self._again)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={
-                **os.environ,
-                "OMP_NUM_THREADS": "1",
-                "OMP_WAIT_POLICY": "PASSIVE",
-                "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-            },
-            start_new_session=True,  # Ctrl-C in the terminal is for the sweep, which ends its workers
-        )
+_VISIBLE = "CUDA_VISIBLE_DEVICES"
 
 
-def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
-    """Do runs on this machine, by default as many at a time as it has processors (see `Executor`)."""
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = min(means.processes or processors, len(cells))
-    workers = [Worker(out, means.again) for _ in range(count)]
-    idle: SimpleQueue[Worker] = SimpleQueue()
-    for worker in workers:
-        idle.put(worker)
+class Team:
+    """Workers that share runs, each with places for so many at a time."""
 
-    def one(cell: Cell) -> Row | None:
-        worker = idle.get()
+    def __init__(self, workers: Sequence[Worker], at_a_time: int = 1) -> None:
+        self._workers = workers
+        self._free: SimpleQueue[Worker] = SimpleQueue()
+        for worker in [*workers] * at_a_time:  # so that every GPU gets one before any gets two
+            self._free.put(worker)
+        self._pool = ThreadPoolExecutor(len(workers) * at_a_time)
+
+    def ask(self, cells: Sequence[Cell]) -> dict[Future[Row | None], Cell]:
+        """Have these done, one after the other as places become free."""
+        return {self._pool.submit(self._one, cell): cell for cell in cells}
+
+    def _one(self, cell: Cell) -> Row | None:
+        worker = self._free.get()
         try:
             return worker.ask(cell)
         finally:
-            idle.put(worker)
+            self._free.put(worker)
 
-    pool = ThreadPoolExecutor(max(count, 1))
-    try:
-        futures = {pool.submit(one, cell): cell for cell in cells}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    finally:
-        for worker in workers:
+    def end(self) -> None:
+        """Stop what is left at once."""
+        for worker in self._workers:
             worker.kill()
-        pool.shutdown(cancel_futures=True)
-        for worker in workers:
+        self._pool.shutdown(cancel_futures=True)
+        for worker in self._workers:
             worker.close()
 
 
-def work(out: Path, again: bool) -> None:
-    """Do what lines ask for until there are no more."""
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever is printed is no answer
-    asked: SimpleQueue[bytes] = SimpleQueue()
-    threading.Thread(target=_listen, args=(asked,), daemon=True).start()
-    while True:
-        row = do(msgspec.json.decode(asked.get(), type=Cell), out, again)
-        answers.write(msgspec.json.encode(row) + b"\n")
-        answers.flush()
+def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
+    """Do runs on this machine (see `Executor`).
+
+    Of those on the CPU there are as many at a time as there are processors, and of those on GPUs, four on each.
+    """
+    teams: list[Team] = []
+    asked: dict[Future[Row | None], Cell] = {}
+    try:
+        if on_cpu := [cell for cell in cells if cell.device != "cuda"]:
+            count = min(means.processes or _processors(), len(on_cpu))
+            teams.append(Team([Worker(out, means.again) for _ in range(count)]))
+            asked |= teams[-1].ask(on_cpu)
+        if on_gpu := [cell for cell in cells if cell.device == "cuda"]:
+            gpus = _gpus()[: len(on_gpu)]
+            at_a_time = means.per_device or min(_PER_DEVICE, max(1, _processors() // len(gpus)))
+            at_a_time = min(at_a_time, -(-len(on_gpu) // len(gpus)))
+            teams.append(Team([Worker(out, means.again, at_a_time, gpu) for gpu in gpus], at_a_time))
+            asked |= teams[-1].ask(on_gpu)
+        for future in as_completed(asked):
+            yield asked[future], future.result()
+    finally:
+        for team in teams:
+            team.end()
 
 
-def _listen(asked: SimpleQueue[bytes]) -> None:
-    """Pass lines on; when there can be no more, whoever asked has ended, and nobody waits for an answer."""
-    for line in sys.stdin.buffer:
-        asked.put(line)
-    os._exit(0)
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-if __name__ == "__main__":
-    work(Path(sys.argv[1]), sys.argv[2] == "True")
+def _gpus() -> list[dict[str, str]]:
+    """By which environment a process sees each GPU that torch sees here, and no other; without any, as it is here."""
+    count = torch.cuda.device_count()
+    if count < 2:
+        return [{}]
+    named = os.environ.get(_VISIBLE)
+    names = named.split(",") if named else [*map(str, range(count))]
+    return [{_VISIBLE: name} for name in names[:count]]

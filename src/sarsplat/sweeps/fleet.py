@@ -38,6 +38,7 @@ def sweep(
     *,
     executor: str = "local",
     means: Means | None = None,
+    device: str | None = None,
     shard: str | None = None,
     run: bool = True,
     quiet: bool = False,
@@ -59,6 +60,8 @@ def sweep(
         Who does it: "local", "ray", or another of `EXECUTORS`.
     means : Means, optional
         What the executor may use.
+    device : str, optional
+        "cpu" or "cuda", instead of what the plan says.
     shard : str, optional
         Only a share of the runs: ``"2/8"`` is the second of eight.
     run : bool
@@ -83,7 +86,11 @@ def sweep(
         base, plan = Path(plan).resolve().parent, Plan.read(Path(plan))
     elif isinstance(plan, Mapping):
         plan = Plan.from_dict(dict(plan), "the plan")
-    cells = cells_of(plan, base)
+    cells = cells_of(plan if device is None else plan.on(device), base)
+    if means.per_device is not None and all(cell.device != "cuda" for cell in cells):
+        raise SarsplatError(
+            f"per_device is {means.per_device}, but no run of the plan is on a GPU; leave it out, or give device cuda"
+        )
     mine = _shard(cells, shard)
     _prepare(out)
     unique = {cell.address: cell for cell in mine}

@@ -93,6 +93,10 @@ class Plan(Record):
                 raise SarsplatError(f"{path} is not a TOML file ({error}); correct it") from error
         return cls.from_dict(content, str(path))
 
+    def on(self, device: str) -> Self:
+        """The same on another device, "cpu" or "cuda"; its parts, too."""
+        return replace(self, device=device, parts=tuple({**part, "device": device} for part in self.parts))  # type: ignore[arg-type]
+
     def each_part(self) -> Iterator[Plan]:
         """The plan itself, or its parts."""
         if not self.parts:

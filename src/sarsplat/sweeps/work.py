@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 import traceback
-import warnings
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,11 +14,12 @@ import torch
 
 from sarsplat.data import read_dataset, read_json, write_json
 from sarsplat.data.files import locked
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import evaluate_run
 from sarsplat.runs import Run, reconstruct
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run_folder import HEADER
+from sarsplat.sweeps.caught import caught
 from sarsplat.sweeps.cell import Cell
 
 ROWS, RUNS = "rows", "runs"
@@ -39,7 +39,7 @@ class Row(msgspec.Struct):
     reason: str = ""
     """Why it failed: one sentence."""
     passing: bool = False
-    """Whether it failed for what may pass, such as a full disk: it is tried again by the next sweep."""
+    """Whether it failed for what may pass, such as a full disk or GPU: it is tried again by the next sweep."""
     scores: dict[str, float] = {}
     """Scores by dotted key, as `images.test.psnr_db` and `points.visible.cd_m`; those that are None are absent."""
     yardstick_m: float = 0.0
@@ -78,18 +78,17 @@ def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
         if done is not None and not (again and done.state == "failed"):
             return done
         row, begun = Row(cell.address, cell.recipe, cell.code, cell.scoring, "finished"), time.monotonic()
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", SarsplatWarning)
+        with caught() as row.warnings:
             try:
                 _train_and_score(cell, out / RUNS / cell.address, row)
             except SarsplatError as error:
-                row.state, row.reason, row.passing = "failed", str(error), isinstance(error.__cause__, OSError)
+                passing = isinstance(error.__cause__, OSError | torch.OutOfMemoryError)
+                row.state, row.reason, row.passing = "failed", str(error), passing
             except ModuleNotFoundError as error:
                 row.state, row.reason, row.passing = "failed", f"{error.name} is not installed; install it", True
             except Exception as error:  # a fault of ours or of a plugin, or no memory: the others go on
                 traceback.print_exc()
                 row.state, row.reason, row.passing = "failed", f"{type(error).__name__}: {error}", True
-        row.warnings = [str(one.message) for one in caught if issubclass(one.category, SarsplatWarning)]
         row.took_s = round(time.monotonic() - begun, 3)
         write_json(row_path(cell, out), row)
         return row

@@ -20,6 +20,7 @@ DRIVER cuDriverGetVersion(int* version) { *version = 13000; return 0; }
 DRIVER cuDeviceGet(int* device, int index) { *device = 40 + index; return 0; }
 DRIVER cuDevicePrimaryCtxRetain(void** out, int device) { *out = &context; return device == 40 ? 0 : 101; }
 DRIVER cuCtxSetCurrent(void* which) { return which == &context ? 0 : 201; }
+DRIVER cuStreamCreate(void** out, unsigned flags) { *out = kStream; return flags == 1 ? 0 : 1; }
 DRIVER cuModuleLoadData(void** out, const char* code) { *out = &module; return std::strcmp(code, "machine code") ? 200 : 0; }
 DRIVER cuModuleGetFunction(const char** kernel, void* in, const char* name) {
   for (const char* known : kNames)

@@ -135,7 +135,10 @@ class Pass:
         self._isa = _isa(instruction_set)
         self._library, self._functions = library(), _functions(self._isa)
         idle = self._idle.setdefault(self._isa, [])
-        self._context = idle.pop() if idle else self._functions["create"]()
+        try:
+            self._context = idle.pop()  # asked for, not looked at first: another thread may be as quick
+        except IndexError:
+            self._context = self._functions["create"]()
 
     def __del__(self) -> None:
         context = getattr(self, "_context", None)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from functools import lru_cache
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded, is_read
+from sarsplat.renderer.engines.on_device import kept_on_device
 
 THREADS = 256
 """Of every block, of csrc/cuda_state.cuh."""
@@ -48,16 +47,12 @@ class Arrays:
 
     def sent(self, content: bytes) -> Tensor:
         """A copy of this on the device."""
-        device = self.launcher.device
-        stream = torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
-        return is_read(_sent(content, device, stream))
+        return _sent(content, self.launcher.device)
 
 
 # The pixels of views are always the same, and a training asks for the same few views again and again.
-@lru_cache(maxsize=256)
-def _sent(content: bytes, device: torch.device, stream: int) -> Tensor:
+@kept_on_device(maxsize=256)
+def _sent(content: bytes, device: torch.device) -> Tensor:
     """On the device, as soon as the stream gets there; from pinned memory, for the CPU waits for any other copy."""
-    if being_recorded():
-        raise NotRecordable("lattices are sent in every step")
     array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
     return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)

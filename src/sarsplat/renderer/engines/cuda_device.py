@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
+import threading
 from contextlib import nullcontext
 from ctypes import POINTER, byref, c_char_p, c_int, c_uint, c_void_p
 from functools import cache
@@ -12,6 +13,12 @@ import torch
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.nvrtc import Nvrtc, machine_code
+
+_NON_BLOCKING = 1
+"""A stream that does not wait for the legacy default stream, as torch's own do not."""
+
+_FIRST = threading.Lock()
+"""Of several threads that ask for a GPU at first, one compiles."""
 
 _DRIVER = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 
@@ -54,6 +61,13 @@ class Device:
                 self._driver.cuLaunchKernel(self._kernel(name), blocks, 1, 1, threads, 1, 1, 0, stream, addresses, None)
             )
 
+    def new_stream(self) -> torch.cuda.ExternalStream:
+        """A stream that nobody else has; torch hands out the same 32 again and again. It is never destroyed."""
+        stream = c_void_p()
+        self._check(self._driver.cuCtxSetCurrent(self._context))
+        self._check(self._driver.cuStreamCreate(byref(stream), _NON_BLOCKING))
+        return torch.cuda.ExternalStream(stream.value, device=self.device)
+
     def _kernel(self, name: str) -> c_void_p:
         if name not in self._kernels:
             kernel = c_void_p()
@@ -71,7 +85,6 @@ class Device:
             )
 
 
-@cache
 def device(index: int) -> Device:
     """The GPU of this number, its kernels compiled and loaded once.
 
@@ -80,6 +93,12 @@ def device(index: int) -> Device:
     SarsplatError
         If the driver, NVRTC or the device is missing.
     """
+    with _FIRST:
+        return _device(index)
+
+
+@cache
+def _device(index: int) -> Device:
     return Device(torch.device("cuda", index))
 
 

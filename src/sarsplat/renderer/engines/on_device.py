@@ -1,14 +1,13 @@
-"""Tensors that are sent to a device once and kept there, whoever needs them, and never while a step is recorded."""
+"""Tensors that are sent to a device once and kept there, for each of its queues, and never while a step is recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache, wraps
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 import torch
-from torch import Tensor
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -45,28 +44,38 @@ def is_read(thing: T) -> T:
     return thing
 
 
-def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function of hashable arguments that makes one tensor or several: the latest results are kept.
+def queue_of(device: torch.device) -> int:
+    """In which of a device's queues this thread works: torch's current stream of a GPU."""
+    return torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
 
-    They are whole when they are returned, for other threads use other streams. What were made while a step is recorded
-    would lie in the record's own memory: that is an error, since the steps before it have made all that it needs.
+
+def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Decorate a function of hashable arguments, the device among them, that makes tensors: the latest are kept.
+
+    Each queue has its own. So they are whole before they are read, and what is forgotten is not overwritten while
+    another queue reads it; nor do the trainings of other threads drive out what a recorded step reads (recorder.py).
+    What were made while a step is recorded would lie in the record's own memory: that is an error, since the steps
+    before it have made all that it needs.
     """
 
     def decorate(make: Callable[P, T]) -> Callable[P, T]:
         def made(*arguments: P.args, **named: P.kwargs) -> T:
             if being_recorded():
                 raise NotRecordable(f"{make.__name__} sends something to the device in every step")
-            result = make(*arguments, **named)
-            for tensor in _tensors(result):
-                if tensor.is_cuda:
-                    torch.cuda.current_stream(tensor.device).synchronize()
-            return result
+            return make(*arguments, **named)
 
-        latest = lru_cache(maxsize=maxsize)(made)
-        return wraps(make)(lambda *arguments, **named: is_read(latest(*arguments, **named)))
+        by_queue: dict[int, Callable[P, T]] = {}
+
+        @wraps(make)
+        def kept(*arguments: P.args, **named: P.kwargs) -> T:
+            queue = 0
+            for argument in arguments:
+                if isinstance(argument, torch.device):
+                    queue = queue_of(argument)
+            if queue not in by_queue:
+                by_queue.setdefault(queue, lru_cache(maxsize=maxsize)(made))  # type: ignore[arg-type]
+            return is_read(by_queue[queue](*arguments, **named))
+
+        return kept
 
     return decorate
-
-
-def _tensors(result: Any) -> Iterable[Tensor]:
-    return (result,) if isinstance(result, Tensor) else result

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from ctypes import c_int32, c_void_p
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor
 
 from sarsplat.renderer.engines.cuda_arrays import Launcher
+from sarsplat.renderer.engines.cuda_device import Device
 from sarsplat.renderer.engines.on_device import read_meanwhile
 
 T = TypeVar("T")
@@ -19,6 +21,15 @@ MOST_WORDS = 992
 """That can be told at a time, of csrc/cuda_training.cuh."""
 
 _Words = c_int32 * MOST_WORDS
+
+_RECORDING = threading.Lock()
+"""Of several threads, one records at a time: torch lists all graphs beside its random numbers, unguarded."""
+
+_RETIRED: list[torch.cuda.CUDAGraph] = []
+"""Graphs that nobody needs, and that leave that list when nobody records."""
+
+_IDLE: dict[torch.device, list[torch.cuda.Stream]] = {}
+"""Streams that recorders have given back."""
 
 
 class Recorder(Protocol):
@@ -43,12 +54,28 @@ class Recorder(Protocol):
 
 
 class CudaRecorder:
-    """Records on one GPU, as a graph of CUDA."""
+    """Records on one GPU, as a graph of CUDA.
 
-    def __init__(self, launcher: Launcher) -> None:
-        self.launcher, self._stream = launcher, torch.cuda.Stream(launcher.device)
-        self._latest: torch.cuda.CUDAGraph | None = None
+    Its stream is its own: what another thread launched there would be recorded, too, and tensors that are kept on the
+    device for it (`kept_on_device`) stay for as long as a record reads them.
+    """
+
+    def __init__(self, launcher: Device) -> None:
+        self.launcher, self._graphs = launcher, list[torch.cuda.CUDAGraph]()
         self._read: list[object] = []  # by the latest
+        try:
+            self._stream = _IDLE.setdefault(launcher.device, []).pop()
+        except IndexError:
+            self._stream = launcher.new_stream()
+
+    def __del__(self) -> None:
+        if hasattr(self, "_stream"):
+            _IDLE[self.launcher.device].append(self._stream)
+            _RETIRED.extend(self._graphs)
+            self._graphs.clear()
+            if _RECORDING.acquire(blocking=False):  # it may be this very thread that records
+                _RETIRED.clear()
+                _RECORDING.release()
 
     def rehearse(self, program: Callable[[], T]) -> T:
         """As `Recorder.rehearse`."""
@@ -62,7 +89,6 @@ class CudaRecorder:
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
         """As `Recorder.record`. Programs share their memory: each is the last to be run until the next is recorded."""
         graph = torch.cuda.CUDAGraph()
-        memory = None if self._latest is None else self._latest.pool()
 
         def recorded() -> T:
             graph.capture_begin(pool=memory, capture_error_mode="thread_local")
@@ -75,12 +101,18 @@ class CudaRecorder:
             graph.capture_end()
             return made
 
-        if memory is None:
-            torch.cuda.empty_cache()  # what the rehearsal took is kept there, and could not be given to a record
-        with read_meanwhile() as self._read:
+        with _RECORDING, read_meanwhile() as self._read:
+            memory = self._graphs[-1].pool() if self._graphs else None
+            if memory is None:
+                torch.cuda.empty_cache()  # what the rehearsal took is kept there, and could not be given to a record
+            self._graphs.append(graph)
             result = self.rehearse(recorded)
-        self._latest = graph  # alive, so that its memory is
-        return result, graph.replay
+            del self._graphs[:-1]  # not before: the memory lives as long as one of them
+            _RETIRED.clear()
+        return result, self._replay
+
+    def _replay(self) -> None:
+        self._graphs[-1].replay()
 
 
 class Told:
