@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 from contextlib import contextmanager
-from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -15,6 +14,8 @@ from emulated_recorder import EmulatedRecorder
 from sarsplat.renderer.engines import on_device, recorder
 from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device
 from sarsplat.renderer.engines.recorder import MOST_WORDS, CudaRecorder, Told
+
+CPU = torch.device("cpu")
 
 
 class Log(list):
@@ -146,18 +147,18 @@ def test_what_is_kept_on_a_device_is_made_once_and_never_in_a_record(monkeypatch
     made = []
 
     @kept_on_device(maxsize=2)
-    def table(size: int) -> torch.Tensor:
+    def table(size: int, device: torch.device) -> torch.Tensor:
         made.append(size)
-        return torch.arange(size)
+        return torch.arange(size, device=device)
 
-    assert table(3) is table(3)
+    assert table(3, CPU) is table(3, CPU)
     with monkeypatch.context() as patch:
         patch.setattr(on_device, "being_recorded", lambda: True)
-        assert table(3) is table(3)
+        assert table(3, CPU) is table(3, CPU)
         with pytest.raises(NotRecordable, match="table sends something to the device in every step"):
-            table(4)
+            table(4, CPU)
     assert made == [3]
-    assert partial(table, 4)().tolist() == [0, 1, 2, 3]
+    assert table(4, CPU).tolist() == [0, 1, 2, 3]
 
 
 def test_what_is_kept_is_kept_for_each_queue(monkeypatch):
@@ -168,9 +169,9 @@ def test_what_is_kept_is_kept_for_each_queue(monkeypatch):
     def table(size: int, device: torch.device) -> torch.Tensor:
         return torch.arange(size, device=device)
 
-    mine = table(3, torch.device("cpu"))
+    mine = table(3, CPU)
     queue = 2
-    assert table(3, torch.device("cpu")) is not mine
-    table(4, torch.device("cpu"))  # drives out what this queue had
+    assert table(3, CPU) is not mine
+    table(4, CPU)  # drives out what this queue had
     queue = 1
-    assert table(3, torch.device("cpu")) is mine
+    assert table(3, CPU) is mine
