@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import weakref
 from contextlib import contextmanager
-from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -16,6 +15,8 @@ from emulated_recorder import EmulatedRecorder
 from sarsplat.renderer.engines import on_device, recorder
 from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device
 from sarsplat.renderer.engines.recorder import MOST_WORDS, CudaRecorder, Told
+
+CPU = torch.device("cpu")
 
 
 class Log(list):
@@ -102,7 +103,9 @@ def test_recorders_have_a_stream_each_and_hand_it_on(log, gpu):
     del first
     assert CudaRecorder(gpu)._stream not in streams  # whoever can run it holds the recorder
     del run
+    log.clear()
     assert CudaRecorder(gpu)._stream is streams[0]
+    assert log == ["own waits"]  # for what may still be running
 
 
 def test_graphs_leave_only_when_nobody_records(log, gpu):
@@ -135,11 +138,11 @@ def test_a_record_that_fails_is_ended_and_says_why(fails, log, gpu):
 
 
 def test_the_latest_record_keeps_what_it_reads_of_all_that_is_kept(log, gpu):
-    table = kept_on_device(maxsize=1)(lambda size: torch.arange(size))
+    table = kept_on_device(maxsize=1)(lambda size, device: torch.arange(size, device=device))
     recorder = CudaRecorder(gpu)
-    recorder.record(lambda: [table(3)].clear())
-    read = weakref.ref(table(3))
-    table(4)  # the only one that is kept
+    recorder.record(lambda: [table(3, CPU)].clear())
+    read = weakref.ref(table(3, CPU))
+    table(4, CPU)  # the only one that is kept
     assert read() is not None
     recorder.record(lambda: None)
     assert read() is None
@@ -163,18 +166,18 @@ def test_what_is_kept_on_a_device_is_made_once_and_never_in_a_record(monkeypatch
     made = []
 
     @kept_on_device(maxsize=2)
-    def table(size: int) -> torch.Tensor:
+    def table(size: int, device: torch.device) -> torch.Tensor:
         made.append(size)
-        return torch.arange(size)
+        return torch.arange(size, device=device)
 
-    assert table(3) is table(3)
+    assert table(3, CPU) is table(3, CPU)
     with monkeypatch.context() as patch:
         patch.setattr(on_device, "being_recorded", lambda: True)
-        assert table(3) is table(3)
+        assert table(3, CPU) is table(3, CPU)
         with pytest.raises(NotRecordable, match="table sends something to the device in every step"):
-            table(4)
+            table(4, CPU)
     assert made == [3]
-    assert partial(table, 4)().tolist() == [0, 1, 2, 3]
+    assert table(4, CPU).tolist() == [0, 1, 2, 3]
 
 
 def test_what_is_kept_is_kept_for_each_queue(monkeypatch):
@@ -185,9 +188,9 @@ def test_what_is_kept_is_kept_for_each_queue(monkeypatch):
     def table(size: int, device: torch.device) -> torch.Tensor:
         return torch.arange(size, device=device)
 
-    mine = table(3, torch.device("cpu"))
+    mine = table(3, CPU)
     queue = 2
-    assert table(3, torch.device("cpu")) is not mine
-    table(4, torch.device("cpu"))  # drives out what this queue had
+    assert table(3, CPU) is not mine
+    table(4, CPU)  # drives out what this queue had
     queue = 1
-    assert table(3, torch.device("cpu")) is mine
+    assert table(3, CPU) is mine

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
@@ -14,7 +16,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -25,7 +27,7 @@ from sarsplat import SarsplatError, sweep
 from sarsplat.errors import SarsplatWarning
 from sarsplat.learning import Trainer
 from sarsplat.renderer.engines import choice, cuda, on_device
-from sarsplat.sweeps import Means, executor_local, worker
+from sarsplat.sweeps import Means, executor_local, executor_ray, worker
 from sarsplat.sweeps.caught import caught
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
@@ -229,6 +231,30 @@ def test_another_device_than_the_plans_is_that_of_all_its_parts(place, plan):
     assert [one.cell.device for one in found.results] == ["cuda"] * 3
     assert all("CUDA engine needs a torch built for CUDA" in one.reason or "GPU" in one.reason for one in found.failed)
     assert len(found.failed) == 3
+
+
+@pytest.mark.parametrize(("device", "gpus", "asked"), [("cuda", 0.25, 0.25), ("cuda", None, 1.0), ("cpu", None, 0.0)])
+def test_ray_is_asked_for_a_part_of_a_gpu(place, plan, monkeypatch, device, gpus, asked):
+    """By a stand-in for Ray, which does everything in this process."""
+    options: list[dict[str, Any]] = []
+
+    def remote(do: Callable[..., Any]) -> Any:
+        return SimpleNamespace(options=lambda **given: options.append(given) or SimpleNamespace(remote=do))
+
+    ray: Any = ModuleType("ray")
+    ray.is_initialized, ray.cluster_resources, ray.remote = lambda: True, dict, remote
+    ray.wait, ray.get = lambda tasks, num_returns: (tasks[:1], tasks[1:]), json.loads
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    monkeypatch.setattr(executor_ray, "_do", lambda cell, *_: json.dumps(msgspec.to_builtins(finished(cell))))
+    cells = cells_of(Plan.from_dict(plan | {"device": device}), place)
+    rows = [row for _, row in executor_ray.run(cells, place, Means(gpus=gpus))]
+    assert {row.address for row in rows} == {cell.address for cell in cells}
+    assert {given["num_gpus"] for given in options} == {asked}
+
+
+def finished(cell: dict[str, Any]) -> Row:
+    done = msgspec.convert(cell, Cell)
+    return Row(done.address, done.recipe, done.code, done.scoring, "finished")
 
 
 # ---- the process ----------------------------------------------------------------------------------------------------

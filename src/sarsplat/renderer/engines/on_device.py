@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache, wraps
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar, cast
 
 import torch
 
@@ -50,7 +50,7 @@ def queue_of(device: torch.device) -> int:
 
 
 def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function of hashable arguments, the device among them, that makes tensors: the latest are kept.
+    """Decorate a function of hashable arguments, the device being the last, that makes tensors: the latest are kept.
 
     Each queue has its own. So they are whole before they are read, and what is forgotten is not overwritten while
     another queue reads it; nor do the trainings of other threads drive out what a recorded step reads (recorder.py).
@@ -68,10 +68,7 @@ def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
         @wraps(make)
         def kept(*arguments: P.args, **named: P.kwargs) -> T:
-            queue = 0
-            for argument in arguments:
-                if isinstance(argument, torch.device):
-                    queue = queue_of(argument)
+            queue = queue_of(cast(torch.device, arguments[-1]))
             if queue not in by_queue:
                 by_queue.setdefault(queue, lru_cache(maxsize=maxsize)(made))  # type: ignore[arg-type]
             return is_read(by_queue[queue](*arguments, **named))

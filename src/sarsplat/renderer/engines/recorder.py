@@ -28,8 +28,8 @@ _RECORDING = threading.Lock()
 _RETIRED: list[torch.cuda.CUDAGraph] = []
 """Graphs that nobody needs, and that leave that list when nobody records."""
 
-_IDLE: dict[torch.device, list[torch.cuda.Stream]] = {}
-"""Streams that recorders have given back."""
+_IDLE: dict[torch.device, list[tuple[torch.cuda.Stream, torch.cuda.Stream | None]]] = {}
+"""Streams that recorders have given back, and on which their records were run, perhaps to this moment."""
 
 
 class Recorder(Protocol):
@@ -63,14 +63,17 @@ class CudaRecorder:
     def __init__(self, launcher: Device) -> None:
         self.launcher, self._graphs = launcher, list[torch.cuda.CUDAGraph]()
         self._read: list[object] = []  # by the latest
+        self._usual: torch.cuda.Stream | None = None
         try:
-            self._stream = _IDLE.setdefault(launcher.device, []).pop()
+            self._stream, before = _IDLE.setdefault(launcher.device, []).pop()
         except IndexError:
-            self._stream = launcher.new_stream()
+            self._stream, before = launcher.new_stream(), None
+        if before is not None:  # what it read must not be overwritten yet
+            self._stream.wait_stream(before)
 
     def __del__(self) -> None:
         if hasattr(self, "_stream"):
-            _IDLE[self.launcher.device].append(self._stream)
+            _IDLE[self.launcher.device].append((self._stream, self._usual))
             _RETIRED.extend(self._graphs)
             self._graphs.clear()
             if _RECORDING.acquire(blocking=False):  # it may be this very thread that records
@@ -79,7 +82,7 @@ class CudaRecorder:
 
     def rehearse(self, program: Callable[[], T]) -> T:
         """As `Recorder.rehearse`."""
-        usual = torch.cuda.current_stream(self.launcher.device)
+        self._usual = usual = torch.cuda.current_stream(self.launcher.device)
         self._stream.wait_stream(usual)
         with torch.cuda.stream(self._stream):
             result = program()
