@@ -214,6 +214,31 @@ def test_it_fills_while_it_runs(out, plan, monkeypatch):
     assert 'http-equiv="refresh"' in seen[0]
 
 
+def test_runs_that_lose_against_a_baseline_say_so(finished, plan):
+    key = "registered_nats_per_pixel"
+    for path, nats in zip(sorted((finished / "rows").iterdir()), (0.625, 0.4), strict=True):
+        row = json.loads(path.read_text())
+        beside = {"nearest_chip": 0.7, "rotated_average": 0.5}
+        row["scores"] = {f"baselines.test.{name}.{key}": value for name, value in beside.items()}
+        row["scores"][f"images.test.{key}"] = nats
+        path.write_text(json.dumps(row))
+    results = done(plan, finished, run=False)
+    (line,) = results.lines()
+    names, metrics = results.columns()
+    assert names == ["dataset", "method"]
+    assert line.texts(names, metrics)[:3] == ["box", "sar-gs", "2/2, 1 worse than a baseline"]
+    assert [one.texts(names, metrics) for one in results.baselines()] == [
+        ["box", "nearest chip", "–", "0.700"],
+        ["box", "rotated average", "–", "0.500"],
+    ]
+    sentence = "1 of 2 finished runs is worse than a baseline, which knows no third dimension; farthest box, seed "
+    assert str(results.beaten).startswith(sentence)
+    assert ", on the set test: rotated average 0.500 against 0.625 (negative log-likelihood" in str(results.beaten)
+    assert sorted(row["beaten_by"] for row in table(finished)) == ["", "rotated average on test"]
+    page = (finished / "index.html").read_text()
+    assert sentence in page and "finished, worse than rotated average on test" in page
+
+
 def test_a_foreign_folder_is_left_alone(place, out, plan):
     with pytest.raises(SarsplatError, match="exists and is not the folder of a sweep"):
         done(plan, place / "data")

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from sarsplat.cli import console
+from sarsplat.cli.beaten import warn_if_beaten
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def describe_run(path: Path) -> None:
         "state": str(state),
         **about,
         "points": "none yet" if stored is None else extent(stored[0]),
-        "scores": "metrics.json" if files.metrics else "none yet; run sarsplat evaluate",
+        "scores": f"{_scores(files.metrics)} (metrics.json)" if files.metrics else "none yet; run sarsplat evaluate",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
     whole = path.absolute().parents[1] if len(path.absolute().parents) > 1 else path
@@ -48,6 +49,7 @@ def describe_run(path: Path) -> None:
         console.facts(f"{path}: a tile of the run {whole}, which goes on with it", rows)
         return
     console.facts(f"{path}: a run", rows)
+    warn_if_beaten(files.metrics)
     if not state.finished and (state.done or not state.has_results) and header.config.get("preset") != OWN_LOOP:
         dataset = "DATASET" if where is None or not where.exists() else shlex.quote(str(where))
         console.say(f"go on with: sarsplat reconstruct {dataset} --out {shlex.quote(str(path))} --resume")
@@ -148,12 +150,14 @@ def _run(folder: Path) -> tuple[str, str, str]:
 def _scores(metrics: Mapping[str, Any] | None) -> str:
     if metrics is None:
         return "not evaluated"
-    from sarsplat.evaluation import Yardstick, all_metrics, comparison
+    from sarsplat.evaluation import Yardstick, all_metrics, beaten, comparison
 
     try:
         headed = [metric for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"])) if metric.short]
         values = comparison(metrics)[0].values
         headline = [metric for metric in headed if metric.place == "headline" and values.get(metric.key) is not None]
-        return ", ".join(f"{one.short} {one.text(values[one.key])} {one.unit}".strip() for one in headline)
+        scores = [f"{one.short} {one.text(values[one.key])} {one.unit}".strip() for one in headline]
+        worse = (f"worse than {one.by} on {one.split}, {one.metric.text(one.best)}" for one in beaten(metrics))
+        return "; ".join([", ".join(scores), *worse])
     except (KeyError, TypeError, AttributeError, ValueError):
         return "scores of another version; evaluate it again"
