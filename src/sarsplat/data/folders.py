@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from sarsplat.data.files import locked, open_file, plain_os_errors, refuse_unwritable, sync
+from sarsplat.data.files import flush_folder, growing, locked, open_file, plain_os_errors, refuse_unwritable, sync
 from sarsplat.errors import SarsplatError
 
 _LAYOUTS = {
@@ -105,11 +105,9 @@ def new_folder(
         with locked(path), _workshop(path, goes_on) as (built, retired):
             _refuse_existing(path, overwrite, marker)  # it may have been put back
             built.mkdir(exist_ok=True)
-            yield built
-            for folder, _, names in os.walk(built):
-                for name in names:
-                    sync(Path(folder, name))
-                sync(Path(folder))
+            with growing(built):
+                yield built
+            flush_folder(built)
             _refuse_existing(path, overwrite, marker)  # it may have appeared meanwhile
             if not path.exists():
                 built.replace(path)
