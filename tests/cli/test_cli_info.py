@@ -17,6 +17,7 @@ from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.runs import Run
+from sarsplat.sweeps import Plan
 
 GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))
 RING = [View(float(azimuth), 45.0) for azimuth in range(0, 360, 15) if not 100 < azimuth < 200]
@@ -119,13 +120,26 @@ def test_info_lists_datasets_and_runs_in_a_folder(there, tmp_path: Path, unfinis
     assert rows["deep/dataset"] == "deep/dataset 16 images of box.obj 8 train, 8 test; 32 × 32 pixels"
     metrics = json.loads(Path("run/metrics.json").read_text())
     psnr_db, cd_m = metrics["images"]["test"]["psnr_target_db"], metrics["points"]["visible"]["cd_m"]
-    assert rows["deep/run"].startswith("deep/run run of dataset (sar-gs) finished ")
+    assert rows["deep/run"].startswith("deep/run run of dataset, seed 0 (sar-gs) finished ")
     assert f"target {psnr_db:.2f} dB" in rows["deep/run"]
     assert f"CD {cd_m:#.3g} m" in rows["deep/run"]
-    assert rows["begun"] == "begun run of dataset (sar-gs) unfinished, 4 of 6,000 iterations not evaluated"
+    assert rows["begun"] == "begun run of dataset, seed 0 (sar-gs) unfinished, 4 of 6,000 iterations not evaluated"
     assert "unusable:" in rows["bad-dataset"]
     assert "unusable:" in rows["bad-run"]
     assert "model" not in rows
+
+
+def test_a_plan_is_offered_for_several_datasets(there, tmp_path: Path, said, monkeypatch) -> None:
+    for name in ("here/one", "here/two", "here/deep/three"):
+        shutil.copytree("dataset", tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    told = said("info here")
+    (tmp_path / "plan.toml").write_text("\n".join(line for line in told.splitlines() if line.startswith("  ")))
+    plan = Plan.read(tmp_path / "plan.toml")
+    assert plan.seeds == (0, 1, 2)
+    assert {path.name for path in plan.folders(tmp_path)} == {"one", "two", "three"}
+    assert "and run: sarsplat sweep plan.toml --out here-fleet" in told
+    assert "plan.toml" not in said("info here/deep")
 
 
 def test_info_on_a_run_whose_dataset_has_moved(run: Path, tmp_path: Path, said, refused) -> None:

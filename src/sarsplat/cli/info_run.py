@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,7 +107,20 @@ def describe_contents(path: Path) -> bool:
             cells = ("a dataset" if marker == _DATASET else "a run", f"unusable: {error}", "")
         table.add_row(escape(str(folder.relative_to(path))), *map(escape, cells))
     console.show(table)
+    if (page := path / "index.html").is_file() and (path / "sweep.json").is_file():
+        console.say(f"a sweep: open {page} in a browser")
+    elif counts[_DATASET] > 1:
+        _offer_plan(path, [folder for folder, marker in entries if marker == _DATASET])
     return True
+
+
+def _offer_plan(path: Path, datasets: Sequence[Path]) -> None:
+    """How to reconstruct all of them."""
+    patterns = json.dumps([f"{parent}/*" for parent in dict.fromkeys(folder.parent for folder in datasets)])
+    fleet = shlex.quote(f"{path.resolve().name}-fleet")
+    console.say("to reconstruct and score all datasets, write these two lines to plan.toml:")
+    console.say(f"  datasets = {patterns}\n  seeds = [0, 1, 2]")
+    console.say(f"and run: sarsplat sweep plan.toml --out {fleet}")
 
 
 def _entries(path: Path) -> Iterator[tuple[Path, str]]:
@@ -144,7 +158,8 @@ def _run(folder: Path) -> tuple[str, str, str]:
     files = RunFolder(folder)
     header = files.header
     learned_from = "images in memory" if header.dataset is None else Path(header.dataset).name
-    return f"run of {learned_from} ({header.method})", str(files.state), _scores(files.metrics)
+    seed = f", seed {header.config['seed']}" if "seed" in header.config else ""
+    return f"run of {learned_from}{seed} ({header.method})", str(files.state), _scores(files.metrics)
 
 
 def _scores(metrics: Mapping[str, Any] | None) -> str:

@@ -47,10 +47,17 @@ def page(results: Results) -> str:
         beaten=results.beaten,
         lines=[_Row(line.texts(names, metrics)) for line in (*lines, *results.baselines())],
         figures=[figure for name in names if name not in _SETTLED for figure in _figure(name, lines, metrics)],
+        warned=[_Row((text, counted(number, "run"))) for text, number in _warned(results).most_common()],
         failed=[_Row((_words(one, names), one.reason)) for one in results.failed],
         run_heads=[*(name for name in names if name != "test set"), "seed", "state", "run"],
         runs=[_run(one, [name for name in names if name != "test set"], results) for one in results.results],
     )
+
+
+def _warned(results: Results) -> Counter[str]:
+    """What finished runs were warned of, with the number of runs."""
+    rows = (one.row for one in results.results if one.row is not None and one.finished)
+    return Counter(text for row in rows for text in dict.fromkeys(row.warnings))
 
 
 def _words(one: Result, names: Sequence[str]) -> str:
@@ -63,7 +70,7 @@ def _run(one: Result, names: Sequence[str], results: Results) -> _Row:
     place = "" if one.row is None else f"{RUNS}/{one.row.address}"
     report = f"{place}/report/index.html"
     there = bool(place) and (results.out / report).is_file()
-    what = f"{one.row.address}{', report' if there else ''}" if one.row is not None else ""
+    what = "report" if there else place  # the folder's name says nothing
     worse = "".join(f", worse than {where.by} on {where.split}" for where in one.beaten)
     return _Row([*labels, str(one.cell.seed), one.state + worse, what], report if there else "")
 
