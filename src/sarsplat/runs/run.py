@@ -89,6 +89,10 @@ class Run(Result):
     images: Dataset | None = field(default=None, compare=False, repr=False)
     trained_on: str = ""
 
+    def __repr__(self) -> str:
+        where, preset = self.path or "in memory", getattr(self.config, "preset", None)
+        return f"Run({where}, {self.method}{f', {preset}' if preset else ''}, seed {self.seed})"
+
     @cached_property
     def snapshot(self) -> Snapshot:
         if self.memory is not None:
