@@ -205,7 +205,7 @@ def test_os_errors_become_one_sentence(tmp_path, monkeypatch, number):
 def test_it_is_flushed_as_a_whole_and_not_file_by_file(tmp_path, monkeypatch):
     flushed, whole = [], []
     monkeypatch.setattr(os, "fsync", flushed.append)
-    monkeypatch.setattr("sarsplat.data.files._flush_whole_disk", lambda folder: whole.append(folder) or True)
+    monkeypatch.setattr("sarsplat.data.folders._flush_whole_disk", lambda folder: whole.append(folder) or True)
     with new_folder(tmp_path / "a", False, marker=RUN) as folder:
         for name in ("one", "two"):
             write_bytes(folder / name, b"content")

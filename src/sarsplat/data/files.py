@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import json
 import os
 import re
 import stat
-import sys
 from codecs import BOM_UTF8
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -114,40 +112,13 @@ _GROWING: set[Path] = set()
 def growing(folder: Path) -> Iterator[None]:
     """Files that are written in a folder while the block runs are neither locked nor flushed one by one.
 
-    Nobody else writes there, and the folder counts only once it is whole: see `flush_folder`.
+    Nobody else writes there, and the folder counts only once it is whole and flushed.
     """
     _GROWING.add(folder)
     try:
         yield
     finally:
         _GROWING.discard(folder)
-
-
-def flush_folder(folder: Path) -> None:
-    """Flush a folder with all that is in it to the disk: in one call where the system has one, which is far quicker."""
-    if _flush_whole_disk(folder):
-        return
-    for inner, _, names in os.walk(folder):
-        for name in names:
-            sync(Path(inner, name))
-        sync(Path(inner))
-
-
-def _flush_whole_disk(folder: Path) -> bool:
-    """Flush the file system that holds a folder; False where the system cannot."""
-    syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None) if sys.platform == "linux" else None
-    if syncfs is None:
-        return False
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        if syncfs(descriptor) == 0:
-            return True
-    finally:
-        os.close(descriptor)
-    number = ctypes.get_errno()
-    if number == errno.ENOSYS:
-        return False
-    raise OSError(number, os.strerror(number))
 
 
 def write_bytes(path: Path, data: bytes | memoryview) -> None:
