@@ -202,11 +202,10 @@ def of_a_fleet(gpu: Gpu) -> Found:
 
 def of_a_village(gpu: Gpu) -> Found:
     """A village of 640 × 640 pixels with two presets, stage by stage; and its points' scores."""
-    from village import village
-
     from sarsplat import Dataset, DatasetEntry
     from sarsplat.evaluation import Yardstick, point_metrics, visible_surface
     from sarsplat.scenes.simulate import simulate_images
+    from sarsplat.scenes.village import village
 
     side, views, clock = gpu.few(640, 48), ALL_SIDES[:: gpu.few(1, 5)], Clock()
     grid = ImageGrid(side, side, (0.3, 0.3), (0.3, 0.3))

@@ -27,11 +27,10 @@ SAMPLES = 200_000  # of the true surface
 
 def one(preset: str, side: int) -> dict[str, Any]:
     """Seconds of every part, peak memory so far in GiB after each, and the scores."""
-    from village import village
-
     from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct
     from sarsplat.evaluation import Yardstick, point_metrics, visible_surface
     from sarsplat.scenes.simulate import simulate_images
+    from sarsplat.scenes.village import village
 
     parts: dict[str, dict[str, float]] = {}
 

@@ -6,7 +6,6 @@ Run as `python docs/draw_village.py`; it takes minutes. Writes docs/images/villa
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from scipy.spatial import KDTree
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from village import village
-
 from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct
 from sarsplat.colours import ERROR, HEIGHT, colormap
 from sarsplat.evaluation import Yardstick, visible_surface
 from sarsplat.scenes.simulate import simulate_images
+from sarsplat.scenes.village import village
 
 PICTURE = Path(__file__).parent / "images" / "village.png"
 SIDE, PIXEL_M = 512, 0.3

@@ -15,7 +15,7 @@ import pytest
 import sarsplat
 from import_graph import PACKAGE, graph, imported, modules
 from programs import python
-from sarsplat.cli.extras import EXTRAS
+from sarsplat.extras import EXTRAS
 
 ORDER = (
     ("geometry",),
@@ -29,9 +29,9 @@ ORDER = (
     ("importers",),
     ("learning",),
     ("runs",),
-    ("radar", "baselines", "samples"),
+    ("radar", "baselines"),
     ("evaluation",),
-    ("exports",),
+    ("samples", "exports"),
     ("report",),
     ("viewer", "sweeps"),
     ("cli",),
@@ -99,7 +99,7 @@ def test_the_renderer_imports_torch_and_numpy_only():
 
 
 def test_the_engines_alone_know_ctypes():
-    """Beside them, what Python has no function for: renaming without replacing, giving memory back, dying together."""
+    """Beside them, what Python has no function for: renaming, flushing, giving memory back, dying together."""
     others = {"data.folders", "runs.tiled_training", "samples.made_each"}
     known = {name for name, path in modules().items() if "ctypes" in imported(path)}
     assert {name for name in known if not name.startswith("renderer.engines.")} == others

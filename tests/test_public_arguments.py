@@ -215,8 +215,14 @@ def test_no_public_function_takes_just_anything(function: Any, name: str) -> Non
         (lambda: Run.from_gaussians(scene(), GRID).render(VIEW), "views is a single one, View("),
         (lambda: write_dataset(DATA, "out"), "path is <Dataset of"),
         (lambda: write_report("out"), "run is 'out'; give a Run, as reconstruct returns or Run.load(PATH) reads"),
-        (lambda: export(scene(), "a.ply"), "run is an object of type Gaussians; give a Run"),
-        (lambda: write_mesh("a.ply", scene()), "mesh is an object of type Gaussians; give a trimesh.Trimesh"),
+        (
+            lambda: export(scene(), "a.ply"),
+            "run is Gaussians(3, harmonics with 1 number, torch.float32, cpu)",
+        ),
+        (
+            lambda: write_mesh("a.ply", scene()),
+            "mesh is Gaussians(3, harmonics with 1 number, torch.float32, cpu)",
+        ),
         (lambda: reconstruct(DATA, loss="amplitude"), "loss is 'amplitude'; give a function, not its name"),
         (lambda: Trainer(DATA, Config(), strategies=[3]), "strategies holds 3; make each an object of"),
         (lambda: reconstruct(None), "dataset is None; give a Dataset, such as read_dataset(PATH) reads or a path"),

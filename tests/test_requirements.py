@@ -11,7 +11,7 @@ from packaging.requirements import Requirement
 
 from import_graph import PACKAGE, imported
 from programs import ROOT
-from sarsplat.cli.extras import EXTRAS
+from sarsplat.extras import EXTRAS
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 COPYLEFT = re.compile(r"[AL]?GPL|GNU (Affero |Lesser |Library )?General Public", re.IGNORECASE)

@@ -6,14 +6,14 @@ import os
 import sys
 import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from inspect import signature
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, advised
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -49,27 +49,38 @@ _ONE_THING = (str, bytes, os.PathLike)
 """What Python iterates over, or opens, but nobody means as a sequence."""
 
 
-def checks_arguments(function: F) -> F:
+@typing.overload
+def checks_arguments(function: F) -> F: ...
+@typing.overload
+def checks_arguments(*, instead: Callable[[str, object], str | None]) -> Callable[[F], F]: ...
+def checks_arguments(function: Any = None, *, instead: Callable[[str, object], str | None] | None = None) -> Any:
     """Decorate a function so that it refuses arguments of other types than its annotations name.
 
     Kinds are classes, paths, numbers, arrays, functions, mappings and sequences of them, and what a `TypedDict` holds
     (`**options: Unpack[...]`). Shapes, ranges and choices are left to the function; it raises a SarsplatError in
-    either case, here before anything is done.
+    either case, here before anything is done. A name that it does not have is a TypeError, as of any function;
+    `instead` may know where what is so named, with this value, is to be given.
     """
+    if function is None:
+        return partial(checks_arguments, instead=instead)
     names = [*signature(function).parameters]
     closed = any("Unpack[" in str(hint) for hint in function.__annotations__.values())
+    open_to_all = not closed and any(one.kind is one.VAR_KEYWORD for one in signature(function).parameters.values())
 
     @wraps(function)
     def checked(*arguments: Any, **options: Any) -> Any:
         kinds = _kinds(function)
-        if closed and (unknown := options.keys() - kinds.keys()):
-            raise TypeError(f"{function.__name__}() got an unexpected keyword argument {unknown.pop()!r}")
+        known = kinds.keys() if closed else names
+        if not open_to_all and (unknown := next((name for name in options if name not in known), None)) is not None:
+            told = None if instead is None else instead(unknown, options[unknown])
+            remedy = told or advised(unknown, [name for name in known if name not in ("return", "self")])
+            raise TypeError(f"{function.__name__}() got an unexpected keyword argument {unknown!r}; {remedy}")
         for name, value in (*zip(names, arguments, strict=False), *options.items()):
             if name in kinds:
                 _expect(kinds[name], name, value)
         return function(*arguments, **options)
 
-    return typing.cast("F", checked)
+    return checked
 
 
 def expect(kind: Any, **values: object) -> None:

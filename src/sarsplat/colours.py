@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import install_command
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
@@ -127,9 +128,7 @@ def ramp(name: str) -> Palette:
     try:
         from matplotlib import colormaps
     except ImportError as error:
-        raise SarsplatError(
-            "colours need matplotlib, which is not installed; install it with: pip install 'sarsplat[report]'"
-        ) from error
+        raise SarsplatError(f"colours need matplotlib, which is not installed; {install_command('report')}") from error
     if name not in colormaps:
         raise SarsplatError(
             f"there is no colour map {shown(name)}; choose gray, viridis, magma, cividis, turbo or another from "

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sarsplat.cli import extras, main
+from sarsplat import extras
+from sarsplat.cli import main
 from terrains import write_geotiff
 
 SIMULATE, ONE_VIEW = "simulate --out new --target t72", "--azimuth 0 --grazing 45"
@@ -137,6 +138,8 @@ def test_a_missing_extra_names_the_command_to_get_it(tmp_path: Path, monkeypatch
     monkeypatch.setitem(sys.modules, "trimesh", None)
     simulate = f"simulate --target t72 --out {tmp_path / 'new'} {ONE_VIEW}"
     assert "pip install 'sarsplat[simulate]'" in refused(simulate)
+    monkeypatch.setattr(extras, "installed_version", lambda _: None)  # from source: no index has our package
+    assert "not installed; install it with: pip install trimesh embreex" in refused(simulate)
     assert extras.extra_with("json") is None
 
 

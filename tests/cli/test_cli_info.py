@@ -12,10 +12,12 @@ import pytest
 from rich.console import Console
 
 from datasets import dataset_of
+from sarsplat.cli import main
 from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.runs import Run
+from sarsplat.sweeps import Plan
 
 GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))
 RING = [View(float(azimuth), 45.0) for azimuth in range(0, 360, 15) if not 100 < azimuth < 200]
@@ -118,13 +120,26 @@ def test_info_lists_datasets_and_runs_in_a_folder(there, tmp_path: Path, unfinis
     assert rows["deep/dataset"] == "deep/dataset 16 images of box.obj 8 train, 8 test; 32 × 32 pixels"
     metrics = json.loads(Path("run/metrics.json").read_text())
     psnr_db, cd_m = metrics["images"]["test"]["psnr_target_db"], metrics["points"]["visible"]["cd_m"]
-    assert rows["deep/run"].startswith("deep/run run of dataset (sar-gs) finished ")
+    assert rows["deep/run"].startswith("deep/run run of dataset, seed 0 (sar-gs) finished ")
     assert f"target {psnr_db:.2f} dB" in rows["deep/run"]
     assert f"CD {cd_m:#.3g} m" in rows["deep/run"]
-    assert rows["begun"] == "begun run of dataset (sar-gs) unfinished, 4 of 6,000 iterations not evaluated"
+    assert rows["begun"] == "begun run of dataset, seed 0 (sar-gs) unfinished, 4 of 6,000 iterations not evaluated"
     assert "unusable:" in rows["bad-dataset"]
     assert "unusable:" in rows["bad-run"]
     assert "model" not in rows
+
+
+def test_a_plan_is_offered_for_several_datasets(there, tmp_path: Path, said, monkeypatch) -> None:
+    for name in ("here/one", "here/two", "here/deep/three"):
+        shutil.copytree("dataset", tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    told = said("info here")
+    (tmp_path / "plan.toml").write_text("\n".join(line for line in told.splitlines() if line.startswith("  ")))
+    plan = Plan.read(tmp_path / "plan.toml")
+    assert plan.seeds == (0, 1, 2)
+    assert {path.name for path in plan.folders(tmp_path)} == {"one", "two", "three"}
+    assert "and run: sarsplat sweep plan.toml --out here-fleet" in told
+    assert "plan.toml" not in said("info here/deep")
 
 
 def test_info_on_a_run_whose_dataset_has_moved(run: Path, tmp_path: Path, said, refused) -> None:
@@ -180,3 +195,18 @@ def test_info_on_an_unfinished_run_says_how_to_go_on(run: Path, tmp_path: Path, 
 def test_info_points_from_a_part_to_the_whole(there, workshop: Path, part: str, refused) -> None:
     whole = workshop / part.partition("/")[0]
     assert f"is part of the {whole.name} {whole}; give that folder" in refused(f"info {part}")
+
+
+def test_a_run_that_loses_says_so_wherever_it_is_shown(run: Path, tmp_path: Path, capsys) -> None:
+    metrics = json.loads((run / "metrics.json").read_text())
+    metrics["baselines"] = {"test": {"rotated_average": {"psnr_db": 99.5}}}
+    (run / "metrics.json").write_text(json.dumps(metrics))
+    sentence = "warning: on the set test the baseline rotated average, which knows no third dimension, is better than"
+    for words in (f"info {run}", f"export {run} {tmp_path}/points.ply --format points", f"compare {run} run"):
+        capsys.readouterr()
+        assert main(words.split()) == 0
+        out, err = capsys.readouterr()
+        assert sentence in err, words
+    assert "rotated average" in out  # a column of its own
+    assert main(["info", str(run.parent)]) == 0
+    assert "; worse than rotated average on test, 99.50" in " ".join(capsys.readouterr().out.split())

@@ -175,7 +175,7 @@ def test_a_dataset_is_no_run_whatever_the_angles(run: Path, tmp_path: Path, refu
 
 def test_no_points_lead_to_a_longer_training(run: Path, tmp_path: Path, monkeypatch, capsys) -> None:
     out, dataset = tmp_path / "short", run.with_name("dataset")
-    monkeypatch.setattr(Run, "points", np.zeros((0, 3)))
+    monkeypatch.setattr(Run, "points", np.zeros((0, 3), np.float32))
     assert main(f"reconstruct {dataset} --out {out} --iterations 2 --gaussians 20".split()) == 0
     shown = capsys.readouterr()
     assert "and 0 points" in shown.out

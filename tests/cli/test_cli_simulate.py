@@ -298,3 +298,16 @@ def test_terrain_goes_from_its_heights_to_a_reconstruction(tmp_path: Path, said)
     x, y, z = loaded.gaussians.means.numpy().T
     assert (z >= kept.height_m(x, y) - 1e-5).all()
     assert np.abs(loaded.render(dataset.views) - dataset.power).mean() < 0.5 * dataset.power.mean()
+
+
+def test_a_village_is_as_wide_as_the_images_allow(tmp_path: Path) -> None:
+    words = f"simulate --target village --azimuth 0 --grazing 45 --ray-spacing 0.1 --out {tmp_path}"
+    houses = {}
+    for name, options in (("small", "--pixels 96"), ("large", "--pixels 192"), ("other", "--pixels 96 --seed 1")):
+        assert main([*f"{words}/{name} {options}".split()]) == 0
+        made = read_dataset(tmp_path / name)
+        assert made.target == "village" and made.truth_mesh is not None
+        houses[name] = trimesh.load(made.truth_mesh)
+    assert houses["large"].extents.max() == pytest.approx(0.64 * 192 * 0.3, abs=10)
+    assert houses["small"].extents.max() < houses["large"].extents.max() / 1.5
+    assert not np.array_equal(houses["small"].extents, houses["other"].extents)

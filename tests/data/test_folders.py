@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from elsewhere import elsewhere
-from sarsplat.data import folders
+from sarsplat.data import folders, write_bytes
 from sarsplat.data.folders import new_folder, only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
 
@@ -200,6 +200,20 @@ def test_os_errors_become_one_sentence(tmp_path, monkeypatch, number):
     with pytest.raises(SarsplatError, match=r"read-only|full"), new_folder(tmp_path / "b", False, marker=RUN):
         pass
     assert names(tmp_path) == []
+
+
+def test_it_is_flushed_as_a_whole_and_not_file_by_file(tmp_path, monkeypatch):
+    flushed, whole = [], []
+    monkeypatch.setattr(os, "fsync", flushed.append)
+    monkeypatch.setattr("sarsplat.data.folders._flush_whole_disk", lambda folder: whole.append(folder) or True)
+    with new_folder(tmp_path / "a", False, marker=RUN) as folder:
+        for name in ("one", "two"):
+            write_bytes(folder / name, b"content")
+        assert names(folder) == ["one", "two"]
+    assert whole == [folder]
+    assert len(flushed) == 1  # the folder in which it has appeared
+    write_bytes(tmp_path / "a" / "one", b"other")
+    assert len(flushed) == 3
 
 
 def test_files_in_the_way(tmp_path):

@@ -228,6 +228,11 @@ def test_ground_that_is_said_not_to_be_there(bare: Dataset, grounded: Dataset) -
 def test_values_that_are_not_power(grounded: Dataset, looks: float) -> None:
     dataset = speckled(grounded, looks, 1)
     assert "square the values (--quantity amplitude)" in only(with_power(dataset, np.sqrt(dataset.power)))
+    db = only(replace(with_power(dataset, np.sqrt(dataset.power)), source={"kind": "folder", "quantity": "db"}))
+    assert db.endswith(
+        "; give another number of looks (--looks), or double the decibels (--scale 2) if they are 10·log10 of "
+        "amplitudes"
+    )
     assert "take the root" in only(with_power(dataset, dataset.power**2))
     for kind, remedy in (
         ("sicd", "; give another number of looks (--looks)"),

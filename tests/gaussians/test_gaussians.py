@@ -10,7 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from refusals import Do, Refusals, check_refused
-from sarsplat import Polarimetric
+from sarsplat import Polarimetric, SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
 from sarsplat.gaussians.covariance import covariance, rotation_matrix
 
@@ -140,3 +140,21 @@ REFUSED: Refusals = [
 @pytest.mark.parametrize(("do", "words"), REFUSED)
 def test_what_is_refused_in_a_sentence(tmp_path: Path, do: Do, words: str) -> None:
     check_refused(tmp_path, do, words)
+
+
+@pytest.mark.parametrize("law", [Harmonics(torch.zeros(3, 4), 0.1), NormalLobes(torch.zeros(3, 3))])
+def test_torch_saves_and_loads_them_and_refuses_what_is_none(law, tmp_path: Path) -> None:
+    whole = replace(scene(3), scattering=law).detach()
+    torch.save({"scene": whole}, tmp_path / "scene.pt")
+    again = torch.load(tmp_path / "scene.pt")["scene"]
+    assert again.scattering.settings() == law.settings()
+    for name, tensor in again.tensors().items():
+        assert torch.equal(tensor, whole.tensors()[name])
+    vars(whole)["scales"] = torch.zeros(2, 3)
+    torch.save(whole, tmp_path / "scene.pt")
+    with pytest.raises(SarsplatError, match="scales has shape"):
+        torch.load(tmp_path / "scene.pt")
+
+
+def test_a_line_says_what_they_are() -> None:
+    assert repr(scene()) == "Gaussians(6, harmonics with 4 numbers, torch.float32, cpu)"

@@ -8,6 +8,7 @@ from PIL import Image
 
 from chip_files import LOWER_LEFT, ROWS, phoenix_bytes, write_chips
 from made_imports import import_chips, rewrite, scale_chips
+from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry.responses import Taylor
@@ -68,6 +69,41 @@ def test_training_chips_are_distinct_and_limited(chips):
     assert sorted(target_az(dataset.select("train"))) == sorted(row[3] for row in ROWS[:8])
     with pytest.warns(SarsplatWarning, match="leave a gap of 270° in azimuth, from 350° clockwise to 260°"):
         assert import_chips(chips, train_views=2, train_depression=15).splits() == ("train", "test-17")
+
+
+def test_all_chips_of_a_depression_can_be_trained_on(chips):
+    dataset = import_chips(chips, train_views="all")
+    assert target_az(dataset.select("train")) == sorted(row[3] for row in ROWS[:8])
+    assert dataset.source["train_views"] == 8
+    both = import_chips(chips, train_views="all", train_depression=(17, 15))
+    assert both.splits() == ("train",) and len(both) == 10
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"train_views": 0}, "train_views is 0; give at least 1, or 'all'"),
+        ({"train_views": "most"}, "train_views is 'most'; give at least 1, or 'all'"),
+        ({"train_depression": ()}, r"the training depressions \[\] must be at least one"),
+    ],
+)
+def test_what_no_chips_can_satisfy_is_refused_before_they_are_read(chips, options, complaint, monkeypatch):
+    monkeypatch.setattr("sarsplat.importers.mstar.read_chips", None)
+    with pytest.raises(SarsplatError, match=complaint):
+        import_chips(chips, **options)
+
+
+def test_several_classes_or_all_of_them_are_a_dataset_each(chips, tmp_path, capsys):
+    words = f"import mstar {chips} --labels {chips}/labels.csv --train-views all --out {tmp_path}/sets"
+    assert main([*words.split(), "--class", "all"]) == 0
+    said = capsys.readouterr()
+    assert "sets: 2 of 2 classes, a dataset each" in " ".join(said.out.split())
+    made = {path.name: read_dataset(path) for path in (tmp_path / "sets").iterdir()}
+    assert {name: (one.target, len(one)) for name, one in made.items()} == {"BMP2": ("BMP2", 1), "T72": ("T72", 10)}
+    assert main([*words.split(), "--class", "T72", "BMP2"]) == 2
+    assert "already exists" in capsys.readouterr().err
+    assert main([*words.split(), "--class", "T72", "T55", "--overwrite"]) == 2
+    assert "error: T55: there is no class 'T55'" in capsys.readouterr().err
 
 
 def test_without_tests_the_other_chips_are_not_even_read(chips):

@@ -204,12 +204,10 @@ def black(folder: Path) -> None:
 
 CHIP = "\nT72/chip000.jpeg,T72,132,17"
 MSTAR: Refusals = [
-    *(
-        (
-            chips(train_views=count),
-            f"{count} training views asked for, but there are 8 chips at 17°; ask for 1 {remedy}",
-        )
-        for count, remedy in ((0, "to 8$"), (9, "to 8, or add 15 to --train-depression$"))
+    (chips(train_views=0), "train_views is 0; give at least 1, or 'all'$"),
+    (
+        chips(train_views=9),
+        "9 training views asked for, but there are 8 chips at 17°; ask for 1 to 8, or add 15 to --train-depression$",
     ),
     (
         chips(train_depression=30),

@@ -11,7 +11,7 @@ from named_scenes import GRID, VIEWS, changed, cloud
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE
-from sarsplat.geometry import ImageGrid, RayGrid
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import render
 from sarsplat.renderer.reference import render_reference
 
@@ -136,3 +136,37 @@ def test_the_reference_refuses_at_once_what_would_take_hours():
     with pytest.raises(SarsplatError, match=r"too many rays at a spacing of \(0.001, 0.001\) m: .* use coarser rays"):
         render(cloud(60, 0), VIEWS, GRID, rays=RayGrid((0.001, 0.001)), engine="reference")
     assert time.monotonic() - begun < 2
+
+
+@pytest.mark.parametrize("transform", [torch.func.grad, torch.func.vmap, torch.func.jacrev])
+def test_transforms_of_torch_func_are_refused(transform):
+    def total(means: torch.Tensor) -> torch.Tensor:
+        return render(TEN.with_tensors(means=means), VIEWS, GRID, engine="cpu").images.sum()
+
+    means = TEN.means.expand(2, -1, -1) if transform is torch.func.vmap else TEN.means
+    with pytest.raises(SarsplatError, match=r"no part in torch.func .* or engine='reference'"):
+        transform(total)(means)
+
+
+def test_the_reference_takes_them_but_for_vmap():
+    def total(means: torch.Tensor) -> torch.Tensor:
+        return render(two.with_tensors(means=means), VIEWS[:1], GRID, engine="reference").images.sum()
+
+    two = cloud(2, 0)
+    means = two.means.clone().requires_grad_()
+    (wanted,) = torch.autograd.grad(total(means), means)
+    torch.testing.assert_close(torch.func.grad(total)(two.means), wanted)
+    with pytest.raises(SarsplatError, match=r"looks at values, which torch.func.vmap .* loop over scenes"):
+        torch.func.vmap(total)(two.means[None])
+
+
+def test_views_are_not_learned_but_means_may_be_turned():
+    """By the line of code that the refusal says."""
+    angle = torch.tensor(20.0)
+    with pytest.raises(SarsplatError, match=r"azimuth is a tensor, but views have no .* turn the") as refused:
+        View(angle, 30.0)
+    round_ones = TEN.with_tensors(scales=torch.full((10, 3), 0.2), scattering=torch.ones(10, 1))
+    known = {"means": round_ones.means, "a": angle.deg2rad(), "torch": torch}
+    exec(str(refused.value).partition("azimuth: ")[2].replace("; means", "\nmeans"), known)
+    turned = render(round_ones.with_tensors(means=known["means"]), [View(10.0, 30.0)], GRID)
+    torch.testing.assert_close(turned.images, render(round_ones, [View(30.0, 30.0)], GRID).images, rtol=1e-3, atol=1e-4)

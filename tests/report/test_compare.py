@@ -39,6 +39,22 @@ def test_the_best_of_a_row_is_marked_and_every_run_has_its_column(tmp_path: Path
     assert [(cell.text, cell.best) for cell in training.rows[0].cells] == [("50", False), ("40", True)]
 
 
+def test_baselines_stand_beside_the_runs_and_are_named_where_they_win(tmp_path: Path) -> None:
+    runs = two_runs(tmp_path)
+    for run in runs:
+        run.metrics["baselines"] = {"test": {"rotated_average": {"psnr_db": 45.0}}}
+    comparison = compare(runs)
+    images = comparison.tables[0]
+    assert [column.name for column in images.columns] == ["run-one", "run-two", "rotated average"]
+    assert [cell.text for cell in images.rows[0].cells] == ["50.00", "40.00", "45.00"]
+    (sentence,) = comparison.beaten
+    assert sentence == (
+        "on the set test the baseline rotated average, which knows no third dimension, is better than run-two: PSNR, "
+        "whole image, dB 45.00 against 40.00"
+    )
+    assert f"O{sentence[1:]}." in write_comparison(comparison, tmp_path / "page").read_text()
+
+
 def test_runs_with_different_thresholds_and_test_sets_keep_theirs() -> None:
     one, two = make_metrics(psnr_db=50.0) | {"time_s": 1.0}, make_metrics(ssim=0.5) | {"time_s": None}
     two["images"] = {"test-15": two["images"]["test"]}

@@ -47,6 +47,27 @@ def test_a_run_in_memory_is_saved_with_its_scores_and_resumed(dataset: Dataset, 
         held.save(tmp_path / "mine", overwrite=True)
 
 
+def test_points_that_are_there_are_saved_and_not_extracted_again(
+    finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    held = Run.from_gaussians(finished.gaussians, views=VIEWS)
+    held.save(tmp_path / "new")
+    assert "extracting the surface: 1/1  points and normals" in capsys.readouterr().out
+    assert len(held.points) == len(held.normals)
+
+    def again(*_: object) -> None:
+        raise AssertionError
+
+    for name in ("points", "normals_at"):
+        monkeypatch.setattr(f"sarsplat.learning.method_sar_gs.GaussianReconstruction.{name}", again)
+    held.save(tmp_path / "held", quiet=True)
+    Run.load(tmp_path / "held").save(tmp_path / "loaded")
+    for name in ("points.ply", "gaussians.ply", "about.json"):
+        whole = (tmp_path / "new" / name).read_bytes()
+        assert whole == (tmp_path / "held" / name).read_bytes() == (tmp_path / "loaded" / name).read_bytes()
+    assert capsys.readouterr().out == ""
+
+
 def test_gaussians_of_ones_own_are_scored_exported_and_shown_in_a_report(
     dataset: Dataset, finished: Run, tmp_path: Path
 ) -> None:

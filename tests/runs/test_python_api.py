@@ -201,6 +201,27 @@ def test_refusals(dataset: Dataset, options: dict[str, str], words: str) -> None
         reconstruct(dataset, **{"preset": "default", **options})
 
 
+def test_a_setting_that_is_given_as_an_argument_is_told_where_it_belongs(dataset: Dataset) -> None:
+    told = r"unexpected keyword argument 'iterations'; it is a setting.* replace\(preset\(\"quick\"\), iterations=20\)"
+    with pytest.raises(TypeError, match=told):
+        reconstruct(dataset, iterations=20)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"unexpected keyword argument 'devise'; did you mean device\?"):
+        reconstruct(dataset, devise="cpu")  # type: ignore[call-arg]
+
+
+def test_a_loss_that_is_no_number_is_named_and_not_what_came_of_it(dataset: Dataset, short: Config) -> None:
+    def never(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        return (rendered - truth).mean() * float("nan")
+
+    long = replace(short, iterations=1000)  # no line of the log before the next step
+    with pytest.raises(SarsplatError, match=r"the loss became nan at iteration 1; lower the .* of your own is finite"):
+        reconstruct(dataset, long, loss=never, quiet=True)
+
+
+def test_a_line_says_what_a_run_is(finished: Run) -> None:
+    assert repr(finished) == f"Run({finished.path}, sar-gs, {finished.config.preset}, seed {finished.seed})"
+
+
 def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short: Config, tmp_path: Path) -> None:
     def breaks(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
         calls.append(1)

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from reports import make_metrics
 from sample_runs import GRID, made_up
 from sarsplat import ImageGrid, Run, SarsplatError, SarsplatWarning, chips
 from sarsplat.samples import Chips
+from sarsplat.samples.chip_set import _warn_of_poor_runs
 
 
 def test_each_is_the_same_in_any_order_and_by_any_worker(folders: list[Path]) -> None:
@@ -99,6 +101,27 @@ def test_a_run_knows_what_it_shows_without_its_dataset(tmp_path: Path, monkeypat
     assert chips([folder], count=1).classes == ("some-run",)
     monkeypatch.chdir(folder)
     assert chips(["."], count=1).classes == ("some-run",)
+
+
+def test_runs_that_lose_or_were_never_evaluated_are_warned_of(folders: list[Path]) -> None:
+    runs = [replace(Run.load(folder)) for folder in folders]
+    nats = "registered_nats_per_pixel"
+    first, second = (Run.from_gaussians(run.gaussians) for run in runs)
+    assert first.metrics is None
+    scores = make_metrics(**{nats: 0.625}) | {"time_s": 1.0, "seed": 0}
+    first.keep(scores | {"baselines": {"test": {"rotated_average": {nats: 0.5}}}})
+    with pytest.warns(SarsplatWarning) as caught:
+        _warn_of_poor_runs([first, second, second])
+    worse, unknown = (str(one.message) for one in caught)
+    assert worse == (
+        "on the set test the baseline rotated average, which knows no third dimension, is better than the run in "
+        "memory: negative log-likelihood, registered, nats/pixel 0.500 against 0.625; its chips may teach a classifier "
+        "less than the training images do"
+    )
+    assert unknown.startswith(
+        "the run in memory and 1 more were never evaluated on unseen images, so whether the chips look like"
+    )
+    chips(runs, count=1)  # evaluated, and no worse
 
 
 def test_angles_that_no_training_image_has_seen_are_warned_of(run: Run) -> None:

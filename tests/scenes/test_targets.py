@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from sarsplat.scenes import VEHICLES, target_mesh
+from sarsplat.errors import SarsplatError
+from sarsplat.scenes import VEHICLES, target_mesh, village
 
 pytest.importorskip("trimesh")
 
@@ -112,3 +113,15 @@ def test_the_corner_opens_towards_the_step(meshes):
     apex = np.array([0.1659, 0.3783, 0.774])
     assert (corner.vertices[:, 0] >= apex[0] - 1e-9).all()
     assert np.linalg.norm(corner.vertices - apex, axis=1) == pytest.approx([0, 0.2927, 0.2927, 0.2927], abs=1e-4)
+
+
+def test_a_village_is_as_large_as_asked_for_and_drawn_by_its_seed():
+    small, large = village(60.0, 3), village(120.0, 3)
+    assert large.extents[:2] == pytest.approx((120, 120), abs=20)
+    assert small.bounds[0, 2] == pytest.approx(0, abs=1e-9)
+    assert large.body_count > 2 * small.body_count
+    assert np.array_equal(small.vertices, village(60.0, 3).vertices)
+    assert not np.array_equal(small.vertices[:9], village(60.0, 4).vertices[:9])
+    assert np.array_equal(target_mesh("village").vertices, village().vertices)
+    with pytest.raises(SarsplatError, match=r"side_m is -1, .* nothing that is negative"):
+        village(-1.0)

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from sarsplat import Run, SarsplatError, sweep
+from sarsplat import Run, SarsplatError, SarsplatWarning, sweep
 from sarsplat.cli import main
 from sarsplat.evaluation import Scores, Yardstick, summary_metrics
 from sarsplat.runs.run_folder import LogLine, log_text
@@ -117,6 +118,19 @@ def test_a_failing_run_is_a_row_with_its_reason_and_the_others_go_on(place, out,
     assert len(asked) == 2
 
 
+def test_reasons_and_warnings_of_runs_are_said_without_their_folders_names(out, plan, monkeypatch):
+    def bad(one: Any, folder: Path, row: Any) -> None:
+        warnings.warn("it is dark", SarsplatWarning, stacklevel=1)
+        if one.seed:
+            raise SarsplatError(f"cannot write {folder}/points.ply, for {folder} is gone")
+
+    monkeypatch.setattr(work, "_train_and_score", bad)
+    (failed,) = done(plan, out).failed
+    assert failed.reason == "cannot write points.ply, for the run is gone"
+    page = (out / "index.html").read_text()
+    assert re.search(r'"warning">it is dark</td><td data-column="of">1 run</td>', page)
+
+
 def test_what_may_pass_is_tried_again(out, plan, monkeypatch):
     whole = work._train_and_score
 
@@ -214,6 +228,31 @@ def test_it_fills_while_it_runs(out, plan, monkeypatch):
     assert 'http-equiv="refresh"' in seen[0]
 
 
+def test_runs_that_lose_against_a_baseline_say_so(finished, plan):
+    key = "registered_nats_per_pixel"
+    for path, nats in zip(sorted((finished / "rows").iterdir()), (0.625, 0.4), strict=True):
+        row = json.loads(path.read_text())
+        beside = {"nearest_chip": 0.7, "rotated_average": 0.5}
+        row["scores"] = {f"baselines.test.{name}.{key}": value for name, value in beside.items()}
+        row["scores"][f"images.test.{key}"] = nats
+        path.write_text(json.dumps(row))
+    results = done(plan, finished, run=False)
+    (line,) = results.lines()
+    names, metrics = results.columns()
+    assert names == ["dataset", "method"]
+    assert line.texts(names, metrics)[:3] == ["box", "sar-gs", "2/2, 1 worse than a baseline"]
+    assert [one.texts(names, metrics) for one in results.baselines()] == [
+        ["box", "nearest chip", "–", "0.700"],
+        ["box", "rotated average", "–", "0.500"],
+    ]
+    sentence = "1 of 2 finished runs is worse than a baseline, which knows no third dimension; farthest box, seed "
+    assert str(results.beaten).startswith(sentence)
+    assert ", on the set test: rotated average 0.500 against 0.625 (negative log-likelihood" in str(results.beaten)
+    assert sorted(row["beaten_by"] for row in table(finished)) == ["", "rotated average on test"]
+    page = (finished / "index.html").read_text()
+    assert sentence in page and "finished, worse than rotated average on test" in page
+
+
 def test_a_foreign_folder_is_left_alone(place, out, plan):
     with pytest.raises(SarsplatError, match="exists and is not the folder of a sweep"):
         done(plan, place / "data")
@@ -263,12 +302,27 @@ def test_progress_names_the_runs_and_how_far_they_are(place, out, plan, monkeypa
     with under_way.Live([one], out, Shown()) as live:
         log = out / "runs" / f".{one.address}.tmpdir" / "new" / "metrics.jsonl"
         log.parent.mkdir(parents=True)
-        log.write_bytes(log_text([LogLine(7, 1.0, 0.25, 100)]))
-        os.utime(log, (time.time() + 60, time.time() + 60))
-        while not any(status == "box, seed 0 at 7, loss 0.25" for status in said):
-            time.sleep(0.01)
+
+        def write(iteration: int) -> None:
+            log.write_bytes(log_text([LogLine(iteration, 1.0, 0.25, 100)]))
+            os.utime(log, (time.time() + 60, time.time() + 60))
+
+        write(2)
+        seen = "1 under way, 0 waiting; box, seed 0: "
+
+        def told(stage: str) -> None:
+            while not any(status == seen + stage for status in said):
+                time.sleep(0.01)
+
+        told("training, 2 of 4, loss 0.25")
+        write(4)
+        told("extracting points")
+        for name, stage in (("points.ply", "scoring"), ("metrics.json", "report")):
+            (log.parent / name).touch()
+            told(stage)
         live.ended(one)
-    assert "box, seed 0" in said
+        live.ended(one, failed=True)
+    assert {"box, seed 0: done", "box, seed 0: failed"} <= {*said}
     assert one.words(one.labels).startswith("box, sar-gs, quick, iterations 4")
 
 

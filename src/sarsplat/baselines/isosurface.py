@@ -11,6 +11,7 @@ from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import install_command
 
 _AT_ONCE = 1 << 18
 
@@ -43,7 +44,7 @@ def isosurface(
         from skimage.measure import marching_cubes
     except ImportError as error:
         raise SarsplatError(
-            f"a surface needs {error.name}, which is not installed; install it with: pip install 'sarsplat[mesh]'"
+            f"a surface needs {error.name}, which is not installed; {install_command('mesh')}"
         ) from error
     voxel = float((high_m - low_m).max()) / longest
     shape = np.maximum(1, np.ceil((high_m - low_m) / voxel - 0.5 - 1e-9)).astype(int)  # whose centres lie in the box

@@ -7,7 +7,8 @@ import os
 import sys
 import warnings
 
-from sarsplat.cli import console, extras
+from sarsplat import extras
+from sarsplat.cli import console
 from sarsplat.cli.ending import ABANDONED
 from sarsplat.errors import Abandoned, AssumptionWarning, SarsplatError, SarsplatWarning
 from sarsplat.version import installed_version

@@ -44,6 +44,8 @@ def compare(
     console.show(_table(comparison))
     if comparison.caution:
         console.say(comparison.caution)
+    for sentence in comparison.beaten:
+        console.warn(sentence)
     if out is None:
         console.say(f"next: sarsplat compare {' '.join(map(str, runs))} --out FOLDER (images and points on one page)")
         return
@@ -53,7 +55,7 @@ def compare(
 
 
 def _table(comparison: Comparison) -> Table:
-    """A row for every metric, a column for every run; the best of a row has a star."""
+    """A row for every metric, a column for every run and baseline; the best of a row has a star."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -66,12 +68,15 @@ def _table(comparison: Comparison) -> Table:
         caption_justify="left",
     )
     table.add_column("")
-    for name in comparison.names:
+    names = dict.fromkeys([*comparison.names, *(one.name for scores in comparison.tables for one in scores.columns)])
+    for name in names:
         table.add_column(escape(name), justify="right", overflow="fold")
     for scores in comparison.tables:
         table.add_row(f"[bold]{escape(scores.title)}[/]")
         for row in scores.rows:
-            cells = (f"[bold]{cell.text} *[/]" if cell.best else f"{cell.text}  " for cell in row.cells)
-            table.add_row(f"  {row.metric.title} {row.metric.arrow}", *cells)
+            cells = {
+                cell.column.name: f"[bold]{cell.text} *[/]" if cell.best else f"{cell.text}  " for cell in row.cells
+            }
+            table.add_row(f"  {row.metric.title} {row.metric.arrow}", *(cells.get(name, "") for name in names))
         table.add_section()
     return table

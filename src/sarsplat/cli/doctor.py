@@ -7,7 +7,8 @@ import platform
 from importlib.util import find_spec
 from pathlib import Path
 
-from sarsplat.cli import console, extras
+from sarsplat import extras
+from sarsplat.cli import console
 from sarsplat.errors import SarsplatError
 from sarsplat.version import installed_version
 

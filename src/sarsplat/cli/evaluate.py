@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile, OptionalFolder, RunOrFile, is_ply
+from sarsplat.cli.beaten import warn_if_beaten
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
@@ -94,7 +95,6 @@ def _show(metrics: Mapping[str, Any], run: Run) -> None:
     from sarsplat.evaluation import (
         NOT_THE_SAME_EXPERIMENT,
         Yardstick,
-        beaten_by_baselines,
         comparison,
         metrics_table,
         paper_beside,
@@ -105,8 +105,7 @@ def _show(metrics: Mapping[str, Any], run: Run) -> None:
     console.show(metrics_table(comparison(metrics, paper), yardstick, NOT_THE_SAME_EXPERIMENT if paper else None))
     if (capon := metrics.get("capon")) is not None:
         console.say(_beside(metrics["points"]["visible"], capon["visible"]))
-    for sentence in beaten_by_baselines(metrics):
-        console.warn(sentence)
+    warn_if_beaten(metrics)
 
 
 def _beside(own: dict[str, float | None], capon: dict[str, float | None]) -> str:

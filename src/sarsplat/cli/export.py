@@ -9,6 +9,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import RunOrFile, one_of, refuse_existing, run_at
+from sarsplat.cli.beaten import warn_if_beaten
 from sarsplat.names import Colour, Content
 
 
@@ -42,6 +43,7 @@ def export(
 
     kind, _ = exports.format_of(file, format)
     done = run_at(run)
+    warn_if_beaten(done.metrics)
     refuse_existing(file, overwrite)
     refuse_other_kinds(file, run, kind.recognises)
     with console.busy(f"writing {file}"):

@@ -34,8 +34,8 @@ from sarsplat.cli.arguments import (
     refuse_existing,
 )
 from sarsplat.cli.commands import first_paragraph
-from sarsplat.cli.extras import install_command
 from sarsplat.errors import counted
+from sarsplat.extras import install_command
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import math
+import re
+import shlex
 from collections import Counter
 from collections.abc import Sequence
+from functools import wraps
 from pathlib import Path
+from typing import Annotated, Any
 
-from sarsplat.cli.arguments import Angles, angles
+import tyro
+
+from sarsplat.cli import console
+from sarsplat.cli.arguments import Angles, angles, refuse_existing
 from sarsplat.cli.from_signature import Option, command_of
 from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 from sarsplat.errors import SarsplatError
 
 _USUAL_DEPRESSION = 17
+_REFUSED = 2
+"""Exit code if a class could not be imported."""
+
 _MOST_READ = 500
 """Number of Phoenix files whose headers are read; the others are assumed to be of the same classes."""
 
@@ -26,13 +36,54 @@ def _whole(words: tuple[str, ...], name: str) -> list[int]:
     return [round(angle) for angle in whole]
 
 
-command = command_of(
+def _all_or_number(text: str, name: str) -> int | str:
+    if text.isdecimal():
+        return int(text)
+    if text != "all":
+        raise SarsplatError(f"--{name} {text!r} is no number of chips; give one, or all")
+    return text
+
+
+_one = command_of(
     __name__,
     "sarsplat.importers.mstar:import_mstar",
     reading="chips from ",
+    target_class=Option(
+        Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")],
+        name="class",
+        help="Vehicle class, e.g. T72. Several, or all that there are (all), become a dataset each in the folder OUT.",
+    ),
+    train_views=Option(Annotated[str, tyro.conf.arg(metavar="N|all")], _all_or_number),
     train_depression=Option(Angles, _whole, default=(str(_USUAL_DEPRESSION),)),
     test=Option(help="Leave out all other chips: nothing to score with, but the import takes less time."),
 )
+
+
+@wraps(_one)
+def command(**given: Any) -> int:
+    classes = given["target_class"]
+    if classes == ("all",):
+        from sarsplat.importers.mstar_chips import classes_in
+
+        classes = classes_in(given["chips"], given["labels"])
+    elif len(classes) == 1:
+        return _one(**given | {"target_class": classes[0]})
+    outs = {name: given["out"] / re.sub(r"[^\w+-]", "_", name) for name in dict.fromkeys(classes)}
+    for out in outs.values():
+        refuse_existing(out, given["overwrite"], marker="dataset.json")
+    codes = []
+    for name, out in outs.items():
+        try:
+            codes.append(_one(**given | {"target_class": name, "out": out}))
+        except SarsplatError as error:  # as where a class has too few chips: the others are imported
+            console.complain(f"{name}: {error}")
+            codes.append(_REFUSED)
+    made = sum(code != _REFUSED for code in codes)
+    console.finish(
+        f"{given['out']}: {made} of {len(codes)} classes, a dataset each",
+        f"sarsplat info {shlex.quote(str(given['out']))}",
+    )
+    return max(codes)
 
 
 def recognise(contents: Contents) -> Recognised | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from sarsplat.cli import console
+from sarsplat.cli.beaten import warn_if_beaten
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
@@ -40,7 +42,7 @@ def describe_run(path: Path) -> None:
         "state": str(state),
         **about,
         "points": "none yet" if stored is None else extent(stored[0]),
-        "scores": "metrics.json" if files.metrics else "none yet; run sarsplat evaluate",
+        "scores": f"{_scores(files.metrics)} (metrics.json)" if files.metrics else "none yet; run sarsplat evaluate",
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
     whole = path.absolute().parents[1] if len(path.absolute().parents) > 1 else path
@@ -48,6 +50,7 @@ def describe_run(path: Path) -> None:
         console.facts(f"{path}: a tile of the run {whole}, which goes on with it", rows)
         return
     console.facts(f"{path}: a run", rows)
+    warn_if_beaten(files.metrics)
     if not state.finished and (state.done or not state.has_results) and header.config.get("preset") != OWN_LOOP:
         dataset = "DATASET" if where is None or not where.exists() else shlex.quote(str(where))
         console.say(f"go on with: sarsplat reconstruct {dataset} --out {shlex.quote(str(path))} --resume")
@@ -104,7 +107,20 @@ def describe_contents(path: Path) -> bool:
             cells = ("a dataset" if marker == _DATASET else "a run", f"unusable: {error}", "")
         table.add_row(escape(str(folder.relative_to(path))), *map(escape, cells))
     console.show(table)
+    if (page := path / "index.html").is_file() and (path / "sweep.json").is_file():
+        console.say(f"a sweep: open {page} in a browser")
+    elif counts[_DATASET] > 1:
+        _offer_plan(path, [folder for folder, marker in entries if marker == _DATASET])
     return True
+
+
+def _offer_plan(path: Path, datasets: Sequence[Path]) -> None:
+    """How to reconstruct all of them."""
+    patterns = json.dumps([f"{parent}/*" for parent in dict.fromkeys(folder.parent for folder in datasets)])
+    fleet = shlex.quote(f"{path.resolve().name}-fleet")
+    console.say("to reconstruct and score all datasets, write these two lines to plan.toml:")
+    console.say(f"  datasets = {patterns}\n  seeds = [0, 1, 2]")
+    console.say(f"and run: sarsplat sweep plan.toml --out {fleet}")
 
 
 def _entries(path: Path) -> Iterator[tuple[Path, str]]:
@@ -142,18 +158,21 @@ def _run(folder: Path) -> tuple[str, str, str]:
     files = RunFolder(folder)
     header = files.header
     learned_from = "images in memory" if header.dataset is None else Path(header.dataset).name
-    return f"run of {learned_from} ({header.method})", str(files.state), _scores(files.metrics)
+    seed = f", seed {header.config['seed']}" if "seed" in header.config else ""
+    return f"run of {learned_from}{seed} ({header.method})", str(files.state), _scores(files.metrics)
 
 
 def _scores(metrics: Mapping[str, Any] | None) -> str:
     if metrics is None:
         return "not evaluated"
-    from sarsplat.evaluation import Yardstick, all_metrics, comparison
+    from sarsplat.evaluation import Yardstick, all_metrics, beaten, comparison
 
     try:
         headed = [metric for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"])) if metric.short]
         values = comparison(metrics)[0].values
         headline = [metric for metric in headed if metric.place == "headline" and values.get(metric.key) is not None]
-        return ", ".join(f"{one.short} {one.text(values[one.key])} {one.unit}".strip() for one in headline)
+        scores = [f"{one.short} {one.text(values[one.key])} {one.unit}".strip() for one in headline]
+        worse = (f"worse than {one.by} on {one.split}, {one.metric.text(one.best)}" for one in beaten(metrics))
+        return "; ".join([", ".join(scores), *worse])
     except (KeyError, TypeError, AttributeError, ValueError):
         return "scores of another version; evaluate it again"

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 Decibels = Annotated[float, tyro.conf.arg(metavar="DB")]
 Law = Annotated[tuple[float, float] | tuple[float, float, float], tyro.conf.arg(metavar="FLOOR LOBE [EXPONENT]")]
 
+_VILLAGE_PIXELS = 256  # on a side: a handful of houses
 _TOLERABLE_DB = 0.1  # of an image's error by its rays
 
 
@@ -87,7 +88,8 @@ def simulate(
     out
         Dataset folder to write.
     target
-        A built-in target: a vehicle, or one of the paper's buildings.
+        A built-in target: a vehicle, one of the paper's buildings, or a village, .64 as wide as the images (256 pixels
+        unless others are given), of houses drawn by --seed.
     mesh
         A mesh file instead: metres, +x nose, +y left, +z up, ground at z = 0.
     scale
@@ -168,10 +170,11 @@ def simulate(
     from sarsplat.geometry.responses import response_of
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
-    from sarsplat.scenes.meshes import is_larger, scaled, suspicious_size
+    from sarsplat.scenes.meshes import is_larger, scaled, side_m, suspicious_size
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db, raycast_masks
     from sarsplat.scenes.scattering import check_terrain, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
+    from sarsplat.scenes.village import FITTING, village
 
     if clean_tests and looks is None:
         raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
@@ -184,6 +187,8 @@ def simulate(
     theirs = paper_views() if protocol == "paper" else mstar_views()
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
+    if target == "village" and not pixels:
+        pixels = (_VILLAGE_PIXELS,)
     grid = replace(_grid(protocol, pixels, spacing, resolution), response=response_of({"kind": response}))
     box_m = corners(target_box)
     if (stack := asked_stack(passes, baseline, wavelength, noise, polarimetric)) is not None:
@@ -192,6 +197,8 @@ def simulate(
     refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name
+    elif target == "village" and mesh is None:
+        surface, name = village(FITTING * side_m(grid), seed), target
     elif target is not None and mesh is None:
         surface, name = target_mesh(target), target
     else:

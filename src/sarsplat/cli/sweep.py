@@ -80,6 +80,8 @@ def sweep(
     with keeping(lambda: f"what is finished is kept, and `{words}` with the same options continues"):
         results = do(plan, out, executor=executor, means=means, device=device, shard=shard, run=not show)
     console.show(results.table())
+    if worse := results.beaten:
+        console.warn(worse)
     done = sum(one.finished for one in results.results)
     console.finish(
         f"{out / 'results.csv'} and {out / 'index.html'}: {done} of {counted(len(results.results), 'run')}",

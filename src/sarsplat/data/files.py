@@ -9,7 +9,7 @@ import re
 import stat
 from codecs import BOM_UTF8
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, BinaryIO, TypeVar
@@ -104,6 +104,23 @@ def locked(path: Path) -> Iterator[None]:
         lock.release()
 
 
+_GROWING: set[Path] = set()
+"""Folders that are being built by this process under a temporary name, by their real paths."""
+
+
+@contextmanager
+def growing(folder: Path) -> Iterator[None]:
+    """Files that are written in a folder while the block runs are neither locked nor flushed one by one.
+
+    Nobody else writes there, and the folder counts only once it is whole and flushed.
+    """
+    _GROWING.add(folder)
+    try:
+        yield
+    finally:
+        _GROWING.discard(folder)
+
+
 def write_bytes(path: Path, data: bytes | memoryview) -> None:
     """Write a file, whole or not at all; an existing one is replaced only once the new one is on the disk.
 
@@ -129,18 +146,21 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
         if os.path.lexists(path) and not path.is_file():
             raise SarsplatError(f"cannot write {path}: it is a device, a pipe or a broken link; give another path")
         temporary = path.with_name(f".{path.name}.tmp")
-        with locked(path):
+        kept = not any(folder in _GROWING for folder in path.parents)
+        with locked(path) if kept else nullcontext():
             temporary.unlink(missing_ok=True)
             try:
                 with temporary.open("xb") as file:  # a new file: it follows no link
                     file.write(data)
                     file.flush()
-                    os.fsync(file.fileno())
+                    if kept:
+                        os.fsync(file.fileno())
                 temporary.replace(path)
             except BaseException:
                 temporary.unlink(missing_ok=True)
                 raise
-        sync(path.parent)
+        if kept:
+            sync(path.parent)
 
 
 def write_json(path: Path, obj: Any) -> None:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from sarsplat.data.files import locked, open_file, plain_os_errors, refuse_unwritable, sync
+from sarsplat.data.files import growing, locked, open_file, plain_os_errors, refuse_unwritable, sync
 from sarsplat.errors import SarsplatError
 
 _LAYOUTS = {
@@ -105,11 +105,9 @@ def new_folder(
         with locked(path), _workshop(path, goes_on) as (built, retired):
             _refuse_existing(path, overwrite, marker)  # it may have been put back
             built.mkdir(exist_ok=True)
-            yield built
-            for folder, _, names in os.walk(built):
-                for name in names:
-                    sync(Path(folder, name))
-                sync(Path(folder))
+            with growing(built):
+                yield built
+            _flush(built)
             _refuse_existing(path, overwrite, marker)  # it may have appeared meanwhile
             if not path.exists():
                 built.replace(path)
@@ -208,6 +206,33 @@ def _exchange(one: Path, other: Path) -> bool:
         return True
     number = ctypes.get_errno()
     if number in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
+        return False
+    raise OSError(number, os.strerror(number))
+
+
+def _flush(folder: Path) -> None:
+    """Flush a folder with all that is in it to the disk: in one call where the system has one, which is far quicker."""
+    if _flush_whole_disk(folder):
+        return
+    for inner, _, names in os.walk(folder):
+        for name in names:
+            sync(Path(inner, name))
+        sync(Path(inner))
+
+
+def _flush_whole_disk(folder: Path) -> bool:
+    """Flush the file system that holds a folder; False where the system cannot."""
+    syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None) if sys.platform == "linux" else None
+    if syncfs is None:
+        return False
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        if syncfs(descriptor) == 0:
+            return True
+    finally:
+        os.close(descriptor)
+    number = ctypes.get_errno()
+    if number == errno.ENOSYS:
         return False
     raise OSError(number, os.strerror(number))
 

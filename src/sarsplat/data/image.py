@@ -16,6 +16,7 @@ from sarsplat.arguments import checks_arguments, expect
 from sarsplat.colours import POWER, colormap
 from sarsplat.data.files import write_bytes
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import install_command
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, amplitude, to_db
 
@@ -221,7 +222,7 @@ def _matplotlib_needed() -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise SarsplatError("pictures need matplotlib; install it with: pip install 'sarsplat[report]'") from error
+        raise SarsplatError(f"pictures need matplotlib; {install_command('report')}") from error
 
 
 def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_range_db: float) -> None:

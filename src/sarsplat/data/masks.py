@@ -14,6 +14,7 @@ from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import install_command
 from sarsplat.geometry import SHADOW
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ def pillow() -> ModuleType:
     try:
         from PIL import Image
     except ImportError as error:
-        raise SarsplatError("masks need Pillow; install it with: pip install 'sarsplat[mstar]'") from error
+        raise SarsplatError(f"masks need Pillow; {install_command('mstar')}") from error
     return Image
 
 

@@ -33,7 +33,15 @@ from sarsplat.evaluation.paper import (
 )
 from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
 from sarsplat.evaluation.surface import VisibleSurface, read_truth_mesh, visible_surface
-from sarsplat.evaluation.tables import Scores, beaten_by_baselines, comparison, metrics_table, summary_metrics
+from sarsplat.evaluation.tables import (
+    Beaten,
+    Scores,
+    beaten,
+    beaten_by_baselines,
+    comparison,
+    metrics_table,
+    summary_metrics,
+)
 
 __all__ = [
     "IMAGE_METRICS",
@@ -43,6 +51,7 @@ __all__ = [
     "PAPER_DENSITY",
     "RUN_METRICS",
     "Alignment",
+    "Beaten",
     "Lpips",
     "MaskPair",
     "Metric",
@@ -55,6 +64,7 @@ __all__ = [
     "align",
     "all_metrics",
     "baseline_scores",
+    "beaten",
     "beaten_by_baselines",
     "comparison",
     "evaluate_run",

@@ -9,7 +9,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from sarsplat.evaluation.metrics import Metric, all_metrics
+from sarsplat.evaluation.metrics import IMAGE_METRICS, Metric, all_metrics
 from sarsplat.evaluation.points import Yardstick
 from sarsplat.settings.config import DEFAULT_METHOD
 
@@ -60,22 +60,52 @@ def baselines(metrics: Mapping[str, Any], split: str) -> list[Scores]:
     return [Scores(name.replace("_", " "), values) for name, values in of_set.items()]
 
 
+@dataclass(frozen=True)
+class Beaten:
+    """A test set on which a baseline is better than a run."""
+
+    split: str
+    by: str
+    """The best baseline."""
+    metric: Metric[Any]
+    """The leading one of these images."""
+    best: float
+    """The baseline's value."""
+    own: float | None
+    """The run's."""
+
+    @property
+    def figures(self) -> str:
+        """What was compared: `SSIM 0.8 against 0.7`, the baseline's first."""
+        return f"{self.metric.title} {self.metric.text(self.best)} against {self.metric.text(self.own)}"
+
+    def sentence(self, name: str) -> str:
+        """It as a sentence, of a run of this name."""
+        return (
+            f"on the set {self.split} the baseline {self.by}, which knows no third dimension, is better than {name}: "
+            f"{self.figures}"
+        )
+
+
+def beaten(metrics: Mapping[str, Any]) -> list[Beaten]:
+    """The test sets on which a baseline is better than the run, of `metrics.json` or its `images` and `baselines`."""
+    found = []
+    for split, own in metrics["images"].items():
+        others = baselines(metrics, split)
+        every = [own, *(other.values for other in others)]
+        headline = (metric for metric in IMAGE_METRICS if metric.place == "headline")
+        metric = next((one for one in headline if any(values.get(one.key) is not None for values in every)), None)
+        best = None if metric is None else metric.best([values.get(metric.key) for values in every])
+        if metric is None or best is None or own.get(metric.key) == best:
+            continue
+        winner = next(other for other in others if other.values.get(metric.key) == best)
+        found.append(Beaten(split, winner.name, metric, best, own.get(metric.key)))
+    return found
+
+
 def beaten_by_baselines(metrics: Mapping[str, Any]) -> list[str]:
     """A sentence for each test set whose leading metric is better for a baseline than for the run."""
-    by_key = {metric.key: metric for metric in all_metrics(Yardstick(metrics["parameters"]["yardstick_m"]))}
-    sentences = []
-    for split, values in metrics["images"].items():
-        metric = by_key[metrics["by_image"][split]["metric"]]
-        own = Scores(whose(metrics), values)
-        scores = [own, *baselines(metrics, split)]
-        best = metric.best([method.values.get(metric.key) for method in scores])
-        winner = next((method for method in scores if best is not None and method.values.get(metric.key) == best), own)
-        if winner is not own:
-            sentences.append(
-                f"on the set {split} the baseline {winner.name}, which knows no third dimension, is better than "
-                f"{own.name}: {metric.title} {metric.text(best)} against {metric.text(values.get(metric.key))}"
-            )
-    return sentences
+    return [one.sentence(whose(metrics)) for one in beaten(metrics)]
 
 
 def summary_metrics(scores: list[Scores], yardstick: Yardstick) -> list[Metric[Any]]:

@@ -50,6 +50,12 @@ _EVERY = ("quantity", "looks")
 _OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "phase-history": ()}
 """Which of them an import has that lacks some, by the kind of the dataset's `source`."""
 
+_KNOWN: dict[str, dict[str, str]] = {
+    "db": {"quantity": "double the decibels (--scale 2) if they are 10·log10 of amplitudes"},
+    "complex": {},
+}
+"""What else may be wrong of images whose power is known by their kind of numbers."""
+
 _CELLS_PER_BLOCK, _SMALLEST_BLOCK = 6, 8
 """Side of the blocks of clutter, in resolution widths and in pixels: ground hardly changes within one."""
 
@@ -149,13 +155,16 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
             )
         )
     elif ground.contrast < (of_power * of_amplitude) ** 0.5:
+        known = _KNOWN.get(str(dataset.source.get("quantity")))
+        remedies = {
+            "quantity": "square the values (--quantity amplitude)",
+            "looks": "give another number of looks (--looks) if they are power",
+        }
+        if known is not None:  # no numbers that could be squared: the looks are wrong sooner
+            remedies = {"looks": "give another number of looks (--looks)"} | known
         wrong = (
             f"the {measured}, as of amplitude with {stated} ({of_amplitude:.2f}), not of power ({of_power:.2f}); "
-            + _remedy(
-                dataset,
-                quantity="square the values (--quantity amplitude)",
-                looks="give another number of looks (--looks) if they are power",
-            )
+            + _remedy(dataset, **remedies)
         )
     elif ground.contrast > of_power**1.5 / of_amplitude**0.5:
         wrong = (

@@ -10,6 +10,7 @@ import numpy as np
 from sarsplat.data import write_bytes
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.format import Format, Points
+from sarsplat.extras import install_command
 from sarsplat.radiometry import LEAST_POWER, shade
 
 _DARKEST_DB = -30.0  # of the brightest point: intensity 0, as black in a mesh
@@ -31,8 +32,8 @@ def las_bytes(points: Points, *, compressed: bool = False) -> bytes:
             import lazrs  # noqa: F401 (laspy's means of compression)
     except ImportError as error:
         raise SarsplatError(
-            f"{'.laz' if compressed else '.las'} files need {error.name}, which is not installed; install it with: "
-            "pip install 'sarsplat[las]'"
+            f"{'.laz' if compressed else '.las'} files need {error.name}, which is not installed; "
+            f"{install_command('las')}"
         ) from error
     header = laspy.LasHeader(point_format=6, version="1.4")
     farthest = max(float(np.abs(points.positions).max()), _FINEST_M)

@@ -10,9 +10,10 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.serialization import add_safe_globals
 
 from sarsplat.arguments import checks_arguments, described, expect
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians.scattering import Scattering
 
 MIN_SCALE = 1e-4
@@ -86,6 +87,15 @@ class Gaussians:
         shapes: dict[str, tuple[int, ...]] = {"means": (n, 3), "quaternions": (n, 4), "scales": (n, 3)}
         shapes |= {"optical_depth": (n,), "scattering": (n, self.scattering.parameters.shape[1])}
         check_tensors(self.tensors(), shapes, f"{n} Gaussians")
+
+    def __repr__(self) -> str:
+        law, means = self.scattering, self.means
+        what = f"{law.kind} with {counted(law.parameters.shape[1], 'number')}"
+        return f"Gaussians({len(self):,}, {what}, {means.dtype}, {means.device})"
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.__post_init__()  # files may hold anything
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -175,3 +185,6 @@ class Gaussians:
 
     def _with(self, change: Callable[[Tensor], Tensor]) -> Gaussians:
         return self.with_tensors(**{name: change(tensor) for name, tensor in self.tensors().items()})
+
+
+add_safe_globals([Gaussians])  # so that `torch.load` reads what `torch.save` has written

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import logsigmoid
+from torch.serialization import add_safe_globals
 
 from sarsplat.arguments import checks_arguments, described, expect
 from sarsplat.errors import SarsplatError, shown
@@ -63,6 +64,13 @@ class Scattering(ABC):
 
     common: ClassVar[tuple[tuple[float, float], ...]] = ()
     """Ranges of the last columns of the parameters, of those that all Gaussians of a training have in common."""
+
+    def __init_subclass__(cls) -> None:
+        add_safe_globals([cls])  # so that `torch.load` reads Gaussians that `torch.save` has written
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.__post_init__()  # files may hold anything
 
     def __post_init__(self) -> None:
         expect(Tensor, parameters=self.parameters)

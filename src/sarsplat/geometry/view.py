@@ -18,6 +18,12 @@ from sarsplat.geometry.look import Look
 _MAX_AZIMUTH = 3600  # degrees: ten turns
 _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
 
+_TURNED = (
+    "give float(…), and turn the means instead; by `a` radians of azimuth: x, y, z = means.unbind(1); "
+    "means = torch.stack([x * a.cos() - y * a.sin(), x * a.sin() + y * a.cos(), z], 1)"
+)
+"""What to do instead of learning a view."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -44,6 +50,8 @@ class View:
     def __post_init__(self) -> None:
         for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle")):
             value = getattr(self, field)
+            if type(value).__name__ == "Tensor":
+                raise SarsplatError(f"{name} is a tensor, but views have no gradients; {_TURNED}")
             if not isinstance(value, Real):
                 raise SarsplatError(f"{name} {described(value)} is not a number; give degrees")
             object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers

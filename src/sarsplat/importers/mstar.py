@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from jaxtyping import Num
@@ -46,7 +46,7 @@ def import_mstar(
     *,
     labels: str | Path | None,
     target_class: str,
-    train_views: int,
+    train_views: int | Literal["all"],
     train_depression: int | Sequence[int] = 17,
     serial: str | None = None,
     azimuth_std_deg: float = 0.0,
@@ -67,9 +67,9 @@ def import_mstar(
         Table (CSV) that labels JPEG chips (see `read_chips`); without it, Phoenix files are read.
     target_class : str
         Vehicle class, e.g. T72.
-    train_views : int
-        Number of training chips, the distinct ones nearest to azimuths k·360°/K; the others are test chips, one set
-        per depression angle, such as test-17.
+    train_views : int or "all"
+        Number of training chips, the distinct ones nearest to azimuths k·360°/K, or all that there are at the training
+        depressions; the others are test chips, one set per depression angle, such as test-17.
     train_depression : int or sequence of int
         Depression angles of the training chips, as planned, degrees; of several, each gets the next azimuth in turn.
     serial : str, optional
@@ -103,9 +103,10 @@ def import_mstar(
         If chips lack labels or labels chips, the class holds several vehicles, chips of different sizes are cut, or
         the images contradict what is said of them, or look odd (`sarsplat.examine`).
     """
+    depressions = [train_depression] if isinstance(train_depression, int) else list(train_depression)
+    _check(train_views, depressions)  # before thousands of chips are read
     every = read_chips(Path(chips), None if labels is None else Path(labels), target_class)
     every = _one_vehicle(every, target_class, serial)
-    depressions = [train_depression] if isinstance(train_depression, int) else list(train_depression)
     train = _training_chips(every, train_views, depressions)
     if not any(chip.magnitude.any() for chip in train):
         black = "the training chip is" if len(train) == 1 else f"all {len(train)} training chips are"
@@ -133,7 +134,7 @@ def import_mstar(
         "sensor": "X-band 9.6 GHz, HH, spotlight",
         "format": "phoenix" if labels is None else "jpeg",
         "serials": sorted({chip.serial for chip in ordered}),
-        "train_views": train_views,
+        "train_views": len(train),
         "train_depression_deg": depressions,
         "mirrored": mirrored,
         **_calibration(ordered),
@@ -161,14 +162,23 @@ def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> li
     return chips
 
 
-def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -> list[Chip]:
-    """The distinct chips nearest to k·360°/count, in the order of k; each k asks the next depression in turn."""
+def _check(train_views: int | Literal["all"], depressions: Sequence[int]) -> None:
+    """Refuse what no chips can satisfy."""
+    if train_views != "all" and (isinstance(train_views, str) or train_views < 1):
+        raise SarsplatError(f"train_views is {train_views!r}; give at least 1, or 'all'")
     if not depressions or len(set(depressions)) < len(depressions):
         raise SarsplatError(f"the training depressions {list(depressions)} must be at least one, each named once")
+
+
+def _training_chips(chips: list[Chip], count: int | Literal["all"], depressions: Sequence[int]) -> list[Chip]:
+    """The distinct chips nearest to k·360°/count, in the order of k; each k asks the next depression in turn.
+
+    All of them are in the order of their azimuths.
+    """
     chosen: dict[int, Chip] = {}
+    every: list[Chip] = []
     for first, depression in enumerate(depressions):
         candidates = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
-        numbers = range(first, count, len(depressions))
         if not candidates:
             there = Counter(chip.depression for chip in chips)
             raise SarsplatError(
@@ -176,6 +186,10 @@ def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -
                 f"{' and '.join(f'{there[angle]:,} at {angle}°' for angle in sorted(there))}; choose among them with "
                 f"--train-depression {' '.join(map(str, sorted(there)))}"
             )
+        every += candidates
+        if count == "all":
+            continue
+        numbers = range(first, int(count), len(depressions))
         if not 1 <= len(numbers) <= len(candidates):
             share = "" if len(depressions) == 1 else f"{len(numbers)} of "
             are, most = "is" if len(candidates) == 1 else "are", len(candidates) * len(depressions)
@@ -183,11 +197,13 @@ def _training_chips(chips: list[Chip], count: int, depressions: Sequence[int]) -
             more = others and len(numbers) > len(candidates)
             also = f", or add {' or '.join(map(str, others))} to --train-depression" if more else ""
             raise SarsplatError(
-                f"{share}{counted(count, 'training view')} asked for, but there {are} "
+                f"{share}{counted(int(count), 'training view')} asked for, but there {are} "
                 f"{counted(len(candidates), 'chip')} at {depression}°; ask for {len(depressions)} to {most}{also}"
             )
         nearest = nearest_to([chip.target_az_deg for chip in candidates], [k * 360 / count for k in numbers])
         chosen |= {k: candidates[i] for k, i in zip(numbers, nearest, strict=True)}
+    if count == "all":
+        return sorted(every, key=lambda chip: (chip.target_az_deg, chip.name))
     return [chosen[k] for k in sorted(chosen)]
 
 

@@ -75,13 +75,29 @@ def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chi
     Refused if the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
     match no chip, the class is unknown, or a Phoenix file is damaged. What the table lacks otherwise is warned of.
     """
-    files = files_in(folder, "the MSTAR chips")
-    if not files:
-        raise SarsplatError(f"{folder} is empty; give the folder of the MSTAR chips")
+    files = _files(folder)
     jpegs = {path for path in files if path.suffix.lower() in (".jpeg", ".jpg")}
     if labels is None:
         return _phoenix_chips(folder, files, bool(jpegs), target_class)
     return _jpeg_chips(folder, jpegs, labels, target_class)
+
+
+def classes_in(folder: Path, labels: Path | None) -> list[str]:
+    """The classes that `read_chips` finds, by the names that the table gives them, or the files' headers."""
+    if labels is not None:
+        names = {row["class"] for _, row in read_labels(labels).rows} - {""}
+    else:
+        names = {read_phoenix(path).target_type for path in _files(folder) if is_phoenix(path)}
+    if not names:
+        raise SarsplatError(f"{labels or folder} names no class; give the folder or the table of the MSTAR chips")
+    return sorted(names)
+
+
+def _files(folder: Path) -> list[Path]:
+    files = files_in(folder, "the MSTAR chips")
+    if not files:
+        raise SarsplatError(f"{folder} is empty; give the folder of the MSTAR chips")
+    return files
 
 
 def _same_class(wanted: str, given: str) -> bool:

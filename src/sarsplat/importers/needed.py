@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import install_command
 
 
 def require(package: str, what: str, extra: str) -> None:
@@ -13,5 +14,5 @@ def require(package: str, what: str, extra: str) -> None:
         import_module(package)
     except ImportError as error:
         raise SarsplatError(
-            f"{what} {package}, which cannot be imported ({error}); install it with: pip install 'sarsplat[{extra}]'"
+            f"{what} {package}, which cannot be imported ({error}); {install_command(extra)}"
         ) from error

@@ -16,6 +16,7 @@ from jaxtyping import Shaped
 
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import install_command
 from sarsplat.importers.mat import read_mat
 from sarsplat.names import Quantity
 from sarsplat.radiometry import from_db
@@ -109,9 +110,7 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
     try:
         from PIL import Image, UnidentifiedImageError
     except ImportError as error:
-        raise SarsplatError(
-            "reading PNG and JPEG needs Pillow; install it with pip install 'sarsplat[mstar]'"
-        ) from error
+        raise SarsplatError(f"reading PNG and JPEG needs Pillow; {install_command('mstar')}") from error
     with plain_os_errors("read", path), open_file(path) as file:
         data = file.read()
     try:

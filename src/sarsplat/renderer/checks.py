@@ -168,7 +168,16 @@ def check_values(tensors: dict[str, Tensor | None]) -> None:
             shortest, longest = 1 / STRONGEST, STRONGEST
             length = tensor.double().norm(dim=1, keepdim=True)
             good = (length >= shortest) & (length <= longest)
-        if not bool(good.all()):
+        try:
+            all_good = bool(good.all())
+        except RuntimeError as error:
+            if "vmap" not in str(error):
+                raise
+            raise SarsplatError(
+                "render looks at values, which torch.func.vmap does not allow; loop over scenes, and give all views of "
+                "a scene in one call"
+            ) from error
+        if not all_good:
             raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0])))
 
 

@@ -16,6 +16,7 @@ from sarsplat.data import write_bytes
 from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import install_command
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report.figure import nice
 from sarsplat.report.look import Look
@@ -109,8 +110,7 @@ def _mp4(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> 
         import cv2
     except ImportError as error:
         raise SarsplatError(
-            ".mp4 files need OpenCV, which is not installed; install it with: pip install 'sarsplat[video]', or write "
-            "a .gif or .webp file"
+            f".mp4 files need OpenCV, which is not installed; {install_command('video')}, or write a .gif or .webp file"
         ) from error
     height, width = frames[0].shape
     with tempfile.TemporaryDirectory() as folder, plain_os_errors("write", Path(folder)):

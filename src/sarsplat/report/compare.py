@@ -11,7 +11,7 @@ from typing import Any
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder, write_bytes
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import Yardstick
+from sarsplat.evaluation import Yardstick, beaten
 from sarsplat.report.boards import point_boards
 from sarsplat.report.figure import Block, ColourBar, Figure
 from sarsplat.report.page import ScoreTable, compared_tables, in_words, rendered
@@ -40,12 +40,15 @@ class Comparison:
         A row for every metric, a column for every run.
     caution : str or None
         A warning if they were not made from the same dataset.
+    beaten : tuple of str
+        A sentence for each run and test set where a baseline is better.
     """
 
     runs: tuple[Run, ...]
     names: tuple[str, ...]
     tables: tuple[ScoreTable, ...]
     caution: str | None
+    beaten: tuple[str, ...] = ()
 
 
 @checks_arguments
@@ -70,7 +73,8 @@ def compare(runs: Sequence[Run]) -> Comparison:
     names = short if len(set(short)) == len(short) else [str(run.folder) for run in runs]
     caution = _caution(runs, names)
     tables = compared_tables(names, [scores_of(run) for run in runs], ranked=caution is None)
-    return Comparison(tuple(runs), tuple(names), tuple(tables), caution)
+    worse = (one.sentence(name) for name, run in zip(names, runs, strict=True) for one in beaten(scores_of(run)))
+    return Comparison(tuple(runs), tuple(names), tuple(tables), caution, tuple(worse))
 
 
 @checks_arguments
@@ -100,6 +104,7 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
         target=in_words(dict.fromkeys(run.dataset.target for run in comparison.runs)),
         lead=f"{in_words(comparison.names)} side by side.",
         caution=comparison.caution,
+        beaten=comparison.beaten,
         tables=comparison.tables,
         definitions=definitions,
         views=[_views(part, _across(parts)) for part in parts],

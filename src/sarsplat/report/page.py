@@ -109,6 +109,8 @@ def compared_tables(
     tables = []
     for split in dict.fromkeys(split for metrics in every for split in metrics["images"]):
         columns = [column(name, metrics["images"].get(split, {})) for name, metrics in zip(names, every, strict=True)]
+        beside = {one.name: one.values for metrics in every for one in baselines(metrics, split)}
+        columns += [column(name, values) for name, values in beside.items()] if ranked else []
         tables.append(score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), columns))
     columns = [column(name, metrics["points"]["visible"]) for name, metrics in zip(names, every, strict=True)]
     cells = dict.fromkeys(metrics["parameters"]["yardstick_m"] for metrics in every)

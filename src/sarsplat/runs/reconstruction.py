@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, read_dataset
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.learning.device import device_named
 from sarsplat.learning.losses import Loss
@@ -22,10 +22,20 @@ from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import RunFolder
 from sarsplat.runs.tiled_training import TiledTraining, steps_of
 from sarsplat.runs.training_loop import Step, Training, train
-from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig
+from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
 
 
-@checks_arguments
+def _as_setting(name: str, value: object) -> str | None:
+    """How to give a setting of ours, which is no argument of `reconstruct`."""
+    if name not in Config.__dataclass_fields__:
+        return None
+    return (
+        f"it is a setting, and settings are given as the preset: from dataclasses import replace; reconstruct(…, "
+        f'replace(preset("quick"), {name}={shown(value)}))'
+    )
+
+
+@checks_arguments(instead=_as_setting)
 def reconstruct(
     dataset: Dataset | str | Path,
     preset: str | AnyConfig = "auto",

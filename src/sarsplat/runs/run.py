@@ -19,6 +19,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.learning.device import device_named
 from sarsplat.learning.snapshot import Snapshot
+from sarsplat.progress import progress
 from sarsplat.runs.methods import METHODS, method_named
 from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.runs.result import Result
@@ -87,6 +88,10 @@ class Run(Result):
     device: str = "cpu"
     images: Dataset | None = field(default=None, compare=False, repr=False)
     trained_on: str = ""
+
+    def __repr__(self) -> str:
+        where, preset = self.path or "in memory", getattr(self.config, "preset", None)
+        return f"Run({where}, {self.method}{f', {preset}' if preset else ''}, seed {self.seed})"
 
     @cached_property
     def snapshot(self) -> Snapshot:
@@ -238,8 +243,10 @@ class Run(Result):
         return cls(DEFAULT_METHOD, config, fingerprint, None, where, held, on, dataset)
 
     @checks_arguments
-    def save(self, path: str | Path, *, overwrite: bool = False) -> Run:
+    def save(self, path: str | Path, *, overwrite: bool = False, quiet: bool = False) -> Run:
         """Write the run to a folder, from where every command takes it; with the scores, if it was evaluated.
+
+        Points that it has, in its folder or since they were asked for, are not extracted again.
 
         Parameters
         ----------
@@ -247,6 +254,8 @@ class Run(Result):
             The folder; it appears when it is whole.
         overwrite : bool
             Replace an existing run.
+        quiet : bool
+            Show no progress of the extraction of points, which may take longer than the training.
 
         Returns
         -------
@@ -266,7 +275,14 @@ class Run(Result):
             copy.write_header()
             files.save(self.snapshot)
             write_bytes(files.log_path, log_text(self.history))
-            copy.write_results()
+            if self.files is not None and self.state.has_results:
+                for name, content in self.files.results().items():
+                    write_bytes(folder / name, content)
+            else:
+                vars(copy).update({name: vars(self)[name] for name in ("points", "normals") if name in vars(self)})
+                with progress("extracting the surface", 1, quiet) as shown:
+                    copy.write_results()
+                    shown.advance(1, "points and normals")
             if self.metrics is not None:
                 write_json(folder / METRICS, self.metrics)
         return replace(self, path=path, memory=None)
@@ -339,5 +355,4 @@ class Run(Result):
         learned = self.reconstruction
         learned.write(self.folder)
         write_json(self.folder / ABOUT, self.about)
-        points = learned.points()
-        write_points_ply(self.folder / POINTS, points, normals=learned.normals_at(points))
+        write_points_ply(self.folder / POINTS, self.points, normals=self.normals)

@@ -37,6 +37,8 @@ ABOUT = "about.json"
 MESH = "mesh.ply"
 """The surface, of methods that learn one as such."""
 
+_RESULTS = ("gaussians.ply", MESH, ABOUT, POINTS)
+
 _Scores = dict[str, int | float | None]
 
 
@@ -189,10 +191,15 @@ class RunFolder:
         """The content of `points.ply`, if there is one: positions, and other columns."""
         return read_points_ply(self.path / POINTS) if (self.path / POINTS).is_file() else None
 
+    def results(self) -> dict[str, bytes]:
+        """The content of the files that were made from the newest checkpoint, by name."""
+        with plain_os_errors("read", self.path):
+            return {name: (self.path / name).read_bytes() for name in _RESULTS if (self.path / name).is_file()}
+
     def remove_results(self) -> None:
         """Remove what was made from the newest checkpoint."""
         with plain_os_errors("write", self.path):
-            for name in ("gaussians.ply", MESH, ABOUT, POINTS, METRICS, "report/index.html"):
+            for name in (*_RESULTS, METRICS, "report/index.html"):
                 (self.path / name).unlink(missing_ok=True)
 
     @property

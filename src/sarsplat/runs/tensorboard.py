@@ -15,6 +15,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import install_command
 from sarsplat.radiometry import LEAST_POWER, shade
 from sarsplat.runs.run_folder import HEADER, LogLine
 from sarsplat.runs.training_loop import Step
@@ -145,9 +146,7 @@ def _writer_class() -> type[SummaryWriter]:
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
-        raise SarsplatError(
-            "a log for TensorBoard needs tensorboard; install it with: pip install 'sarsplat[tensorboard]'"
-        ) from error
+        raise SarsplatError(f"a log for TensorBoard needs tensorboard; {install_command('tensorboard')}") from error
     return SummaryWriter
 
 

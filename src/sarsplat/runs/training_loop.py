@@ -143,12 +143,16 @@ class Training(Generic[T]):
         losses: list[Tensor] = []
         while trainer.iteration < iterations and not self.ended:
             self._between_steps = False
-            loss = trainer.step()
-            losses.append(loss)
-            logs = trainer.iteration % every == 0 or trainer.iteration == config.iterations
-            saves = self.run is not None and trainer.iteration % config.checkpoint_every == 0
-            if logs or saves:
-                trainer.check()  # as a part of the step: what is wrong is not saved
+            try:
+                loss = trainer.step()
+                losses.append(loss)
+                logs = trainer.iteration % every == 0 or trainer.iteration == config.iterations
+                saves = self.run is not None and trainer.iteration % config.checkpoint_every == 0
+                if logs or saves:
+                    trainer.check()  # as a part of the step: what is wrong is not saved
+            except SarsplatError:
+                self._require_finite(losses)  # or what came of a loss that is not would be named instead of it
+                raise
             line = self._line(losses) if logs else None
             self._between_steps = True
             if line is not None:
@@ -171,13 +175,19 @@ class Training(Generic[T]):
         return ended
 
     def _line(self, losses: list[Tensor]) -> LogLine:
-        loss = sum(torch.stack(losses).tolist()) / len(losses)  # one wait for the device
-        if not math.isfinite(loss):
-            raise SarsplatError(
-                f"the loss became {loss} at iteration {self.trainer.iteration}; lower the learning rates (the last "
-                "checkpoint is from before)"
-            )
+        loss = sum(self._require_finite(losses)) / len(losses)
         return LogLine(self.trainer.iteration, round(self.seconds, 3), loss, self.trainer.gaussian_count)
+
+    def _require_finite(self, losses: list[Tensor]) -> list[float]:
+        """The losses of the last iterations; refused if one is not finite."""
+        values: list[float] = torch.stack(losses).tolist() if losses else []  # one wait for the device
+        for ago, value in enumerate(reversed(values)):
+            if not math.isfinite(value) and all(map(math.isfinite, values[: len(values) - ago - 1])):
+                raise SarsplatError(
+                    f"the loss became {value} at iteration {self.trainer.iteration - ago}; lower the learning rates, "
+                    "or see that a loss of your own is finite for all images (the last checkpoint is from before)"
+                )
+        return values
 
     def _log(self, line: LogLine) -> None:
         self.history.append(line)

@@ -126,6 +126,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
                 raise SarsplatError(f"grazing {low:g}:{high:g} goes down; give the lower angle first")
         if grazing_deg is not None:
             _warn_of_far_angles(self.runs, *grazing_deg)
+        _warn_of_poor_runs(self.runs)
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
         """Classes; the numbers that go with chips are places in it."""
@@ -308,6 +309,29 @@ def _warn_of_far_angles(runs: Sequence[Run], lowest: float, highest: float) -> N
                 stacklevel=4,
             )
             return
+
+
+def _warn_of_poor_runs(runs: Sequence[Run]) -> None:
+    """Chips of a run that loses against pictures without a third dimension teach a classifier less than those do."""
+    from sarsplat.evaluation import beaten
+
+    scores = [(_name(run), run.metrics) for run in runs]
+    unknown = [name for name, metrics in scores if metrics is None or not metrics["images"]]
+    worse = [(name, one) for name, metrics in scores if metrics is not None for one in beaten(metrics)]
+    said = []
+    if worse:
+        name, one = max(worse, key=lambda each: abs(each[1].best - (each[1].own or 0.0)))
+        more = len({name for name, _ in worse}) - 1
+        others = f" (and so for {more} of the other runs)" if more else ""
+        said.append(f"{one.sentence(name)}{others}; its chips may teach a classifier less than the training images do")
+    if unknown:
+        first = f"{unknown[0]}{f' and {len(unknown) - 1} more' if len(unknown) > 1 else ''}"
+        said.append(
+            f"{first} {'was' if len(unknown) == 1 else 'were'} never evaluated on unseen images, so whether the chips "
+            "look like these is not known; run `sarsplat evaluate RUN`, of a dataset with test images"
+        )
+    for sentence in said:
+        warnings.warn(sentence, SarsplatWarning, stacklevel=4)
 
 
 def _pixels(grid: ImageGrid) -> str:

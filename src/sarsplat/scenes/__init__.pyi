@@ -7,6 +7,7 @@ from .scattering import ScatteringLaw, add_speckle
 from .simulate_stack import simulate_stack
 from .splat_truth import law_scattering, surface_gaussians
 from .targets import TARGETS, VEHICLES, target_mesh
+from .village import village
 
 __all__ = [
     "BUILDINGS",
@@ -29,4 +30,5 @@ __all__ = [
     "simulate_stack",
     "surface_gaussians",
     "target_mesh",
+    "village",
 ]

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import install_command
 from sarsplat.geometry import View
 from sarsplat.scenes._patches import Patches, entered_cells
 
@@ -125,7 +126,7 @@ def tracer(facets: Facets) -> Trace:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
     except ImportError as error:
-        raise SarsplatError("ray casting needs embreex; install it with: pip install 'sarsplat[simulate]'") from error
+        raise SarsplatError(f"ray casting needs embreex; {install_command('simulate')}") from error
     lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
     center = (lower + upper) / 2  # float32 keeps the most digits around zero
     scene = EmbreeScene(robust=True)  # watertight along shared edges

@@ -100,7 +100,7 @@ def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
 
 def is_larger(mesh: trimesh.Trimesh, grid: ImageGrid) -> bool:
     """Whether a mesh is longer than its images are wide, along their shorter side."""
-    return float(mesh.extents.max()) > _LARGEST_TARGET * _side_m(grid)
+    return float(mesh.extents.max()) > _LARGEST_TARGET * side_m(grid)
 
 
 def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
@@ -110,12 +110,13 @@ def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
     if _SMALLEST_TARGET * cell <= extent and not is_larger(mesh, grid):
         return []
     return [
-        f"the target is {extent:.3g} m long, but the images are {_side_m(grid):.3g} m wide with a resolution of "
+        f"the target is {extent:.3g} m long, but the images are {side_m(grid):.3g} m wide with a resolution of "
         f"{cell:.3g} m; if the mesh is not in metres, give --scale, otherwise other --pixels or --spacing"
     ]
 
 
-def _side_m(grid: ImageGrid) -> float:
+def side_m(grid: ImageGrid) -> float:
+    """Shorter side of an image, m."""
     return min(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
 
 

@@ -1,4 +1,4 @@
-"""Built-in targets by name: vehicles, a test object and buildings."""
+"""Built-in targets by name: vehicles, a test object, buildings and a village."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from sarsplat.scenes.kraz import kraz
 from sarsplat.scenes.s2s1 import s2s1
 from sarsplat.scenes.slicy import slicy
 from sarsplat.scenes.t72 import t72
+from sarsplat.scenes.village import village
 
 if TYPE_CHECKING:
     import trimesh
@@ -24,13 +25,14 @@ TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = {
     **VEHICLES,
     "slicy": slicy,
     **{name: box.mesh for name, box in BUILDINGS.items()},
+    "village": village,
 }
 """All built-in targets and the functions that build them."""
 
 
 @checks_arguments
 def target_mesh(name: str) -> trimesh.Trimesh:
-    """Triangle mesh of a built-in target.
+    """Triangle mesh of a built-in target; `village` makes villages of any size.
 
     Parameters
     ----------

@@ -19,6 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import install_command
 from sarsplat.progress import stage
 from sarsplat.radiometry import shade
 from sarsplat.surface.planes import Planes, planes_through, some_at_a_time
@@ -53,9 +54,7 @@ def surface_mesh(
         import trimesh
         from skimage.measure import marching_cubes
     except ImportError as error:
-        raise SarsplatError(
-            f"a mesh needs {error.name}, which is not installed; install it with: pip install 'sarsplat[mesh]'"
-        ) from error
+        raise SarsplatError(f"a mesh needs {error.name}, which is not installed; {install_command('mesh')}") from error
     vertices, faces, vertex_normals = np.empty((0, 3)), np.empty((0, 3), np.int64), None
     with stage("surface: mesh", 100) as shown:
         if len(points):

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import install_command
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
@@ -261,9 +262,7 @@ def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Fl
     try:
         from sklearn.cluster import DBSCAN
     except ImportError as error:
-        raise SarsplatError(
-            "cleaning the point cloud needs scikit-learn; install it with: pip install 'sarsplat[evaluate]'"
-        ) from error
+        raise SarsplatError(f"cleaning the point cloud needs scikit-learn; {install_command('evaluate')}") from error
     if len(points) == 0:
         return points
     # by the cube, as far as clusters are concerned one heavy point: a dense cloud has hundreds of neighbours for each

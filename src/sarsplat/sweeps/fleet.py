@@ -119,7 +119,7 @@ def _run(
                     continue
                 if row.state == "failed":
                     reporter.note(f"failed: {cell.words(cell.labels)}: {row.reason}")
-                live.ended(cell)
+                live.ended(cell, failed=row.state == "failed")
                 if writing_s <= _SHARE * (now := time.monotonic() - begun):
                     _write(cells, out)
                     writing_s += time.monotonic() - begun - now

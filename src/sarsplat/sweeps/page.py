@@ -15,7 +15,7 @@ from sarsplat.evaluation import Metric
 from sarsplat.report.figure import Axis, Block, Figure, Panel, axis, chart, polyline
 from sarsplat.report.page import in_words, rendered
 from sarsplat.sweeps.cell import NAMES
-from sarsplat.sweeps.results import Line, Result, Results, Spread, label_text, varying
+from sarsplat.sweeps.results import Line, Result, Results, Spread, label_text
 from sarsplat.sweeps.work import RUNS
 
 _SETTLED = (*NAMES, "test set")
@@ -34,7 +34,7 @@ class _Row:
 def page(results: Results) -> str:
     """The page as HTML that needs no other file, except for the reports that it links to."""
     lines = results.lines()
-    names, metrics = varying(lines), results.metrics(lines)
+    names, metrics = results.columns()
     states = Counter(one.state for one in results.results)
     datasets = dict.fromkeys(str(one.cell.labels["dataset"]) for one in results.results)
     few = [*datasets] if len(datasets) <= 3 else [counted(len(datasets), "dataset")]
@@ -44,12 +44,20 @@ def page(results: Results) -> str:
         lead=f"{counted(len(results.results), 'run')}: {in_words(f'{n:,} {state}' for state, n in states.items())}.",
         unfinished="waiting" in states,
         heads=[*names, "runs", *(f"{metric.heading} {metric.arrow}".strip() for metric in metrics)],
-        lines=[_Row(line.texts(names, metrics)) for line in lines],
+        beaten=results.beaten,
+        lines=[_Row(line.texts(names, metrics)) for line in (*lines, *results.baselines())],
         figures=[figure for name in names if name not in _SETTLED for figure in _figure(name, lines, metrics)],
+        warned=[_Row((text, counted(number, "run"))) for text, number in _warned(results).most_common()],
         failed=[_Row((_words(one, names), one.reason)) for one in results.failed],
         run_heads=[*(name for name in names if name != "test set"), "seed", "state", "run"],
         runs=[_run(one, [name for name in names if name != "test set"], results) for one in results.results],
     )
+
+
+def _warned(results: Results) -> Counter[str]:
+    """What finished runs were warned of, with the number of runs."""
+    rows = (one.row for one in results.results if one.row is not None and one.finished)
+    return Counter(text for row in rows for text in dict.fromkeys(row.warnings))
 
 
 def _words(one: Result, names: Sequence[str]) -> str:
@@ -62,8 +70,9 @@ def _run(one: Result, names: Sequence[str], results: Results) -> _Row:
     place = "" if one.row is None else f"{RUNS}/{one.row.address}"
     report = f"{place}/report/index.html"
     there = bool(place) and (results.out / report).is_file()
-    what = f"{one.row.address}{', report' if there else ''}" if one.row is not None else ""
-    return _Row([*labels, str(one.cell.seed), one.state, what], report if there else "")
+    what = "report" if there else place  # the folder's name says nothing
+    worse = "".join(f", worse than {where.by} on {where.split}" for where in one.beaten)
+    return _Row([*labels, str(one.cell.seed), one.state + worse, what], report if there else "")
 
 
 def _figure(name: str, lines: Sequence[Line], metrics: Sequence[Metric[Any]]) -> list[Figure]:

@@ -15,8 +15,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from sarsplat.data import read_json
-from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import Metric, Scores, Yardstick, summary_metrics
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.evaluation import Beaten, Metric, Scores, Yardstick, beaten, summary_metrics
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.work import ROWS, RUNS, Row
 
@@ -54,6 +54,24 @@ class Result:
         """State of the run in one or two words."""
         return "waiting" if self.row is None else f"{self.row.state}{', older code' if self.older else ''}"
 
+    @property
+    def beaten(self) -> list[Beaten]:
+        """Where a baseline is better, if it is finished."""
+        return beaten(self.scored) if self.finished else []
+
+    @property
+    def scored(self) -> dict[str, dict[str, Any]]:
+        """Scores of images, by test set, and of the baselines on the same, by test set and baseline."""
+        nested: dict[str, dict[str, Any]] = {"images": {}, "baselines": {}}
+        for name, value in (self.row.scores if self.row else {}).items():
+            *parts, key = name.split(".")
+            if parts and parts[0] in nested:
+                inner: dict[str, Any] = nested
+                for part in parts:
+                    inner = inner.setdefault(part, {})
+                inner[key] = value
+        return nested
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -87,13 +105,16 @@ class Line:
     """By the metric's key; unknown ones are absent."""
     done: int
     of: int
-    """Runs that are finished, and all of them."""
+    """Runs that are finished, and all of them; of a baseline none."""
     older: bool
     """Whether some are of older code."""
+    beaten: int = 0
+    """Runs that are worse than a baseline."""
 
     def texts(self, names: Sequence[str], metrics: Sequence[Metric[Any]]) -> list[str]:
         """It as a row of a table: labels of these names, runs, and scores."""
-        runs = f"{self.done}/{self.of}{', older code' if self.older else ''}"
+        worse = f", {self.beaten} worse than a baseline" if self.beaten else ""
+        runs = f"{self.done}/{self.of}{', older code' if self.older else ''}{worse}" if self.of else "–"
         spreads = ((self.spreads.get(metric.key), metric) for metric in metrics)
         scores = ("–" if spread is None else spread.text(metric) for spread, metric in spreads)
         return [*(label_text(self.labels.get(name, "")) for name in names), runs, *scores]
@@ -131,8 +152,47 @@ class Results:
         groups: dict[str, list[Result]] = {}
         for one in self.results:
             groups.setdefault(repr(one.cell.labels), []).append(one)
-        sets = dict.fromkeys(split for one in self.results if one.finished for split in _sets(one))
+        sets = self._sets
         return [_line(group, split, len(sets) > 1) for group in groups.values() for split in sets or [""]]
+
+    def baselines(self) -> list[Line]:
+        """What needs no third dimension and was measured beside the runs: a line for each dataset, set and method."""
+        lines: dict[tuple[str, str, str], Line] = {}
+        for one in self.results:
+            for split, methods in one.scored["baselines"].items() if one.finished else ():
+                for method, scores in methods.items():
+                    labels = {"dataset": one.cell.labels["dataset"], "method": method.replace("_", " ")}
+                    labels |= {"test set": split} if len(self._sets) > 1 else {}
+                    spreads = {key: Spread((value,)) for key, value in scores.items()}
+                    lines.setdefault((labels["dataset"], split, method), Line(labels, spreads, 0, 0, False))
+        return [*lines.values()]
+
+    @property
+    def beaten(self) -> str | None:
+        """One sentence if any run is worse than what needs no third dimension, with figures of the worst."""
+        found = [(one, where) for one in self.results for where in one.beaten]
+        if not found:
+            return None
+        runs, done = len({id(one) for one, _ in found}), sum(one.finished for one in self.results)
+        one, where = max(found, key=lambda each: abs(each[1].best - (each[1].own or 0.0)))
+        names = {"dataset", *varying(self.lines())}
+        return (
+            f"{runs} of {counted(done, 'finished run')} {'is' if runs == 1 else 'are'} worse than a baseline, which "
+            f"knows no third dimension; farthest {one.cell.words(names)}, on the set {where.split}: {where.by} "
+            f"{where.metric.text(where.best)} against {where.metric.text(where.own)} ({where.metric.title})"
+        )
+
+    @property
+    def _sets(self) -> list[str]:
+        return [*dict.fromkeys(split for one in self.results if one.finished for split in _sets(one))]
+
+    def columns(self) -> tuple[list[str], list[Metric[Any]]]:
+        """Labels and metrics that tables of all lines have."""
+        lines, others = self.lines(), self.baselines()
+        names = varying(lines)
+        if others and "method" not in names:
+            names.insert(names.index("dataset") + 1, "method")
+        return names, self.metrics([*lines, *others])
 
     def metrics(self, lines: Sequence[Line]) -> list[Metric[Any]]:
         """Metrics with a short name that any line has."""
@@ -142,16 +202,17 @@ class Results:
 
     def table(self) -> Table:
         """Every line with mean ± standard deviation over the seeds, for the terminal."""
-        lines = self.lines()
-        names, shown = varying(lines), self.metrics(lines)
+        names, shown = self.columns()
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
         for name in names:
             table.add_column(escape(name), overflow="fold")
         table.add_column("runs", justify="right")
         for metric in shown:
             table.add_column(metric.heading, justify="right")
-        for line in lines:
-            table.add_row(*map(escape, line.texts(names, shown)))
+        for lines in (self.lines(), self.baselines()):
+            for line in lines:
+                table.add_row(*map(escape, line.texts(names, shown)))
+            table.add_section()
         return table
 
     def csv(self) -> str:
@@ -166,6 +227,7 @@ class Results:
                     "seed": cell.seed,
                     "state": one.state,
                     "reason": one.reason,
+                    "beaten_by": "; ".join(f"{where.by} on {where.split}" for where in one.beaten),
                     "code": cell.code if row is None else row.code,
                     "run": "" if row is None else f"{RUNS}/{row.address}",
                     **done,
@@ -212,4 +274,5 @@ def _line(group: Sequence[Result], split: str, several: bool) -> Line:
                     values.setdefault(name.removeprefix(before) or name, []).append(value)
     labels = {**group[0].cell.labels, **({"test set": split} if several else {})}
     spreads = {name: Spread(tuple(many)) for name, many in values.items()}
-    return Line(labels, spreads, len(finished), len(group), any(one.older for one in finished))
+    worse = sum(where.split == split for one in finished for where in one.beaten)
+    return Line(labels, spreads, len(finished), len(group), any(one.older for one in finished), worse)

@@ -1,4 +1,4 @@
-"""Progress display of a sweep: which runs have ended, and how far the others are."""
+"""Progress display of a sweep: how many runs have ended, and how far those under way are."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from types import TracebackType
 from sarsplat.data.folders import temporary_folder
 from sarsplat.errors import SarsplatError
 from sarsplat.progress import Reporter
-from sarsplat.runs.run_folder import LogLine, RunFolder
+from sarsplat.runs.run_folder import METRICS, POINTS, LogLine, RunFolder
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.work import RUNS
 
@@ -22,7 +22,7 @@ _SHOWN = 2
 
 
 class Live:
-    """Shows the progress of runs while the block runs, at least every few seconds, from the logs they write."""
+    """Shows the progress of runs while the block runs, at least every few seconds, from the files they write."""
 
     def __init__(self, cells: Sequence[Cell], out: Path, reporter: Reporter) -> None:
         self._left = {cell.address: cell for cell in cells}
@@ -30,6 +30,7 @@ class Live:
         self._names = {n for n in labels if len({repr(cell.labels.get(n)) for cell in cells}) > 1} | {"dataset"}
         self._out, self._reporter, self._begun = out, reporter, time.time()
         self._over, self._one_at_a_time = threading.Event(), threading.Lock()
+        self._failed = 0
         self._thread = threading.Thread(target=self._watch, daemon=True)
 
     def __enter__(self) -> Live:
@@ -40,26 +41,35 @@ class Live:
         self._over.set()
         self._thread.join()
 
-    def ended(self, cell: Cell) -> None:
+    def ended(self, cell: Cell, failed: bool = False) -> None:
         with self._one_at_a_time:
             self._left.pop(cell.address, None)
-            self._reporter.advance(1, cell.words(self._names))
+            self._failed += failed
+            self._reporter.advance(1, f"{cell.words(self._names)}: {'failed' if failed else 'done'}")
 
     def _watch(self) -> None:
         while not self._over.wait(_EVERY_S):
             with self._one_at_a_time:
-                said = [
-                    f"{cell.words(self._names)} at {line.iteration}, loss {line.loss:.3g}"
-                    for cell, line in self._logs()
-                ]
-                more = f" and {len(said) - _SHOWN} more" if len(said) > _SHOWN else ""
-                self._reporter.advance(0, "; ".join(said[:_SHOWN]) + more if said else "running")
+                said = [f"{cell.words(self._names)}: {stage}" for cell, stage in self._stages()]
+                failed = f", {self._failed} failed" if self._failed else ""
+                counts = f"{len(said)} under way, {len(self._left) - len(said)} waiting{failed}"
+                self._reporter.advance(0, "; ".join([counts, *said[:_SHOWN]]))
 
-    def _logs(self) -> Iterator[tuple[Cell, LogLine]]:
-        """Runs that have written to their logs since this began, with the last line."""
+    def _stages(self) -> Iterator[tuple[Cell, str]]:
+        """Runs that have written to their logs since this began, with what they are at."""
         for address, cell in self._left.items():
             run = self._out / RUNS / address
             for files in (RunFolder(run), RunFolder(temporary_folder(run))):
                 with suppress(OSError, SarsplatError):  # it may be moved or replaced just now
                     if files.log_path.stat().st_mtime > self._begun and (lines := files.history):
-                        yield cell, lines[-1]
+                        yield cell, _stage(files, lines[-1], cell.config.get("iterations"))
+
+
+def _stage(files: RunFolder, line: LogLine, planned: int | None) -> str:
+    """What a run is at, by what it has written last."""
+    if planned is None or line.iteration < planned:
+        of = "" if planned is None else f" of {planned:,}"
+        return f"training, {line.iteration:,}{of}, loss {line.loss:.3g}"
+    if not (files.path / POINTS).is_file():
+        return "extracting points"
+    return "report" if (files.path / METRICS).is_file() else "scoring"

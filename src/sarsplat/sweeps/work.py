@@ -14,6 +14,7 @@ import torch
 
 from sarsplat.data import read_dataset, read_json, write_json
 from sarsplat.data.files import locked
+from sarsplat.data.folders import temporary_folder
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import evaluate_run
 from sarsplat.runs import Run, reconstruct
@@ -89,6 +90,7 @@ def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
             except Exception as error:  # a fault of ours or of a plugin, or no memory: the others go on
                 traceback.print_exc()
                 row.state, row.reason, row.passing = "failed", f"{type(error).__name__}: {error}", True
+        row.reason = _without_folder(row.reason, out / RUNS / cell.address)
         row.took_s = round(time.monotonic() - begun, 3)
         write_json(row_path(cell, out), row)
         return row
@@ -131,9 +133,16 @@ def _train_and_score(cell: Cell, folder: Path, row: Row) -> None:
     if cell.reports:
         from sarsplat.report import write_report
 
-        write_report(run)
+        write_report(run, quiet=True)
     row.scores, row.yardstick_m = scores_in(metrics), metrics["parameters"]["yardstick_m"]
     row.iterations = run.iteration
+
+
+def _without_folder(reason: str, run: Path) -> str:
+    """A reason without the run's folder, of which nobody knows the name: tables say which run it is of."""
+    for folder in (temporary_folder(run), run):
+        reason = reason.replace(f"{folder}/", "").replace(str(folder), "the run")
+    return reason
 
 
 def scores_in(metrics: Mapping[str, Any]) -> dict[str, float]:

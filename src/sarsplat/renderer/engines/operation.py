@@ -51,7 +51,15 @@ class Call(ABC):
 
     def of(self, *inputs: Tensor | None) -> tuple[Tensor, ...]:
         """The outputs, differentiable once."""
-        return _Call.apply(self, *inputs)
+        try:
+            return _Call.apply(self, *inputs)
+        except (RuntimeError, NotImplementedError) as error:  # torch's, of what it cannot do with others' functions
+            if not any(words in str(error) for words in ("functorch", "forward mode AD")):
+                raise
+            raise SarsplatError(
+                "the engines take no part in torch.func and in forward-mode derivatives; use loss.backward() or "
+                "torch.autograd.grad, or engine='reference', which has all of them but vmap"
+            ) from error
 
 
 class Operation(Call):

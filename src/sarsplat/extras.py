@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from sarsplat.version import installed_version
+
 _DISTRIBUTIONS = {
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
@@ -40,5 +42,10 @@ def extra_with(module: str) -> str | None:
 
 
 def install_command(extra: str) -> str:
-    """What to type to get an extra."""
+    """What to type to get an extra, in a sentence.
+
+    Of a program that is not installed its packages: no index has it, or another one by its name.
+    """
+    if installed_version("sarsplat") is None:
+        return f"install it with: pip install {' '.join(EXTRAS[extra].values())}"
     return f"install it with: pip install 'sarsplat[{extra}]'"

@@ -2,17 +2,54 @@
 
 from __future__ import annotations
 
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
-import trimesh
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    import trimesh
 
 LOT_M = 18.0
+FITTING = 0.64
+"""Share of an image's side that a village may be wide, so that all of it is seen from all sides."""
+
 _EMPTY = 0.12  # share of the lots
+_LARGEST_M = 10_000.0
 
 
-def village(side_m: float, seed: int = 0, edge_m: float = 1.0) -> trimesh.Trimesh:
-    """Houses on a square, their faces divided until no edge is longer than `edge_m`; the same for the same seed."""
+@checks_arguments
+def village(side_m: float = 123.0, seed: int = 0, edge_m: float = 1.0) -> trimesh.Trimesh:
+    """A village of any size, the same for the same seed.
+
+    Parameters
+    ----------
+    side_m : float
+        Side of the square that it stands on, m; one house on every 18 m × 18 m, of which some are empty.
+    seed : int
+        Of all that is drawn, at least 0.
+    edge_m : float
+        Faces are divided until no edge is longer, m.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Metres, z up, ground at z = 0, the middle of the square at the origin.
+
+    Raises
+    ------
+    SarsplatError
+        If a length is not positive, the side exceeds 10 km, or the seed is negative.
+    """
+    import trimesh
+
+    if not (0 < side_m <= _LARGEST_M and edge_m > 0 and seed >= 0):
+        raise SarsplatError(
+            f"side_m is {side_m:g}, edge_m {edge_m:g} and seed {seed}; give a side of at most {_LARGEST_M:g} m, and "
+            "nothing that is negative"
+        )
     chance, lots = np.random.default_rng(seed), max(1, round(side_m / LOT_M))
     parts = []
     for place in np.ndindex(lots, lots):
@@ -29,6 +66,8 @@ def village(side_m: float, seed: int = 0, edge_m: float = 1.0) -> trimesh.Trimes
 
 
 def _house(chance: np.random.Generator) -> trimesh.Trimesh:
+    import trimesh
+
     width, depth, height = chance.uniform(7, 11), chance.uniform(6, 9), chance.uniform(3, 7)
     if chance.random() < 0.65:
         ridge = height + chance.uniform(1.5, 3.5)
@@ -43,10 +82,14 @@ def _house(chance: np.random.Generator) -> trimesh.Trimesh:
 
 
 def _together(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    import trimesh
+
     return cast("trimesh.Trimesh", trimesh.util.concatenate(parts))
 
 
 def _box(width: float, depth: float, height: float, at: tuple[float, float]) -> trimesh.Trimesh:
+    import trimesh
+
     box = trimesh.creation.box((width, depth, height))
     box.apply_translation([*at, height / 2])
     return box
