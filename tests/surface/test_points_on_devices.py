@@ -16,6 +16,7 @@ from sarsplat.geometry.terrain import heights_of
 from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.strategies.ranking import whole_sums
 from sarsplat.scenes import surface_gaussians, target_mesh
+from sarsplat.scenes.village import village as made_village
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells, first_returns, neighbours, normals, voxels
 from sarsplat.surface.mesh import surface_mesh
@@ -74,9 +75,9 @@ def scenes() -> dict[str, Scene]:
 
 
 @pytest.fixture
-def village(module: Callable[[str], Any]) -> Scene:
+def village() -> Scene:
     """38 m of it."""
-    gaussians = surface_gaussians(module("benchmarks/village").village(38.0, edge_m=4.0), 1.0)[0]
+    gaussians = surface_gaussians(made_village(38.0, edge_m=4.0), 1.0)[0]
     how = PointExtraction(rays_per_pixel=1.5, voxel=0.6)
     return Scene(with_haze(gaussians, 1000, 18.0), ImageGrid(128, 128, (0.3, 0.3), (0.3, 0.3)), how)
 
