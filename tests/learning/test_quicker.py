@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -11,6 +12,7 @@ import torch
 
 from sarsplat import Dataset, Run, reconstruct
 from sarsplat.errors import SarsplatError
+from sarsplat.learning.method_sar_gs import METHOD
 from sarsplat.learning.quicker import quicker
 from sarsplat.renderer.engines import cpu
 from sarsplat.runs import reconstruction
@@ -92,9 +94,21 @@ def test_a_reconstruction_says_so_and_goes_on_where_it_began(
     assert (asked, run.trained_on, Run.load(tmp_path / "run").trained_on) == ([GPU], "cpu", "cpu")
     reconstruct(dataset, config, tmp_path / "run", resume=True)  # on the CPU again, without a question
     assert len(asked) == 1
-    with pytest.raises((SarsplatError, RuntimeError, AssertionError)):
-        reconstruct(dataset, config, loss=lambda a, b: (a - b).abs().mean())  # of one's own: on the GPU, unasked
-    assert len(asked) == 1
+
+
+def test_a_loss_of_ones_own_is_on_the_gpu_untried(dataset: Dataset, config, monkeypatch: pytest.MonkeyPatch) -> None:
+    class ReachedError(Exception):
+        pass
+
+    def trainer(self: object, dataset: object, config: object, inputs: object, device: object, begun: object) -> None:
+        assert device == GPU
+        raise ReachedError
+
+    monkeypatch.setattr(reconstruction, "device_named", lambda name: GPU)
+    monkeypatch.setattr(reconstruction, "quicker", lambda *_: pytest.fail("is tried"))
+    monkeypatch.setattr(type(METHOD), "trainer", trainer)
+    with pytest.raises(ReachedError):
+        reconstruct(dataset, replace(config, iterations=1000), loss=lambda a, b: (a - b).abs().mean())
 
 
 def test_few_iterations_are_not_tried() -> None:

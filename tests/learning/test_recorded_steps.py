@@ -96,7 +96,6 @@ def test_steps_run_again_are_steps(name: str, dataset: Dataset, recorder: Emulat
     assert recorder.replays > STEPS // 2
     mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
     assert [name for name, tensor in theirs.items() if not torch.equal(mine[name], tensor)] == []
-    print(name, recorder.records, recorder.replays)
 
 
 @pytest.mark.parametrize("name", ["ground", "terrain"])

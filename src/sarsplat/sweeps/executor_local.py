@@ -16,8 +16,8 @@ from sarsplat.sweeps.work import Row
 from sarsplat.sweeps.worker import Worker
 
 _PER_DEVICE = 4
-"""Trainings of a GPU at a time, unless it is said: one leaves it idle while Python and the scores keep a core busy; but
-they all wait for the one Python of their process, and for memory."""
+"""Trainings of a GPU at a time, unless it is said. A guess, not measured: one should leave the GPU idle while Python
+and scores keep a core busy, but they all wait for the one Python of their process, and for memory."""
 
 _VISIBLE = "CUDA_VISIBLE_DEVICES"
 
@@ -55,7 +55,7 @@ class Team:
 def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
     """Do runs on this machine (see `Executor`).
 
-    Of those on the CPU there are as many at a time as there are processors, and of those on GPUs, four on each.
+    Of those on the CPU there are as many at a time as there are processors, and of those on GPUs, at most four on each.
     """
     teams: list[Team] = []
     asked: dict[Future[Row | None], Cell] = {}
