@@ -13,6 +13,7 @@ from rich.console import Console
 
 from datasets import dataset_of
 from sarsplat.cli import main
+from sarsplat.runs.told_apart import names_of
 from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, View
@@ -127,6 +128,22 @@ def test_info_lists_datasets_and_runs_in_a_folder(there, tmp_path: Path, unfinis
     assert "unusable:" in rows["bad-dataset"]
     assert "unusable:" in rows["bad-run"]
     assert "model" not in rows
+
+
+def test_addresses_are_shown_only_as_folders_to_open(run: Path, tmp_path: Path, said) -> None:
+    folders = [tmp_path / "fleet" / "runs" / (digit * 16) for digit in "ab"]
+    for folder, iterations in zip(folders, (6000, 20), strict=True):
+        shutil.copytree(run, folder)
+        config = json.loads((folder / "config.json").read_text())
+        config["config"]["iterations"] = iterations
+        (folder / "config.json").write_text(json.dumps(config))
+    lines = [line.split("  ") for line in said(f"info {tmp_path / 'fleet'}").splitlines()]
+    assert lines[1][0] == "holds"
+    assert [line[0] for line in lines[2:]] == [f"run of dataset, iterations {n}, seed 0 (sar-gs)" for n in (20, 6000)]
+    assert [line[-1].strip() for line in lines[2:]] == [f"runs/{digit * 16}" for digit in "ba"]
+    assert names_of(folders) == [f"dataset, iterations {n}, seed 0" for n in (6000, 20)]
+    assert names_of([folders[0], run]) == ["dataset, seed 0", "run"]
+    assert names_of([run, run.parent / "other" / run.name]) == [str(run), str(run.parent / "other" / run.name)]
 
 
 def test_a_plan_is_offered_for_several_datasets(there, tmp_path: Path, said, monkeypatch) -> None:

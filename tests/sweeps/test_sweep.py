@@ -128,6 +128,7 @@ def test_reasons_and_warnings_of_runs_are_said_without_their_folders_names(out, 
     (failed,) = done(plan, out).failed
     assert failed.reason == "cannot write points.ply, for the run is gone"
     page = (out / "index.html").read_text()
+    assert not re.search(r">[^<]*[0-9a-f]{16}", page)
     assert re.search(r'"warning">it is dark</td><td data-column="of">1 run</td>', page)
 
 
@@ -214,6 +215,14 @@ def test_the_page_has_a_figure_for_every_swept_setting_and_links_to_reports(out,
     assert 'http-equiv="refresh"' not in page
 
 
+def test_runs_without_a_report_are_folders_to_open(finished, plan):
+    done(plan, finished)
+    page = (finished / "index.html").read_text()
+    links = re.findall(r'<a href="(runs/[0-9a-f]{16}/)">folder</a>', page)
+    assert sorted(links) == sorted(f"runs/{path.name}/" for path in (finished / "runs").iterdir())
+    assert not re.search(r">[^<]*[0-9a-f]{16}", page)
+
+
 def test_it_fills_while_it_runs(out, plan, monkeypatch):
     seen = []
 
@@ -286,7 +295,7 @@ def test_a_sweep_with_a_failed_run_ends_with_1(place, out, plan, monkeypatch, ca
     done({"datasets": ["data/*"], "preset": "quick", "seeds": [0, 1]}, out)
     (place / "plan.toml").write_text('datasets = ["data/*"]\npreset = "quick"\nseeds = [0, 1]\n')
     assert main(["sweep", "plan.toml", "--out", "out"]) == 1  # nothing is left to do
-    assert "error: 2 of 2 runs failed: there is no target" in capsys.readouterr().err
+    assert "error: 2 of 2 runs failed: there is no target; the first is box, seed 0" in capsys.readouterr().err
     assert "What failed" in (out / "index.html").read_text()
 
 

@@ -7,6 +7,7 @@ import os
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,6 +92,8 @@ def extent(points: np.ndarray) -> str:
 
 def describe_contents(path: Path) -> bool:
     """List the datasets and runs in a folder; False if there are none."""
+    from sarsplat.runs.told_apart import says_nothing
+
     entries = sorted(_entries(path))
     if not entries:
         return False
@@ -98,14 +101,22 @@ def describe_contents(path: Path) -> bool:
     whole = (counted(counts[marker], noun) for marker, noun in ((_DATASET, "dataset"), (_RUN, "run")) if counts[marker])
     console.say(f"{path}: {' and '.join(whole)}")
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
-    for name in ("folder", "holds", "state", "scores"):
-        table.add_column(name, overflow="fold")
+    runs = _names_of_runs([folder for folder, marker in entries if marker == _RUN])
+    rows = []
     for folder, marker in entries:
         try:
-            cells = _dataset(folder) if marker == _DATASET else _run(folder)
+            cells = _dataset(folder) if marker == _DATASET else _run(folder, runs.get(folder, ""))
         except SarsplatError as error:
             cells = ("a dataset" if marker == _DATASET else "a run", f"unusable: {error}", "")
-        table.add_row(escape(str(folder.relative_to(path))), *map(escape, cells))
+        rows.append((str(folder.relative_to(path)), *cells))
+    columns = [0, 1, 2, 3]
+    if all(marker == _RUN and says_nothing(folder) for folder, marker in entries):
+        columns = [1, 2, 3, 0]  # folders' names last, which are there to be opened
+        rows.sort(key=lambda row: row[1])
+    for index in columns:
+        table.add_column(("folder", "holds", "state", "scores")[index], overflow="fold")
+    for row in rows:
+        table.add_row(*(escape(row[index]) for index in columns))
     console.show(table)
     if (page := path / "index.html").is_file() and (path / "sweep.json").is_file():
         console.say(f"a sweep: open {page} in a browser")
@@ -152,14 +163,25 @@ def _dataset(folder: Path) -> tuple[str, str, str]:
     return f"{counted(len(header.views), 'image')} of {header.target}", f"{sets}; {pixels}", ""
 
 
-def _run(folder: Path) -> tuple[str, str, str]:
+def _names_of_runs(folders: Sequence[Path]) -> dict[Path, str]:
+    """What was learned from in each run whose header can be read, and of those without names what differs."""
+    from sarsplat.runs.run_folder import read_header
+    from sarsplat.runs.told_apart import says_nothing, told_apart
+
+    headers = {}
+    for folder in folders:
+        with suppress(SarsplatError):  # which is said in its row
+            headers[folder] = read_header(folder)
+    nameless = {folder: header for folder, header in headers.items() if says_nothing(folder)}
+    names = {folder: told_apart([header])[0] for folder, header in headers.items()}
+    return names | dict(zip(nameless, told_apart([*nameless.values()], with_method=False), strict=True))
+
+
+def _run(folder: Path, name: str) -> tuple[str, str, str]:
     from sarsplat.runs.run_folder import RunFolder
 
     files = RunFolder(folder)
-    header = files.header
-    learned_from = "images in memory" if header.dataset is None else Path(header.dataset).name
-    seed = f", seed {header.config['seed']}" if "seed" in header.config else ""
-    return f"run of {learned_from}{seed} ({header.method})", str(files.state), _scores(files.metrics)
+    return f"run of {name} ({files.header.method})", str(files.state), _scores(files.metrics)
 
 
 def _scores(metrics: Mapping[str, Any] | None) -> str:

@@ -90,8 +90,11 @@ def sweep(
     if not (failed := results.failed):
         return 0
     reasons = Counter(one.reason for one in failed)
+    reason = reasons.most_common(1)[0][0]
+    first = next(one for one in failed if one.reason == reason)
     more = f" (and {counted(len(reasons) - 1, 'other reason')})" if len(reasons) > 1 else ""
     console.complain(
-        f"{len(failed)} of {counted(len(results.results), 'run')} failed: {reasons.most_common(1)[0][0]}{more}"
+        f"{len(failed)} of {counted(len(results.results), 'run')} failed: {reason}{more}; the first is "
+        f"{results.called(first)}"
     )
     return _FAILED

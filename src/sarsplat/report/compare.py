@@ -18,6 +18,7 @@ from sarsplat.report.page import ScoreTable, compared_tables, in_words, rendered
 from sarsplat.report.views import Chosen, ranked_images, views_figure, with_others
 from sarsplat.report.write import sampled, scores_expected
 from sarsplat.runs import Run
+from sarsplat.runs.told_apart import names_of
 
 PAGE = "comparison.html"
 
@@ -35,7 +36,7 @@ class Comparison:
     runs : tuple of Run
         By any methods, all evaluated.
     names : tuple of str
-        Their folders' names, or their paths where names coincide.
+        Their folders' names, or what differs where a sweep named them; their paths where names coincide.
     tables : tuple of ScoreTable
         A row for every metric, a column for every run.
     caution : str or None
@@ -69,8 +70,7 @@ def compare(runs: Sequence[Run]) -> Comparison:
             raise SarsplatError(f"{run.folder} is given twice; give each run once")
         with scores_expected(run):
             compared_tables([""], [scores_of(run)])
-    short = [path.name for path in paths]
-    names = short if len(set(short)) == len(short) else [str(run.folder) for run in runs]
+    names = names_of([run.folder for run in runs])
     caution = _caution(runs, names)
     tables = compared_tables(names, [scores_of(run) for run in runs], ranked=caution is None)
     worse = (one.sentence(name) for name, run in zip(names, runs, strict=True) for one in beaten(scores_of(run)))

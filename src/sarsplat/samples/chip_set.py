@@ -23,6 +23,7 @@ from sarsplat.learning.method import DrawsSamples
 from sarsplat.learning.sampler import seed_of
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.runs import Run
+from sarsplat.runs.told_apart import names_of
 from sarsplat.samples.backdrop import backdrop_of
 from sarsplat.samples.encoding import Encoding
 from sarsplat.settings.config import SCATTERERS
@@ -273,11 +274,11 @@ def target_of(run: Run) -> str:
 
 
 def _shows(run: Run) -> str:
-    return run.target or _name(run)
+    return run.target or (_name(run) if run.path is None else run.path.absolute().name)
 
 
 def _name(run: Run) -> str:
-    return "the run in memory" if run.path is None else run.path.absolute().name
+    return "the run in memory" if run.path is None else names_of([run.path])[0]
 
 
 def _require_alike(run: Run, first: Run, cut: bool) -> None:
@@ -315,7 +316,9 @@ def _warn_of_poor_runs(runs: Sequence[Run]) -> None:
     """Chips of a run that loses against pictures without a third dimension teach a classifier less than those do."""
     from sarsplat.evaluation import beaten
 
-    scores = [(_name(run), run.metrics) for run in runs]
+    folders = [run.path for run in runs if run.path is not None]
+    names = dict(zip(folders, names_of(folders), strict=True))
+    scores = [(_name(run) if run.path is None else names[run.path], run.metrics) for run in runs]
     unknown = [name for name, metrics in scores if metrics is None or not metrics["images"]]
     worse = [(name, one) for name, metrics in scores if metrics is not None for one in beaten(metrics)]
     said = []

@@ -70,9 +70,12 @@ def _run(one: Result, names: Sequence[str], results: Results) -> _Row:
     place = "" if one.row is None else f"{RUNS}/{one.row.address}"
     report = f"{place}/report/index.html"
     there = bool(place) and (results.out / report).is_file()
-    what = "report" if there else place  # the folder's name says nothing
+    kept = there or (bool(place) and (results.out / place).is_dir())
+    what = "report" if there else "folder" if kept else ""  # whose name says nothing
     worse = "".join(f", worse than {where.by} on {where.split}" for where in one.beaten)
-    return _Row([*labels, str(one.cell.seed), one.state + worse, what], report if there else "")
+    return _Row(
+        [*labels, str(one.cell.seed), one.state + worse, what], report if there else f"{place}/" if kept else ""
+    )
 
 
 def _figure(name: str, lines: Sequence[Line], metrics: Sequence[Metric[Any]]) -> list[Figure]:

@@ -167,6 +167,10 @@ class Results:
                     lines.setdefault((labels["dataset"], split, method), Line(labels, spreads, 0, 0, False))
         return [*lines.values()]
 
+    def called(self, one: Result) -> str:
+        """A run of these by its dataset, its seed, and what is not the same everywhere."""
+        return one.cell.words({"dataset", *varying(self.lines())})
+
     @property
     def beaten(self) -> str | None:
         """One sentence if any run is worse than what needs no third dimension, with figures of the worst."""
@@ -175,10 +179,9 @@ class Results:
             return None
         runs, done = len({id(one) for one, _ in found}), sum(one.finished for one in self.results)
         one, where = max(found, key=lambda each: abs(each[1].best - (each[1].own or 0.0)))
-        names = {"dataset", *varying(self.lines())}
         return (
             f"{runs} of {counted(done, 'finished run')} {'is' if runs == 1 else 'are'} worse than a baseline, which "
-            f"knows no third dimension; farthest {one.cell.words(names)}, on the set {where.split}: {where.by} "
+            f"knows no third dimension; farthest {self.called(one)}, on the set {where.split}: {where.by} "
             f"{where.metric.text(where.best)} against {where.metric.text(where.own)} ({where.metric.title})"
         )
 
