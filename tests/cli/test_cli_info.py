@@ -13,11 +13,11 @@ from rich.console import Console
 
 from datasets import dataset_of
 from sarsplat.cli import main
-from sarsplat.runs.told_apart import names_of
 from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.runs import Run
+from sarsplat.runs.told_apart import names_of
 from sarsplat.sweeps import Plan
 
 GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))

@@ -98,6 +98,8 @@ def test_several_classes_or_all_of_them_are_a_dataset_each(chips, tmp_path, caps
     assert main([*words.split(), "--class", "all"]) == 0
     said = capsys.readouterr()
     assert "sets: 2 of 2 classes, a dataset each" in " ".join(said.out.split())
+    assert said.out.count("azimuth = −TargetAz") == 1
+    assert "assumed of 2 datasets: azimuth = −TargetAz" in " ".join(said.out.split())
     made = {path.name: read_dataset(path) for path in (tmp_path / "sets").iterdir()}
     assert {name: (one.target, len(one)) for name, one in made.items()} == {"BMP2": ("BMP2", 1), "T72": ("T72", 10)}
     assert main([*words.split(), "--class", "T72", "BMP2"]) == 2

@@ -9,8 +9,10 @@ from __future__ import annotations
 import re
 import shlex
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
@@ -43,6 +45,9 @@ if TYPE_CHECKING:
 
 CONTRADICTED = 1
 """Exit code of commands whose images contradict what is said of them."""
+
+_shared: ContextVar[Counter[str] | None] = ContextVar("_shared", default=None)
+"""Number of datasets by what was assumed of them, where it is said of several together."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +220,19 @@ def _carry_out(
 
 
 @contextmanager
+def assumed_once() -> Iterator[None]:
+    """What is assumed of the datasets that are made inside of the block is said after it, with their number."""
+    assumed = Counter[str]()
+    before = _shared.set(assumed)
+    try:
+        yield
+        for assumption, number in assumed.items():
+            console.say(f"assumed of {counted(number, 'dataset')}: {assumption}")
+    finally:
+        _shared.reset(before)
+
+
+@contextmanager
 def _warned_later(contradictions: list[str]) -> Iterator[None]:
     """Warnings inside of the block are said after it, but for those of what contradicts the dataset."""
     held: list[warnings.WarningMessage] = []
@@ -236,8 +254,12 @@ def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
     from sarsplat.importers import summary
     from sarsplat.regions.target_region import box_misses
 
+    assumed = _shared.get()
     for assumption in dataset.source.get("assumptions", ()):
-        console.say(f"assumed: {assumption}")
+        if assumed is None:
+            console.say(f"assumed: {assumption}")
+        else:
+            assumed[assumption] += 1
     for text in examined.contradictions:
         console.complain(text)
     warn(box_misses(dataset))

@@ -15,7 +15,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, angles, refuse_existing
-from sarsplat.cli.from_signature import Option, command_of
+from sarsplat.cli.from_signature import Option, assumed_once, command_of
 from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
 from sarsplat.errors import SarsplatError
 
@@ -72,12 +72,13 @@ def command(**given: Any) -> int:
     for out in outs.values():
         refuse_existing(out, given["overwrite"], marker="dataset.json")
     codes = []
-    for name, out in outs.items():
-        try:
-            codes.append(_one(**given | {"target_class": name, "out": out}))
-        except SarsplatError as error:  # as where a class has too few chips: the others are imported
-            console.complain(f"{name}: {error}")
-            codes.append(_REFUSED)
+    with assumed_once():
+        for name, out in outs.items():
+            try:
+                codes.append(_one(**given | {"target_class": name, "out": out}))
+            except SarsplatError as error:  # as where a class has too few chips: the others are imported
+                console.complain(f"{name}: {error}")
+                codes.append(_REFUSED)
     made = sum(code != _REFUSED for code in codes)
     console.finish(
         f"{given['out']}: {made} of {len(codes)} classes, a dataset each",
