@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from datasets import small_dataset
-from sarsplat import write_gaussians_ply
+from sarsplat import SarsplatError, write_gaussians_ply
 from sarsplat.cli import main
 from sarsplat.data import write_dataset
 from upright import upright
@@ -76,6 +76,22 @@ def test_gaussians_in_a_file_are_shown(tmp_path, said, monkeypatch):
 
     monkeypatch.setattr("time.sleep", interrupt)
     assert "open http://127.0.0.1:" in said(f"view {tmp_path}/g.ply --port 0")
+
+
+def test_gaussians_far_from_the_origin_are_moved_there_and_it_says_by_how_much(tmp_path, said, monkeypatch):
+    from sarsplat.viewer import Viewer
+
+    far = upright(torch.tensor([[4.1e6, 0.9e6, 4.8e6], [4.1e6 + 4, 0.9e6, 4.8e6 + 2]]))
+    write_gaussians_ply(tmp_path / "far.ply", far)
+
+    def interrupt(_: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("time.sleep", interrupt)
+    told = " ".join(said(f"view {tmp_path}/far.ply --port 0").split())
+    assert "the Gaussians lie around (4100002, 900000, 4800000) m; that was subtracted" in told
+    with pytest.raises(SarsplatError, match=r"around \(4100002, 900000, 4800000\) m, too far .*; subtract that"):
+        Viewer(far)
 
 
 def test_the_extra_is_named_if_it_is_missing(folder, refused, monkeypatch):

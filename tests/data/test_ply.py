@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from sarsplat.data import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
+from sarsplat.data.ply import read_centred_gaussians
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics, NormalLobes
 from sarsplat.gaussians.harmonics import harmonic_basis
 
@@ -149,3 +150,33 @@ def test_a_million_points_are_read_at_once(tmp_path):
     begun = time.process_time()
     assert read_points_ply(tmp_path / "p.ply")[0].shape == (1_000_000, 3)
     assert time.process_time() - begun < 1
+
+
+def far_file(path: Path, place: list[float]) -> Gaussians:
+    """A file whose coordinates are float64 around a place; returns the Gaussians as they are around the origin."""
+    near = some(40)
+    near = replace(near, means=near.means * torch.tensor([4.0, 2.0, 0.0]) + torch.tensor([0.0, 0.0, 1.0]))
+    write_gaussians_ply(path, near)
+    header, end, data = path.read_bytes().partition(b"end_header\n")
+    names = re.findall(r"property float (\w+)\n", header.decode())
+    table = np.empty(40, [(name, "<f8" if name in "xyz" else "<f4") for name in names])
+    for name, column in columns_of(path).items():
+        table[name] = column
+    for name, offset in zip("xyz", place, strict=True):
+        table[name] += offset
+    path.write_bytes(re.sub(rb"property float ([xyz])\n", rb"property double \1\n", header) + end + table.tobytes())
+    return near
+
+
+@pytest.mark.parametrize("place", [[4.1e6, 0.9e6, 4.8e6], [512345.25, 5.4e6, 350.0]])
+def test_gaussians_in_map_coordinates_are_moved_to_the_origin_before_they_lose_digits(tmp_path, place):
+    near = far_file(tmp_path / "far.ply", place)
+    read, moved = read_centred_gaussians(tmp_path / "far.ply")
+    back = read.means.double() + torch.from_numpy(moved - place)
+    assert (back - near.means).abs().max() < 1e-5  # of float32 there are steps of 0.06 m and more
+    assert read.means[:, :2].abs().max() < near.means.abs().max() + 3
+    assert read.means[:, 2].abs().max() < 0.5
+    far_file(tmp_path / "near.ply", [0.0] * 3)
+    same, moved = read_centred_gaussians(tmp_path / "near.ply")
+    assert not moved.any()
+    assert torch.equal(same.means, near.means)

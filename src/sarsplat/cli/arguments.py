@@ -15,6 +15,7 @@ from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
     from sarsplat.data.header import Box
+    from sarsplat.gaussians import Gaussians
     from sarsplat.geometry import Terrain, View
     from sarsplat.runs import Run
 
@@ -162,13 +163,23 @@ def is_ply(path: Path) -> bool:
 
 def run_at(path: Path) -> Run:
     """The run in a folder, or a run in memory of the Gaussians in a PLY file."""
-    from sarsplat.data import read_gaussians_ply
     from sarsplat.runs import Run
 
     if not is_ply(path):
         return trained_so_far(path)
     with console.busy(f"reading {path}"):
-        return Run.from_gaussians(read_gaussians_ply(path))
+        return Run.from_gaussians(gaussians_around_origin(path))
+
+
+def gaussians_around_origin(path: Path) -> Gaussians:
+    """The Gaussians in a PLY file; says so if they had to be moved there."""
+    from sarsplat.data.ply import read_centred_gaussians
+
+    gaussians, moved = read_centred_gaussians(path)
+    if moved.any():
+        middle = ", ".join(f"{value:.10g}" for value in moved)
+        console.say(f"the Gaussians lie around ({middle}) m; that was subtracted, for images are centred on the origin")
+    return gaussians
 
 
 def trained_so_far(path: Path) -> Run:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shlex
 from collections import Counter
@@ -86,8 +87,15 @@ def extent(points: np.ndarray) -> str:
     if len(points) == 0:
         return "0"
     low, high = points.min(axis=0), points.max(axis=0)
-    ranges = ", ".join(f"{name} {a:.4g} … {b:.4g} m" for name, a, b in zip("xyz", low, high, strict=True))
+    ranges = ", ".join(f"{name} {_between(float(a), float(b))} m" for name, a, b in zip("xyz", low, high, strict=True))
     return f"{len(points):,}; {ranges}"
+
+
+def _between(low: float, high: float) -> str:
+    """Both ends, with as many digits as their difference asks for where that is small, as in map coordinates."""
+    largest, apart = max(abs(low), abs(high)), high - low
+    more = math.floor(math.log10(largest / apart)) if 0 < apart < largest else 0
+    return f"{low:.{4 + more}g} … {high:.{4 + more}g}"
 
 
 def describe_contents(path: Path) -> bool:

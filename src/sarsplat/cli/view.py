@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import DEFAULT_PORT, is_ply
+from sarsplat.cli.arguments import DEFAULT_PORT, gaussians_around_origin, is_ply
 from sarsplat.cli.beaten import warn_if_beaten
 
 _LOOK_AGAIN_S = 0.5
@@ -29,12 +29,11 @@ def view(
     port
         Port of 127.0.0.1 for the page, which no other machine can open; 0 takes any that is free.
     """
-    from sarsplat.data import read_gaussians_ply
     from sarsplat.runs.run_folder import RunFolder
     from sarsplat.viewer import Viewer, subject_at
 
     with console.busy(f"reading {path}"):
-        viewer = Viewer(read_gaussians_ply(path) if is_ply(path) else subject_at(path), port)
+        viewer = Viewer(gaussians_around_origin(path) if is_ply(path) else subject_at(path), port)
     if not is_ply(path):
         warn_if_beaten(RunFolder(path).metrics)
     try:

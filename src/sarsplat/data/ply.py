@@ -14,13 +14,14 @@ The header's comments carry the version, as JSON which law of scattering it is, 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
@@ -42,6 +43,8 @@ from sarsplat.names import Colour
 _VERSION = "sarsplat gaussians 2"
 _LAW = "scattering "
 _FOR_VIEWERS = ("n", "f_", "opacity", "scale_0", "scale_1", "scale_2")  # of our own files; we read none of these
+_FAR = 20.0  # from the origin, in sizes: of images that show both, what is farther fills two pixels of 128
+_OUTLIERS = 0.002  # of the centres, on either side
 _MIN_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 
 
@@ -107,8 +110,21 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
     SarsplatError
         If the file is missing, damaged, truncated, no 3DGS file, or holds values outside their range.
     """
-    path = Path(path)
-    columns, comments = read_ply(path, lambda name, of: _VERSION not in of or not name.startswith(_FOR_VIEWERS))
+    return _read(Path(path), ())[0]
+
+
+def read_centred_gaussians(path: Path) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
+    """`read_gaussians_ply` of what is to be seen in images around the origin, and what was subtracted from places, m.
+
+    Gaussians far from it for their size, as in map coordinates or geocentric ones, are moved: their middle above the
+    origin, their lowest onto z = 0. That is done before places become float32, which has steps of 0.5 m at 5·10⁶ m.
+    """
+    return _read(path, ("x", "y", "z"))
+
+
+def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
+    """Gaussians, and how far they were moved: not at all unless coordinates are read `exact`."""
+    columns, comments = read_ply(path, lambda name, of: _VERSION not in of or not name.startswith(_FOR_VIEWERS), exact)
     ours = _VERSION in comments
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
@@ -120,9 +136,24 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
     }
     del columns
     _check_gaussians(values, str(path))
+    moved = far_from_origin(values["means"], values["scales"]) if exact else np.zeros(3)
+    values["means"] = (values["means"] - moved).astype(np.float32) if exact else values["means"]
     tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in values.items()}
     law = _law(path, comments, tensors.pop("scattering")) if ours else Harmonics(tensors.pop("scattering"))
-    return Gaussians(**tensors, scattering=law)
+    return Gaussians(**tensors, scattering=law), moved
+
+
+def far_from_origin(means: Float[np.ndarray, "n 3"], scales: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
+    """What to subtract from places (m) for them to lie around the origin: zeros if that is near enough for their size."""
+    if not len(means):
+        return np.zeros(3)
+    low, high = np.quantile(means.astype(np.float64), (_OUTLIERS, 1 - _OUTLIERS), axis=0)
+    size = float(np.linalg.norm(high - low)) + 2 * float(np.median(scales.max(axis=1)))
+    if np.abs([low, high]).max() <= _FAR * size:
+        return np.zeros(3)
+    unit = 10.0 ** math.floor(math.log10(size / 10))  # whole numbers of it are short to say
+    middle: Float64[np.ndarray, " 3"] = unit * np.round(np.array([*(low + high)[:2] / 2, low[2]]) / unit)
+    return middle
 
 
 def _our_own(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -6,12 +6,12 @@ The files come from strangers: the counts in a header are trusted only if the fi
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Real
+from jaxtyping import Float, Float32, Real
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
@@ -48,9 +48,9 @@ def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comment
 
 
 def read_ply(
-    path: Path, wanted: Callable[[str, list[str]], bool] | None = None
-) -> tuple[dict[str, Float32[np.ndarray, " n"]], list[str]]:
-    """Read the properties of vertices, by name, and the comments of the header.
+    path: Path, wanted: Callable[[str, list[str]], bool] | None = None, exact: Collection[str] = ()
+) -> tuple[dict[str, Float[np.ndarray, " n"]], list[str]]:
+    """Read the properties of vertices, by name, as float32 or those named `exact` as float64, and the comments.
 
     `wanted` says, of a name and the comments, what to read; vertices are read some at a time, for a file can be several
     times as large as what is wanted of it.
@@ -70,7 +70,7 @@ def read_ply(
         file.seek(offset)
         comments = [line.removeprefix("comment").strip() for line in header if line.split()[:1] == ["comment"]]
         names = [name for name in dtype.names or () if wanted is None or wanted(name, comments)]
-        columns = {name: np.empty(count, np.float32) for name in names}
+        columns = {name: np.empty(count, np.float64 if name in exact else np.float32) for name in names}
         for first in range(0, count, _AT_A_TIME):
             some = min(_AT_A_TIME, count - first)
             rows = np.ndarray(some, dtype, file.read(some * dtype.itemsize))
@@ -85,8 +85,8 @@ def named(names: Iterable[str], values: Real[np.ndarray, "n k"]) -> dict[str, Re
     return dict(zip(names, values.T, strict=True))
 
 
-def stacked(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Float32[np.ndarray, "n {len(names)}"]:
-    """Columns that were read, side by side, float32 [N, len(names)]; refused if one is missing or not finite."""
+def stacked(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Float[np.ndarray, "n {len(names)}"]:
+    """Columns that were read, side by side [N, len(names)]; refused if one is missing or not finite."""
     for name in names:
         if name not in columns:
             raise SarsplatError(f"{path} is missing the vertex property {name!r}; give a PLY file of the right kind")

@@ -8,6 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from sarsplat.data.ply import far_from_origin
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.initialise import Region
@@ -46,6 +47,13 @@ def usual_grid(gaussians: Gaussians) -> ImageGrid:
     shown = (shown if len(shown) else gaussians).detach()
     if not bool(shown.means.isfinite().all()):
         raise SarsplatError("the centre of a Gaussian is not finite, so no grid can be chosen; give finite ones")
+    moved = far_from_origin(shown.means.cpu().numpy(), shown.scales.cpu().numpy())
+    if moved.any():
+        middle = ", ".join(f"{value:.10g}" for value in moved)
+        raise SarsplatError(
+            f"the Gaussians lie around ({middle}) m, too far from the origin to be seen in an image around it; subtract "
+            "that from their means, or give a grid"
+        )
     reach = shown.means.norm(dim=1) + _SIGMAS * shown.scales.amax(dim=1)  # images are centred on the world's origin
     coarse_m = _CELL_SIGMAS * float(shown.scales.amax(dim=1).median())
     spacing_m = float(f"{max(2 * float(reach.max()) / (_FILLED * _PIXELS), coarse_m):.2g}")
