@@ -1,6 +1,7 @@
 """Terrain: its brightness, layover and shadow against closed forms, what it hides, and that a flat one is the plane."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -148,3 +149,11 @@ def test_errors():
     mountain = terrain(lambda x, y: 3e5 * np.exp(-(x**2) - y**2))
     with pytest.raises(SarsplatError, match="rays for terrain 3e\\+05 m high; cut it to what the images show"):
         render(cloud(2, 0), VIEWS, GRID, ground=Ground(torch.tensor(0.3), height_m=mountain))
+
+
+def test_angles_at_which_a_ray_is_far_longer_than_the_terrain_are_refused_with_one_that_is_not():
+    with pytest.raises(SarsplatError, match=r"grazing 1e-05° looks along \S+ m of ground to see \S+ m") as refused:
+        bare(hill(), View(20, 1e-5), GRID)
+    least = float(re.search(r"at least (\S+)°", str(refused.value))[1])
+    assert least < 0.05
+    assert np.isfinite(bare(hill(), View(20, least), GRID)).all()

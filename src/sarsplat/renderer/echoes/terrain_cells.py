@@ -32,7 +32,10 @@ _MARGIN = 8
 """Pixels: images may be displaced by so many before other rays are needed."""
 
 _MOST = 1e8
-"""Rays of a view; a gigabyte."""
+"""Rays of a view, and steps along the ground under them; a gigabyte."""
+
+_LONG = 1000.0
+"""Ground along a ray, in lengths of what is shown, from which on the grazing angle means nothing."""
 
 _AT_A_TIME = 1 << 21
 """Heights."""
@@ -196,8 +199,15 @@ def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cell
     begin = look.along_ray(first[1] * dy, highest)
     step = min(*terrain.pitch_m, look.along_ray(dy, 0.0))
     length = look.along_ray(rows * dy, lowest - highest)
+    steps, shown_m = math.ceil(length / step) + 3, far - near + 2 * math.hypot(*terrain.half_m)
+    if columns * steps > _MOST and length > _LONG * shown_m:  # nearly all of it is level, before and behind the terrain
+        least_deg = 1.1 * math.degrees(look.sine * length / (_LONG * shown_m))  # rounded to two digits, it is enough
+        raise SarsplatError(
+            f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° looks along {length:.2g} m of "
+            f"ground to see {shown_m:.4g} m; give grazing angles of at least {least_deg:.2g}°"
+        )
     before = math.floor(begin / step)  # the same steps for every part of an image
-    along = step * np.arange(before, before + math.ceil(length / step) + 3)
+    along = step * np.arange(before, before + steps)
     together, parts = max(1, _AT_A_TIME // len(along)), []
     for column in range(0, columns, together):
         some = np.arange(column, min(column + together, columns))
