@@ -1,14 +1,11 @@
-"""A strategy of your own: every so often, only the brightest Gaussians are kept.
+"""A strategy of your own: every so often, only the brightest Gaussians are kept."""
 
-Usage: python own_strategy.py DATASET
-"""
-
-import sys
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from sarsplat import reconstruct
+from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, target_mesh
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import Info, State, Strategy, ops
 
@@ -34,5 +31,10 @@ class KeepBrightest(Strategy):
 
 
 if __name__ == "__main__":
-    run = reconstruct(sys.argv[1], "quick", strategies=[KeepBrightest(50, 2000)])
+    grid = ImageGrid(rows=64, columns=64, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
+    views = [View(azimuth, 45.0) for azimuth in range(0, 360, 45)]
+    arrays = simulate_images(target_mesh("t72"), views, grid)
+    dataset = Dataset.from_images([SarImage(power, view, grid) for power, view in zip(arrays, views)])
+    settings = replace(preset("quick"), iterations=120, gaussians=1500)
+    run = reconstruct(dataset, settings, strategies=[KeepBrightest(50, 1000)])  # or the folder of a dataset
     print(run.learned)

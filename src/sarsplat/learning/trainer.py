@@ -87,7 +87,7 @@ class Trainer:
         self._learn(self._observation.first_model(self._generator))
         self._penalty_unit = self._observation.minimise(loss, self.model)
         self.iteration = 0
-        self.terms: dict[str, Tensor] = {}
+        self._terms: dict[str, Tensor] = {}
         self._recorded = self._recorder(loss)
 
     def _learn(self, model: SceneModel) -> None:
@@ -141,7 +141,7 @@ class Trainer:
             gradients = torch.autograd.grad(total, list(model.parameters.values()))
             self._gather(step, rendering)
             stepper.step_told(gradients, rates)
-            return loss, _done(rendering), self.terms
+            return loss, _done(rendering), self._terms
 
         wanted = tuple(strategy.wants_plane_gradients(step) for strategy in self.strategies)
         kind = self._factor, model.degree(self.iteration), self._rays, wanted
@@ -150,7 +150,7 @@ class Trainer:
         things = stepper, self.images.truth, self.images.views, *model.parameters.values(), *kept
         rates = self.optimiser.numbers(self.iteration)
         try:
-            loss, rendering, self.terms = self._recorded.run((kind, things), program, chosen, step, rates)
+            loss, rendering, self._terms = self._recorded.run((kind, things), program, chosen, step, rates)
         except (NotRecordable, RuntimeError, SarsplatError) as error:
             self._recorded = None
             said = f"steps are made launch by launch, because they cannot be recorded: {error}"
@@ -187,8 +187,13 @@ class Trainer:
         terms = {name: self._penalty_unit * value for name, value in self.model.penalties().items()}
         if (penalty := self.model.penalty()) is not None:
             terms = {"priors": penalty} | terms
-        self.terms = {name: term.detach() for name, term in terms.items()}
+        self._terms = {name: term.detach() for name, term in terms.items()}
         return loss.detach(), sum(terms.values(), loss), rendering
+
+    @property
+    def terms(self) -> dict[str, Tensor]:
+        """What the newest step minimised besides the loss, by name; they stay, whatever later steps do."""
+        return {name: term.clone() for name, term in self._terms.items()}  # a recorded step writes where the last did
 
     @property
     def records(self) -> bool:
