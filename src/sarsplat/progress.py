@@ -20,8 +20,9 @@ _SECONDS_BETWEEN_LINES = 4.0  # what takes a second at a time is then heard of w
 _FIGURES = 36
 """Columns of a terminal that numbers and times take in a bar, with the blanks between."""
 
-_TRUSTED_S = 2.0
-"""Seconds after which the time left is guessed: what goes first is often quicker than the rest."""
+_TRUSTED_S, _TRUSTED_SHARE, _PATIENCE_S = 2.0, 0.1, 20.0
+"""Seconds and share of the work after which the time left is guessed, and seconds after which it is anyhow: what goes
+first is often quicker or, where things are loaded and warmed up, far slower than the rest."""
 
 _shown: ContextVar[Reporter | None] = ContextVar("_shown", default=None)
 """The progress that is being shown."""
@@ -106,8 +107,7 @@ class Reporter:
             counted.count(status or self._description)
         now = time.monotonic()
         if self._bar is not None and self._task is not None:
-            left = self._left(now) if now - self._begun > _TRUSTED_S else ""
-            self._bar.update(self._task, completed=done, status=status, left=left)
+            self._bar.update(self._task, completed=done, status=status, left=self._left(now))
             return
         if self._quiet or self._ended or (now - self._spoken[0] < _SECONDS_BETWEEN_LINES and done < self._total):
             return
@@ -118,9 +118,10 @@ class Reporter:
     def _left(self, now: float) -> str:
         """How long the rest takes at the pace so far."""
         here = self._done - self._first  # without which nothing tells how long the others take
-        if here <= 0:
+        took_s, share = now - self._begun, here / max(1, self._total - self._first)
+        if here <= 0 or (took_s < _PATIENCE_S and (took_s < _TRUSTED_S or share < _TRUSTED_SHARE)):
             return ""
-        left_s = round((now - self._begun) / here * max(0, self._total - self._done))
+        left_s = round(took_s / here * max(0, self._total - self._done))
         return f"{timedelta(seconds=left_s)} left" if left_s >= 600 else f"{left_s} s left"
 
 
