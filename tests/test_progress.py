@@ -35,7 +35,7 @@ def test_short_parts_of_long_work_are_not_silent_together(monkeypatch, capsys) -
 @pytest.mark.parametrize("width", [60, 80, 110, 200])
 @pytest.mark.parametrize(("seconds", "left"), [(1, ""), (10, ""), (60, "0:21:13 left"), (25, "531 s left")])
 def test_narrow_terminals_cut_words_and_no_figures(width: int, seconds: float, left: str) -> None:
-    """And nothing is foretold of the first twentieth, until it has taken long: it may have waited for what is loaded."""
+    """And nothing is foretold of the first twentieth, until it has taken long."""
     console = Console(width=width, file=io.StringIO())
     bar = Progress(*progress._columns(width, 44), console=console)
     reporter = progress.Reporter(20_000, bar, "evaluate /home/someone/data/t72/runs/first-run")

@@ -157,7 +157,7 @@ def far_file(path: Path, place: list[float]) -> Gaussians:
     near = some(40)
     near = replace(near, means=near.means * torch.tensor([4.0, 2.0, 0.0]) + torch.tensor([0.0, 0.0, 1.0]))
     write_gaussians_ply(path, near)
-    header, end, data = path.read_bytes().partition(b"end_header\n")
+    header, end, _ = path.read_bytes().partition(b"end_header\n")
     names = re.findall(r"property float (\w+)\n", header.decode())
     table = np.empty(40, [(name, "<f8" if name in "xyz" else "<f4") for name in names])
     for name, column in columns_of(path).items():

@@ -59,7 +59,7 @@ class Perceptron(Field):
         self.bottleneck = _linear(_WIDTH, _WIDTH, generator)
         self.directed = _linear(_WIDTH + direction, _HEAD_WIDTH, generator)
         self.scattering_head = _linear(_HEAD_WIDTH, 1, generator)
-        self.register_buffer("center", torch.tensor(center_m), persistent=False)
+        self.register_buffer("center", torch.tensor(center_m, dtype=torch.float32), persistent=False)
         self.unit_m = unit_m
 
     def forward(
@@ -108,7 +108,7 @@ class VoxelGrid(Field):
                         f"a grid of {' × '.join(map(str, nodes))} nodes with {channels} numbers each is too large; "
                         "give a larger voxel or a lower degree"
                     )
-                self.tables.append(nn.Parameter(torch.zeros(channels, *nodes[::-1])))  # z, y, x
+                self.tables.append(nn.Parameter(torch.zeros(channels, *nodes[::-1], dtype=torch.float32)))  # z, y, x
         corners = np.array([(low, high) for low, high, _ in boxes for _ in range(levels)])
         self.register_buffer("corners", torch.from_numpy(corners), persistent=False)
 
@@ -141,7 +141,7 @@ class VoxelGrid(Field):
 
 def _linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
     """A layer initialised as by torch, but with this generator: torch's own belongs to the user."""
-    layer, bound = skip_init(nn.Linear, inputs, outputs), 1 / math.sqrt(inputs)
+    layer, bound = skip_init(nn.Linear, inputs, outputs, dtype=torch.float32), 1 / math.sqrt(inputs)
     for parameter in layer.parameters():
         nn.init.uniform_(parameter, -bound, bound, generator=generator)
     return layer
@@ -149,6 +149,6 @@ def _linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
 
 def encoded(values: Float[Tensor, "p n"], octaves: int) -> Float[Tensor, "p {(2*octaves+1)*values.shape[1]}"]:
     """Positional encoding: the values, and sine and cosine of them times 1, 2, 4 …"""
-    angles = values[:, None, :] * (2.0 ** torch.arange(octaves)).to(values)[:, None]
+    angles = values[:, None, :] * (2.0 ** torch.arange(octaves, dtype=torch.float32)).to(values)[:, None]
     waves = torch.stack([angles.sin(), angles.cos()], dim=2).reshape(len(values), 2 * octaves * values.shape[1])
     return torch.cat([values, waves], dim=1)

@@ -90,12 +90,12 @@ class Dsr(Baseline):
         self.register_buffer("masks", _checked_masks(scene), persistent=False)
         self.moved = torch.nn.Parameter(torch.zeros_like(self.start))
         self.log_gamma0 = torch.nn.Parameter(
-            torch.full((len(template.faces),), math.log(_START_GAMMA0 * scene.brightest))
+            torch.full((len(template.faces),), math.log(_START_GAMMA0 * scene.brightest), dtype=torch.float32)
         )
         self.log_ground = self.log_floor = None
         if scene.ground:
-            self.log_ground = torch.nn.Parameter(torch.tensor(math.log(_START_GROUND)))
-            self.log_floor = torch.nn.Parameter(torch.tensor(math.log(_START_FLOOR)))
+            self.log_ground = torch.nn.Parameter(torch.tensor(math.log(_START_GROUND), dtype=torch.float32))
+            self.log_floor = torch.nn.Parameter(torch.tensor(math.log(_START_FLOOR), dtype=torch.float32))
         self._median = 1.0 if scene.looks is None else float(gammaincinv(scene.looks, 0.5)) / scene.looks
         softness_m = math.sqrt(config.sigma) * _HALF_FIELD * self._longest_m
         self.renderer = MeshRenderer(scene.grid, softness_m, config.gamma * _DEPTH_RANGE * self._longest_m)

@@ -87,7 +87,9 @@ class SarNerf(Baseline):
         self._endless = self.endless and not self._sound
         self.field = self._new_field()
         self.log_noise = (
-            torch.nn.Parameter(torch.tensor(math.log(_FIRST_NOISE))) if self._speckled and scene.ground else None
+            torch.nn.Parameter(torch.tensor(math.log(_FIRST_NOISE), dtype=torch.float32))
+            if self._speckled and scene.ground
+            else None
         )
 
     def _new_field(self) -> Field:

@@ -144,7 +144,7 @@ def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.nda
 
 
 def far_from_origin(means: Float[np.ndarray, "n 3"], scales: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
-    """What to subtract from places (m) for them to lie around the origin: zeros if that is near enough for their size."""
+    """What to subtract from places (m) for them to lie around the origin: zeros where they do, for their size."""
     if not len(means):
         return np.zeros(3)
     low, high = np.quantile(means.astype(np.float64), (_OUTLIERS, 1 - _OUTLIERS), axis=0)

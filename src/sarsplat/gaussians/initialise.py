@@ -113,4 +113,6 @@ def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> 
 
 def random_quaternions(count: int, generator: torch.Generator) -> Float32[Tensor, "{count} 4"]:
     """Uniformly distributed orientations, float32 [count, 4]."""
-    return torch.nn.functional.normalize(torch.randn(count, 4, generator=generator, device="cpu"), dim=1)
+    return torch.nn.functional.normalize(
+        torch.randn(count, 4, generator=generator, dtype=torch.float32, device="cpu"), dim=1
+    )

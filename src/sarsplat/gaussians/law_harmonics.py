@@ -52,7 +52,7 @@ class Harmonics(Scattering):
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
         """See `Scattering.initial`; of degree 3, and the same in all directions."""
-        parameters = torch.zeros(count, len(CONSTANTS), device="cpu")
+        parameters = torch.zeros(count, len(CONSTANTS), dtype=torch.float32, device="cpu")
         parameters[:, 0] = softplus_inverse(gamma0 - p_min) / CONSTANTS[0]
         return cls(parameters, p_min)
 

@@ -81,7 +81,7 @@ class NormalLobes(Scattering):
         """See `Scattering.initial`; a part of it in the lobe, the squared cosine."""
         excess = max(gamma0 - p_min, MIN_EXCESS)
         b = ((1 - _IN_LOBE) * excess, 3 * _IN_LOBE * excess)  # cos² is 1/3 on average
-        row = torch.tensor([*(softplus_inverse(value) for value in b), math.log(2)], device="cpu")
+        row = torch.tensor([*(softplus_inverse(value) for value in b), math.log(2)], dtype=torch.float32, device="cpu")
         return cls(row.repeat(count, 1), p_min)
 
 

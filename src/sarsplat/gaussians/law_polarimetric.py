@@ -150,7 +150,7 @@ def covariances_between(
 
 
 def _start(count: int, excess: float, polarisations: int) -> Float[Tensor, "{count} k"]:
-    parameters = torch.zeros(count, polarisations**2 + len(CONSTANTS), device="cpu")
+    parameters = torch.zeros(count, polarisations**2 + len(CONSTANTS), dtype=torch.float32, device="cpu")
     parameters[:, 0] = softplus_inverse(excess) / CONSTANTS[0]
     parameters[:, 1 : 1 + polarisations] = softplus_inverse(1.0)
     return parameters

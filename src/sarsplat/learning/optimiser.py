@@ -114,7 +114,7 @@ class Optimiser:
     def tensors(self) -> dict[str, Tensor]:
         """Adam's moments as `parameter/moment`, and the number of steps, to be saved."""
         moments = {f"{name}/{moment}": value for name, of in self.state.items() for moment, value in of.items()}
-        return moments | {"step": torch.tensor(float(self._steps), device="cpu")}
+        return moments | {"step": torch.tensor(float(self._steps), dtype=torch.float32, device="cpu")}
 
     def load(self, tensors: dict[str, Tensor]) -> None:
         self._steps = int(tensors["step"])

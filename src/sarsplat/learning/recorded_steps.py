@@ -61,7 +61,7 @@ class RecordedSteps(Generic[T]):
         self._told.tell(
             chosen=torch.tensor(chosen, device="cpu"),
             step=torch.tensor([step], device="cpu"),
-            rates=torch.tensor(rates, device="cpu"),
+            rates=torch.tensor(rates, dtype=torch.float32, device="cpu"),
         )
         values, things = kind
         if self._values != values or [*map(id, things)] != [*map(id, self._things)]:

@@ -83,7 +83,7 @@ class Sampler:
             raise SarsplatError(f"ground is {asked}, but this run has learned no ground; leave it out")
         self._ground = replace(self._ground, gamma0=self._ground.gamma0.mean())
         if isinstance(ground, str):
-            self._backdrop = torch.ones(self._grid.rows, self._grid.columns)
+            self._backdrop = torch.ones(self._grid.rows, self._grid.columns, dtype=torch.float32)
             return
         if ground.ndim != 2 or not ((ground >= 0) & (ground < math.inf)).all():
             raise SarsplatError(

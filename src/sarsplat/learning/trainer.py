@@ -306,7 +306,9 @@ class Trainer:
         tensors = {"generator": self._generator.get_state(), **self.model.tensors()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.tensors().items()}
         for strategy, state in zip(self.strategies, self._states, strict=True):
-            tensors[f"strategy/{strategy.name}"] = torch.empty(0, device="cpu")  # it is there, even without any state
+            tensors[f"strategy/{strategy.name}"] = torch.empty(
+                0, dtype=torch.float32, device="cpu"
+            )  # it is there, even without any state
             tensors |= {f"strategy/{strategy.name}/{name}": tensor for name, tensor in state.tensors().items()}
         return Snapshot(
             self.iteration,

@@ -36,9 +36,11 @@ def _levelled(
     power: Float32[np.ndarray, "rows columns"], view: View, grid: ImageGrid, terrain: Terrain
 ) -> Float32[np.ndarray, "rows columns"]:
     look = view.look
-    bare = RayEnds(torch.empty(0), [(0, 0)], [(0.0, 0.0)])
+    bare = RayEnds(torch.empty(0, dtype=torch.float32), [(0, 0)], [(0.0, 0.0)])
     rays, new_pass = RayGrid.for_image(grid), passes_for("auto", {"transmittance": bare.transmittance})
-    free = lit_terrain(bare, [view], grid, rays, terrain, torch.ones(1, 1, 1), 1.0, None, new_pass)[0].numpy()
+    free = lit_terrain(
+        bare, [view], grid, rays, terrain, torch.ones(1, 1, 1, dtype=torch.float32), 1.0, None, new_pass
+    )[0].numpy()
     share = look.gamma0_of_beta0(free)
     known = share > _DIMMEST
     flat = np.where(known, power / np.where(known, share, 1.0), np.median(power[known]) if known.any() else 0.0)

@@ -74,7 +74,7 @@ class _Job:
         """Tensors with a row of each of these shapes for every view, from those of this process's branches."""
         sizes = [math.prod(shape) for shape in shapes]
         of = [[(end - first) * size for size in sizes] for first, end in self.spans]
-        like = own[0][0] if own else torch.empty(0)
+        like = own[0][0] if own else torch.empty(0, dtype=torch.float32)
         flat = torch.cat([like.new_empty(0), *(of_all.reshape(-1) for of_all in map(_rows, zip(*own)))])
         every = [
             part.split(of_rank)
@@ -84,7 +84,7 @@ class _Job:
 
     def summed(self, own: Sequence[Tensor], size: int) -> Tensor:
         """The sum over all views of vectors of this size, from the sums of this process's branches."""
-        flat = torch.cat([torch.empty(0), *own])
+        flat = torch.cat([torch.empty(0, dtype=torch.float32), *own])
         every = self.processes.gathered(flat, [len(branches) * size for branches in self.branches])
         sums = {
             branch: vector

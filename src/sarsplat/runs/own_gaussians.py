@@ -51,7 +51,7 @@ def usual_grid(gaussians: Gaussians) -> ImageGrid:
     if moved.any():
         middle = ", ".join(f"{value:.10g}" for value in moved)
         raise SarsplatError(
-            f"the Gaussians lie around ({middle}) m, too far from the origin to be seen in an image around it; subtract "
+            f"the Gaussians lie around ({middle}) m, too far from the origin for an image around it; subtract "
             "that from their means, or give a grid"
         )
     reach = shown.means.norm(dim=1) + _SIGMAS * shown.scales.amax(dim=1)  # images are centred on the world's origin

@@ -44,7 +44,7 @@ class SingleImages(Observation):
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
         self._loss = loss or named_loss(self.config, ImageScale(self.images.brightest, model.unit))
         if loss is None and LOSSES[self.config.loss].unit.startswith("nats"):  # so are penalties, then
-            return torch.ones((), device=self.device)
+            return torch.ones((), dtype=torch.float32, device=self.device)
         return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
 
     def compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:

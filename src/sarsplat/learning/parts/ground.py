@@ -50,10 +50,12 @@ class FlatGroundPart(Part):
         if train.looks is not None:
             level /= (1 - 1 / (9 * train.looks)) ** 3  # the median of gamma-distributed power, in means
         level = max(level, _FAINTEST * brightness) / self.frame.unit / mean_tangent
-        places = {"ground_texture": torch.zeros(self._side**2, 1, device="cpu")} if self._side else {}
+        places = (
+            {"ground_texture": torch.zeros(self._side**2, 1, dtype=torch.float32, device="cpu")} if self._side else {}
+        )
         return {
-            "ground": torch.full((1,), math.log(level), device="cpu"),
-            "ground_exponent": torch.zeros(1, device="cpu"),
+            "ground": torch.full((1,), math.log(level), dtype=torch.float32, device="cpu"),
+            "ground_exponent": torch.zeros(1, dtype=torch.float32, device="cpu"),
         } | places
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:

@@ -30,7 +30,7 @@ class Shifts(Part):
         return {"shift": Learned((len(self.frame.views), 2), (rate,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        return {"shift": torch.zeros(len(train), 2, device="cpu")}
+        return {"shift": torch.zeros(len(train), 2, dtype=torch.float32, device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         if self.settings.shift_std:
@@ -64,7 +64,7 @@ class Gains(Part):
         return {"log_gain": Learned((len(self.frame.views),), (rate,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        return {"log_gain": torch.zeros(len(train), device="cpu")}
+        return {"log_gain": torch.zeros(len(train), dtype=torch.float32, device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         if self.settings.gain_std:
@@ -103,7 +103,7 @@ class NoiseFloor(Part):
         return {"noise": Learned((1,), (self.config.rates.nuisance,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        return {"noise": torch.full((1,), math.log(self.settings.noise_floor), device="cpu")}
+        return {"noise": torch.full((1,), math.log(self.settings.noise_floor), dtype=torch.float32, device="cpu")}
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
         floor = p["noise"].exp()

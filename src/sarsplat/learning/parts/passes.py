@@ -32,7 +32,7 @@ class PassNoise(Part):
         return {"pass_noise": Learned(self._shape, (self.config.rates.nuisance,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        start = torch.full(self._shape, math.log(self.settings.noise), device="cpu")
+        start = torch.full(self._shape, math.log(self.settings.noise), dtype=torch.float32, device="cpu")
         return dict.fromkeys(self.learned, start)
 
     def of_passes(self, p: Parameters) -> Float[Tensor, "v passes"]:
@@ -82,7 +82,7 @@ class PhaseScreen(Part):
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         """Constants: what the mean scatterer of each stack, at whatever height, leaves of its phases."""
         assert train.signal is not None  # of stacks
-        start = torch.zeros(len(train), train.passes, 3, device="cpu")
+        start = torch.zeros(len(train), train.passes, 3, dtype=torch.float32, device="cpu")
         pairs = zip(train.signal, train.views, train.stacks, strict=True)
         for index, (signal, view, stack) in enumerate(pairs):
             start[index, :, 0] = torch.from_numpy(_left_over(signal, view, stack, train.grid))
@@ -95,7 +95,10 @@ class PhaseScreen(Part):
         if shot.numbers is None:
             return None
         constant, along, away = p["phase_screen"][shot.numbers].unflatten(1, (-1, 3)).unbind(-1)
-        down, across = (torch.linspace(-1, 1, size).to(constant) for size in (shot.grid.rows, shot.grid.columns))
+        down, across = (
+            torch.linspace(-1, 1, size, dtype=torch.float32).to(constant)
+            for size in (shot.grid.rows, shot.grid.columns)
+        )
         return constant[..., None, None] + along[..., None, None] * across + away[..., None, None] * down[:, None]
 
 

@@ -32,7 +32,9 @@ class SideLobes(Part):
         return {"log_side_lobes": Learned((2,), (self.config.rates.nuisance,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        return {"log_side_lobes": torch.full((2,), math.log(self.settings.side_lobes), device="cpu")}
+        return {
+            "log_side_lobes": torch.full((2,), math.log(self.settings.side_lobes), dtype=torch.float32, device="cpu")
+        }
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
         return with_side_lobes(images.flatten(0, 1), p["log_side_lobes"].exp(), shot.grid).view_as(images)

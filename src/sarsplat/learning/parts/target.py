@@ -83,7 +83,7 @@ class Target(Part):
             "scattering": Learned((None, columns), (rates.scattering, *[rates.directional_scattering] * (columns - 1))),
         }
         if ranges:
-            low, high = torch.tensor(ranges, device="cpu").T
+            low, high = torch.tensor(ranges, dtype=torch.float32, device="cpu").T
             learned["law"] = Learned((1, len(ranges)), (rates.law,), later, low, high)
         return learned
 

@@ -104,7 +104,7 @@ class Maps:
         sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
-        view_deg = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views]).double()
+        view_deg = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views], dtype=torch.float32).double()
         return cls(
             {"ratio": torch.from_numpy(smooth).to(ratio), "shift_m": shift_m.clone(), "view_deg": view_deg},
             grid,

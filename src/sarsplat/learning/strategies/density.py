@@ -36,7 +36,9 @@ class DensityControl(Configured):
     def initial_state(self, params: dict[str, Tensor]) -> State:
         """Sums over the views that lit a Gaussian, and how many did."""
         count, device = len(params["means"]), params["means"].device
-        return State(rows={name: torch.zeros(count, device=device) for name in ("gradient", "seen")})
+        return State(
+            rows={name: torch.zeros(count, dtype=torch.float32, device=device) for name in ("gradient", "seen")}
+        )
 
     def wants_plane_gradients(self, step: int) -> bool:
         return step <= self._config.stop

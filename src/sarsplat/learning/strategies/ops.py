@@ -103,5 +103,5 @@ def _append(
 def _inside(params: Params, rows: Int64[Tensor, " m"], generator: torch.Generator) -> Float[Tensor, "m 3"]:
     """Random offsets from the centres of Gaussians, distributed as the Gaussians, m."""
     scales, quaternions = params["scales"].detach()[rows], params["quaternions"].detach()[rows]
-    along = torch.randn(len(rows), 3, generator=generator, device="cpu").to(scales) * scales
+    along = torch.randn(len(rows), 3, generator=generator, dtype=torch.float32, device="cpu").to(scales) * scales
     return rotated(quaternions, along)

@@ -100,7 +100,7 @@ class Info:
 
         The mean over the views would take for idle what only one of them sees.
         """
-        views, largest = self.images.views, torch.zeros(len(self.model), device=self.model.device)
+        views, largest = self.images.views, torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device)
         for few in self._few(len(views)):
             _, rendering = self._rendered(views[few], None)
             sections = rendering.cross_sections[:, : len(largest), self.model.power_channel]  # then the surroundings'
@@ -112,7 +112,10 @@ class Info:
 
         That of a pixel is the difference of amplitudes, and each Gaussian has the share of it that it has of the power.
         """
-        channel, total = self.model.power_channel, torch.zeros(len(self.model), device=self.model.device)
+        channel, total = (
+            self.model.power_channel,
+            torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device),
+        )
         faintest = _FAINTEST * self.images.brightest
         for few in self._few(len(self.images.views)):
             views, truth = self.images.views[few], self.images.truth[few]

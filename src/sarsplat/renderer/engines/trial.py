@@ -89,7 +89,7 @@ def _rendered(new_pass: NewPass, where: torch.device) -> dict[str, Tensor]:
         0.01 + 2.0 * leaves["optical_depth"],
     )
     results: dict[str, Tensor] = {}
-    loss = torch.zeros((), device=where)
+    loss = torch.zeros((), dtype=torch.float32, device=where)
     for title, amplitudes in (("harmonics", None), ("five channels", leaves["amplitudes"])):
         call = Render(new_pass(), _VIEWS, _GRID, RayGrid.for_image(_GRID), law.p_min)
         harmonics = law.parameters if amplitudes is None else None

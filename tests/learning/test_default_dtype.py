@@ -1,0 +1,37 @@
+"""Trainings are float32 whatever torch makes by default in the program around them."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import torch
+
+from datasets import small_dataset
+from sample_runs import made_up
+from sarsplat import Run, preset, reconstruct
+from sarsplat.runs.methods import method_named
+
+
+@pytest.fixture
+def doubles() -> Iterator[None]:
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
+def of_preset() -> Run:
+    return reconstruct(small_dataset(), replace(preset("default"), iterations=12, gaussians=60), quiet=True)
+
+
+def of_grid() -> Run:
+    config = replace(method_named("sar-nerf-grid").settings(), iterations=2)
+    return reconstruct(small_dataset(), config, method="sar-nerf-grid", quiet=True)
+
+
+@pytest.mark.filterwarnings("ignore:.*cannot determine the shape", "ignore:.*are constant")
+@pytest.mark.parametrize("trained", [of_preset, lambda: made_up("T72"), of_grid], ids=["default", "measured", "grid"])
+def test_the_default_of_torch_changes_no_bit(trained, doubles) -> None:
+    usual = trained().snapshot.tensors
+    torch.set_default_dtype(torch.float64)
+    other = trained().snapshot.tensors
+    assert {name: tensor.dtype for name, tensor in other.items()} == {n: t.dtype for n, t in usual.items()}
+    assert [name for name, tensor in usual.items() if not torch.equal(tensor, other[name])] == []
