@@ -17,10 +17,10 @@ def test_settings_are_named_where_they_differ_between_runs_alike() -> None:
         header("/a/BMP2", preset="quick", iterations=9, points={"voxel": 0.2, "rays": 2}, seed=1),
     ]
     assert told_apart(runs) == ["T72, points.voxel 0.1, seed 0", "T72, points.voxel 0.2, seed 0", "BMP2, seed 1"]
-    others = [header("/a/T72", "sar-nerf-grid", iterations=9, seed=0), header("/b/T72", preset="quick", seed=0)]
+    others = [header("/a/T72", "sar-nerf-grid", iterations=9, seed=0), header("/b/T72", preset="default", seed=0)]
     assert told_apart([runs[0], *others]) == [
         "/a/T72, sar-gs, quick, seed 0",
-        "/a/T72, sar-nerf-grid, no preset, seed 0",
-        "/b/T72, sar-gs, quick, seed 0",
+        "/a/T72, sar-nerf-grid, seed 0",
+        "/b/T72, sar-gs, default, seed 0",
     ]
     assert told_apart([header(None)]) == ["images in memory"]

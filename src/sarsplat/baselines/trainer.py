@@ -67,7 +67,7 @@ class BaselineTrainer(Trainable):
         scene = self._scene
         tensors = {f"model/{name}": tensor for name, tensor in self.model.state_dict().items()}
         for index, state in self._optimiser.state_dict()["state"].items():
-            tensors |= {f"optimiser/{index}/{name}": tensor for name, tensor in state.items()}
+            tensors |= {f"optimiser/{index}/{name}": tensor.float() for name, tensor in state.items()}
         tensors |= {"generator": self._generator.get_state(), **_scene_tensors(scene)}
         return Snapshot(
             self.iteration,
@@ -86,7 +86,7 @@ class BaselineTrainer(Trainable):
         groups = self._optimiser.state_dict()["param_groups"]
         parameters = [parameter for group in self._optimiser.param_groups for parameter in group["params"]]
         states = {
-            k: {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
+            k: {"step": torch.zeros((), dtype=torch.float32), "exp_avg": parameter, "exp_avg_sq": parameter}
             for k, parameter in enumerate(parameters if snapshot.iteration else ())
         }
         flat = {f"{k}/{name}": tensor for k, state in states.items() for name, tensor in state.items()}

@@ -29,7 +29,7 @@ def told_apart(headers: Sequence[Header], with_method: bool = True) -> list[str]
     Settings are told of runs of one dataset, method and preset: others differ in most of them.
     """
     methods = {header.method for header in headers}
-    presets = {header.config.get("preset") for header in headers}
+    presets = {header.config["preset"] for header in headers if "preset" in header.config}  # other methods have none
     datasets: dict[str, set[str]] = {}  # by their folders' names
     values: dict[tuple[str, str, str], dict[str, set[str]]] = {}  # of each setting, of runs that differ in little
     for header in headers:
@@ -42,7 +42,7 @@ def told_apart(headers: Sequence[Header], with_method: bool = True) -> list[str]
         name = Path(_dataset(header)).name if len(datasets[Path(_dataset(header)).name]) == 1 else _dataset(header)
         words = [name or "images in memory"]
         words += [header.method] if with_method and len(methods) > 1 else []
-        words += [str(header.config.get("preset", "no preset"))] if len(presets) > 1 else []
+        words += [header.config["preset"]] if len(presets) > 1 and "preset" in header.config else []
         settings = ((name, value) for name, value in _dotted(header.config) if name not in ("preset", "seed"))
         words += [f"{name} {value}" for name, value in settings if len(values[_kind(header)][name]) > 1]
         words += [f"seed {header.config['seed']}"] if "seed" in header.config else []

@@ -244,9 +244,9 @@ class Results:
 
 
 def varying(lines: Sequence[Line]) -> list[str]:
-    """Names of what tables must say: the dataset, and what is not the same everywhere."""
+    """Names of what tables must say: the dataset, and what is not the same wherever it is set."""
     names = dict.fromkeys(name for line in lines for name in line.labels)
-    return [n for n in names if n == "dataset" or len({repr(line.labels.get(n)) for line in lines}) > 1]
+    return [n for n in names if n == "dataset" or len({repr(line.labels[n]) for line in lines if n in line.labels}) > 1]
 
 
 def label_text(value: Any) -> str:
