@@ -79,7 +79,7 @@ def test_invalid_directions_are_refused_with_a_reason(angles, refusal):
 
 def test_numbers_of_every_kind_are_angles():
     assert View(np.float32(30), 40) == View(30.0, np.int64(40))
-    assert json.dumps(View(np.float32(30), np.int64(40)).__dict__) == '{"azimuth_deg": 30.0, "grazing_deg": 40.0}'
+    assert json.dumps(View(np.float32(30), np.int64(40)).as_dict()) == '{"azimuth_deg": 30.0, "grazing_deg": 40.0}'
     assert View(3600, 40).direction == pytest.approx(View(0, 40).direction, abs=1e-12)
 
 

@@ -371,7 +371,7 @@ class Dataset:
             "terrain": None if self.terrain is None else TERRAIN,
             "grid": self.grid.as_dict(),
             "views": [
-                {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view)}
+                {"file": f"images/{index:0{digits}d}.tif", **entry.view.as_dict()}
                 | {"split": entry.split, "name": entry.name, "azimuth_std_deg": entry.azimuth_std_deg or None}
                 | ({} if entry.stack is None else {"stack": vars(entry.stack)})
                 for index, entry in enumerate(self.entries)

@@ -84,6 +84,11 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
     azimuth_std_deg: Annotated[
         float | None, about("standard deviation of the azimuth, degrees, at most 10; null if it is known exactly")
     ] = None  # of 0: msgspec leaves out a default only if it is the very object
+    tilt_deg: Annotated[
+        float,
+        about("τ, by which the azimuth axis rises above the level one, degrees", minimum=-89, maximum=89),
+    ] = 0.0
+    side: Annotated[Literal["right", "left"], about("of its flight, on which the radar looks")] = "right"
     stack: Annotated[
         StackHeader | None,
         about("passes of a stack, one page of the TIFF each, in this order; null if it is a single image"),

@@ -6,17 +6,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments, described
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.look import Look
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
 _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
+_MAX_TILT = 89.0  # degrees: at 90 the image shows level ground edge-on, as a line
+
+Side = Literal["right", "left"]
+"""Of its flight, on which the radar looks."""
 
 _TURNED = (
     "give float(…), and turn the means instead; by `a` radians of azimuth: x, y, z = means.unbind(1); "
@@ -27,7 +31,7 @@ _TURNED = (
 
 @dataclass(frozen=True)
 class View:
-    """Direction to a far-away, monostatic, right-looking radar.
+    """Direction to a far-away, monostatic radar, and how its image lies around it.
 
     Parameters
     ----------
@@ -37,18 +41,26 @@ class View:
     grazing_deg : float
         Grazing angle θ, degrees in (0, 90): elevation of the radar seen from the scene
         (the depression angle over a flat earth; incidence = 90° − grazing).
+    tilt_deg : float
+        Angle τ by which the azimuth axis of the image, the direction of flight, rises above the level one, turned about
+        the line of sight, degrees, at most ±89: 0 unless the radar squints, climbs or dives.
+    side : {"right", "left"}
+        On which side of its flight the radar looks: the image of one is the mirror image of the other's.
 
     Raises
     ------
     SarsplatError
-        If an angle is not a number, the azimuth exceeds ten turns or the grazing angle lies outside (0°, 90°).
+        If an angle is not a number, the azimuth exceeds ten turns, the grazing angle lies outside (0°, 90°), the tilt
+        exceeds 89°, or there is no such side.
     """
 
     azimuth_deg: float
     grazing_deg: float
+    tilt_deg: float = 0.0
+    side: Side = "right"
 
     def __post_init__(self) -> None:
-        for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle")):
+        for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle"), ("tilt_deg", "tilt")):
             value = getattr(self, field)
             if type(value).__name__ == "Tensor":
                 raise SarsplatError(f"{name} is a tensor, but views have no gradients; {_TURNED}")
@@ -65,6 +77,21 @@ class View:
                 f"grazing angle {self.grazing_deg}° is outside (0°, 90°); "
                 "give degrees above the horizon (grazing = 90° − incidence)"
             )
+        if not abs(self.tilt_deg) <= _MAX_TILT:
+            raise SarsplatError(
+                f"tilt {self.tilt_deg}° is not a number of degrees between ±{_MAX_TILT:g}; "
+                "give how far the azimuth axis rises above the level one, 0 if it is level"
+            )
+        if self.side not in get_args(Side):
+            raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(Side))}")
+
+    def __repr__(self) -> str:
+        """As it is called: what is as usual is left out."""
+        return f"View({', '.join(f'{name}={value!r}' for name, value in self.as_dict().items())})"
+
+    def as_dict(self) -> dict[str, float | str]:
+        """Its arguments, for JSON; those that are as usual are left out."""
+        return {name: value for name, value in vars(self).items() if value != getattr(type(self), name, None)}
 
     @classmethod
     @checks_arguments
@@ -82,7 +109,7 @@ class View:
     @property
     def look(self) -> Look:
         """How the radar sees places from there."""
-        return Look.of(self.azimuth_deg, self.grazing_deg)
+        return Look.of(self.azimuth_deg, self.grazing_deg, self.tilt_deg, self.side == "left")
 
     @property
     def direction(self) -> Float64[np.ndarray, " 3"]:
@@ -92,7 +119,7 @@ class View:
 
 @checks_arguments
 def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
-    """Rotation R_r from the world to the radar frame, x_r = R_r x_w.
+    """R_r from the world to the radar frame, x_r = R_r x_w.
 
     Returns
     -------
@@ -101,6 +128,6 @@ def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
 
     Notes
     -----
-    Source: SAR-GS, eq. (5); a proper rotation.
+    Source: SAR-GS, eq. (5); a proper rotation, or its mirror image if the radar looks to the left.
     """
     return view.look.frame
