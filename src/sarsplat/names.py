@@ -27,6 +27,9 @@ Transmit = Literal["each", "one"]
 CrossPolarised = Literal["mean", "both"]
 """Whether HV and VH of one antenna become one channel, or stay two."""
 
+RadarSide = Literal["right", "left"]
+"""Sides of its flight to which a radar looks."""
+
 Side = Literal["top", "right", "bottom", "left"]
 """Sides of a picture, by the number of counter-clockwise quarter turns that bring each to the top."""
 

@@ -26,7 +26,7 @@ from sarsplat.cli.arguments import (
 )
 from sarsplat.cli.simulated import asked_stack, refuse_with_stacks, simulated_signals, simulated_views
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.names import Simulator, TargetName
+from sarsplat.names import RadarSide, Simulator, TargetName
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,6 +59,8 @@ def simulate(
     test_azimuth: Angles = (),
     test_grazing: Angles = (),
     test_incidence: Angles = (),
+    tilt: float = 0.0,
+    side: RadarSide = "right",
     source: Simulator = "raycast",
     law: Law = (0.1, 0.9),
     reflectivity: Decibels = 0.0,
@@ -114,6 +116,11 @@ def simulate(
         Grazing angles of the test views (default: those of the training views).
     test_incidence
         Incidence angles of the test views, instead of grazing angles.
+    tilt
+        Angle by which the azimuth axis of all images rises above the level one, degrees: of a radar that squints,
+        climbs or dives.
+    side
+        On which side of its flight the radar looks.
     source
         Ray casting, which is independent of the renderer, or the renderer itself, on Gaussians that cover the surface.
     law
@@ -187,6 +194,7 @@ def simulate(
     theirs = paper_views() if protocol == "paper" else mstar_views()
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
+    views = [(replace(view, tilt_deg=tilt, side=side), split) for view, split in views]
     if target == "village" and not pixels:
         pixels = (_VILLAGE_PIXELS,)
     grid = replace(_grid(protocol, pixels, spacing, resolution), response=response_of({"kind": response}))

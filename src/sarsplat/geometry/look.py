@@ -113,7 +113,7 @@ class Look:
 
     @property
     def displaced(self) -> Float64[np.ndarray, " 2"]:
-        """(x, y) by which what is one metre high is shown elsewhere than where it stands: towards the radar if level."""
+        """(x, y) by which what is one metre high is shown elsewhere than it stands: towards the radar if level."""
         towards = self.frame[2, :2] * self.frame[2, 2] / (1 - self.frame[2, 2] ** 2)
         return towards if self.level else towards + self.lean / self._cosine * self._across
 
@@ -130,6 +130,19 @@ class Look:
         """Where in the image what lies so far `ahead` is, m."""
         return ground_range * self._cosine - height * self.sine
 
+    def to_ground(self, azimuth: Lengths, slant_range: Lengths) -> tuple[Lengths, Lengths]:
+        """Where on the ground the image shows a place: across, as a level flight looking right goes, and `ahead`, m."""
+        ahead = self.ground_range(slant_range)
+        level = azimuth if self.level else azimuth / self._cos_tilt - ahead * (self.lean * self.sine)
+        return (level if self._along_right > 0 else -level), ahead
+
+    def to_image(self, across: Lengths, ahead: Lengths) -> tuple[Lengths, Lengths]:
+        """Azimuth and slant range at which the image shows such a place, m."""
+        level = across if self._along_right > 0 else -across
+        if not self.level:
+            level = self._cos_tilt * (level + ahead * (self.lean * self.sine))
+        return level, self.slant_range(ahead)
+
     def shadow_m(self, height: Lengths) -> Lengths:
         """How far `ahead` of its foot the shadow of what is so high ends on the ground, m."""
         return height / (self.slope * self._cos_tilt)
@@ -143,7 +156,7 @@ class Look:
 
     # ---- rays and the ground -----------------------------------------------------------------------------------------
     def elevation_on_ground(self, azimuth: Any, slant_range: Lengths) -> Lengths:
-        """Elevation of the ground that the image shows at a place, m; the same at every azimuth if the axis is level."""
+        """Elevation of the ground that the image shows at a place, m; the same at every azimuth of a level axis."""
         # `elevation_at` of height 0, but for the last bit: images depend on either
         level = slant_range * self.slope
         return level if self.level else level - azimuth * self.lean
@@ -197,6 +210,12 @@ class Look:
     @property
     def _cos_tilt(self) -> float:
         return 1 / math.hypot(1.0, self.lean)
+
+    @property
+    def _along_right(self) -> float:
+        """Positive if the azimuth axis points to where it would if the radar looked to the right."""
+        (ahead_x, ahead_y), (x, y) = self.frame[2, :2], self._across
+        return float(ahead_x * y - ahead_y * x)
 
     @property
     def _across(self) -> Float64[np.ndarray, " 2"]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import Literal, Self, get_args
+from typing import Self, get_args
 
 import numpy as np
 from jaxtyping import Float64
@@ -14,13 +14,11 @@ from jaxtyping import Float64
 from sarsplat.arguments import checks_arguments, described
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.look import Look
+from sarsplat.names import RadarSide
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
 _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
 _MAX_TILT = 89.0  # degrees: at 90 the image shows level ground edge-on, as a line
-
-Side = Literal["right", "left"]
-"""Of its flight, on which the radar looks."""
 
 _TURNED = (
     "give float(…), and turn the means instead; by `a` radians of azimuth: x, y, z = means.unbind(1); "
@@ -57,7 +55,7 @@ class View:
     azimuth_deg: float
     grazing_deg: float
     tilt_deg: float = 0.0
-    side: Side = "right"
+    side: RadarSide = "right"
 
     def __post_init__(self) -> None:
         for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle"), ("tilt_deg", "tilt")):
@@ -82,8 +80,8 @@ class View:
                 f"tilt {self.tilt_deg}° is not a number of degrees between ±{_MAX_TILT:g}; "
                 "give how far the azimuth axis rises above the level one, 0 if it is level"
             )
-        if self.side not in get_args(Side):
-            raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(Side))}")
+        if self.side not in get_args(RadarSide):
+            raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(RadarSide))}")
 
     def __repr__(self) -> str:
         """As it is called: what is as usual is left out."""
@@ -92,6 +90,12 @@ class View:
     def as_dict(self) -> dict[str, float | str]:
         """Its arguments, for JSON; those that are as usual are left out."""
         return {name: value for name, value in vars(self).items() if value != getattr(type(self), name, None)}
+
+    @property
+    def unusual(self) -> str:
+        """What follows its angles where they are said: ", tilted by 5°, looking left"; empty for most views."""
+        tilt = f", tilted by {round(self.tilt_deg, 1):g}°" if self.tilt_deg else ""
+        return tilt + (", looking left" if self.side == "left" else "")
 
     @classmethod
     @checks_arguments

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -120,7 +120,7 @@ class Controls:
 
         def slid(event: Any) -> None:
             if event.client is not None:  # and not the page itself, which follows the radar
-                self._on_aim(View(self._azimuth.value, self._grazing.value))
+                self._on_aim(replace(view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value))
 
         self._azimuth.on_update(slid)
         self._grazing.on_update(slid)

@@ -204,8 +204,8 @@ def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid)
         return Cells(first, low_m, high_m)
     if not look.level:
         raise SarsplatError(
-            f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° is tilted by {view.tilt_deg:g}°, "
-            "under which only level ground can be rendered; resample its image to a level azimuth axis"
+            f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° is tilted by "
+            f"{view.tilt_deg:g}°, under which only level ground can be rendered; resample its image to a level axis"
         )
     # before, the terrain lies lower than all of these rays, and behind, higher
     begin = look.along_ray(first[1] * dy, highest)
