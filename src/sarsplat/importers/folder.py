@@ -66,7 +66,7 @@ def import_folder(
     columns : mapping of str to str, optional
         What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth, grazing or incidence,
         spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
-        tilt, scale and offset, and of stacks view, baseline and polarisation. The usual names are recognised without it.
+        tilt, scale and offset, and of stacks view, baseline and polarisation. Usual names are recognised without it.
         What the table says of a picture precedes what is said of all.
     target_class : str, optional
         Take only the pictures of this class, if the table has a column of classes.
