@@ -6,7 +6,9 @@ from typing import Literal
 
 from sarsplat.plugins import discover
 
-TargetName = Literal["t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c", "village"]
+TargetName = Literal[
+    "t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c", "village", "satellite", "aircraft"
+]  # fmt: skip
 """Built-in targets; a test compares them with `sarsplat.scenes.TARGETS`."""
 
 SCATTERINGS = discover("sarsplat.gaussians", "law_", "LAW", "sarsplat.scattering")

@@ -136,6 +136,8 @@ class RayCaster:
         gamma0 = self._reflectivity * self._law.gamma0(facets.cos_incidence)
         gamma0[len(gamma0) - len(self._terrain_gamma0) :] = self._terrain_gamma0
         look, ground = view.look, self._ground_gamma0
+        if view.aloft and (ground is not None or len(self._terrain_gamma0)):
+            raise SarsplatError("the view is of a target aloft, where there is no ground; leave out the ground")
         trace = tracer(facets)
         if ground is not None:
             trace = _above_ground(facets, trace, look)

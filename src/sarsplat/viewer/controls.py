@@ -114,7 +114,9 @@ class Controls:
         gui = self._gui
         with gui.add_folder("Radar"):
             self._azimuth = gui.add_slider("azimuth, °", 0.0, 360.0, 0.1, round(view.azimuth_deg % 360, 1))
-            self._grazing = gui.add_slider("grazing, °", 1.0, 89.0, 0.1, round(min(max(view.grazing_deg, 1), 89), 1))
+            lowest = -89.0 if view.aloft else 1.0
+            first = round(min(max(view.grazing_deg, lowest), 89), 1)
+            self._grazing = gui.add_slider("grazing, °", lowest, 89.0, 0.1, first)
             gui.add_html(_HINT)
             steps = gui.add_button_group("known views", ("◀ previous", "next ▶"))
 
