@@ -12,10 +12,8 @@ VIEWS = [View(azimuth, grazing) for azimuth in range(-720, 721, 90) for grazing 
 VIEWS += [View(*angles) for angles in CHANCE.uniform((0, 2), (360, 88), (30, 2))]
 LOOKS = pytest.mark.parametrize("look", [view.look for view in VIEWS], ids=map(str, range(len(VIEWS))))
 TILTED = [
-    View(*angles, tilt, side)
-    for angles, tilt, side in zip(
-        CHANCE.uniform((0, 5), (360, 80), (24, 2)), np.linspace(-70, 70, 24), ["left", "right", "right"] * 8
-    )
+    View(azimuth, grazing, tilt, "left" if k % 3 == 0 else "right")
+    for k, (azimuth, grazing, tilt) in enumerate(CHANCE.uniform((0, 5, -70), (360, 80, 70), (24, 3)))
 ]
 TILTED += [View(200.0, 35.0, side="left"), View(20.0, 30.0, 1e-6)]
 ALL = [view.look for view in VIEWS + TILTED]

@@ -105,18 +105,18 @@ class View:
 
     @classmethod
     @checks_arguments
-    def towards(cls, direction: Float64[np.ndarray, " 3"] | Sequence[float]) -> Self:
-        """The view from a direction above the horizon, a vector of any length; the zenith becomes 89.999°."""
+    def towards(cls, direction: Float64[np.ndarray, " 3"] | Sequence[float], *, aloft: bool = False) -> Self:
+        """The view from a direction, above the horizon unless aloft, of any length; the zenith becomes 89.999°."""
         x, y, z = direction
         grazing = math.degrees(math.atan2(z, math.hypot(x, y)))
-        return cls(math.degrees(math.atan2(-y, x)) % 360.0, min(grazing, _STEEPEST))
+        return cls(math.degrees(math.atan2(-y, x)) % 360.0, max(min(grazing, _STEEPEST), -_STEEPEST), aloft=aloft)
 
     @classmethod
     @checks_arguments
     def isar(
         cls,
-        line_of_sight: Float64[np.ndarray, " 3"] | Sequence[float],
-        rotation_axis: Float64[np.ndarray, " 3"] | Sequence[float],
+        line_of_sight: Float64[np.ndarray, " 3"] | Sequence[float | int],
+        rotation_axis: Float64[np.ndarray, " 3"] | Sequence[float | int],
     ) -> Self:
         """The view of a radar that images a target in free space by its rotation (inverse SAR).
 
@@ -139,10 +139,7 @@ class View:
         for name, vector in (("line of sight", sight), ("rotation axis", axis)):
             if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
                 raise SarsplatError(f"the {name} {vector.tolist()} has no direction; give three numbers, not all 0")
-        x, y, z = sight
-        grazing = math.degrees(math.atan2(z, math.hypot(x, y)))
-        azimuth = math.degrees(math.atan2(-y, x)) % 360.0
-        level = cls(azimuth, min(max(grazing, -_STEEPEST), _STEEPEST), aloft=True)
+        level = cls.towards(sight, aloft=True)
         along = np.cross(level.direction, axis / np.linalg.norm(axis))  # as the radar moves, seen from the target
         if not np.linalg.norm(along) > _LEAST_TURN:
             raise SarsplatError(
