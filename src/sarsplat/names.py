@@ -6,7 +6,9 @@ from typing import Literal
 
 from sarsplat.plugins import discover
 
-TargetName = Literal["t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c", "village"]
+TargetName = Literal[
+    "t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c", "village", "satellite", "aircraft"
+]  # fmt: skip
 """Built-in targets; a test compares them with `sarsplat.scenes.TARGETS`."""
 
 SCATTERINGS = discover("sarsplat.gaussians", "law_", "LAW", "sarsplat.scattering")
@@ -26,6 +28,9 @@ Transmit = Literal["each", "one"]
 
 CrossPolarised = Literal["mean", "both"]
 """Whether HV and VH of one antenna become one channel, or stay two."""
+
+RadarSide = Literal["right", "left"]
+"""Sides of its flight to which a radar looks."""
 
 Side = Literal["top", "right", "bottom", "left"]
 """Sides of a picture, by the number of counter-clockwise quarter turns that bring each to the top."""

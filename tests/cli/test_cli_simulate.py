@@ -311,3 +311,49 @@ def test_a_village_is_as_wide_as_the_images_allow(tmp_path: Path) -> None:
     assert houses["large"].extents.max() == pytest.approx(0.64 * 192 * 0.3, abs=10)
     assert houses["small"].extents.max() < houses["large"].extents.max() / 1.5
     assert not np.array_equal(houses["small"].extents, houses["other"].extents)
+
+
+def test_views_may_be_tilted_and_look_left(tmp_path: Path) -> None:
+    words = ["--target", "slicy", "--azimuth", "0:360:90", "--grazing", "30", "--pixels", "24", "--spacing", "0.6"]
+    assert main(["simulate", *words, "--tilt", "15", "--side", "left", "--out", str(tmp_path / "set")]) == 0
+    assert {(view.tilt_deg, view.side) for view in read_dataset(tmp_path / "set").views} == {(15.0, "left")}
+
+
+def test_inverse_sar_of_what_flies(tmp_path: Path) -> None:
+    """Frames all around each axis, from below as well; and a reconstruction that has no ground to stand on."""
+    words = [
+        "--target",
+        "satellite",
+        "--isar",
+        *["0", "0", "1", "0", "1", "0"],
+        "--frames",
+        "16",
+        "--line-of-sight",
+        "1",
+        "1",
+        "1",
+    ]
+    words += ["--pixels", "48", "--spacing", "0.5"]
+    assert main(["simulate", *words, "--out", str(tmp_path / "set")]) == 0
+    dataset = read_dataset(tmp_path / "set")
+    assert len(dataset.select("train")) == len(dataset.select("test")) == 16
+    assert all(view.aloft for view in dataset.views)
+    assert min(view.grazing_deg for view in dataset.views) < -30
+    run = reconstruct(dataset, replace(preset("quick"), iterations=60, points=FEW_POINTS))
+    low, high = run.points.min(axis=0), run.points.max(axis=0)
+    assert low[2] < -0.8 and high[2] > 0.8
+    assert high[1] - low[1] > 9  # its wings
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--isar", "0", "0"], "--isar has 2 numbers; give three"),
+        (["--isar", "0", "0", "1", "--ground", "0.1"], "--isar has views of its own and no ground, but --ground"),
+        (["--isar", "1", "0", "0.5"], "along the line of sight"),
+        ([], "the satellite is in free space; give the axis"),
+    ],
+)
+def test_inverse_sar_that_cannot_be(words: list[str], message: str, tmp_path: Path, capsys) -> None:
+    assert main(["simulate", "--target", "satellite", *words, "--out", str(tmp_path / "set")]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())

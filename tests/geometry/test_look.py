@@ -11,6 +11,13 @@ CHANCE = np.random.default_rng(0)
 VIEWS = [View(azimuth, grazing) for azimuth in range(-720, 721, 90) for grazing in (0.5, 45.0, 89.5)]
 VIEWS += [View(*angles) for angles in CHANCE.uniform((0, 2), (360, 88), (30, 2))]
 LOOKS = pytest.mark.parametrize("look", [view.look for view in VIEWS], ids=map(str, range(len(VIEWS))))
+TILTED = [
+    View(azimuth, grazing, tilt, "left" if k % 3 == 0 else "right")
+    for k, (azimuth, grazing, tilt) in enumerate(CHANCE.uniform((0, 5, -70), (360, 80, 70), (24, 3)))
+]
+TILTED += [View(200.0, 35.0, side="left"), View(20.0, 30.0, 1e-6)]
+ALL = [view.look for view in VIEWS + TILTED]
+ALL_LOOKS = pytest.mark.parametrize("look", ALL, ids=map(str, range(len(ALL))))
 
 
 def to_radar(azimuth_deg: float, grazing_deg: float) -> np.ndarray:
@@ -36,6 +43,41 @@ def test_the_frame_is_a_proper_rotation_with_a_level_azimuth_axis(look):
     assert np.linalg.det(look.frame) == pytest.approx(1.0)
     assert look.frame[0, 2] == 0.0
     assert look.frame[1, 2] > 0.0
+    assert look.level
+
+
+@pytest.mark.parametrize("view", TILTED, ids=str)
+def test_a_tilted_image_plane_is_turned_about_the_line_of_sight(view):
+    level, look = View(view.azimuth_deg, view.grazing_deg).look, view.look
+    assert look.frame @ look.frame.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert (look.frame[2] == level.frame[2]).all()
+    mirrored = -1 if view.side == "left" else 1
+    assert np.linalg.det(look.frame) == pytest.approx(mirrored)
+    assert look.frame[0] @ level.frame[0] == pytest.approx(mirrored * math.cos(math.radians(view.tilt_deg)))
+    assert look.frame[0] @ level.frame[1] == pytest.approx(math.sin(math.radians(view.tilt_deg)))  # it rises
+
+
+def test_left_is_right_mirrored():
+    right, left = View(70.0, 40.0, 12.0).look.frame, View(70.0, 40.0, -12.0, "left").look.frame
+    assert (left[0] == -right[0]).all() and (left[1:] == right[1:]).all()
+    flight, _, away = View(70.0, 40.0, side="left").look.frame
+    assert np.cross(flight, away)[2] > 0  # the scene lies to the left of the direction of flight
+
+
+@ALL_LOOKS
+def test_extents_of_the_ground_that_an_image_shows(look):
+    to_image = look.gradients[:, :2]
+    around = 2 * np.pi * np.arange(720) / 720
+    disc = look.disc_m(4.0, 3.0) * np.stack([np.cos(around), np.sin(around)])
+    assert np.max(np.abs(to_image @ disc) / [[4.0], [3.0]]) == pytest.approx(1.0, abs=1e-4)
+    corners = np.linalg.solve(to_image, [[4.0, 4.0], [3.0, -3.0]])
+    assert look.corner_m(4.0, 3.0) == pytest.approx(np.linalg.norm(corners, axis=0).max())
+
+
+@ALL_LOOKS
+def test_what_is_high_is_shown_elsewhere(look):
+    place = np.linalg.solve(look.gradients[:, :2], look.gradients @ [0.0, 0.0, 2.0])
+    assert 2 * look.displaced == pytest.approx(place)
 
 
 @pytest.mark.parametrize("view", VIEWS, ids=str)
@@ -66,13 +108,15 @@ def test_gradients_are_those_of_the_distance_and_of_the_place_along_the_flight()
     assert (view.look.gradients == view.look.frame[[0, 2]]).all()
 
 
-@LOOKS
+@ALL_LOOKS
 def test_height_is_nearer_and_elevation_is_high(look):
     assert seen(look, np.array([0, 0, 2.0]))[2] == pytest.approx(-2 * look.sine)
     assert (look.frame.T @ [0, 3.0, 0])[2] == pytest.approx(3 * look.height_per_elevation)
+    assert (look.frame.T @ [3.0, 0, 0])[2] == pytest.approx(3 * look.height_per_azimuth)
+    assert look.height_per_elevation > 0
 
 
-@LOOKS
+@ALL_LOOKS
 def test_ground_is_where_the_image_shows_it(look):
     for azimuth, slant_range, height in CHANCE.uniform(-9, 9, (5, 3)):
         ground = ground_at(look, azimuth, slant_range, 0.0)
@@ -102,7 +146,7 @@ def test_in_the_vertical_plane_along_the_line_of_sight(look):
     assert look.along_ray(elevation, height) == pytest.approx(along)
 
 
-@LOOKS
+@ALL_LOOKS
 def test_a_shadow_ends_where_the_ray_over_the_top_meets_the_ground(look):
     top = np.array([1.0, -2.0, 1.3])
     end = top + top[2] / look.way_in[2] * -look.way_in
@@ -112,7 +156,7 @@ def test_a_shadow_ends_where_the_ray_over_the_top_meets_the_ground(look):
     assert look.ahead @ look.way_in[:2] < 0  # away from the radar
 
 
-@LOOKS
+@ALL_LOOKS
 def test_rays_to_the_ground_are_all_and_no_more(look):
     azimuths, ranges, heights = (-3.0, 2.0), (-1.0, 4.0), (-0.5, 2.5)
     (left, right), (low, high) = look.rays_to_ground(azimuths, ranges, heights)
@@ -126,7 +170,7 @@ def test_rays_to_the_ground_are_all_and_no_more(look):
     assert np.max(shown, axis=0) == pytest.approx([right, high])
 
 
-@LOOKS
+@ALL_LOOKS
 def test_level_ground_keeps_its_power_from_the_ground_to_the_image(look):
     """γ⁰ is for each area across the line of sight, β⁰ for each area of the image: of a patch, both give its power."""
     patch = np.stack([np.append(axis, 0.0) for axis in look.onto_ground])  # of 1 m² of the image

@@ -79,7 +79,7 @@ def test_invalid_directions_are_refused_with_a_reason(angles, refusal):
 
 def test_numbers_of_every_kind_are_angles():
     assert View(np.float32(30), 40) == View(30.0, np.int64(40))
-    assert json.dumps(View(np.float32(30), np.int64(40)).__dict__) == '{"azimuth_deg": 30.0, "grazing_deg": 40.0}'
+    assert json.dumps(View(np.float32(30), np.int64(40)).as_dict()) == '{"azimuth_deg": 30.0, "grazing_deg": 40.0}'
     assert View(3600, 40).direction == pytest.approx(View(0, 40).direction, abs=1e-12)
 
 
@@ -128,3 +128,52 @@ def test_cells_and_independent_samples_are_the_coarser_of_pixel_and_resolution()
     mixed = ImageGrid(10, 20, spacing_m=(0.5, 0.2), resolution_m=(0.4, 0.8))
     assert mixed.cell_m == pytest.approx(math.sqrt(0.5 * 0.8))
     assert mixed.independent_samples == pytest.approx(10 * 20 / 4)
+
+
+def measured_from(sight: np.ndarray, axis: np.ndarray, place: np.ndarray) -> tuple[float, float]:
+    """Distance and its rate, of a place on a target that turns once in 2π s, from a radar far away."""
+    far, step = 1e7, 1e-4
+    unit, antenna = axis / np.linalg.norm(axis), far * sight / np.linalg.norm(sight)
+    moved = place + step * np.cross(unit, place)
+    before, after = (np.linalg.norm(antenna - at) - far for at in (place, moved))
+    return float(before), float(after - before) / step
+
+
+@pytest.mark.parametrize(
+    ("sight", "axis"), [((1, 0, 0.5), (0, 0, 1)), ((1, -2, -3), (1, 0.2, 0)), ((0, 1, 0), (0.3, 1, -2))]
+)
+def test_cross_range_of_inverse_sar_is_the_doppler_of_a_turning_target(sight, axis):
+    sight, axis = np.array(sight, float), np.array(axis, float)
+    view = View.isar(sight, axis)
+    assert view.aloft and view.direction == pytest.approx(sight / np.linalg.norm(sight), abs=1e-9)
+    sine = np.linalg.norm(np.cross(sight, axis)) / np.linalg.norm(sight) / np.linalg.norm(axis)
+    for place in CHANCE.uniform(-3, 3, (5, 3)):
+        azimuth, slant_range = view.look.gradients @ place
+        distance, rate = measured_from(sight, axis, place)
+        assert slant_range == pytest.approx(distance, abs=1e-5)
+        assert azimuth == pytest.approx(-rate / sine, abs=1e-4)  # what comes nearer has the higher frequency
+
+
+def test_a_turntable_is_seen_as_a_radar_that_flies_around_it():
+    """Clockwise, as azimuths run: the target turns the other way, and the scene is on the radar's right."""
+    view = View.isar(View(35.0, 20.0).direction, (0, 0, 1))
+    assert (view.tilt_deg, view.side) == (pytest.approx(0.0, abs=1e-9), "right")
+    assert view.look.frame == pytest.approx(View(35.0, 20.0).look.frame)
+    assert View.isar(View(35.0, 20.0).direction, (0, 0, -1)).side == "left"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: View.isar((0, 0, 1), (0, 0, 2)), "along the line of sight"),
+        (lambda: View.isar((0, 0, 0), (0, 0, 2)), "the line of sight .* has no direction"),
+        (lambda: View.isar((1, 0, 0), (0, math.nan, 2)), "the rotation axis .* has no direction"),
+        (lambda: View(10.0, -5.0), r"grazing angle -5.0° is outside \(0°, 90°\)"),
+        (lambda: View(10.0, -90.0, aloft=True), r"outside \(-90°, 90°\)"),
+        (lambda: View(10.0, 5.0, 89.5), "tilt 89.5° is not a number of degrees between ±89"),
+        (lambda: View(10.0, 5.0, side="up"), "side 'up' is not one; give right or left"),
+    ],
+)
+def test_views_that_cannot_be(make, message):
+    with pytest.raises(SarsplatError, match=message):
+        make()

@@ -104,6 +104,22 @@ def test_tilted_slant_planes_lean_as_stated(tmp_path, track):
     assert any("tilted about the line of sight" in text for text in dataset.source["assumptions"])
 
 
+@pytest.mark.parametrize("track", [Track(squint=12), Track(bearing=20, look="L", squint=-20), Track(climb=6)])
+def test_planes_that_stay_tilted_lean_nowhere_and_lose_no_sharpness(tmp_path, track):
+    places = [(5.0, -7.0, 0.0), (0.0, 0.0, 2.0), (-3.0, 4.0, 1.0)]
+    level = imported(tmp_path, track, Recording(), places)
+    dataset = imported(tmp_path, track, Recording(), places, tilted=True)
+    [facts], [view] = dataset.source["images"], dataset.views
+    assert view.tilt_deg == pytest.approx(facts["tilt_deg"], abs=1e-3) and abs(view.tilt_deg) > 3
+    assert np.abs(misses(dataset, places)).max() < 0.06
+    assert np.abs(facts["leaning_m_per_m"]).max() < 1e-3
+    assert not any("tilted about the line of sight" in text for text in dataset.source["assumptions"])
+    # a level axis cuts the response of a tilted plane at a slant
+    assert dataset.grid.resolution_m[0] == pytest.approx(level.grid.resolution_m[0], rel=0.2)
+    assert math.prod(dataset.grid.resolution_m) < math.prod(level.grid.resolution_m)
+    assert dataset.grid.response != GAUSSIAN  # its side lobes still run along its axes
+
+
 @pytest.mark.parametrize("doppler", [(0.0, 0.0), (0.4, -0.9)], ids=["centred band", "band elsewhere"])
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_resampling_keeps_amplitude_and_phase(tmp_path, doppler, sign):

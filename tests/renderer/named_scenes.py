@@ -16,6 +16,7 @@ from sarsplat.renderer.echoes import GroundEcho
 GRID = ImageGrid(20, 24, spacing_m=(0.2, 0.2), resolution_m=(0.3, 0.3))
 ODD = ImageGrid(19, 23, spacing_m=(0.2, 0.21), resolution_m=(0.3, 0.4))
 VIEWS = (View(20.0, 40.0), View(200.0, 15.0), View(77.0, 75.0))
+UNUSUAL = (View(20.0, 40.0, 25.0), View(200.0, 15.0, side="left"), View(77.0, 60.0, -40.0, "left"))
 
 
 @dataclass(frozen=True)
@@ -236,6 +237,12 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     ),
     "terrain": lambda: Scene(cloud(40, 34), ground=Ground(torch.tensor(0.3), height_m=_terrain(0.55))),
     "terrain, shifted": lambda: Scene(cloud(40, 35), ground=_textured(_terrain(0.55)), shift=0.2 * _random(6, 3, 2)),
+    "tilted or to the left": lambda: Scene(cloud(40, 36), UNUSUAL, shift=0.2 * _random(6, 3, 2)),
+    "ground, tilted or to the left": lambda: Scene(
+        cloud(40, 37), UNUSUAL, ground=_textured(-0.55), shift=0.2 * _random(6, 3, 2)
+    ),
+    "ground to the left": lambda: Scene(cloud(40, 38), UNUSUAL[1:2], ground=_textured(-0.55)),
+    "terrain to the left": lambda: Scene(cloud(40, 39), UNUSUAL[1:2], ground=_textured(_terrain(0.55))),
     "many": lambda: Scene(_mostly_empty(cloud(1100, 50, scale=0.04)), views=VIEWS[:2]),
 }
 """What the engines are compared on. Rendering is cut (footprints, early stop, image), and a pair that lies on a cut to

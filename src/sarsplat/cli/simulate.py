@@ -24,9 +24,9 @@ from sarsplat.cli.arguments import (
     pair,
     refuse_existing,
 )
-from sarsplat.cli.simulated import asked_stack, refuse_with_stacks, simulated_signals, simulated_views
+from sarsplat.cli.simulated import asked_stack, isar_views, refuse_with_stacks, simulated_signals, simulated_views
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.names import Simulator, TargetName
+from sarsplat.names import RadarSide, Simulator, TargetName
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,6 +59,11 @@ def simulate(
     test_azimuth: Angles = (),
     test_grazing: Angles = (),
     test_incidence: Angles = (),
+    tilt: float = 0.0,
+    side: RadarSide = "right",
+    isar: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X Y Z …", help_behavior_hint="(optional)")] = (),
+    line_of_sight: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X Y Z")] = (1.0, 0.0, 0.5),
+    frames: int = 24,
     source: Simulator = "raycast",
     law: Law = (0.1, 0.9),
     reflectivity: Decibels = 0.0,
@@ -88,10 +93,10 @@ def simulate(
     out
         Dataset folder to write.
     target
-        A built-in target: a vehicle, one of the paper's buildings, or a village, .64 as wide as the images (256 pixels
-        unless others are given), of houses drawn by --seed.
+        A built-in target: a vehicle, one of the paper's buildings, a satellite or an aircraft (with --isar), or a
+        village, .64 as wide as the images (256 pixels unless others are given), of houses drawn by --seed.
     mesh
-        A mesh file instead: metres, +x nose, +y left, +z up, ground at z = 0.
+        A mesh file instead: metres, +x nose, +y left, +z up, ground at z = 0 but for --isar.
     scale
         Factor on the target's size, such as 0.001 for a mesh in millimetres.
     protocol
@@ -114,6 +119,18 @@ def simulate(
         Grazing angles of the test views (default: those of the training views).
     test_incidence
         Incidence angles of the test views, instead of grazing angles.
+    tilt
+        Angle by which the azimuth axis of all images rises above the level one, degrees: of a radar that squints,
+        climbs or dives.
+    side
+        On which side of its flight the radar looks.
+    isar
+        Inverse SAR of a target in free space instead: axes about which it turns, in its own frame, three numbers each.
+        Of each axis, frames are spread over a whole turn, and test frames lie between them (docs/how-to/isar.md).
+    line_of_sight
+        From the target to the radar in the first frame of every axis, in the target's frame.
+    frames
+        Training frames of all axes together.
     source
         Ray casting, which is independent of the renderer, or the renderer itself, on Gaussians that cover the surface.
     law
@@ -174,6 +191,7 @@ def simulate(
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db, raycast_masks
     from sarsplat.scenes.scattering import check_terrain, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
+    from sarsplat.scenes.targets import ALOFT
     from sarsplat.scenes.village import FITTING, village
 
     if clean_tests and looks is None:
@@ -187,6 +205,17 @@ def simulate(
     theirs = paper_views() if protocol == "paper" else mstar_views()
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
+    views = [(replace(view, tilt_deg=tilt, side=side), split) for view, split in views]
+    if isar:
+        others = {"azimuth": any(own), "test-azimuth": any(test), "test-protocol": test_protocol}
+        others |= {"random-views": random_views is not None, "tilt": tilt != 0, "side": side != "right"}
+        others |= {"ground": ground is not None, "masks": masks}
+        others |= {"passes": passes is not None, "polarimetric": polarimetric}
+        if given := [name for name, there in others.items() if there]:
+            raise SarsplatError(f"--isar has views of its own and no ground, but --{given[0]} was given; leave out one")
+        views = isar_views(isar, line_of_sight, frames)
+    elif target in ALOFT:
+        raise SarsplatError(f"the {target} is in free space; give the axis about which it turns, such as --isar 0 0 1")
     if target == "village" and not pixels:
         pixels = (_VILLAGE_PIXELS,)
     grid = replace(_grid(protocol, pixels, spacing, resolution), response=response_of({"kind": response}))

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 X_BAND_M = 0.031
 """Wavelength where none is given."""
 
+_MOST_FRAMES = 10_000
+
 Raster = tuple[Angles, Angles, Angles]
 """What was given of a raster of views: azimuths, grazing angles, and incidence angles instead of these."""
 
@@ -78,6 +80,34 @@ def _test(theirs: list[tuple[View, str]], train: Raster, given: Raster, test_the
     if not grazing and not incidence:
         _, grazing, incidence = train
     return [(view, "test") for view in views_from(azimuth or train[0], grazing, incidence, prefix="test-")]
+
+
+def isar_views(axes: tuple[float, ...], sight: tuple[float, ...], frames: int) -> list[tuple[View, str]]:
+    """Training frames, evenly around each axis of rotation in turn, and test frames halfway between them.
+
+    `axes` are three numbers each, `sight` the line of sight of the first frame of each, in the target's frame.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from sarsplat.geometry import View
+
+    if not axes or len(axes) % 3:
+        raise SarsplatError(f"--isar has {len(axes)} numbers; give three for each axis of rotation, such as 0 0 1")
+    if len(sight) != 3:
+        raise SarsplatError(f"--line-of-sight has {len(sight)} numbers; give three, such as 1 0 0.5")
+    if not 1 <= frames <= _MOST_FRAMES:
+        raise SarsplatError(f"--frames {frames} must be 1 to {_MOST_FRAMES}")
+    every = np.array(axes, float).reshape(-1, 3)
+    views = []
+    for number, axis in enumerate(every):
+        count = (frames + number) // len(every)
+        View.isar(sight, axis)  # they must not be along one line, nor nothing
+        unit = axis / np.linalg.norm(axis)
+        for k in range(2 * count):
+            turned = Rotation.from_rotvec(-np.pi * k / count * unit).apply(sight)  # the target turns the other way
+            views.append((View.isar(turned, axis), "test" if k % 2 else "train"))
+    return views
 
 
 def asked_stack(

@@ -52,16 +52,17 @@ def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: 
     rows = columns * _DOTS_ACROSS // _DOTS_DOWN + 1
     middle = (columns * _DOTS_ACROSS // 2, rows * _DOTS_DOWN // 2)
     radius = min(middle) - 1
+    farthest = 180 if any(view.aloft for view in train) else 90  # the nadir around, or the horizon
 
     def place(azimuth_deg: float, grazing_deg: float) -> tuple[int, int]:
         """Dot of a direction."""
-        distance = radius * (90 - grazing_deg) / 90
+        distance = radius * (90 - grazing_deg) / farthest
         angle = math.radians(azimuth_deg)
         return round(middle[0] + distance * math.sin(angle)), round(middle[1] - distance * math.cos(angle))
 
     cells = [[" "] * columns for _ in range(rows)]
     for ring in _RINGS_DEG:
-        count = max(24, round(radius * (90 - ring) / 90 * 1.6))
+        count = max(24, round(radius * (90 - ring) / farthest * 1.6))
         for x, y in {place(360 * k / count, ring) for k in range(count)}:
             row, column = y // _DOTS_DOWN, x // _DOTS_ACROSS
             if symbols.ring is not None:

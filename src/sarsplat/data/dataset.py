@@ -167,6 +167,11 @@ class Dataset:
                 f"score_margin {self.score_margin} does not suit images of {self.grid.rows} × {self.grid.columns} "
                 "pixels; give 0 or more pixels, less than half a side"
             )
+        aloft = sum(view.aloft for view in self.views)
+        if 0 < aloft < len(self):
+            raise SarsplatError(f"{aloft} of {len(self)} views are of a target aloft; give all or none")
+        if aloft and self.ground:
+            raise SarsplatError("the views are of a target aloft, where there is no ground, but ground is True")
         if self.terrain is not None and not self.ground:
             raise SarsplatError("terrain is the ground that images show, but ground is False; give both or neither")
         box = self.target_box_m
@@ -371,7 +376,7 @@ class Dataset:
             "terrain": None if self.terrain is None else TERRAIN,
             "grid": self.grid.as_dict(),
             "views": [
-                {"file": f"images/{index:0{digits}d}.tif", **vars(entry.view)}
+                {"file": f"images/{index:0{digits}d}.tif", **entry.view.as_dict()}
                 | {"split": entry.split, "name": entry.name, "azimuth_std_deg": entry.azimuth_std_deg or None}
                 | ({} if entry.stack is None else {"stack": vars(entry.stack)})
                 for index, entry in enumerate(self.entries)

@@ -203,7 +203,7 @@ def _blamed_on(place: object) -> Iterator[None]:
 
 def _view(index: int, item: ViewHeader) -> View:
     with _blamed_on(f"views[{index}]"):
-        return View(item.azimuth_deg, item.grazing_deg)
+        return View(item.azimuth_deg, item.grazing_deg, item.tilt_deg, item.side, item.aloft)
 
 
 def _stack(index: int, item: ViewHeader) -> Stack | None:

@@ -74,7 +74,11 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
     ]
     grazing_deg: Annotated[
         float,
-        about("θ, elevation of the radar above the horizon, degrees", exclusiveMinimum=0, exclusiveMaximum=90),
+        about(
+            "θ, elevation of the radar above the horizon, degrees; below 0 only aloft",
+            exclusiveMinimum=-90,
+            exclusiveMaximum=90,
+        ),
     ]
     split: Annotated[
         str,
@@ -84,6 +88,18 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
     azimuth_std_deg: Annotated[
         float | None, about("standard deviation of the azimuth, degrees, at most 10; null if it is known exactly")
     ] = None  # of 0: msgspec leaves out a default only if it is the very object
+    tilt_deg: Annotated[
+        float,
+        about(
+            "τ, by which the azimuth axis rises above the level one, degrees; beyond ±89 only aloft",
+            minimum=-90,
+            maximum=90,
+        ),
+    ] = 0.0
+    side: Annotated[Literal["right", "left"], about("of its flight, on which the radar looks")] = "right"
+    aloft: Annotated[
+        bool, about("whether the target is in free space: no ground at z = 0, and the radar may be below")
+    ] = False
     stack: Annotated[
         StackHeader | None,
         about("passes of a stack, one page of the TIFF each, in this order; null if it is a single image"),

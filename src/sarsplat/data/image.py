@@ -247,7 +247,7 @@ def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_ran
         extent=extent,
         interpolation="nearest",
     )
-    axes.set_title(f"azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°")
+    axes.set_title(f"azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°{view.unusual}")
     axes.set_xlabel("azimuth, m")
     axes.set_ylabel("slant range, m")
     figure.colorbar(shades, ax=axes, label="β⁰, dB", shrink=0.9)

@@ -25,7 +25,7 @@ favours the baseline, not a reconstruction measured by it. The likelihood is fla
 def nearest_chip(
     train: Real[np.ndarray, "k rows columns"], train_views: Sequence[View], views: Sequence[View]
 ) -> Float[np.ndarray, "v rows columns"]:
-    """The training chip nearest in azimuth, smoothed by a 5×5 mean.
+    """The training chip nearest in azimuth, among those tilted alike and from the same side, smoothed by a 5×5 mean.
 
     Parameters
     ----------
@@ -39,7 +39,8 @@ def nearest_chip(
     numpy.ndarray, float [V, rows, columns]
         Predicted mean power.
     """
-    return smoothed(train, 5, 5)[np.abs(_turn_deg(train_views, views)).argmin(axis=1)]
+    other = [[(a.side != b.side) * 360 + abs(a.tilt_deg - b.tilt_deg) for a in train_views] for b in views]
+    return smoothed(train, 5, 5)[(np.abs(_turn_deg(train_views, views)) + other).argmin(axis=1)]
 
 
 def rotated_average(
@@ -111,10 +112,9 @@ def _turned(
 ) -> Float64[np.ndarray, "{grid.rows} {grid.columns}"]:
     """A chip seen from `source` as it would look from `wanted` if it lay flat on the ground."""
     slant, across = np.meshgrid(grid.range_m, grid.azimuth_m, indexing="ij")
-    ground = wanted.look.ground_range(slant)
+    across, ground = wanted.look.to_ground(across, slant)
     cosine, sine = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
-    across_source = cosine * across + sine * ground
-    slant_source = source.look.slant_range(cosine * ground - sine * across)
+    across_source, slant_source = source.look.to_image(cosine * across + sine * ground, cosine * ground - sine * across)
     row = (slant_source - grid.range_m[0]) / grid.spacing_m[1]
     column = (across_source - grid.azimuth_m[0]) / grid.spacing_m[0]
     return map_coordinates(power, [row, column], order=1, mode="nearest")

@@ -87,6 +87,9 @@ def _upright(
     dataset: Dataset, examined: Examination, counts: Counting | None, spread: Sequence[View] | None
 ) -> Dataset:
     """The dataset with near range on top, and with ground if images show it; notes what contradicts that."""
+    if dataset.views[0].aloft:
+        examined.checks["orientation"] = "cannot be determined: what is aloft turns about any axis and has no shadow"
+        return dataset
     ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
     centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
     look = partial(orientation, dataset.power, dataset.views, dataset.grid, centred=centred, spread=spread)

@@ -94,10 +94,10 @@ def match(
     ground = {
         k: _at(
             uniform_filter(bright[k], coarse),
-            (across - grid.azimuth_m[0]) / grid.spacing_m[0],
-            (views[k].look.slant_range(along) - grid.range_m[0]) / grid.spacing_m[1],
+            (azimuth - grid.azimuth_m[0]) / grid.spacing_m[0],
+            (slant_range - grid.range_m[0]) / grid.spacing_m[1],
         )
-        for k in used
+        for k, (azimuth, slant_range) in ((k, views[k].look.to_image(across, along)) for k in used)
     }
     padded = (next_fast_len(2 * _PLACES),) * 2
     first = {k: rfft2(_normalised(ground[k], inside), padded).conj() for k, _ in pairs}

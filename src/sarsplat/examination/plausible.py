@@ -140,7 +140,8 @@ def suspicious_coverage(views: Sequence[View]) -> list[str]:
             f"there is one training view (azimuth {first.azimuth_deg:g}°), which cannot determine the shape; add views "
             "from other azimuths"
         ]
-    cosines = np.array([view.direction for view in views]) @ first.direction
+    frames = np.array([view.look.frame for view in views])
+    cosines = (frames[:, 1:] * frames[0, 1:]).sum(2)  # of elevation axes, too: tilts make a difference
     if cosines.min() > math.cos(math.radians(_SAME_DIRECTION_DEG)):
         return [
             f"all {len(views)} training views are the same (azimuth {first.azimuth_deg:g}°, grazing "

@@ -52,7 +52,8 @@ def bounded_region(
     """The region that can hold the target if nothing else returns power: an intersection of half-spaces.
 
     In every view the target lies within the azimuths of the bright pixels and behind the nearest bright range; it
-    stands on the ground z = 0. Shadow hides nothing from these bounds, so nothing of the target is cut off.
+    stands on the ground z = 0, unless it is aloft. Shadow hides nothing from these bounds, so nothing of the target is
+    cut off.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def bounded_region(
     from scipy.optimize import linprog  # here, because it takes half a second to import, and only trainings start
 
     bright = brighter(power, threshold_db)
-    normals, offsets = [np.array([0.0, 0.0, -1.0])], [0.0]
+    normals, offsets = ([], []) if views[0].aloft else ([np.array([0.0, 0.0, -1.0])], [0.0])
     half_a, half_r = grid.spacing_m[0] / 2, grid.spacing_m[1] / 2
     for mask, view in zip(bright, views, strict=True):
         if not mask.any():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from sarsplat.geometry.grids import ImageGrid
@@ -12,6 +11,5 @@ from sarsplat.geometry.view import View
 def ground_radius_m(views: Sequence[View], grid: ImageGrid) -> float:
     """Radius of the ground that images from these views show, m, with a margin for footprints and responses."""
     across = grid.columns * grid.spacing_m[0] + 2 * abs(grid.center_m[0])
-    steepest = max(views, key=lambda view: view.grazing_deg).look
-    along = steepest.ground_range(grid.rows * grid.spacing_m[1] + 2 * abs(grid.center_m[1]))
-    return math.hypot(across, along) / 2 + 2 * max(grid.resolution_m)
+    away = grid.rows * grid.spacing_m[1] + 2 * abs(grid.center_m[1])
+    return max(view.look.corner_m(across / 2, away / 2) for view in views) + 2 * max(grid.resolution_m)

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Self
+from typing import Self, get_args
 
 import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments, described
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.look import Look
+from sarsplat.names import RadarSide
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
 _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
+_MAX_TILT = 89.0  # degrees: at 90 the image shows level ground edge-on, as a line
+_LEAST_TURN = 1e-3  # sine of the angle between a line of sight and an axis: along it, nothing has a Doppler frequency
 
 _TURNED = (
     "give float(…), and turn the means instead; by `a` radians of azimuth: x, y, z = means.unbind(1); "
@@ -27,7 +30,7 @@ _TURNED = (
 
 @dataclass(frozen=True)
 class View:
-    """Direction to a far-away, monostatic, right-looking radar.
+    """Direction to a far-away, monostatic radar, and how its image lies around it.
 
     Parameters
     ----------
@@ -37,18 +40,30 @@ class View:
     grazing_deg : float
         Grazing angle θ, degrees in (0, 90): elevation of the radar seen from the scene
         (the depression angle over a flat earth; incidence = 90° − grazing).
+    tilt_deg : float
+        Angle τ by which the azimuth axis of the image, the direction of flight, rises above the level one, turned about
+        the line of sight, degrees, at most ±89: 0 unless the radar squints, climbs or dives.
+    side : {"right", "left"}
+        On which side of its flight the radar looks: the image of one is the mirror image of the other's.
+    aloft : bool
+        The target is in free space: there is no ground at z = 0, and the radar may be below, at a grazing angle down to
+        −90°, and the tilt be 90°. See `isar`.
 
     Raises
     ------
     SarsplatError
-        If an angle is not a number, the azimuth exceeds ten turns or the grazing angle lies outside (0°, 90°).
+        If an angle is not a number, the azimuth exceeds ten turns, the grazing angle lies outside (0°, 90°), the tilt
+        exceeds 89°, or there is no such side.
     """
 
     azimuth_deg: float
     grazing_deg: float
+    tilt_deg: float = 0.0
+    side: RadarSide = "right"
+    aloft: bool = False
 
     def __post_init__(self) -> None:
-        for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle")):
+        for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle"), ("tilt_deg", "tilt")):
             value = getattr(self, field)
             if type(value).__name__ == "Tensor":
                 raise SarsplatError(f"{name} is a tensor, but views have no gradients; {_TURNED}")
@@ -60,19 +75,80 @@ class View:
                 f"azimuth {self.azimuth_deg} is not a number of degrees between ±{_MAX_AZIMUTH}; "
                 "give degrees, such as 0 to 360"
             )
-        if not 0.0 < self.grazing_deg < 90.0:  # also catches NaN
+        lowest = -90.0 if self.aloft else 0.0
+        if not lowest < self.grazing_deg < 90.0:  # also catches NaN
             raise SarsplatError(
-                f"grazing angle {self.grazing_deg}° is outside (0°, 90°); "
+                f"grazing angle {self.grazing_deg}° is outside ({lowest:g}°, 90°); "
                 "give degrees above the horizon (grazing = 90° − incidence)"
             )
+        if not abs(self.tilt_deg) <= (most := 90.0 if self.aloft else _MAX_TILT):
+            raise SarsplatError(
+                f"tilt {self.tilt_deg}° is not a number of degrees between ±{most:g}; "
+                "give how far the azimuth axis rises above the level one, 0 if it is level"
+            )
+        if self.side not in get_args(RadarSide):
+            raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(RadarSide))}")
+
+    def __repr__(self) -> str:
+        """As it is called: what is as usual is left out."""
+        return f"View({', '.join(f'{name}={value!r}' for name, value in self.as_dict().items())})"
+
+    def as_dict(self) -> dict[str, float | str]:
+        """Its arguments, for JSON; those that are as usual are left out."""
+        return {name: value for name, value in vars(self).items() if value != getattr(type(self), name, None)}
+
+    @property
+    def unusual(self) -> str:
+        """What follows its angles where they are said: ", tilted by 5°, looking left"; empty for most views."""
+        tilt = f", tilted by {round(self.tilt_deg, 1):g}°" if self.tilt_deg else ""
+        return tilt + (", looking left" if self.side == "left" else "")
 
     @classmethod
     @checks_arguments
-    def towards(cls, direction: Float64[np.ndarray, " 3"] | Sequence[float]) -> Self:
-        """The view from a direction above the horizon, a vector of any length; the zenith becomes 89.999°."""
+    def towards(cls, direction: Float64[np.ndarray, " 3"] | Sequence[float], *, aloft: bool = False) -> Self:
+        """The view from a direction, above the horizon unless aloft, of any length; the zenith becomes 89.999°."""
         x, y, z = direction
         grazing = math.degrees(math.atan2(z, math.hypot(x, y)))
-        return cls(math.degrees(math.atan2(-y, x)) % 360.0, min(grazing, _STEEPEST))
+        return cls(math.degrees(math.atan2(-y, x)) % 360.0, max(min(grazing, _STEEPEST), -_STEEPEST), aloft=aloft)
+
+    @classmethod
+    @checks_arguments
+    def isar(
+        cls,
+        line_of_sight: Float64[np.ndarray, " 3"] | Sequence[float | int],
+        rotation_axis: Float64[np.ndarray, " 3"] | Sequence[float | int],
+    ) -> Self:
+        """The view of a radar that images a target in free space by its rotation (inverse SAR).
+
+        Azimuth is cross-range, perpendicular to both: as Doppler frequency f of wavelength λ, it is λ f / (2 Ω sin α)
+        of a target that turns by Ω rad/s about an axis α away from the line of sight.
+
+        Parameters
+        ----------
+        line_of_sight : (x, y, z)
+            From the target to the radar, in the target's frame, of any length; it is kept 0.001° away from ±z.
+        rotation_axis : (x, y, z)
+            About which the target turns, counter-clockwise seen from its tip, in the same frame, of any length.
+
+        Raises
+        ------
+        SarsplatError
+            If they are along the same line, or one has no direction.
+        """
+        sight, axis = np.asarray(line_of_sight, float), np.asarray(rotation_axis, float)
+        for name, vector in (("line of sight", sight), ("rotation axis", axis)):
+            if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+                raise SarsplatError(f"the {name} {vector.tolist()} has no direction; give three numbers, not all 0")
+        level = cls.towards(sight, aloft=True)
+        along = np.cross(level.direction, axis / np.linalg.norm(axis))  # as the radar moves, seen from the target
+        if not np.linalg.norm(along) > _LEAST_TURN:
+            raise SarsplatError(
+                f"the rotation axis {axis.tolist()} is along the line of sight, from where nothing is seen to turn; "
+                "give another"
+            )
+        across, elevation = level.look.frame[:2] @ along
+        tilt = math.degrees(math.atan2(elevation, abs(across)))
+        return replace(level, tilt_deg=tilt, side="left" if across < 0 else "right")
 
     @property
     def incidence_deg(self) -> float:
@@ -82,7 +158,7 @@ class View:
     @property
     def look(self) -> Look:
         """How the radar sees places from there."""
-        return Look.of(self.azimuth_deg, self.grazing_deg)
+        return Look.of(self.azimuth_deg, self.grazing_deg, self.tilt_deg, self.side == "left")
 
     @property
     def direction(self) -> Float64[np.ndarray, " 3"]:
@@ -92,7 +168,7 @@ class View:
 
 @checks_arguments
 def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
-    """Rotation R_r from the world to the radar frame, x_r = R_r x_w.
+    """R_r from the world to the radar frame, x_r = R_r x_w.
 
     Returns
     -------
@@ -101,6 +177,6 @@ def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
 
     Notes
     -----
-    Source: SAR-GS, eq. (5); a proper rotation.
+    Source: SAR-GS, eq. (5); a proper rotation, or its mirror image if the radar looks to the left.
     """
     return view.look.frame

@@ -66,7 +66,7 @@ def import_folder(
     columns : mapping of str to str, optional
         What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth, grazing or incidence,
         spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
-        scale and offset, and of stacks view, baseline and polarisation. The usual names are recognised without it.
+        tilt, scale and offset, and of stacks view, baseline and polarisation. Usual names are recognised without it.
         What the table says of a picture precedes what is said of all.
     target_class : str, optional
         Take only the pictures of this class, if the table has a column of classes.
@@ -238,7 +238,10 @@ def _view(table: Path, picture: ListedPicture, azimuth_deg: float, grazing_deg: 
             f"{table} does not say from what grazing angle {picture.name} is; name the column with "
             "--columns grazing=NAME (or incidence=NAME), or give one angle for all with --grazing"
         )
-    return view_of(f"{table}: {picture.name}", azimuth_deg, grazing)
+    tilt = (
+        picture.tilt_deg or 0.0
+    )  # mirrored, an image of a radar that looks to the left is one that looks to the right
+    return view_of(f"{table}: {picture.name}", azimuth_deg, grazing, -tilt if picture.looks_left else tilt)
 
 
 def _lengths(table: Path, picture: ListedPicture, what: str, common: Pair | None, slant: float) -> Pair:

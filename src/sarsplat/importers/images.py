@@ -153,10 +153,10 @@ class MeasuredImage:
         return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m, self.response)
 
 
-def view_of(name: str, azimuth_deg: float, grazing_deg: float) -> View:
+def view_of(name: str, azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0) -> View:
     """From where the image of this name was taken, which an error names."""
     try:
-        return View(azimuth_deg % 360, grazing_deg)
+        return View(azimuth_deg % 360, grazing_deg, tilt_deg)
     except SarsplatError as error:
         raise SarsplatError(f"{name}: {error}") from error
 

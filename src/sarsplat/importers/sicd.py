@@ -42,6 +42,7 @@ def import_sicd(
     target: str = "unnamed",
     train_views: int | None = None,
     stack: bool = False,
+    tilted: bool = False,
     overwrite: bool = False,
     **about: Unpack[AboutImages],
 ) -> Dataset:
@@ -70,6 +71,9 @@ def import_sicd(
     stack : bool
         The files, coregistered to one grid, are passes or polarisations of one view, that of the first; their phases,
         offsets and names are made those of a `Stack`.
+    tilted : bool
+        Keep the azimuth axis of each image as it is: tilted where the radar squints, climbs or dives. Without it,
+        images are resampled to level axes, and what is high appears beside its place.
     overwrite : bool
         Replace an existing dataset.
     **about
@@ -92,7 +96,7 @@ def import_sicd(
     _check_request(size_m, around, pixel, heading_deg)
     sicds = [read_sicd(path) for path in paths]
     spot = _spot(sicds[0], around, pixel, heading_deg)
-    layouts = [layout_around(sicd, spot, size_m / 2) for sicd in (sicds[:1] if stack else sicds)]
+    layouts = [layout_around(sicd, spot, size_m / 2, tilted=tilted) for sicd in (sicds[:1] if stack else sicds)]
     layouts *= len(sicds) // len(layouts)  # all channels of a stack have the first one's
     finest = np.min([spacing_of(sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)], axis=0)
     spacing = float(finest[0]), float(finest[1])
@@ -235,6 +239,6 @@ def _assumptions(
         sentences.append(
             f"in {counted(several, 'image')} the slant plane is tilted about the line of sight; level ground is laid "
             f"out right, but what stands 1 m high appears up to {worst:.2f} m beside its place (tilt "
-            f"{layout.tilt_deg:.1f}° in {sicd.path.name})"
+            f"{layout.tilt_deg:.1f}° in {sicd.path.name}); with --tilted, planes stay as they are"
         )
     return sentences

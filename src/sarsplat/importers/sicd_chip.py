@@ -1,4 +1,4 @@
-"""A chip around a spot, cut out of a SICD and resampled to slant range × level azimuth of its own view.
+"""A chip around a spot, cut out of a SICD and resampled to the slant range × azimuth of its view.
 
 The complex pixels are interpolated within their band, wherever in the spectrum that lies (`DeltaKCOAPoly`): it is moved
 to zero, and back afterwards. So the phase stays what the file has: SICDs are at baseband, and a scatterer shows, at its
@@ -106,7 +106,7 @@ def chip(
                 f"{sicd.path} has a BetaZeroSFPoly that is {power.min():.4g} around the spot; it must be positive"
             )
         # what is laid out on a level azimuth axis takes more of the plane than it does in the tilted slant plane
-        factor = factor * np.sqrt(power * math.cos(math.radians(layout.tilt_deg)))
+        factor = factor * np.sqrt(power * math.cos(math.radians(layout.tilt_deg - layout.view.tilt_deg)))
     return (values * factor).astype(np.complex64).reshape(shape)
 
 

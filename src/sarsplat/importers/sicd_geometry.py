@@ -71,14 +71,14 @@ class Layout:
     distance_m: float
     """From the radar to the spot."""
     tilt_deg: float
-    """Tilt of the slant plane about the line of sight; 0 if the image's azimuth is level."""
+    """Tilt of the slant plane about the line of sight, of a radar that looks right; 0 if the image's azimuth is level.
+    The view has it, or is level."""
     extent_m: float
     """Half a side of the square that the fit is for."""
     coefficients: Float64[np.ndarray, "n 2"]
     """Coefficients of the polynomials from (azimuth, range), in units of `extent_m`, to (xrow, ycol), m."""
     leaning: tuple[float, float] = (0.0, 0.0)
-    """How far (azimuth, range), m, what stands one metre high appears from where parallel rays and a level azimuth
-    axis have it."""
+    """How far (azimuth, range), m, what stands one metre high appears from where the view's parallel rays have it."""
 
     def place_of(
         self, azimuth_m: Float64[np.ndarray, "*n"], range_m: Float64[np.ndarray, "*n"]
@@ -137,8 +137,10 @@ def spot_of_centre(sicd: Sicd, heading_deg: float) -> Spot:
     return Spot(float(metadata.SCP_Lat), float(metadata.SCP_Lon), float(metadata.SCP_HAE), heading_deg)
 
 
-def layout_around(sicd: Sicd, spot: Spot, extent_m: float) -> Layout:
+def layout_around(sicd: Sicd, spot: Spot, extent_m: float, *, tilted: bool = False) -> Layout:
     """Where the ground up to `extent_m` from the spot, in azimuth and slant range, lies in an image.
+
+    The azimuth axis of the view is level, or `tilted` as the image's own.
 
     Refused if the image does not show the spot, its radar is below the horizon there, its metadata contradict
     themselves, or its slant plane is tilted by more than 60° about the line of sight.
@@ -160,6 +162,8 @@ def layout_around(sicd: Sicd, spot: Spot, extent_m: float) -> Layout:
                 f"{sicd.path} has a slant plane that is tilted by {tilt:.0f}° about the line of sight, because its "
                 f"radar looks ahead or back or climbs; at most {_STEEPEST_TILT_DEG:g}° is supported, so leave it out"
             )
+        if tilted:
+            view = replace(view, tilt_deg=round(tilt, _DIGITS))
         layout = Layout(view, look, distance, tilt, extent_m, _fit(sicd, spot, view, extent_m))
         return replace(layout, leaning=_leaning(sicd, spot, layout))
 
@@ -200,6 +204,7 @@ def on_ground(view: View, azimuth_m: np.ndarray, range_m: np.ndarray) -> Float64
     """The places on level ground that a view has at these azimuths and ranges."""
     across, elevation, away = view.look.frame
     rise = -away[2] / elevation[2]  # along the elevation axis for each metre of range
+    across = across - view.look.lean * elevation
     return np.outer(azimuth_m, across) + np.outer(range_m, away + rise * elevation)
 
 

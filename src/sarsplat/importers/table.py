@@ -31,6 +31,7 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "azimuth-std": ("azstd", "azimuthuncertainty"),
     "class": (),
     "look": ("lookside", "lookdirection"),
+    "tilt": (),
     "scale": (),
     "offset": (),
     "view": ("viewname", "stack"),
@@ -153,6 +154,8 @@ class ListedPicture:
     """"train" or "test…"."""
     looks_left: bool | None
     """Whether the radar looks to the left of its flight."""
+    tilt_deg: float | None
+    """By how much its azimuth axis rises above the level one."""
     scale: float | None
     """What the pixels are multiplied by."""
     offset: float | None
@@ -269,6 +272,7 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         azimuth_std_deg=number("azimuth-std"),
         split=_split(table, row, text("split")),
         looks_left=_looks_left(table, row, text("look")),
+        tilt_deg=number("tilt"),
         scale=number("scale"),
         offset=number("offset"),
         view=text("view") or None,

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 _NORMAL_RADIUS = 1.0  # of the neighbours from which a point's normal is computed, resolution cells
 _EVALUATION_RAYS_PER_PIXEL = 4.0
+_NOWHERE = -1e6  # resolution cells: the ground of what is aloft
 
 
 class SarGs(Method):
@@ -221,9 +222,10 @@ class GaussianReconstruction(Reconstruction):
 
     def points(self) -> Float32[np.ndarray, "p 3"]:
         """First returns of rays, or centres, as configured."""
-        points = extract_points(
-            self.gaussians, self.snapshot.views, self.grid, self.config.points, self.model.frame.terrain
-        )
+        how, views = self.config.points, self.snapshot.views
+        if views[0].aloft:
+            how = replace(how, min_height=_NOWHERE)
+        points = extract_points(self.gaussians, views, self.grid, how, self.model.frame.terrain)
         return points.astype(np.float32)  # as the file has them
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:

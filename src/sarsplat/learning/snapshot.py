@@ -76,7 +76,7 @@ class Snapshot:
             "seconds": round(self.seconds, 3),
             "queue": self.queue,
             "grid": self.grid.as_dict(),
-            "views": [asdict(view) for view in self.views],
+            "views": [view.as_dict() for view in self.views],
             "stacks": [asdict(stack) for stack in self.stacks],
             "unit": self.unit,
             "brightest": self.brightest,

@@ -189,10 +189,11 @@ def _height(
 
 def seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
     """Radius of the largest disc of ground around the origin that lies in every image, m; ≤ 0 if there is none."""
-    flattest = min(views, key=lambda view: view.grazing_deg).look
-    across = grid.columns * grid.spacing_m[0] / 2 - abs(grid.center_m[0])
-    along = flattest.ground_range(grid.rows * grid.spacing_m[1] / 2 - abs(grid.center_m[1]))
-    return min(across, along)
+    across, along = (
+        count * spacing / 2 - abs(middle)
+        for count, spacing, middle in zip((grid.columns, grid.rows), grid.spacing_m, grid.center_m, strict=True)
+    )
+    return min(view.look.disc_m(across, along) for view in views)
 
 
 def above_ground_db(
@@ -220,8 +221,7 @@ def _on_the_ground(
 
 def _weights_across(views: Sequence[View], i: int) -> Float64[np.ndarray, " v"]:
     """Weight of each view for the extent along axis i: views across that axis count most."""
-    aways = [view.look.gradients[1] for view in views]
-    leans = np.array([away[i] * away[2] / (1 - away[2] ** 2) for away in aways])  # along the axis, per metre of height
+    leans = np.array([view.look.displaced[i] for view in views])  # along the axis, per metre of height
     return 1 / (1 + (_UPRIGHT * leans) ** 2)
 
 

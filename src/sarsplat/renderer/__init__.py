@@ -144,7 +144,7 @@ def render(
     check_shapes(gaussians, views, amplitudes, shift, gain)
     channels = len(gaussians.scattering.channels) if amplitudes is None else amplitudes.shape[2]
     echoes = (*(() if ground is None else (GroundEcho(ground),)), *echoes)
-    check_echoes(echoes, gaussians, channels, imaging_weight)
+    check_echoes(echoes, gaussians, views, channels, imaging_weight)
     gaussians = all_visible(echoes, gaussians)
     engine = chosen_engine(engine, gaussians.means)
     alone = engine != "cpu" or first_return_depth is not None or not all(echo.shareable for echo in echoes)

@@ -63,7 +63,7 @@ def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[s
     look = Look(bright_level(power))
     for axes, index, image, level in zip(panels, chosen, power, levels_db(power, grid, dataset.ground)):
         entry = dataset.entries[index]
-        angles = f"azimuth {entry.view.azimuth_deg:.1f}°, grazing {entry.view.grazing_deg:.1f}°"
+        angles = f"azimuth {entry.view.azimuth_deg:.1f}°, grazing {entry.view.grazing_deg:.1f}°{entry.view.unusual}"
         draw_image(axes, image, grid, look, f"{angles} ({entry.split})", 8)
         outlined = outline(level)
         _contour(axes, outlined.target, grid, TARGET)

@@ -72,7 +72,7 @@ def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margi
 
 def view_name(view: View) -> str:
     """E.g. azimuth 30°, grazing 17.4°."""
-    return f"azimuth {round(view.azimuth_deg, 1):g}°, grazing {round(view.grazing_deg, 1):g}°"
+    return f"azimuth {round(view.azimuth_deg, 1):g}°, grazing {round(view.grazing_deg, 1):g}°{view.unusual}"
 
 
 @dataclass(frozen=True)

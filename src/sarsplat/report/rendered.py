@@ -96,7 +96,7 @@ def require_distinct(views: list[View]) -> None:
 def _description(view: View) -> str:
     return (
         f"rendered SAR image, beta0 in linear power; row 0 is near range; "
-        f"azimuth {view.azimuth_deg:.6g} deg, grazing {view.grazing_deg:.6g} deg"
+        f"azimuth {view.azimuth_deg:.6g} deg, grazing {view.grazing_deg:.6g} deg{view.unusual.replace('°', ' deg')}"
     )
 
 
@@ -140,6 +140,7 @@ def sweep_views(
     `ends_deg` are the angles between which the sweep goes, there and back, slower at its ends; without them, azimuths
     make a whole turn, and grazing angles go between the lowest and the highest training view. `other_deg` is the angle
     that stays: by default, the middle one of the training views' grazing angles, or the azimuth of the first of them.
+    Tilt and side are those of the first of them.
     """
     if frames < 2:
         raise SarsplatError(f"a sweep of {frames} frames does not move; give at least 2")
@@ -161,6 +162,6 @@ def sweep_views(
     moving = [round(angle, 6) for angle in moving]  # the way back has the same angles
     if swept == "azimuth":
         stays = grazing[len(grazing) // 2] if other_deg is None else other_deg
-        return [View(angle, stays) for angle in moving]
+        return [replace(training[0], azimuth_deg=angle, grazing_deg=stays) for angle in moving]
     stays = training[0].azimuth_deg if other_deg is None else other_deg
-    return [View(stays, angle) for angle in moving]
+    return [replace(training[0], azimuth_deg=stays, grazing_deg=angle) for angle in moving]

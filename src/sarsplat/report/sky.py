@@ -12,11 +12,10 @@ from sarsplat.geometry import View
 from sarsplat.report.sheet import new_figure, to_png
 
 _SIZE = (5.6, 6.0)  # inches
-_GRAZINGS = (0, 15, 30, 45, 60, 75)
 
 
 def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: str = "png") -> bytes:
-    """The sky from above with a point for every view: straight overhead in the middle, the horizon around.
+    """The sky from above, a point for every view: overhead in the middle, the horizon, or aloft the nadir, around.
 
     Shades the largest gap in azimuth between training views, of which there must be one.
     """
@@ -26,15 +25,17 @@ def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: s
     axes.spines["polar"].set_color(DARK.line)
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
-    axes.set_rlim(0, 90)
-    axes.set_rgrids([90 - angle for angle in _GRAZINGS], [f"{angle}°" for angle in _GRAZINGS], angle=22.5)
+    aloft = any(view.aloft for view in train)
+    farthest, rings = (180, range(-60, 90, 30)) if aloft else (90, range(0, 90, 15))
+    axes.set_rlim(0, farthest)
+    axes.set_rgrids([90 - angle for angle in rings], [f"{angle}°" for angle in rings], angle=22.5)
     axes.tick_params(colors=DARK.muted, labelsize=9, length=3)
     axes.set_xticks([math.radians(angle) for angle in range(0, 360, 45)])
     axes.set_xticklabels(["0° (nose)", *(f"{angle}°" for angle in range(45, 360, 45))])
     axes.grid(color=DARK.line, linewidth=0.8)
     gap = largest_gap(view.azimuth_deg for view in train)
     start, width = math.radians(gap.first_deg), math.radians(gap.width_deg)
-    axes.bar(start, 90, width=width, align="edge", color=DARK.test, alpha=0.16, linewidth=0, zorder=0)
+    axes.bar(start, farthest, width=width, align="edge", color=DARK.test, alpha=0.16, linewidth=0, zorder=0)
     for views, marks in (
         (test, {"facecolors": "none", "edgecolors": DARK.test, "s": 26, "linewidths": 1.2, "label": "test"}),
         (train, {"color": DARK.train, "s": 30, "linewidths": 0, "label": "train"}),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -153,7 +154,7 @@ def _count(part: Part, rendered: Real[np.ndarray, "v rows columns"], peak: float
 
 
 def _raster(views: Sequence[View], count: int) -> list[View]:
-    """At most `count` directions: evenly over the azimuths and the grazing angles that these views span."""
+    """At most `count` directions: evenly over the azimuths and grazing angles that these views span, tilted as one."""
     if count < 1:
         return []
     gap = largest_gap(view.azimuth_deg for view in views)
@@ -167,7 +168,7 @@ def _raster(views: Sequence[View], count: int) -> list[View]:
     steps = max(1, min(finest, count // levels))
     grazing = np.linspace(lowest, highest, levels) if levels > 1 else [(lowest + highest) / 2]
     around = first + np.linspace(0, span, steps, endpoint=not all_around)
-    return [View(float(azimuth), float(angle)) for angle in grazing for azimuth in around]
+    return [replace(views[0], azimuth_deg=float(a), grazing_deg=float(g)) for g in grazing for a in around]
 
 
 def _sheet(images: UInt8[np.ndarray, "v rows columns"]) -> dict[str, Any]:

@@ -126,7 +126,7 @@ class TensorBoard:
         grey = np.round(255 * shade(power, max(self._brightest, LEAST_POWER))).astype(np.uint8)
         for entry, image in zip(self._entries, grey, strict=True):
             name = entry.name.replace("/", " ")  # which would make groups
-            angles = f"azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°"
+            angles = f"azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°{entry.view.unusual}"
             tag = f"{entry.split} {name}, {angles}/{kind}"
             self._waiting.append(methodcaller("add_image", tag, image, iteration, dataformats="HW"))
 

@@ -136,6 +136,8 @@ class RayCaster:
         gamma0 = self._reflectivity * self._law.gamma0(facets.cos_incidence)
         gamma0[len(gamma0) - len(self._terrain_gamma0) :] = self._terrain_gamma0
         look, ground = view.look, self._ground_gamma0
+        if view.aloft and (ground is not None or len(self._terrain_gamma0)):
+            raise SarsplatError("the view is of a target aloft, where there is no ground; leave out the ground")
         trace = tracer(facets)
         if ground is not None:
             trace = _above_ground(facets, trace, look)
@@ -149,7 +151,7 @@ class RayCaster:
             self._spacing,
             self._offset,
             self._grid.resolution_m,
-            0.0 if ground is None else 1 / look.slope,
+            0.0 if ground is None else math.hypot(1 / look.slope, look.range_on_ground(1.0, 0.0)),
             progress,
         )
         for hit in hits if not region.empty else ():
@@ -273,7 +275,8 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     """
     spacing = min(grid.spacing_m) / _PARTS / _RAYS
     check_rays(mesh, None, spacing, _OFFSET)
-    slope_of_ground = 1 / view.look.slope
+    look = view.look
+    slope_of_ground = 1 / look.slope
     width, depth = grid.spacing_m
     left, near = grid.azimuth_m[0] - width / 2, grid.range_m[0] - depth / 2
     rows, columns = grid.rows * _PARTS, grid.columns * _PARTS
@@ -282,7 +285,7 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     facets = Facets.of(mesh, view)
     for position, face in first_hits(facets, (left, left + grid.columns * width), spacing, _OFFSET):
         x, y = position.T
-        z, z_ground = facets.depth(face, position), y * slope_of_ground
+        z, z_ground = facets.depth(face, position), y * slope_of_ground + x * look.range_on_ground(1.0, 0.0)
         column = np.floor((x - left) / width * _PARTS)
         seen = (z < z_ground + 1e-6) & (column >= 0) & (column < columns)
         z, z_ground, face, column = z[seen], z_ground[seen], face[seen], column[seen].astype(np.int64)

@@ -1,4 +1,4 @@
-"""Built-in targets by name: vehicles, a test object, buildings and a village."""
+"""Built-in targets by name: vehicles, a test object, buildings, a village, and what flies."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.scenes.aloft import aircraft, satellite
 from sarsplat.scenes.btr70 import btr70
 from sarsplat.scenes.buildings import BUILDINGS
 from sarsplat.scenes.kraz import kraz
@@ -21,11 +22,15 @@ if TYPE_CHECKING:
 VEHICLES: dict[str, Callable[[], trimesh.Trimesh]] = {"t72": t72, "btr70": btr70, "2s1": s2s1, "kraz": kraz}
 """Vehicles and the functions that build them: closed bodies that may intersect, centred on the hull."""
 
+ALOFT: dict[str, Callable[[], trimesh.Trimesh]] = {"satellite": satellite, "aircraft": aircraft}
+"""Targets around the origin, which stand on no ground, and the functions that build them."""
+
 TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = {
     **VEHICLES,
     "slicy": slicy,
     **{name: box.mesh for name, box in BUILDINGS.items()},
     "village": village,
+    **ALOFT,
 }
 """All built-in targets and the functions that build them."""
 
@@ -42,7 +47,8 @@ def target_mesh(name: str) -> trimesh.Trimesh:
     Returns
     -------
     trimesh.Trimesh
-        Metres, z up, ground at z = 0; a vehicle's nose, SLICY's step, or a building's near wall, towards +x.
+        Metres, z up, ground at z = 0 but for those of `ALOFT`; a nose, SLICY's step, or a building's near wall, towards
+        +x.
 
     Raises
     ------

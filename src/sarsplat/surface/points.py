@@ -218,7 +218,7 @@ def between(views: Sequence[View]) -> list[View]:
     first, middle = first[apart], middle[apart] / length[apart, None]
     radius = np.linalg.norm(directions[first] - middle, axis=1)
     nearer = cKDTree(directions).query_ball_point(middle, radius * (1 + 1e-6), return_length=True)
-    return [View.towards(direction) for direction in middle[nearer == 2]]
+    return [View.towards(direction, aloft=views[0].aloft) for direction in middle[nearer == 2]]
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,8 @@ class Live:
     def __init__(self, cells: Sequence[Cell], out: Path, reporter: Reporter) -> None:
         self._left = {cell.address: cell for cell in cells}
         labels = {name for cell in cells for name in cell.labels}  # the dataset, and what is not the same everywhere
-        self._names = {n for n in labels if len({repr(cell.labels[n]) for cell in cells if n in cell.labels}) > 1} | {"dataset"}
+        differ = (n for n in labels if len({repr(cell.labels[n]) for cell in cells if n in cell.labels}) > 1)
+        self._names = {"dataset", *differ}
         self._out, self._reporter, self._begun = out, reporter, time.time()
         self._over, self._one_at_a_time = threading.Event(), threading.Lock()
         self._failed = 0

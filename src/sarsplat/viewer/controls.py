@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -114,13 +114,15 @@ class Controls:
         gui = self._gui
         with gui.add_folder("Radar"):
             self._azimuth = gui.add_slider("azimuth, °", 0.0, 360.0, 0.1, round(view.azimuth_deg % 360, 1))
-            self._grazing = gui.add_slider("grazing, °", 1.0, 89.0, 0.1, round(min(max(view.grazing_deg, 1), 89), 1))
+            lowest = -89.0 if view.aloft else 1.0
+            first = round(min(max(view.grazing_deg, lowest), 89), 1)
+            self._grazing = gui.add_slider("grazing, °", lowest, 89.0, 0.1, first)
             gui.add_html(_HINT)
             steps = gui.add_button_group("known views", ("◀ previous", "next ▶"))
 
         def slid(event: Any) -> None:
             if event.client is not None:  # and not the page itself, which follows the radar
-                self._on_aim(View(self._azimuth.value, self._grazing.value))
+                self._on_aim(replace(view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value))
 
         self._azimuth.on_update(slid)
         self._grazing.on_update(slid)

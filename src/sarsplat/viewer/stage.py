@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +57,7 @@ class Stage:
         self._radius = _DOME * self.size_m
         self._foot = np.array([*self.centre[:2], 0.0])
         self._on_plane = on_plane
+        self._known = first
         self._aside = View((first.azimuth_deg - _CAMERA_ASIDE_DEG) % 360, _CAMERA_UP_DEG).direction
         server.initial_camera.position, server.initial_camera.look_at = self._camera(1.0)
         server.initial_camera.fov = np.radians(_FIELD_DEG)
@@ -193,7 +195,8 @@ class Stage:
         flat = float(np.hypot(place[0], place[1]))
         grazing = np.degrees(np.arctan2(place[2], flat))
         azimuth = float(np.degrees(np.arctan2(-place[1], place[0]))) % 360.0
-        return View(azimuth, float(np.clip(grazing, _LOWEST_DEG, _HIGHEST_DEG)))
+        grazing = float(np.clip(grazing, _LOWEST_DEG, _HIGHEST_DEG))
+        return replace(self._known, azimuth_deg=azimuth, grazing_deg=grazing)  # tilted as it is
 
     # ---- what changes ------------------------------------------------------------------------------------------------
     def aim(self, view: View) -> None:

@@ -362,7 +362,7 @@ def _coloured(subject: Subject, cloud: Cloud, view: View, choices: Choices) -> t
 
 
 def _name(view: View) -> str:
-    return f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°"
+    return f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°{view.unusual}"
 
 
 def _moved(pixel: Pixel, rows: int, columns: int, grid: ImageGrid) -> Pixel | None:

@@ -72,14 +72,14 @@ class Maps:
 
     The tensors are, of the K training images, `ratio`, float32 [K, rows, columns]: measured over rendered power,
     smoothed; `shift_m`, float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth
-    and grazing.
+    and grazing, or [K, 4]: tilt as well, and 1 where the radar looks to the left, else 0.
     """
 
     def __init__(self, tensors: dict[str, Tensor], grid: ImageGrid, settings: Surroundings) -> None:
         _check(tensors, grid)
         self.tensors, ratio = tensors, tensors["ratio"]
         self._shifts_m = tensors["shift_m"].cpu().double().numpy()
-        self._views = tuple(View(*angles) for angles in tensors["view_deg"].tolist())
+        self._views = tuple(_view(*numbers) for numbers in tensors["view_deg"].tolist())
         self._grid, self._settings = grid, settings
         radius_m = ground_radius_m(self._views, grid)
         self._pitch_m = max(_PITCH * grid.cell_m, 2 * radius_m * math.sqrt(2 * len(ratio) / _LARGEST))
@@ -104,7 +104,8 @@ class Maps:
         sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
-        view_deg = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views], dtype=torch.float32).double()
+        usual = not any(view.tilt_deg or view.side == "left" for view in views)
+        view_deg = torch.tensor([_numbers(view)[: 2 if usual else 4] for view in views], dtype=torch.float32).double()
         return cls(
             {"ratio": torch.from_numpy(smooth).to(ratio), "shift_m": shift_m.clone(), "view_deg": view_deg},
             grid,
@@ -157,12 +158,21 @@ def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
     expected = {
         "ratio": (torch.float32, (count, grid.rows, grid.columns)),
         "shift_m": (torch.float32, (count, 2)),
-        "view_deg": (torch.float64, (count, 2)),
+        "view_deg": (torch.float64, (count, 4 if tensors["view_deg"].shape[-1:] == (4,) else 2)),
     }
     for name, (dtype, shape) in expected.items():
         tensor = tensors[name]
         if tensor.dtype != dtype or tensor.shape != shape or not tensor.isfinite().all():
             raise ValueError(f"the texture's {name} is {tensor.dtype} {list(tensor.shape)}, or not finite")
+
+
+def _numbers(view: View) -> tuple[float, float, float, float]:
+    return view.azimuth_deg, view.grazing_deg, view.tilt_deg, float(view.side == "left")
+
+
+def _view(azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: float = 0.0) -> View:
+    """Undo `_numbers`."""
+    return View(azimuth_deg, grazing_deg, tilt_deg, "left" if left else "right")
 
 
 def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:

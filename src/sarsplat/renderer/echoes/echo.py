@@ -18,6 +18,7 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer.engines.chosen_views import candidates
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.rendering import RayMap
 
@@ -136,7 +137,9 @@ class Echo(ABC):
         return seen
 
 
-def check_echoes(echoes: Sequence[Echo], gaussians: Gaussians, channels: int, imaging_weight: str) -> None:
+def check_echoes(
+    echoes: Sequence[Echo], gaussians: Gaussians, views: Sequence[View], channels: int, imaging_weight: str
+) -> None:
     """Refuse echoes in images that cannot have any, and those that do not fit the scene."""
     if not echoes:
         return
@@ -148,6 +151,8 @@ def check_echoes(echoes: Sequence[Echo], gaussians: Gaussians, channels: int, im
             f"the ground and other echoes return power in channel {channel}, but amplitudes have {channels} channels; "
             "give those of all its channels"
         )
+    if any(view.aloft for view in candidates(views)[0]):
+        raise SarsplatError("a view is of a target aloft, where there is no ground; render it without ground")
     for echo in echoes:
         echo.check(gaussians)
 

@@ -19,7 +19,7 @@ from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.echoes.lit_ground import lit_ground
 from sarsplat.renderer.echoes.lit_terrain import lit_terrain
 from sarsplat.renderer.echoes.terrain_cells import before_terrain, cells_of
-from sarsplat.renderer.engines.chosen_views import by_view
+from sarsplat.renderer.engines.chosen_views import by_view, candidates
 from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.renderer.places import at_places
 
@@ -86,7 +86,11 @@ class GroundEcho(Echo):
             assert by_view is not None  # of terrain
             how = ground.height_m, by_view, ground.pitch_m, s.shift, s.new_pass
             return lit_terrain(s.ends, s.views, s.grid, s.rays, *how)
-        return lit_ground(s.ends, s.views, s.grid, s.rays, ground.height_m, s.shift, s.new_pass)
+        if all(view.look.level for view in candidates(s.views)[0]):
+            return lit_ground(s.ends, s.views, s.grid, s.rays, ground.height_m, s.shift, s.new_pass)
+        ones = torch.ones(len(s.views), 1, 1, dtype=s.lit_area.dtype, device=s.lit_area.device)
+        returned = lit_terrain(s.ends, s.views, s.grid, s.rays, ground.height_m, ones, 1.0, s.shift, s.new_pass)
+        return returned / _numbers(ground, s.views)[0]
 
     def returned(
         self,
@@ -110,7 +114,7 @@ def free_plane(
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """β⁰ of a plane that nothing hides."""
     table, device = ground.gamma0, ground.gamma0.device
-    tangent, log_sine, sine, *onto = _numbers(ground, views)
+    tangent, log_sine, sine, rise, *onto = _numbers(ground, views)
     level = tangent if ground.exponent is None else tangent * _law(ground, log_sine)
     if table.numel() == 1:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
@@ -118,7 +122,7 @@ def free_plane(
     x, r = (axis.to(table) for axis in _axes(grid, device))
     if shift is not None:
         x, r = x - shift[:, None, :1], r - shift[:, 1:, None]
-    r = r + sine * height_m  # r = ground range · cos θ − z · sin θ
+    x, r = x - rise * height_m, r + sine * height_m  # as images show what is below, at z = 0
     across, along = (onto[k] * x + onto[2 + k] * r for k in range(2))
     return at_places(table, across, along, ground.pitch_m) * level
 
@@ -137,10 +141,10 @@ def _numbers(ground: Ground, views: Sequence[View]) -> Float[Tensor, "k v 1 1"]:
 
 # A training asks for the same few views again and again, and a GPU should not be sent them each time.
 @kept_on_device(maxsize=4096)
-def _of_view(view: View, device: torch.device) -> Float64[Tensor, " 7"]:
-    """Of θ: tan, ln sin and sin; and how x and y on the ground grow with azimuth and with slant range."""
+def _of_view(view: View, device: torch.device) -> Float64[Tensor, " 8"]:
+    """β⁰ over γ⁰; ln sin θ, sin θ; height for each metre of azimuth; x, y on the ground for azimuth and slant range."""
     look = view.look
-    numbers = look.slope, math.log(look.sine), look.sine, *look.onto_ground.ravel()
+    numbers = look.slope, math.log(look.sine), look.sine, look.height_per_azimuth, *look.onto_ground.ravel()
     return torch.tensor(numbers, dtype=torch.float64, device=device)
 
 

@@ -80,13 +80,16 @@ def lit_terrain(
     views: Sequence[View],
     grid: ImageGrid,
     rays: RayGrid,
-    terrain: Terrain,
+    terrain: Terrain | float,
     gamma0: Float[Tensor, "v ny nx"],
     pitch_m: float,
     shift: Float[Tensor, "v 2"] | None,
     new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """β⁰ of terrain with these γ⁰, which each view may have of its own; differentiable by T_end, γ⁰ and shift."""
+    """β⁰ of terrain, or of a plane of this height, with these γ⁰, which each view may have of its own.
+
+    Differentiable by T_end, γ⁰ and shift.
+    """
     every, chosen = candidates(views)
     patches = [
         _Patches.of(cells, view, rays, size, origin)

@@ -1,8 +1,8 @@
-"""Where the rays of a view end on terrain, which nothing learned changes, and what terrain hides from the view.
+"""Where the rays of a view end on the ground, which nothing learned changes, and what terrain hides from the view.
 
 In the plane of incidence of an azimuth, terrain of height h at ground range g lies at y_r = g sin θ + h cos θ and
 z_r = g cos θ − h sin θ. The ray at y_r ends at the first g that reaches so high: what lies lower than the terrain
-before it is in shadow, and where z_r falls as y_r rises, there is layover.
+before it is in shadow, and where z_r falls as y_r rises, there is layover. A plane is all lit, whatever the tilt.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class _Kept:
         self._cells: OrderedDict[tuple[object, ...], Cells] = OrderedDict()
         self._lock = threading.Lock()
 
-    def get(self, terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:
+    def get(self, terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:
         key = (terrain, view, grid, rays)
         with self._lock:
             if key not in self._cells:
@@ -100,14 +100,18 @@ _kept = _Kept()
 
 
 def cells_of(
-    terrain: Terrain, views: Sequence[View], grid: ImageGrid, rays: RayGrid, shift: Float[Tensor, "v 2"] | None = None
+    terrain: Terrain | float,
+    views: Sequence[View],
+    grid: ImageGrid,
+    rays: RayGrid,
+    shift: Float[Tensor, "v 2"] | None = None,
 ) -> list[Cells]:
-    """Of all rays of each view that end on terrain that images on this grid show.
+    """Of all rays of each view that end on terrain, or on the plane of a height, m, that images on this grid show.
 
     Raises
     ------
     SarsplatError
-        If a view needs too many rays.
+        If a view needs too many rays, or shows terrain under a tilted azimuth axis.
     """
     every, chosen = candidates(views)
     if shift is not None and chosen is not None:
@@ -182,8 +186,9 @@ def _with_margin(grid: ImageGrid, pixels: int) -> ImageGrid:
     )
 
 
-def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:
-    (dx, dy), (lowest, highest), look = rays.spacing_m, terrain.span_m, view.look
+def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:
+    (dx, dy), look = rays.spacing_m, view.look
+    lowest, highest = terrain.span_m if isinstance(terrain, Terrain) else (terrain, terrain)
     azimuth_end, range_end = (RESPONSE_END * math.sqrt(variance) for variance in grid.response_variance_m2)
     left, right = grid.azimuth_m[0] - azimuth_end, grid.azimuth_m[-1] + azimuth_end
     near, far = grid.range_m[0] - range_end, grid.range_m[-1] + range_end
@@ -194,6 +199,16 @@ def _cells(terrain: Terrain, view: View, grid: ImageGrid, rays: RayGrid) -> Cell
         raise SarsplatError(
             f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° needs {columns * rows:.2g} rays "
             f"for terrain {highest - lowest:.4g} m high; cut it to what the images show, or use coarser rays"
+        )
+    if not isinstance(terrain, Terrain):
+        x, y = ((start + np.arange(count)) * step for start, count, step in zip(first, (columns, rows + 1), (dx, dy)))
+        ends = look.range_on_ground(x + dx / 2, y[:, None]) - terrain / look.sine
+        low_m, high_m = (torch.from_numpy(edge.astype(np.float32)) for edge in (ends[:-1], ends[1:]))
+        return Cells(first, low_m, high_m)
+    if not look.level:
+        raise SarsplatError(
+            f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° is tilted by "
+            f"{view.tilt_deg:g}°, under which only level ground can be rendered; resample its image to a level axis"
         )
     # before, the terrain lies lower than all of these rays, and behind, higher
     begin = look.along_ray(first[1] * dy, highest)
