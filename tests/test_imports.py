@@ -27,7 +27,7 @@ ORDER = (
     ("regions",),
     ("examination",),
     ("importers",),
-    ("learning",),
+    ("learning", "executors"),
     ("runs",),
     ("radar", "baselines"),
     ("evaluation",),

@@ -16,7 +16,7 @@ import pytest
 from elsewhere import elsewhere
 from sarsplat import sweep
 from sarsplat.data.files import locked
-from sarsplat.sweeps import Means, executor_local
+from sarsplat.executors import Means, executor_local
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.work import Row, do, row_path
@@ -53,7 +53,7 @@ def workers() -> list[int]:
     return [
         int(path.parent.name)
         for path in Path("/proc").glob("[0-9]*/cmdline")
-        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.sweeps.worker" in text
+        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.executors.worker" in text
     ]
 
 
