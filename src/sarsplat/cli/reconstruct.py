@@ -23,6 +23,7 @@ from sarsplat.cli.arguments import (
     OptionalFolder,
     OptionalNumber,
     TargetBox,
+    one_of,
     refuse_existing,
 )
 from sarsplat.cli.commands import unwrapped
@@ -148,7 +149,7 @@ class Options:
     method: Annotated[MethodName | None, tyro.conf.arg(help_behavior_hint="(default: sar-gs)")] = None
     masks: OptionalFolder = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    executor: Annotated[ExecutorName | None, tyro.conf.arg(help_behavior_hint="(optional)")] = None
+    executor: Annotated[ExecutorName | None, one_of(ExecutorName)] = None
     processes: OptionalCount = None
     per_device: OptionalCount = None
     address: str = "auto"
