@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -177,4 +176,5 @@ def _others(
         )
     if inputs.loss is not None:
         raise SarsplatError("other processes do not have a loss of one's own; leave it out, or give no executor")
-    return partial(executor_named(executor), means=means)
+    chosen = executor_named(executor)
+    return lambda jobs, folder: chosen(jobs, folder, means)
