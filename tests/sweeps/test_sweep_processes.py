@@ -77,9 +77,9 @@ def test_as_many_runs_are_done_at_a_time_as_there_are_processes(place, plan, mon
     both = threading.Barrier(2, timeout=60)
 
     class Here(executor_local.Worker):
-        def ask(self, cell: Cell) -> Row | None:
+        def ask(self, job: Any) -> Row | None:
             both.wait()
-            return do(cell, self._out)
+            return do(job, self._out)
 
     monkeypatch.setattr(executor_local, "Worker", Here)
     found = sweep(plan, place / "out", means=Means(processes=2), quiet=True)

@@ -66,18 +66,18 @@ class _Added(torch.autograd.Function):
         renderings: list[Rendering],
         *_: Tensor,
     ) -> Tensor:
-        count = groups[-1].stop
-        total, ctx.gradients = None, [None] * len(parameters)
+        count, shares = groups[-1].stop, list[Tensor]()
+        ctx.gradients = [None] * len(parameters)
         for group in groups:
             with torch.enable_grad():
                 loss, rendering = compared(group)
                 share = loss * ((group.stop - group.start) / count)
                 found = torch.autograd.grad(share, parameters, allow_unused=True)
             ctx.gradients = list(starmap(_sum, zip(ctx.gradients, found, strict=True)))
-            total = share.detach() if total is None else total + share.detach()
+            shares.append(share.detach())
             renderings.append(_detached(rendering))
             del loss, share, rendering, found  # and with them what the way back needed
-        return total
+        return torch.stack(shares).sum()
 
     @staticmethod
     @differentiable_once
