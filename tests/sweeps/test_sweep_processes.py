@@ -17,7 +17,7 @@ from elsewhere import elsewhere
 from sarsplat import sweep
 from sarsplat.data.files import locked
 from sarsplat.executors import Means, executor_local
-from sarsplat.sweeps.cell import Cell, cells_of
+from sarsplat.sweeps.cell import cells_of
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.work import Row, do, row_path
 
