@@ -1,3 +1,3 @@
 # ruff: isort: skip_file
 from .job import Job as Job, Work as Work
-from .executor import EXECUTORS as EXECUTORS, Executor as Executor, Means as Means, executor_named as executor_named
+from .executor import EXECUTORS as EXECUTORS, Executor as Executor, Means as Means

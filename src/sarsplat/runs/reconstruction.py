@@ -10,7 +10,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.examination.plausible import suspicions, warn
-from sarsplat.executors import Means, executor_named
+from sarsplat.executors.executor import Means, executor_named
 from sarsplat.learning.device import device_named
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.method import Inputs
