@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +27,7 @@ from sarsplat import (
     reconstruct,
     write_dataset,
 )
-from sarsplat.executors import EXECUTORS, Means
+from sarsplat.executors import EXECUTORS, Means, executor_ray
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
@@ -178,6 +180,26 @@ def test_processes_that_learn_tiles_make_the_same_bits(
     assert run.history[-1].iteration == 36
     assert not (tmp_path / "run" / "tiles").exists()
     assert "4 tiles, by other processes" in capsys.readouterr().out
+
+
+def test_a_cluster_that_learns_tiles_makes_the_same_bits(
+    finished: Run, stored: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a stand-in for Ray, which does everything in this process."""
+
+    class Task:
+        def __init__(self, *arguments: Any) -> None:
+            threads = torch.get_num_threads()
+            self.result = executor_ray._do(*arguments)
+            torch.set_num_threads(threads)
+
+    ray: Any = ModuleType("ray")
+    ray.is_initialized, ray.cluster_resources = lambda: True, dict
+    ray.remote = lambda do: SimpleNamespace(options=lambda **given: SimpleNamespace(remote=Task))
+    ray.wait, ray.get = lambda tasks, num_returns: (tasks[:1], tasks[1:]), lambda task: task.result
+    ray.cancel = lambda task, force: None
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    assert_same(reconstruct(stored, config, tmp_path / "run", executor="ray", quiet=True), finished)
 
 
 def test_whoever_learned_a_tile_the_others_go_on(
