@@ -22,7 +22,7 @@ from results import RESULTS, machine, save
 
 from sarsplat import read_dataset, sweep, write_dataset
 from sarsplat.cli.simulate import simulate
-from sarsplat.sweeps import Means
+from sarsplat.executors import Means
 
 PROCESSES = 2
 TINY = {"iterations": 5, "gaussians": 50, "points.voxel": 0.5, "points.rays_per_pixel": 2}

@@ -24,7 +24,8 @@ from write import write, write_index
 
 from sarsplat import sweep
 from sarsplat.errors import SarsplatError
-from sarsplat.sweeps import Means, Result
+from sarsplat.executors import Means
+from sarsplat.sweeps import Result
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -18,8 +18,8 @@ from sarsplat import ImageGrid, View, import_mstar, sweep
 from sarsplat.cli.arguments import views_from
 from sarsplat.cli.simulate import simulate
 from sarsplat.evaluation import Yardstick, all_metrics
+from sarsplat.executors import EXECUTORS, Means
 from sarsplat.settings import preset
-from sarsplat.sweeps import EXECUTORS, Means
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.results import Result

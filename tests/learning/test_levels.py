@@ -75,8 +75,9 @@ def test_levels_follow_each_other_and_the_last_has_the_least_time() -> None:
     factors = [made.factor(k) for k in range(100)]
     assert factors == sorted(factors, reverse=True)
     assert [factors.count(f) for f in (4, 2, 1)] == [38, 37, 25]
-    assert [k for k in range(100) if made.grows(k)] == [38, 56, 75]
-    assert not any(levels(7.0).grows(k) for k in range(100))
+    assert [k for k in range(100) if made.growths(k + 1) > made.growths(k)] == [38, 56, 75]
+    assert made.growths(100) == 3
+    assert not levels(7.0).growths(100)
     assert [k for k in range(100) if made.fine(k, 0.6)] == list(range(90, 100))  # of the last ones alone
     assert [k for k in range(100) if levels(7.0).fine(k, 0.6)] == list(range(60, 100))
     assert levels(100.0, iterations=1).factor(0) == 8  # however short

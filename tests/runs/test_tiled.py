@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,12 +14,26 @@ import pytest
 import torch
 
 from datasets import FEW_POINTS, dataset_of
-from sarsplat import Config, Dataset, Gaussians, ImageGrid, Run, SarsplatError, View, preset, reconstruct
+from sarsplat import (
+    Config,
+    Dataset,
+    Gaussians,
+    ImageGrid,
+    Run,
+    SarsplatError,
+    View,
+    preset,
+    read_dataset,
+    reconstruct,
+    write_dataset,
+)
+from sarsplat.executors import EXECUTORS, Means, executor_ray
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.observations.parts_of_images import Tile, tiles_of
 from sarsplat.renderer import render
+from sarsplat.runs.tile_work import TILE, TileEnd, TileJob
 from sarsplat.settings.sections import Densification, Surroundings
 from upright import upright
 
@@ -110,6 +127,159 @@ def test_its_points_are_extracted_anew(finished: Run, dataset: Dataset, config: 
     again = reconstruct(dataset, coarser, finished.path, resume=True, quiet=True)
     assert 0 < len(again.points) < len(finished.points)
     reconstruct(dataset, config, finished.path, resume=True, quiet=True)
+
+
+@pytest.mark.parametrize("tiles", [1, 2])
+def test_more_iterations_make_no_more_gaussians(dataset: Dataset, config: Config, tiles: int, tmp_path: Path) -> None:
+    """Though the levels of a longer training begin again."""
+    how, out = replace(config, tiles=tiles), tmp_path / "run"
+    counts = [
+        len(reconstruct(dataset, replace(how, iterations=n), out, quiet=True, resume=out.exists()).gaussians)
+        for n in (36, 60, 90)
+    ]
+    assert max(counts) <= counts[0] * 1.02
+    assert counts[-1] > 0.9 * counts[0]
+
+
+# ---- tiles that others learn -----------------------------------------------------------------------------------------
+Ends = Iterator[tuple[TileJob, TileEnd | None]]
+
+
+@pytest.fixture
+def stored(dataset: Dataset, tmp_path: Path) -> Dataset:
+    write_dataset(tmp_path / "data", dataset)
+    return read_dataset(tmp_path / "data")
+
+
+@pytest.fixture
+def executor(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., Ends]], str]:
+    """Makes an executor of a function; returns its name."""
+
+    def named(do: Callable[..., Ends]) -> str:
+        monkeypatch.setitem(EXECUTORS._entries, "made", None)
+        monkeypatch.setitem(EXECUTORS._loaded, "made", do)
+        return "made"
+
+    return named
+
+
+def here(jobs: Sequence[TileJob], out: Path, means: Means) -> Ends:
+    """One after the other in this process, the last one first, as if in another."""
+    before = torch.get_num_threads()
+    for job in reversed(jobs):
+        yield job, TILE.do(job, out, means.again)
+        torch.set_num_threads(before)
+
+
+def test_processes_that_learn_tiles_make_the_same_bits(
+    finished: Run, stored: Dataset, config: Config, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = reconstruct(stored, config, tmp_path / "run", executor="local", means=Means(processes=2))
+    assert_same(run, finished)
+    np.testing.assert_array_equal(run.points, finished.points)
+    assert run.history[-1].iteration == 36
+    assert not (tmp_path / "run" / "tiles").exists()
+    assert "4 tiles, by other processes" in capsys.readouterr().out
+
+
+def test_a_cluster_that_learns_tiles_makes_the_same_bits(
+    finished: Run, stored: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a stand-in for Ray, which does everything in this process."""
+
+    class Task:
+        def __init__(self, *arguments: Any) -> None:
+            threads = torch.get_num_threads()
+            self.result = executor_ray._do(*arguments)
+            torch.set_num_threads(threads)
+
+    ray: Any = ModuleType("ray")
+    ray.is_initialized, ray.cluster_resources = lambda: True, dict
+    ray.remote = lambda do: SimpleNamespace(options=lambda **given: SimpleNamespace(remote=Task))
+    ray.wait, ray.get = lambda tasks, num_returns: (tasks[:1], tasks[1:]), lambda task: task.result
+    ray.cancel = lambda task, force: None
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    assert_same(reconstruct(stored, config, tmp_path / "run", executor="ray", quiet=True), finished)
+
+
+def test_whoever_learned_a_tile_the_others_go_on(
+    finished: Run, stored: Dataset, config: Config, tmp_path: Path, executor: Any
+) -> None:
+    """Stopped while others learn tiles, after one of them; then in this process, and then by others again."""
+    out, asked, steps = tmp_path / "run", [], []
+
+    def stopped(jobs: Sequence[TileJob], folder: Path, means: Means) -> Ends:
+        asked.extend(job.number for job in jobs)
+        yield next(here(jobs, folder, means))
+        raise KeyboardInterrupt
+
+    def stop(step: Any) -> None:
+        steps.append((step.iteration, step.last))
+        if len(steps) == 5:
+            raise RuntimeError("stopped")
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(stored, config, out, executor=executor(stopped), quiet=True)
+    assert asked == [0, 1, 2, 3]
+    with pytest.raises(RuntimeError, match="stopped"):
+        reconstruct(stored, config, out, on_step=stop, quiet=True, resume=True)
+    assert steps[0][0] > 1  # the whole is not learned again
+    run = reconstruct(stored, config, out, executor=executor(here), quiet=True, resume=True)
+    assert_same(run, finished)
+
+
+def test_the_last_step_of_this_process_is_told(stored: Dataset, config: Config, tmp_path: Path, executor: Any) -> None:
+    """From then on, Ctrl-C does not wait for the end of one."""
+    steps: list[tuple[int, bool]] = []
+    reconstruct(
+        stored,
+        config,
+        tmp_path / "run",
+        executor=executor(here),
+        on_step=lambda step: steps.append((step.iteration, step.last)),
+        quiet=True,
+    )
+    assert [last for _, last in steps] == [False] * (len(steps) - 1) + [True]
+    assert steps[-1][0] < 36
+
+
+def test_a_tile_that_is_not_finished_is_one_sentence(
+    stored: Dataset, config: Config, tmp_path: Path, executor: Any
+) -> None:
+    out = tmp_path / "run"
+    made = executor(lambda jobs, *_: (one for one in [(jobs[2], TileEnd("its process ended with code 3; resume it"))]))
+    with pytest.raises(SarsplatError, match=r"^tile 3 of 4 was not finished: its process ended with code 3; resume"):
+        reconstruct(stored, config, out, executor=made, quiet=True)
+    with pytest.raises(SarsplatError, match="tile 1 of 4 was not finished: another process is learning it; end that"):
+        reconstruct(
+            stored,
+            config,
+            out,
+            executor=executor(lambda jobs, *_: (one for one in [(jobs[0], None)])),
+            quiet=True,
+            resume=True,
+        )
+    (tmp_path / "data" / "images").rename(tmp_path / "data" / "elsewhere")
+    with pytest.raises(SarsplatError, match=r"^tile 4 of 4 was not finished: .*images"):
+        reconstruct(stored, config, out, executor=executor(here), quiet=True, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"executor": "lokal"}, "executor .lokal. is unknown; did you mean local"),
+        ({"executor": "local", "tiles": 1}, "the executor is local, which learns tiles, and the settings have none"),
+        ({"executor": "local", "out": None}, "give the dataset's folder and `out`, or no executor"),
+        ({"executor": "local", "loss": lambda a, b: (a - b).abs().mean()}, "do not have a loss of one's own; leave"),
+    ],
+)
+def test_what_others_cannot_learn_is_refused(
+    stored: Dataset, config: Config, tmp_path: Path, given: dict[str, Any], message: str
+) -> None:
+    how = replace(config, tiles=given.pop("tiles", 2))
+    with pytest.raises(SarsplatError, match=message):
+        reconstruct(stored, how, given.pop("out", tmp_path / "run"), quiet=True, **given)
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from datasets import box_dataset
 from sarsplat import ImageGrid, write_dataset
 from sarsplat.data.files import read_json
-from sarsplat.sweeps import EXECUTORS, Means
+from sarsplat.executors import EXECUTORS, Means
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.work import Row, do
 

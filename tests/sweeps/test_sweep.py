@@ -17,8 +17,9 @@ import pytest
 from sarsplat import Run, SarsplatError, SarsplatWarning, sweep
 from sarsplat.cli import main
 from sarsplat.evaluation import Scores, Yardstick, summary_metrics
+from sarsplat.executors import EXECUTORS, Means
 from sarsplat.runs.run_folder import LogLine, log_text
-from sarsplat.sweeps import EXECUTORS, Means, Results, cell, under_way, work
+from sarsplat.sweeps import Results, cell, under_way, work
 from sarsplat.sweeps.cell import cells_of
 from sarsplat.sweeps.page import _panel
 from sarsplat.sweeps.plan import Plan

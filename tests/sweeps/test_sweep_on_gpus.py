@@ -25,14 +25,14 @@ import torch
 
 from sarsplat import SarsplatError, sweep
 from sarsplat.errors import SarsplatWarning
+from sarsplat.executors import Means, executor_local, executor_ray, worker
+from sarsplat.executors.worker import Answers, Worker, serve
 from sarsplat.learning import Trainer
 from sarsplat.renderer.engines import choice, cuda, on_device
-from sarsplat.sweeps import Means, executor_local, executor_ray, worker
 from sarsplat.sweeps.caught import caught
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
-from sarsplat.sweeps.work import Row, do, row_of
-from sarsplat.sweeps.worker import Answers, Worker, serve
+from sarsplat.sweeps.work import RUN, Row, do, row_of
 
 SEEDS = [0, 1, 2]
 
@@ -70,7 +70,7 @@ def under_way(crew: Worker, cells: list[Cell], out: Path) -> Iterator[list[Any]]
 
 def test_answers_of_several_at_a_time_fit_and_bits_are_the_same(place, plan, cells, results):
     out = place / "out"
-    crew = Worker(out, again=False, at_a_time=len(cells))
+    crew = Worker(Cell.work, out, again=False, at_a_time=len(cells))
     with ThreadPoolExecutor(len(cells)) as pool:
         rows = [*pool.map(crew.ask, cells)]
     process = crew._process
@@ -84,7 +84,7 @@ def test_answers_of_several_at_a_time_fit_and_bits_are_the_same(place, plan, cel
 
 def test_a_process_that_dies_loses_its_runs_and_no_other(place, cells, endless):
     out = place / "out"
-    crew = Worker(out, again=False, at_a_time=2)
+    crew = Worker(Cell.work, out, again=False, at_a_time=2)
     with under_way(crew, endless, out) as asked:
         os.kill(crew._process.pid, signal.SIGKILL)
         for cell, answer in zip(endless, asked, strict=True):
@@ -99,7 +99,7 @@ def test_a_process_that_dies_loses_its_runs_and_no_other(place, cells, endless):
 def test_runs_that_were_lost_go_on_from_their_checkpoints(place, plan, cells, results):
     plan["settings"] |= {"iterations": 1500, "checkpoint_every": 100}
     longer, out = cells_of(Plan.from_dict(plan), place), place / "out"
-    crew = Worker(out, again=False, at_a_time=2)
+    crew = Worker(Cell.work, out, again=False, at_a_time=2)
     with under_way(crew, longer, out) as asked:
         end = time.monotonic() + 120
         while not all((out / "runs" / cell.address / "checkpoints").exists() for cell in longer):
@@ -115,7 +115,7 @@ def test_runs_that_were_lost_go_on_from_their_checkpoints(place, plan, cells, re
 
 def test_a_sweep_that_is_ended_ends_all_that_is_under_way(place, endless):
     out = place / "out"
-    crew = Worker(out, again=False, at_a_time=2)
+    crew = Worker(Cell.work, out, again=False, at_a_time=2)
     with under_way(crew, endless, out) as asked:
         crew.kill()
         assert [answer.result(timeout=60) for answer in asked] == [None, None]
@@ -125,7 +125,7 @@ def test_a_sweep_that_is_ended_ends_all_that_is_under_way(place, endless):
 
 def test_a_worker_ends_with_its_parent(place, endless):
     out = place / "out"
-    crew = Worker(out, again=False, at_a_time=2)
+    crew = Worker(Cell.work, out, again=False, at_a_time=2)
     with under_way(crew, endless, out):
         process = crew._process
         process.stdin.close()  # as when the parent is killed
@@ -164,7 +164,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, dict[str, str], lis
     made: list[tuple[int, dict[str, str], list[str]]] = []
 
     class Noting:
-        def __init__(self, out: Path, again: bool, at_a_time: int = 1, environment: Any = None) -> None:
+        def __init__(self, work: str, out: Path, again: bool, at_a_time: int = 1, environment: Any = None) -> None:
             self.asked: list[str] = []
             made.append((at_a_time, environment or {}, self.asked))
 
@@ -245,7 +245,7 @@ def test_ray_is_asked_for_a_part_of_a_gpu(place, plan, monkeypatch, device, gpus
     ray.is_initialized, ray.cluster_resources, ray.remote = lambda: True, dict, remote
     ray.wait, ray.get = lambda tasks, num_returns: (tasks[:1], tasks[1:]), json.loads
     monkeypatch.setitem(sys.modules, "ray", ray)
-    monkeypatch.setattr(executor_ray, "_do", lambda cell, *_: json.dumps(msgspec.to_builtins(finished(cell))))
+    monkeypatch.setattr(executor_ray, "_do", lambda work, cell, *_: json.dumps(msgspec.to_builtins(finished(cell))))
     cells = cells_of(Plan.from_dict(plan | {"device": device}), place)
     rows = [row for _, row in executor_ray.run(cells, place, Means(gpus=gpus))]
     assert {row.address for row in rows} == {cell.address for cell in cells}
@@ -284,10 +284,10 @@ def served(cells: list[Cell], monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
             current.stream = None
 
         current = threading.local()
+        kind = replace(RUN, do=lambda cell, out, again: do(cell, current.stream))
         monkeypatch.setattr(worker.torch.cuda, "is_available", lambda: True)
         monkeypatch.setattr(worker.torch.cuda, "Stream", lambda: SimpleNamespace(synchronize=synchronize))
         monkeypatch.setattr(worker.torch.cuda, "stream", on)
-        monkeypatch.setattr(worker, "do", lambda cell, out, again: do(cell, current.stream))
         monkeypatch.setattr(worker.os, "_exit", ended)
         for cell in cells[:left]:
             asked.put(msgspec.json.encode(on_gpu(cell)))
@@ -296,7 +296,7 @@ def served(cells: list[Cell], monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
 
         def one() -> None:
             with suppress(Ended, msgspec.ValidationError):
-                serve(asked, Said(None), Path(), False)
+                serve(kind, asked, Said(None), Path(), False)
 
         with ThreadPoolExecutor(threads) as pool:
             for _ in range(threads):
@@ -327,7 +327,7 @@ def test_a_process_whose_gpu_has_failed_answers_and_ends(cells, served):
         raise RuntimeError("CUDA error: an illegal memory access was encountered")
 
     assert len(served(lambda cell, stream: None, 1, synchronize)) == 1
-    reason = worker._why(cells[0], worker._BROKEN_GPU)
+    reason = worker._why(cells[0], worker._BROKEN_GPU, RUN.go_on)
     assert reason == "the GPU failed in another run of its process; start the sweep again to continue it"
 
 

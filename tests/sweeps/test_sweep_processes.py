@@ -16,8 +16,8 @@ import pytest
 from elsewhere import elsewhere
 from sarsplat import sweep
 from sarsplat.data.files import locked
-from sarsplat.sweeps import Means, executor_local
-from sarsplat.sweeps.cell import Cell, cells_of
+from sarsplat.executors import Means, executor_local
+from sarsplat.sweeps.cell import cells_of
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.work import Row, do, row_path
 
@@ -53,7 +53,7 @@ def workers() -> list[int]:
     return [
         int(path.parent.name)
         for path in Path("/proc").glob("[0-9]*/cmdline")
-        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.sweeps.worker" in text
+        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.executors.worker" in text
     ]
 
 
@@ -77,9 +77,9 @@ def test_as_many_runs_are_done_at_a_time_as_there_are_processes(place, plan, mon
     both = threading.Barrier(2, timeout=60)
 
     class Here(executor_local.Worker):
-        def ask(self, cell: Cell) -> Row | None:
+        def ask(self, job: Any) -> Row | None:
             both.wait()
-            return do(cell, self._out)
+            return do(job, self._out)
 
     monkeypatch.setattr(executor_local, "Worker", Here)
     found = sweep(plan, place / "out", means=Means(processes=2), quiet=True)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from sarsplat import SarsplatError, sweep
-from sarsplat.sweeps import Means
+from sarsplat.executors import Means
 
 ray = pytest.importorskip("ray", reason="the extra `ray` is not installed")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]

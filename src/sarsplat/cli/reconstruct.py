@@ -18,14 +18,18 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import (
     DEFAULT_PORT,
     Folder,
+    OptionalCount,
     OptionalFile,
     OptionalFolder,
+    OptionalNumber,
     TargetBox,
+    one_of,
     refuse_existing,
 )
 from sarsplat.cli.commands import unwrapped
 from sarsplat.cli.watch import following, watched
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.executors import EXECUTORS, Means
 from sarsplat.names import SCATTERINGS
 from sarsplat.runs.methods import METHODS, method_named
 from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
@@ -36,9 +40,11 @@ if TYPE_CHECKING:
     from sarsplat.data import Dataset
     from sarsplat.learning.method import Method
 
+    ExecutorName = str
     MethodName = str
     PresetName = str
 else:
+    ExecutorName = tyro.extras.literal_type_from_choices(EXECUTORS)
     MethodName = tyro.extras.literal_type_from_choices(METHODS)
     PresetName = tyro.extras.literal_type_from_choices(("auto", *PRESETS))
 
@@ -105,6 +111,19 @@ class Options:
         Folder of masks of the training images, from which dsr learns; `sarsplat simulate --masks` writes them.
     device
         Where to train; auto uses a GPU if a usable one is present and not slower.
+    executor
+        Who learns the tiles of --tiles: local, processes of this machine with one thread each, or ray, a Ray cluster
+        (default: this process, one tile after the other). The result is the same.
+    processes
+        Tiles at a time on the CPU with local (default: as many as processors). Each takes the memory of one.
+    per_device
+        Tiles at a time on each GPU with local (default: 4, or as many as there are processors for it).
+    address
+        Of the cluster with ray; auto is the one that runs here.
+    gpus
+        GPUs of a tile with ray: 0.25 lets four tiles share one (default: 1 if it is trained on one).
+    retries
+        How often ray starts a tile again whose node has died.
     view
         Show the training in the browser while it goes on; its result is the same.
     port
@@ -130,6 +149,12 @@ class Options:
     method: Annotated[MethodName | None, tyro.conf.arg(help_behavior_hint="(default: sar-gs)")] = None
     masks: OptionalFolder = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
+    executor: Annotated[ExecutorName | None, one_of(ExecutorName)] = None
+    processes: OptionalCount = None
+    per_device: OptionalCount = None
+    address: str = "auto"
+    gpus: OptionalNumber = None
+    retries: int = 3
     view: bool = False
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = DEFAULT_PORT
     resume: bool = False
@@ -176,6 +201,10 @@ def reconstruct(
         "method": method.name,
         "masks": options.masks,
         "device": options.device,
+        "executor": options.executor,
+        "means": Means(
+            options.processes, options.address, options.gpus, options.retries, per_device=options.per_device
+        ),
         "resume": options.resume,
         "overwrite": options.overwrite,
     }

@@ -13,7 +13,7 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber, one_of
 from sarsplat.cli.ending import keeping
 from sarsplat.errors import counted
-from sarsplat.sweeps.executor import EXECUTORS, Means
+from sarsplat.executors import EXECUTORS, Means
 
 _FAILED = 1
 """Exit code if a run has failed."""

@@ -53,7 +53,7 @@ def watched(
         def on_step(step: Step[Any]) -> None:
             for watcher in watchers:
                 watcher(step)
-            if number := hold_back(step.iteration < step.trainer.config.iterations):
+            if number := hold_back(not step.last):
                 raise Stopped(number)
 
         yield on_step

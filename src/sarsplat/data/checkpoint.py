@@ -42,8 +42,13 @@ def save_checkpoint(path: Path, tensors: Mapping[str, Tensor], state: dict[str, 
     """
     path = Path(path)
     metadata = {"schema": _SCHEMA, "version": _VERSION, "state": encode_json(state, path).decode()}
-    # Cloned because safetensors refuses tensors that share memory, such as views of one parameter.
-    plain = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
+    plain, places = dict[str, Tensor](), set[int]()
+    for name, tensor in tensors.items():
+        own = tensor.detach().cpu().contiguous()
+        if (place := own.untyped_storage().data_ptr()) in places:
+            own = own.clone()  # safetensors refuses tensors that share memory, such as views of one parameter
+        places.add(place)
+        plain[name] = own
     write_bytes(path, safetensors.torch.save(plain, metadata=metadata))
 
 

@@ -68,8 +68,17 @@ def psnr_db(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
         dB. An image reproduced to within float32 rounding counts as 138 dB instead of infinity.
     """
     _check_stacks(truth, rendered)
-    error = normalised_amplitude(truth, reference_amplitude) - normalised_amplitude(rendered, reference_amplitude)
-    return _mean_psnr(np.mean(np.square(error, dtype=np.float64), axis=(1, 2)))
+    each = (squares.mean(axis=(1, 2)) for squares in _squares(truth, rendered, reference_amplitude))
+    return _mean_psnr(np.concatenate([*each]))
+
+
+def _squares(
+    truth: Stack, rendered: Stack, reference_amplitude: float
+) -> Iterator[Float64[np.ndarray, "1 rows columns"]]:
+    """Squared differences of amplitudes, of one image after the other: memory stays small."""
+    for k in range(len(truth)):
+        pair = (normalised_amplitude(power[k : k + 1], reference_amplitude) for power in (truth, rendered))
+        yield np.square(np.subtract(*pair), dtype=np.float64)
 
 
 def psnr_target_db(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
@@ -83,8 +92,8 @@ def psnr_target_db(truth: Stack, rendered: Stack, reference_amplitude: float) ->
         raise UndefinedScore("the true images are black everywhere, so there is no target to score; check the dataset")
     mask = brighter(truth, -TARGET_DYNAMIC_DB)
     pixels = mask.sum(axis=(1, 2))
-    error = normalised_amplitude(truth, reference_amplitude) - normalised_amplitude(rendered, reference_amplitude)
-    squares = np.sum(np.square(error, dtype=np.float64), axis=(1, 2), where=mask)
+    each = zip(_squares(truth, rendered, reference_amplitude), mask, strict=True)
+    squares = np.concatenate([np.sum(one, axis=(1, 2), where=on[None]) for one, on in each])
     return _mean_psnr(squares[pixels > 0] / pixels[pixels > 0])
 
 
@@ -98,10 +107,11 @@ def ssim(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
         raise UndefinedScore(
             f"SSIM's 11×11 window does not fit images of {truth.shape[1]} × {truth.shape[2]} pixels; use larger ones"
         )
-    amplitudes = (normalised_amplitude(power, reference_amplitude) for power in (truth, rendered))
     scores = []
-    for pair in zip(*amplitudes, strict=True):  # one at a time: memory stays small
-        first, second = (torch.from_numpy(np.pad(one, SSIM_WINDOW // 2, "reflect")).double()[None] for one in pair)
+    for pair in zip(truth, rendered, strict=True):  # one at a time: memory stays small
+        amplitudes = (normalised_amplitude(power[None], reference_amplitude)[0] for power in pair)
+        padded = (np.pad(one, SSIM_WINDOW // 2, "reflect") for one in amplitudes)
+        first, second = (torch.from_numpy(one).double()[None] for one in padded)
         scores.append(float(structural_similarity(second, first)))
     return float(np.mean(scores))
 

@@ -17,6 +17,9 @@ from sarsplat.radiometry import brighter
 BRIGHT_DB = -30.0
 """Pixels above this, relative to the brightest of the set, show the target, dB."""
 
+_AT_A_TIME = 1 << 18
+"""Points that are compared with all planes at once."""
+
 
 @dataclass(frozen=True)
 class Region:
@@ -39,7 +42,8 @@ class Region:
         while sum(map(len, kept)) < count:
             unit = torch.rand(4 * count, 3, generator=generator, device="cpu", dtype=torch.float64).numpy()
             points = self.low + (self.high - self.low) * unit
-            kept.append(points[(points @ self.normals.T <= self.offsets).all(axis=1)])
+            parts = (points[first : first + _AT_A_TIME] for first in range(0, len(points), _AT_A_TIME))
+            kept += [part[(part @ self.normals.T <= self.offsets).all(axis=1)] for part in parts]
         return np.concatenate(kept)[:count]
 
 

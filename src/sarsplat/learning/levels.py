@@ -62,10 +62,10 @@ class Levels:
         """First iteration whose images are averaged over smaller blocks than these; 0 if all are."""
         return next(begin for k, begin in enumerate(self._begins) if self.coarsest >> k < blocks)
 
-    def grows(self, iteration: int) -> bool:
-        """Whether Gaussians are split after an iteration: the first of each finer level, and halfway to the next."""
+    def growths(self, iterations: int) -> int:
+        """How often Gaussians are split in so many: in the first of each finer level, and halfway to the next."""
         finer = self._begins[1:]
-        return iteration in finer or iteration in [(a + b) // 2 for a, b in pairwise(finer)]
+        return sum(one < iterations for one in {*finer, *((a + b) // 2 for a, b in pairwise(finer))})
 
     def grid_at(self, factor: int) -> ImageGrid:
         """Pixels and response of the images of a level."""

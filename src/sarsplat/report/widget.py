@@ -58,10 +58,15 @@ def widget(run: Run) -> dict[str, Any] | None:
     chosen = _affordable(dataset, part, peak)
     views = [dataset.views[index] for index in chosen]
     each = part.grid.rows * part.grid.columns + len(run.gaussians or ())
-    truth, rendered = dataset.power[chosen], np.concatenate([*_images(run, views, each, "at the dataset's views")])
-    errors = difference.of(truth, fitted(truth, rendered, looks, dataset.score_margin))
-    raster = _raster(dataset.views, _count(part, rendered, peak, each))
-    shown = [_codes(part.of_images(rendered), peak)]
+    parts: list[tuple[Any, ...]] = []
+    for some in _images(run, views, each, "at the dataset's views"):  # of which little is shown
+        done = sum(len(one) for one, *_ in parts)
+        truth = dataset.power[chosen[done : done + len(some)]]
+        wrong = difference.of(truth, fitted(truth, some, looks, dataset.score_margin))
+        parts.append(tuple(part.of_images(images) for images in (some, truth, wrong)))
+    rendered, true, errors = (np.concatenate(of_all) for of_all in zip(*parts, strict=True))
+    raster = _raster(dataset.views, _count(rendered, peak, each))
+    shown = [_codes(rendered, peak)]
     shown += [_codes(part.of_images(some), peak) for some in _images(run, raster, each, "from all sides")]
 
     rows, columns = part.size
@@ -91,8 +96,8 @@ def widget(run: Run) -> dict[str, Any] | None:
         "sets": [dataset.entries[index].split for index in chosen],
         "dots": [[*_angles(entry.view), int(entry.split != "train")] for entry in dataset.entries],
         "rendered": _sheet(np.concatenate(shown)),
-        "true": _sheet(_codes(part.of_images(truth), peak)),
-        "errors": _sheet(indexed(part.of_images(errors), -difference.largest, difference.largest)),
+        "true": _sheet(_codes(true, peak)),
+        "errors": _sheet(indexed(errors, -difference.largest, difference.largest)),
         "errorColours": ramp(DIFFERENCE).tolist(),
         "heightColours": ramp(HEIGHT)[:, :3].tolist(),
         "powerColours": {"grey" if name == POWER else name: ramp(name)[:, :3].tolist() for name in POWER_RAMPS},
@@ -146,10 +151,10 @@ def _affordable(dataset: Dataset, part: Part, peak: float) -> list[int]:
     return [train[k] for k in of_train] + [test[k] for k in of_test]
 
 
-def _count(part: Part, rendered: Real[np.ndarray, "v rows columns"], peak: float, each: int) -> int:
-    """How many images of the raster, of so many pixels and Gaussians each, fit into the budget."""
-    sample = rendered[evenly(len(rendered), _TRIED)]
-    by_bytes = _BYTES / _bytes_each(_codes(part.of_images(sample), peak)) - len(rendered)
+def _count(shown: Real[np.ndarray, "v rows columns"], peak: float, each: int) -> int:
+    """How many images of the raster, of so many pixels and Gaussians each, fit into the budget beside those shown."""
+    sample = shown[evenly(len(shown), _TRIED)]
+    by_bytes = _BYTES / _bytes_each(_codes(sample, peak)) - len(shown)
     return max(0, int(min(by_bytes, _MOST_RENDERED / each)))
 
 

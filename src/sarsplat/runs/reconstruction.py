@@ -10,6 +10,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.examination.plausible import suspicions, warn
+from sarsplat.executors.executor import Means, executor_named
 from sarsplat.learning.device import device_named
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.method import Inputs
@@ -20,7 +21,7 @@ from sarsplat.progress import progress
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import RunFolder
-from sarsplat.runs.tiled_training import TiledTraining, steps_of
+from sarsplat.runs.tiled_training import Others, TiledTraining, steps_of
 from sarsplat.runs.training_loop import Step, Training, train
 from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
 
@@ -47,6 +48,8 @@ def reconstruct(
     loss: Loss | None = None,
     strategies: Sequence[Any] = (),
     device: str = "auto",
+    executor: str | None = None,
+    means: Means | None = None,
     on_step: Callable[[Step[Any]], object] | None = None,
     quiet: bool = False,
     resume: bool = False,
@@ -85,6 +88,11 @@ def reconstruct(
     device : {"auto", "cpu", "cuda"}
         Where to train; "auto" is a GPU if there is one that passes the CUDA engine's check, unless steps are quicker
         on the CPU or fail on the GPU, which is tried and said.
+    executor : str, optional
+        Who learns the tiles, if the settings ask for some (`tiles`): a name in `sarsplat.executors.EXECUTORS`, such as
+        "local" or "ray"; unless given, this process, one after the other. `on_step` is not called for others' steps.
+    means : Means, optional
+        What the executor may use.
     on_step : callable, optional
         Called after every step (`Step`), by the first process. If it returns True, the training ends there, and the run
         is what has been learned so far. An exception ends it too; what has been learned is then kept in `out`.
@@ -137,6 +145,7 @@ def reconstruct(
     follows = processes is not None and not processes.leads
     heading, about = chosen.about(trainer.config, dataset.grid)
     by_tiles = chosen.by_tiles(config)
+    others = None if executor is None else _others(executor, means or Means(), by_tiles, dataset, out, inputs)
     steps = steps_of(cast(Trainer, trainer)) if by_tiles else config.iterations
     with progress(f"reconstruct ({heading})", steps, quiet or follows) as shown:
         for said in filter(None, (about, note)):
@@ -146,7 +155,26 @@ def reconstruct(
         folder = None if out is None else Path(out)
         training: Training[Any]
         if by_tiles:
-            training = TiledTraining(cast(Trainer, trainer), on_step, shown, dataset, inputs)
+            training = TiledTraining(cast(Trainer, trainer), on_step, shown, dataset, inputs, others)
         else:
             training = Training(trainer, None if follows else on_step, shown, processes)
         return train(training, new, dataset, folder, resume=resume, overwrite=overwrite)
+
+
+def _others(
+    executor: str, means: Means, by_tiles: bool, dataset: Dataset, out: str | Path | None, inputs: Inputs
+) -> Others:
+    """Who learns tiles instead of this process; refused if there are none, or they cannot be handed over."""
+    if not by_tiles:
+        raise SarsplatError(
+            f"the executor is {executor}, which learns tiles, and the settings have none; give tiles, or no executor"
+        )
+    if dataset.path is None or out is None:
+        raise SarsplatError(
+            "other processes read the dataset and write the tiles that they learn; give the dataset's folder and "
+            "`out`, or no executor"
+        )
+    if inputs.loss is not None:
+        raise SarsplatError("other processes do not have a loss of one's own; leave it out, or give no executor")
+    chosen = executor_named(executor)
+    return lambda jobs, folder: chosen(jobs, folder, means)

@@ -47,6 +47,8 @@ class Step(Generic[T]):
     folder_to_come: Path | None = None
     """The run's folder as long as it is being built elsewhere, which is until after the first checkpoint: nothing may
     be written there yet. Then, and for a run in memory, None."""
+    last: bool = False
+    """Whether this process makes no more steps: there are none, or others make them."""
 
 
 class Training(Generic[T]):
@@ -75,6 +77,11 @@ class Training(Generic[T]):
     def seconds(self) -> float:
         """Time trained so far, s of wall clock."""
         return time.monotonic() - self._begun
+
+    @property
+    def last(self) -> bool:
+        """Whether the step that was just made is the last one of this process."""
+        return self.trainer.iteration >= self.trainer.config.iterations
 
     @property
     def follows(self) -> bool:
@@ -162,7 +169,7 @@ class Training(Generic[T]):
                 self._show(loss.item())
             if saves:
                 self._save()
-            self.ended = self._ends(Step(trainer.iteration, loss, trainer, line, self.folder_to_come))
+            self.ended = self._ends(Step(trainer.iteration, loss, trainer, line, self.folder_to_come, self.last))
 
     def _ends(self, step: Step[T]) -> bool:
         """Whether this was the last step, as `on_step` says; an exception of it ends those that follow, too."""

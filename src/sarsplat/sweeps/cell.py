@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -25,6 +25,9 @@ _NO_RESULT = ("preset", "checkpoint_every")
 
 class Cell(msgspec.Struct, frozen=True):
     """One run: a dataset, a method, settings and a seed."""
+
+    work: ClassVar[str] = "sarsplat.sweeps.work:RUN"
+    """What executors call it."""
 
     dataset: str
     """The dataset's folder."""

@@ -13,9 +13,9 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import read_json, write_bytes, write_json
 from sarsplat.data.files import locked, plain_os_errors
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.executors.executor import Executor, Means, executor_named
 from sarsplat.progress import Reporter, progress
 from sarsplat.sweeps.cell import Cell, cells_of
-from sarsplat.sweeps.executor import Executor, Means, executor_named
 from sarsplat.sweeps.page import page
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.results import Results

@@ -17,6 +17,7 @@ from sarsplat.data.files import locked
 from sarsplat.data.folders import temporary_folder
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import evaluate_run
+from sarsplat.executors.job import Work
 from sarsplat.runs import Run, reconstruct
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run_folder import HEADER
@@ -156,3 +157,7 @@ def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, float 
     for name, value in values.items():
         flat += _flat(value, f"{before}{name}.") if isinstance(value, Mapping) else [(f"{before}{name}", value)]
     return flat
+
+
+RUN = Work(Cell, Row, do, lost, "start the sweep again to continue it")
+"""A run of a sweep, as work of an executor."""

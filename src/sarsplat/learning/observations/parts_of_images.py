@@ -72,9 +72,6 @@ class PartsOfImages(SingleImages):
     def begin(self, model: SceneModel) -> None:
         model.look_through(self._windows)
 
-    def of_tile(self, snapshot: Snapshot, model: SceneModel) -> Snapshot:
-        return with_some(snapshot, rows_in(model), self.tile.holds(model.parameters["means"]))
-
 
 def tiles_of(means: Float[Tensor, "n 3"], side: int) -> list[Tile]:
     """`side` × `side` tiles with the same number of these centres in each, but for what cannot be divided."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float32
 from torch import Tensor
@@ -9,6 +11,7 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Polarimetric
+from sarsplat.learning.few_at_once import compared_in_groups, in_groups
 from sarsplat.learning.losses import LOSSES, ImageScale, Loss, named_loss
 from sarsplat.learning.method import Inputs
 from sarsplat.learning.model import SceneModel
@@ -42,12 +45,24 @@ class SingleImages(Observation):
         super().refuse(config, dataset, inputs)
 
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
+        self._mean_over_views = loss is None  # as all that have a name
         self._loss = loss or named_loss(self.config, ImageScale(self.images.brightest, model.unit))
         if loss is None and LOSSES[self.config.loss].unit.startswith("nats"):  # so are penalties, then
             return torch.ones((), dtype=torch.float32, device=self.device)
         return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
 
     def compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:
+        chosen = batch.chosen
+        if isinstance(chosen, Tensor) or batch.processes is not None or not self._mean_over_views:
+            return self._compared(model, images, batch)
+        groups = in_groups(len(chosen), len(chosen), model.parameters, images.grid, batch.rays)
+        return compared_in_groups(
+            lambda some: self._compared(model, images, replace(batch, chosen=chosen[some])),
+            groups,
+            [*model.parameters.values()],
+        )
+
+    def _compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:
         numbers, truth = images.of(batch.chosen)
         rendered, rendering = model.render(
             images.views_of(batch.chosen),

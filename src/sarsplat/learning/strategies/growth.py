@@ -20,7 +20,10 @@ _SHARE = 0.9
 
 
 class Growing(Configured):
-    """Splits Gaussians where images are predicted badly, at the start of each finer level and halfway to the next."""
+    """Splits Gaussians where images are predicted badly, at the start of each finer level and halfway to the next.
+
+    Each of these times comes once: a training that is extended goes through its levels again, and keeps its number.
+    """
 
     order = 15
     name = "growth"
@@ -29,10 +32,16 @@ class Growing(Configured):
     def of(cls, config: Config, train: Dataset) -> Self | None:
         return cls() if config.coarsest > 1 else None
 
+    def initial_state(self, params: dict[str, Tensor]) -> State:
+        """How often it has split."""
+        return State(whole={"times": torch.zeros((), dtype=torch.int64, device="cpu")})
+
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        if info.model.levels.grows(step - 1):
+        before = info.model.levels.growths(step - 1)
+        if before < info.model.levels.growths(step) and before >= int(state.whole["times"]):
+            state.whole["times"] = state.whole["times"].new_tensor(before + 1)
             info.check()
             ops.split(params, optimizers, state, holding(info.errors(), _SHARE), info.generator)
 

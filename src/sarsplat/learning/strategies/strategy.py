@@ -14,6 +14,7 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.learning.few_at_once import in_groups
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.optimiser import Optimiser, followed
 from sarsplat.learning.training_images import TrainingImages
@@ -112,30 +113,31 @@ class Info:
 
         That of a pixel is the difference of amplitudes, and each Gaussian has the share of it that it has of the power.
         """
-        channel, total = (
-            self.model.power_channel,
-            torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device),
-        )
-        faintest = _FAINTEST * self.images.brightest
+        total = torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device)
         for few in self._few(len(self.images.views)):
-            views, truth = self.images.views[few], self.images.truth[few]
-            with torch.no_grad():
-                scene = self.model.scene(self.degree)
-                towards = scene.means.new_tensor(np.array([view.look.way_out for view in views]))
-                amplitudes = scene.scattering.amplitudes(towards, scene.quaternions, scene.scales)
-            amplitudes.requires_grad_()
-            images, _ = self._rendered(views, self.images.numbers[few], amplitudes)
-            power = channel_of(images, channel)
-            with torch.no_grad():
-                error = (power.sqrt() - truth.sqrt()).abs() / (power + faintest)
-            (slope,) = torch.autograd.grad((error * power).sum(), amplitudes)
-            total += (slope * amplitudes.detach())[:, : len(total), channel].sum(0)
+            total += self._errors_in(few)[: len(total)]  # then the surroundings'
         return total
+
+    def _errors_in(self, few: slice) -> Float[Tensor, " n"]:
+        """`errors` in some of the images: what one rendering needs is gone before the next."""
+        channel, faintest = self.model.power_channel, _FAINTEST * self.images.brightest
+        views, truth = self.images.views[few], self.images.truth[few]
+        with torch.no_grad():
+            scene = self.model.scene(self.degree)
+            towards = scene.means.new_tensor(np.array([view.look.way_out for view in views]))
+            amplitudes = scene.scattering.amplitudes(towards, scene.quaternions, scene.scales)
+        amplitudes.requires_grad_()
+        images, _ = self._rendered(views, self.images.numbers[few], amplitudes)
+        power = channel_of(images, channel)
+        with torch.no_grad():
+            error = (power.sqrt() - truth.sqrt()).abs() / (power + faintest)
+        (slope,) = torch.autograd.grad((error * power).sum(), amplitudes)
+        return (slope * amplitudes.detach())[..., channel].sum(0)
 
     def _few(self, count: int) -> list[slice]:
         """Views at a time: what a step takes fits into memory."""
-        size = self.model.config.views_per_step
-        return [slice(first, first + size) for first in range(0, count, size)]
+        model = self.model
+        return in_groups(count, model.config.views_per_step, model.parameters, self.images.grid, self.rays)
 
     def _rendered(
         self,

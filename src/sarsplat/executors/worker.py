@@ -1,4 +1,4 @@
-"""A process that does runs, one or several at a time; it lives as long as there is something to do.
+"""A process that does jobs, one or several at a time; it lives as long as there is something to do.
 
 As a program, this is such a process: a line of JSON for each job in, one for each result out; it ends with its parent.
 """
@@ -15,21 +15,20 @@ from concurrent.futures import Future
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import msgspec
 import torch
 
-from sarsplat.sweeps.cell import Cell
-from sarsplat.sweeps.work import Row, do, lost
+from sarsplat.executors.job import Job, Work, work_named
 
 _SIGNALS = {one.value: one.name for one in signal.Signals}
 
 _BROKEN_GPU = 75
 """Exit code of a process whose GPU does nothing more."""
 
-Answer = tuple[str, Row | None]
-"""The address of a run, and its row; None if another process is doing it."""
+Answer = tuple[str, Any]
+"""The address of a job, and its result; None if another process is doing it."""
 
 
 class Worker:
@@ -37,29 +36,31 @@ class Worker:
 
     Parameters
     ----------
+    work : str
+        Kind of all jobs that it is asked for.
     out : Path
-        Folder of the sweep.
+        Folder that they write to.
     again : bool
-        Whether failed runs are tried again.
+        Whether failed ones are tried again.
     at_a_time : int
-        How many threads ask at a time, for as many runs.
+        How many threads ask at a time, for as many jobs.
     environment : mapping of str to str
         Variables that are other ones there.
     """
 
     def __init__(
-        self, out: Path, again: bool, at_a_time: int = 1, environment: Mapping[str, str] | None = None
+        self, work: str, out: Path, again: bool, at_a_time: int = 1, environment: Mapping[str, str] | None = None
     ) -> None:
-        self._words = [str(out), str(again), str(at_a_time)]
-        self._out, self._environment, self._ended = out, environment or {}, False
+        self._words = [work, str(out), str(again), str(at_a_time)]
+        self._work, self._out, self._environment, self._ended = work_named(work), out, environment or {}, False
         self._process: subprocess.Popen[bytes] | None = None
         self._listener: threading.Thread | None = None
-        self._asked: dict[str, tuple[Cell, Future[Row | None]]] = {}
+        self._asked: dict[str, tuple[Job, Future[Any]]] = {}
         self._lock = threading.Lock()
 
-    def ask(self, cell: Cell) -> Row | None:
-        """Do a run; a process that dies is a row with its reason, for every run that it was asked for."""
-        answer: Future[Row | None] = Future()
+    def ask(self, job: Job) -> Any:
+        """Do a job; a process that dies is a result with its reason, for every job that it was asked for."""
+        answer: Future[Any] = Future()
         with self._lock:
             if self._ended:
                 return None
@@ -67,15 +68,15 @@ class Worker:
                 self._process = self._started()
                 self._listener = threading.Thread(target=self._listen, args=(self._process,), daemon=True)
                 self._listener.start()
-            self._asked[cell.address] = cell, answer
+            self._asked[job.address] = job, answer
             assert self._process.stdin is not None
             with suppress(BrokenPipeError):
-                self._process.stdin.write(msgspec.json.encode(cell) + b"\n")
+                self._process.stdin.write(msgspec.json.encode(job) + b"\n")
                 self._process.stdin.flush()
         return answer.result()
 
     def kill(self) -> None:
-        """End it at once: a run may be stopped at any moment."""
+        """End it at once: a job may be stopped at any moment."""
         with self._lock:
             self._ended = True
             if self._process is not None:
@@ -87,26 +88,28 @@ class Worker:
             self._listener.join()
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
-        """Hand out the answers of a process, and after its end the rows of those runs that it was at."""
+        """Hand out the answers of a process, and after its end the results of those jobs that it was at."""
         assert process.stdout is not None
+        kind = tuple[str, self._work.result | None]  # type: ignore[name-defined]
         for line in process.stdout:
             if line.endswith(b"\n"):  # not half a line, which was its last
-                address, row = msgspec.json.decode(line, type=Answer)
-                self._asked.pop(address)[1].set_result(row)
+                address, result = msgspec.json.decode(line, type=kind)
+                self._asked.pop(address)[1].set_result(result)
         code = process.wait()
         with self._lock:
             unanswered, self._asked, self._process = self._asked, {}, None
             with suppress(BrokenPipeError), process:  # closes its pipes
                 pass
-        for cell, answer in unanswered.values():
+        for job, answer in unanswered.values():
             try:
-                answer.set_result(None if self._ended else lost(cell, self._out, _why(cell, code)))
-            except Exception as error:  # the sweep's: it cannot write
+                lost = None if self._ended else self._work.lost(job, self._out, _why(job, code, self._work.go_on))
+                answer.set_result(lost)
+            except Exception as error:  # of whoever asks: it cannot write
                 answer.set_exception(error)
 
     def _started(self) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
-            [sys.executable, "-m", "sarsplat.sweeps.worker", *self._words],
+            [sys.executable, "-m", "sarsplat.executors.worker", *self._words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={
@@ -116,30 +119,30 @@ class Worker:
                 "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
                 **self._environment,
             },
-            start_new_session=True,  # Ctrl-C in the terminal is for the sweep, which ends its workers
+            start_new_session=True,  # Ctrl-C in the terminal is for whoever asks, who ends the workers
         )
 
 
-def _why(cell: Cell, code: int) -> str:
-    """Why a run was lost when its process ended with a code, in a sentence."""
+def _why(job: Job, code: int, go_on: str) -> str:
+    """Why a job was lost when its process ended with a code, in a sentence."""
     if code == _BROKEN_GPU:
-        return "the GPU failed in another run of its process; start the sweep again to continue it"
+        return f"the GPU failed in another run of its process; {go_on}"
     by = _SIGNALS.get(-code, f"signal {-code}")
     ended = f"was ended by {by}" if code < 0 else f"ended with code {code}"
-    fewer = "--per-device" if cell.device == "cuda" else "--processes"
+    fewer = "--per-device" if job.device == "cuda" else "--processes"
     why = f", as when memory runs out: give fewer {fewer}" if by == "SIGKILL" else ""
-    return f"its process {ended}{why}; start the sweep again to continue it"
+    return f"its process {ended}{why}; {go_on}"
 
 
-def work(out: Path, again: bool, at_a_time: int) -> None:
+def work(kind: Work, out: Path, again: bool, at_a_time: int) -> None:
     """Do what lines ask for, so many at a time, until there are no more."""
     answers = Answers(os.fdopen(os.dup(1), "wb"))
     os.dup2(2, 1)  # whatever is printed is no answer
     asked: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_listen, args=(asked,), daemon=True).start()
     for _ in range(at_a_time - 1):
-        threading.Thread(target=serve, args=(asked, answers, out, again), daemon=True).start()
-    serve(asked, answers, out, again)
+        threading.Thread(target=serve, args=(kind, asked, answers, out, again), daemon=True).start()
+    serve(kind, asked, answers, out, again)
 
 
 class Answers:
@@ -154,16 +157,16 @@ class Answers:
             self._file.flush()
 
 
-def serve(asked: SimpleQueue[bytes], answers: Answers, out: Path, again: bool) -> None:
-    """Do one run after the other; those on a GPU in a queue of their own there, beside those of other threads."""
+def serve(kind: Work, asked: SimpleQueue[bytes], answers: Answers, out: Path, again: bool) -> None:
+    """Do one job after the other; those on a GPU in a queue of their own there, beside those of other threads."""
     stream = None
     while True:
-        cell = msgspec.json.decode(asked.get(), type=Cell)
-        on_gpu = cell.device == "cuda" and torch.cuda.is_available()
+        job = msgspec.json.decode(asked.get(), type=kind.job)
+        on_gpu = job.device == "cuda" and torch.cuda.is_available()
         if on_gpu and stream is None:
             stream = torch.cuda.Stream()
         with torch.cuda.stream(stream) if on_gpu else nullcontext():
-            answers.put((cell.address, do(cell, out, again)))
+            answers.put((job.address, kind.do(job, out, again)))
         if stream is not None:
             try:
                 stream.synchronize()
@@ -179,4 +182,4 @@ def _listen(asked: SimpleQueue[bytes]) -> None:
 
 
 if __name__ == "__main__":
-    work(Path(sys.argv[1]), sys.argv[2] == "True", int(sys.argv[3]))
+    work(work_named(sys.argv[1]), Path(sys.argv[2]), sys.argv[3] == "True", int(sys.argv[4]))

@@ -1,4 +1,4 @@
-"""Runs on this machine: on the CPU in processes with one thread each, on a GPU several at a time in one process."""
+"""Jobs on this machine: on the CPU in processes with one thread each, on a GPU several at a time in one process."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
 import torch
 
-from sarsplat.sweeps.cell import Cell
-from sarsplat.sweeps.executor import Means
-from sarsplat.sweeps.work import Row
-from sarsplat.sweeps.worker import Worker
+from sarsplat.executors.executor import J, Means
+from sarsplat.executors.job import Job
+from sarsplat.executors.worker import Worker
 
 _PER_DEVICE = 4
 """Trainings of a GPU at a time, unless it is said. A guess, not measured: one should leave the GPU idle while Python
@@ -23,7 +23,7 @@ _VISIBLE = "CUDA_VISIBLE_DEVICES"
 
 
 class Team:
-    """Workers that share runs, each with places for so many at a time."""
+    """Workers that share jobs, each with places for so many at a time."""
 
     def __init__(self, workers: Sequence[Worker], at_a_time: int = 1) -> None:
         self._workers = workers
@@ -32,14 +32,14 @@ class Team:
             self._free.put(worker)
         self._pool = ThreadPoolExecutor(len(workers) * at_a_time)
 
-    def ask(self, cells: Sequence[Cell]) -> dict[Future[Row | None], Cell]:
+    def ask(self, jobs: Sequence[J]) -> dict[Future[Any], J]:
         """Have these done, one after the other as places become free."""
-        return {self._pool.submit(self._one, cell): cell for cell in cells}
+        return {self._pool.submit(self._one, job): job for job in jobs}
 
-    def _one(self, cell: Cell) -> Row | None:
+    def _one(self, job: Job) -> Any:
         worker = self._free.get()
         try:
-            return worker.ask(cell)
+            return worker.ask(job)
         finally:
             self._free.put(worker)
 
@@ -52,23 +52,23 @@ class Team:
             worker.close()
 
 
-def run(cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
-    """Do runs on this machine (see `Executor`).
+def run(jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:
+    """Do jobs on this machine (see `Executor`).
 
     Of those on the CPU there are as many at a time as there are processors, and of those on GPUs, at most four on each.
     """
     teams: list[Team] = []
-    asked: dict[Future[Row | None], Cell] = {}
+    asked: dict[Future[Any], J] = {}
     try:
-        if on_cpu := [cell for cell in cells if cell.device != "cuda"]:
+        if on_cpu := [job for job in jobs if job.device != "cuda"]:
             count = min(means.processes or _processors(), len(on_cpu))
-            teams.append(Team([Worker(out, means.again) for _ in range(count)]))
+            teams.append(Team([Worker(jobs[0].work, out, means.again) for _ in range(count)]))
             asked |= teams[-1].ask(on_cpu)
-        if on_gpu := [cell for cell in cells if cell.device == "cuda"]:
+        if on_gpu := [job for job in jobs if job.device == "cuda"]:
             gpus = _gpus()[: len(on_gpu)]
             at_a_time = means.per_device or min(_PER_DEVICE, max(1, _processors() // len(gpus)))
             at_a_time = min(at_a_time, -(-len(on_gpu) // len(gpus)))
-            teams.append(Team([Worker(out, means.again, at_a_time, gpu) for gpu in gpus], at_a_time))
+            teams.append(Team([Worker(jobs[0].work, out, means.again, at_a_time, gpu) for gpu in gpus], at_a_time))
             asked |= teams[-1].ask(on_gpu)
         for future in as_completed(asked):
             yield asked[future], future.result()

@@ -1,18 +1,17 @@
-"""Executors, which run a sweep's runs somewhere: modules `executor_NAME.py` here, and entry points."""
+"""Executors, which do jobs somewhere: modules `executor_NAME.py` here, and entry points."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Any, Protocol, TypeVar
 
 from sarsplat.errors import SarsplatError, advised, shown
+from sarsplat.executors.job import Job
 from sarsplat.plugins import discover
 
-if TYPE_CHECKING:
-    from sarsplat.sweeps.cell import Cell
-    from sarsplat.sweeps.work import Row
+J = TypeVar("J", bound=Job)
 
 
 @dataclass(frozen=True)
@@ -22,17 +21,17 @@ class Means:
     Parameters
     ----------
     processes : int or None
-        Runs at a time on the CPU of this machine; None: as many as there are processors.
+        Jobs at a time on the CPU of this machine; None: as many as there are processors.
     address : str
         Of the Ray cluster, as in `ray.init`; "auto" is the one that is running here.
     gpus : float or None
-        GPUs of a run on a Ray cluster: 0.25 lets four runs share one; None: one if the plan's device is cuda.
+        GPUs of a job on a Ray cluster: 0.25 lets four of them share one; None: one if its device is cuda.
     retries : int
-        How often Ray starts a run again whose node or process has died.
+        How often Ray starts a job again whose node or process has died.
     again : bool
-        Whether failed runs are tried again.
+        Whether failed runs of a sweep are tried again.
     per_device : int or None
-        Runs at a time on each GPU of this machine, in one process; None: four, or as many as it has processors.
+        Jobs at a time on each GPU of this machine, in one process; None: four, or as many as it has processors.
     """
 
     processes: int | None = None
@@ -53,16 +52,16 @@ class Means:
 
 
 class Executor(Protocol):
-    """Does runs, each by `work.do` in a process that has one thread of the engine; several on a GPU may share it."""
+    """Does jobs, each by the `do` of its work in a process that has one thread of the engine; GPUs may be shared."""
 
-    def __call__(self, cells: Sequence[Cell], out: Path, means: Means) -> Iterator[tuple[Cell, Row | None]]:
-        """Yield every run with its row as it ends; None where another process is at it.
+    def __call__(self, jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:
+        """Yield every job, all of one work, with its result as it ends; None where another process is at it.
 
         What is left undone when the iterator is closed, or an exception leaves it, is stopped at once.
         """
 
 
-EXECUTORS = discover("sarsplat.sweeps", "executor_", "run", "sarsplat.executors")
+EXECUTORS = discover("sarsplat.executors", "executor_", "run", "sarsplat.executors")
 """By name, as on the command line; each is imported when it is asked for."""
 
 
