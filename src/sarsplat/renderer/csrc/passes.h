@@ -92,8 +92,9 @@ static void attenuate_band(const RayEntry* entries, const int32_t* list, int n, 
       stop[strip * s.height() * kBlockX + i] = spare ? -1 : kNever;
     }
   for (int k = 0; k < n; k++) {
-    __builtin_prefetch(entries + list[k + kAhead < n ? k + kAhead : k]);
-    const RayEntry& e = entries[list[k]];
+    __builtin_prefetch(entries + list[k + 2 * kAhead < n ? k + 2 * kAhead : k]);
+    const RayEntry &e = entries[list[k]], &soon = entries[list[k + kAhead < n ? k + kAhead : k]];
+    __builtin_prefetch(partial + soon.slot + b - soon.first_band, 1);
     F sum_w = splat(0.0f);
     for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
       F t = load_anywhere(T + at);
@@ -113,8 +114,9 @@ static void attenuate_band_backward(const RayEntry* entries, const int32_t* list
                                     float min_log_tau, float* T, const int32_t* stop, float* B, float* moments) {
   const F zero = splat(0.0f);
   for (int k = n - 1; k >= 0; k--) {
-    __builtin_prefetch(entries + list[k > kAhead ? k - kAhead : k]);
-    const RayEntry& e = entries[list[k]];
+    __builtin_prefetch(entries + list[k > 2 * kAhead ? k - 2 * kAhead : k]);
+    const RayEntry &e = entries[list[k]], &soon = entries[list[k > kAhead ? k - kAhead : k]];
+    __builtin_prefetch(moments + kSums * (int64_t)(soon.slot + b - soon.first_band), 1);
     Moments<F> m{zero, zero, zero, zero, zero, zero};
     for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
       const F log_tau = log_depth(e.g, d);

@@ -196,6 +196,8 @@ void image_part_backward(const ViewState& s, const Part& part, const Strips& ima
   for (int k = part.first; k < part.end; k++) {
     const int32_t ahead = s.pixel_list[smaller(k + kAhead, part.end - 1)], id = s.pixel_list[k];
     __builtin_prefetch(s.on_pixels + ahead);
+    __builtin_prefetch(s.on_rays + ahead, 1);
+    __builtin_prefetch(moments + kSums * (int64_t)ahead, 1);
     if (C > 1) __builtin_prefetch(a.first + a.stride * ahead);
     const PixelEntry& e = s.on_pixels[id];
     float* row = moments + kSums * (int64_t)id;
