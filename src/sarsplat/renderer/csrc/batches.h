@@ -3,7 +3,7 @@
 //
 // In one loop (passes.h) a block is a chain of two exponentials: with narrow vectors so few of them are in flight that the
 // processor mostly waits, their registers do not hold what the loop needs, and blocks without a live lane, a third of all,
-// cost as much as others. Vectors of 16 are faster there.
+// cost as much as others. Vectors of 16 are faster there, and so are Gaussians of few blocks: ViewState::in_batches.
 #pragma once
 #include "passes.h"
 

@@ -75,9 +75,9 @@ void attenuate_rays(const sg_context& c, const sg_problem& p) {
     Part& band = c.views[v].ray_bands[b];
     band.first = b * p.gaussians;
     band.end = band.first + list_band(s, b, s.ray_list + band.first);
-    constexpr auto attenuate_rays_of = kWidth == 16 ? attenuate_band : attenuate_in_batches;
-    attenuate_rays_of(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, min_log_tau(p), p.min_transmittance,
-                      s.T + band.start, s.stop + band.start, s.partial);
+    const auto loops = s.in_batches() ? attenuate_in_batches : attenuate_band;
+    loops(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, min_log_tau(p), p.min_transmittance, s.T + band.start,
+          s.stop + band.start, s.partial);
   });
 }
 
@@ -119,9 +119,8 @@ int32_t attenuate_rays_backward(sg_context& c, const sg_problem& p, const float*
         const int64_t at = rays.at(rays.x0 + x, y);
         B[at] = T[at] * d_transmittance[before + (int64_t)(y - s.rays.y0) * rays.columns + x];
       }
-    constexpr auto back = kWidth == 16 ? attenuate_band_backward : attenuate_in_batches_backward;
-    back(s.on_rays, s.ray_list + band.first, band.count(), rays, b, min_log_tau(p), T, s.stop + band.start, B,
-         scratch[v].ray_moments);
+    const auto loops = s.in_batches() ? attenuate_in_batches_backward : attenuate_band_backward;
+    loops(s.on_rays, s.ray_list + band.first, band.count(), rays, b, min_log_tau(p), T, s.stop + band.start, B, scratch[v].ray_moments);
   });
   return SG_OK;
 }
