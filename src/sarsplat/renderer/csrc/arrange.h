@@ -69,6 +69,7 @@ void cut_rays(ViewState& s, int n, int parts) {
   }
   int64_t total = all.rows, running = 0, done = 0, start = 0;
   for (int y = 0; y < all.rows; y++) total += running += work[y];
+  s.ray_blocks = (total - all.rows) / kBlockY;
   running = 0;
   for (int b = 0, y = 0; b < s.ray_parts; b++) {
     const int first = y;

@@ -77,6 +77,9 @@ struct ViewState {
   int ray_parts;
   Part ray_bands[kMaxParts];     // of rows
   int touching;                   // how many Gaussians touch a ray
+  int64_t ray_blocks;             // of all of them, about
+  // which loops are faster (batches.h): a few blocks are not worth a batch
+  bool in_batches() const { return kWidth < 16 && ray_blocks > 4 * (int64_t)touching; }
   int32_t *front_to_back, *ray_list;  // their ids; those of every band
   float* T;                       // by band
   int32_t* stop;

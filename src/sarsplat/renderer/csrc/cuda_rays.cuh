@@ -59,7 +59,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) attenuate_chunks(sg_probl
       const Footprint& g = staged[begin + k].g;
       const float log_tau = log_depth(g, offset(g, (float)ray.x, (float)ray.y));
       const bool live = log_tau >= faintest && (passed || T >= p.min_transmittance);
-      own[k][lane()] = attenuate(log_tau, live, T);
+      own[k][lane()] = attenuate(optical_depth(log_tau, live), T);
       if (live) last = c.begin + begin + k;
     }
     __syncwarp();
@@ -123,7 +123,7 @@ extern "C" __global__ void __launch_bounds__(kThreads) sum_returns(sg_problem p,
       const int k = begin + __ffs(those) - 1;
       const Footprint& g = staged[k].g;
       const float log_tau = log_depth(g, offset(g, (float)ray.x, (float)ray.y));
-      sum += h[k] * attenuate(log_tau, log_tau >= faintest && last >= c.begin + k, T);
+      sum += h[k] * attenuate(optical_depth(log_tau, log_tau >= faintest && last >= c.begin + k), T);
     }
   s.rays.returns[sum_of(blockIdx.x)] = sum;
 }
@@ -157,7 +157,7 @@ extern "C" __global__ void __launch_bounds__(kThreads, kResident - 1) attenuate_
       those ^= 1u << k;
       const Footprint& g = staged[begin + k].g;
       const float log_tau = log_depth(g, offset(g, (float)ray.x, (float)ray.y));
-      own[k][lane()] = attenuate_backward(log_tau, log_tau >= faintest && last >= c.begin + begin + k, h[begin + k], T, B);
+      own[k][lane()] = attenuate_backward(optical_depth(log_tau, log_tau >= faintest && last >= c.begin + begin + k), h[begin + k], T, B);
     }
     __syncwarp();
     Moments<float> m{};

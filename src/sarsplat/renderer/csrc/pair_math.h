@@ -21,10 +21,13 @@ template <class F> SG_FN Offset<F> offset(const Footprint& g, F x, F y) {
 template <class F> SG_FN F distance(const Offset<F>& d) { return d.u * d.u + d.v * d.v; }
 template <class F> SG_FN F log_depth(const Footprint& g, const Offset<F>& d) { return (g.height - d.u * d.u) - d.v * d.v; }
 
-// Pass A, front to back (§3): w = T (1 - e^-tau); T becomes the transmittance behind the Gaussian. Who is not live meets no
-// depth, and T stays as it is to the bit: so it can be stored whole (masked stores are slow to read back).
-template <class F, class M> SG_FN F attenuate(F log_tau, M live, F& T) {
-  const auto e = power2_parts(-choose(live, power2(log_tau), splat(0.0f)));
+// What a live pair's optical depth is; who is not live meets none.
+template <class F, class M> SG_FN F optical_depth(F log_tau, M live) { return choose(live, power2(log_tau), splat(0.0f)); }
+
+// Pass A, front to back (§3): w = T (1 - e^-tau); T becomes the transmittance behind the Gaussian. Where there is no depth T
+// stays as it is to the bit: so it can be stored whole (masked stores are slow to read back).
+template <class F> SG_FN F attenuate(F tau, F& T) {
+  const auto e = power2_parts(-tau);
   const F w = -(T * power2_minus_one(e));
   T = T * power2(e);
   return w;
@@ -32,8 +35,7 @@ template <class F, class M> SG_FN F attenuate(F log_tau, M live, F& T) {
 
 // Pass A, back to front (§4): on entry T is the transmittance behind the Gaussian and B = sum of h w behind it;
 // on return both hold the values before it. Returns tau dL/dtau, with tau in units of log2(e).
-template <class F, class M> SG_FN F attenuate_backward(F log_tau, M live, float h, F& T, F& B) {
-  const F tau = choose(live, power2(log_tau), splat(0.0f));
+template <class F> SG_FN F attenuate_backward(F tau, float h, F& T, F& B) {
   const auto e = power2_parts(tau);
   const F f = tau * (T * h - B);
   B = T * power2_minus_one(e) * h + B;

@@ -58,53 +58,81 @@ struct Strips {
   }
 };
 
+// The blocks of one Gaussian in a rectangle, one after the other, strip by strip.
+struct Walk {
+  int left;                       // blocks to come
+  int64_t strip, down, begin, end, height;
+  const float *x, *y;
+  Walk(const Entry& e, const Strips& s) {
+    const int top = e.y0 > s.y0 ? e.y0 : s.y0, bottom = e.y1 < s.y0 + s.rows ? e.y1 : s.y0 + s.rows - 1;
+    const int first = block_of<kBlockX>(e.x0 - s.x0), last = block_of<kBlockX>(e.x1 - s.x0);
+    const int tall = block_of<kBlockY>(bottom - top) + 1;
+    left = bottom < top ? 0 : larger(0, tall * (last - first + 1));
+    down = begin = (int64_t)(top - s.y0) * kBlockX;
+    end = begin + (int64_t)tall * kWidth;
+    height = (int64_t)s.height() * kBlockX;
+    strip = first * height;
+    x = s.x + first * kWidth;
+    y = s.y;
+  }
+  // visit(offset, index of the block's first lane) for the next blocks, `most` at most
+  template <class Visit> SG_FN void next(const Footprint& g, int most, Visit visit) {
+    const int count = smaller(left, most);
+    left -= count;
+    for (int k = 0; k < count; k++) {  // one loop, not one in the other: its end is guessed wrong once
+      visit(offset(g, load(x), load_anywhere(y + down)), strip + down);
+      down += kWidth;
+      const bool next = down == end;
+      down = next ? begin : down;
+      strip += next ? height : 0;
+      x += next ? kWidth : 0;
+    }
+  }
+};
+
 // visit(offset, index of the block's first lane) for the blocks of one Gaussian in a rectangle
 template <class Visit> SG_FN void for_blocks(const Entry& e, const Strips& s, Visit visit) {
-  const int top = e.y0 > s.y0 ? e.y0 : s.y0, bottom = e.y1 < s.y0 + s.rows ? e.y1 : s.y0 + s.rows - 1;
-  const int first = block_of<kBlockX>(e.x0 - s.x0), last = block_of<kBlockX>(e.x1 - s.x0);
-  const int tall = block_of<kBlockY>(bottom - top) + 1, count = bottom < top ? 0 : tall * (last - first + 1);
-  const int64_t begin = (int64_t)(top - s.y0) * kBlockX, end = begin + (int64_t)tall * kWidth;
-  const int64_t height = (int64_t)s.height() * kBlockX;
-  int64_t strip = first * height, down = begin;
-  const float* x = s.x + first * kWidth;
-  for (int k = 0; k < count; k++) {  // one loop, not one in the other: its end is guessed wrong once
-    visit(offset(e.g, load(x), load_anywhere(s.y + down)), strip + down);
-    down += kWidth;
-    const bool next = down == end;
-    down = next ? begin : down;
-    strip += next ? height : 0;
-    x += next ? kWidth : 0;
-  }
+  Walk walk(e, s);
+  walk.next(e.g, walk.left, visit);
 }
 
 constexpr int kAhead = 8;  // entries in depth order lie anywhere in memory: they are asked for this early
 constexpr int32_t kNever = 0x7fffffff;
 
-// Front to back over the list of band b, whose rays are s. stop: the place in the list after which a ray is no longer
-// followed. partial: by slot.
-static void attenuate_band(const RayEntry* entries, const int32_t* list, int n, const Strips& s, int b, float min_log_tau,
-                           float min_transmittance, float* T, int32_t* stop, float* partial) {
-  const F floor = splat(min_transmittance);
+// The rays of a band before they meet anything.
+static void begin_rays(const Strips& s, float* T, int32_t* stop) {
   for (int64_t strip = 0; strip < s.count(); strip++)
     for (int64_t i = 0; i < s.height() * kBlockX; i++) {
       const bool spare = i >= s.rows * kBlockX;  // never live
       T[strip * s.height() * kBlockX + i] = spare ? 0.0f : 1.0f;
       stop[strip * s.height() * kBlockX + i] = spare ? -1 : kNever;
     }
+}
+
+// Where band b writes what it finds of a Gaussian. It is asked for early: a store that waits for memory holds up all after it.
+SG_FN int64_t slot_of(const RayEntry& e, int b) { return e.slot + b - e.first_band; }
+
+// Front to back over the list of band b, whose rays are s. stop: the place in the list after which a ray is no longer
+// followed. partial: by slot.
+static void attenuate_band(const RayEntry* entries, const int32_t* list, int n, const Strips& s, int b, float min_log_tau,
+                           float min_transmittance, float* T, int32_t* stop, float* partial) {
+  const F floor = splat(min_transmittance);
+  begin_rays(s, T, stop);
   for (int k = 0; k < n; k++) {
-    __builtin_prefetch(entries + list[k + kAhead < n ? k + kAhead : k]);
+    __builtin_prefetch(entries + list[smaller(k + 2 * kAhead, n - 1)]);
+    __builtin_prefetch(partial + slot_of(entries[list[smaller(k + kAhead, n - 1)]], b), 1);
     const RayEntry& e = entries[list[k]];
     F sum_w = splat(0.0f);
     for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
       F t = load_anywhere(T + at);
       const F log_tau = log_depth(e.g, d);
       const I live = (log_tau >= min_log_tau) & (t >= floor);
-      sum_w += attenuate(log_tau, live, t);
+      sum_w += attenuate(optical_depth(log_tau, live), t);
       store_anywhere(T + at, t);
       const I stopped = live & (t < floor);
       if (any(stopped)) store_anywhere(stop + at, choose(stopped, (I)(k), load_anywhere(stop + at)));
     });
-    partial[e.slot + b - e.first_band] = sum(sum_w);
+    partial[slot_of(e, b)] = sum(sum_w);
   }
 }
 
@@ -113,18 +141,19 @@ static void attenuate_band_backward(const RayEntry* entries, const int32_t* list
                                     float min_log_tau, float* T, const int32_t* stop, float* B, float* moments) {
   const F zero = splat(0.0f);
   for (int k = n - 1; k >= 0; k--) {
-    __builtin_prefetch(entries + list[k > kAhead ? k - kAhead : k]);
+    __builtin_prefetch(entries + list[larger(k - 2 * kAhead, 0)]);
+    __builtin_prefetch(moments + kSums * slot_of(entries[list[larger(k - kAhead, 0)]], b), 1);
     const RayEntry& e = entries[list[k]];
     Moments<F> m{zero, zero, zero, zero, zero, zero};
     for_blocks(e, s, [&](const Offset<F>& d, int64_t at) {
       const F log_tau = log_depth(e.g, d);
       const I live = (log_tau >= min_log_tau) & (load_anywhere(stop + at) >= k);
       F t = load_anywhere(T + at), suffix = load_anywhere(B + at);
-      m.add(d, attenuate_backward(log_tau, live, e.h, t, suffix));
+      m.add(d, attenuate_backward(optical_depth(log_tau, live), e.h, t, suffix));
       store_anywhere(T + at, t);
       store_anywhere(B + at, suffix);
     });
-    store_eight(moments + kSums * (int64_t)(e.slot + b - e.first_band), sum6(m));
+    store_eight(moments + kSums * slot_of(e, b), sum6(m));
   }
 }
 

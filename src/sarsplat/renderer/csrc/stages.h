@@ -5,6 +5,7 @@
 // the number of threads: results are bit-identical for any.
 #pragma once
 #include "arrange.h"
+#include "batches.h"
 #include "parallel.h"
 #include "project.h"
 
@@ -74,8 +75,9 @@ void attenuate_rays(const sg_context& c, const sg_problem& p) {
     Part& band = c.views[v].ray_bands[b];
     band.first = b * p.gaussians;
     band.end = band.first + list_band(s, b, s.ray_list + band.first);
-    attenuate_band(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, min_log_tau(p), p.min_transmittance,
-                   s.T + band.start, s.stop + band.start, s.partial);
+    const auto loops = s.in_batches() ? attenuate_in_batches : attenuate_band;
+    loops(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, min_log_tau(p), p.min_transmittance, s.T + band.start,
+          s.stop + band.start, s.partial);
   });
 }
 
@@ -117,8 +119,8 @@ int32_t attenuate_rays_backward(sg_context& c, const sg_problem& p, const float*
         const int64_t at = rays.at(rays.x0 + x, y);
         B[at] = T[at] * d_transmittance[before + (int64_t)(y - s.rays.y0) * rays.columns + x];
       }
-    attenuate_band_backward(s.on_rays, s.ray_list + band.first, band.count(), rays, b, min_log_tau(p), T, s.stop + band.start, B,
-                            scratch[v].ray_moments);
+    const auto loops = s.in_batches() ? attenuate_in_batches_backward : attenuate_band_backward;
+    loops(s.on_rays, s.ray_list + band.first, band.count(), rays, b, min_log_tau(p), T, s.stop + band.start, B, scratch[v].ray_moments);
   });
   return SG_OK;
 }
@@ -196,6 +198,8 @@ void image_part_backward(const ViewState& s, const Part& part, const Strips& ima
   for (int k = part.first; k < part.end; k++) {
     const int32_t ahead = s.pixel_list[smaller(k + kAhead, part.end - 1)], id = s.pixel_list[k];
     __builtin_prefetch(s.on_pixels + ahead);
+    __builtin_prefetch(s.on_rays + ahead, 1);
+    __builtin_prefetch(moments + kSums * (int64_t)ahead, 1);
     if (C > 1) __builtin_prefetch(a.first + a.stride * ahead);
     const PixelEntry& e = s.on_pixels[id];
     float* row = moments + kSums * (int64_t)id;
