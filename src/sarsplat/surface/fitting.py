@@ -34,9 +34,7 @@ def fitted(
         for some in some_at_a_time(len(faces)):
             edges[some] = _turned(vertices[faces[some]], planes)
         rows = edges.reshape(-1, 3)
-        pull = np.stack(
-            [np.bincount(end, row, count) - np.bincount(start, row, count) for row in rows.T], axis=1
-        )
+        pull = np.stack([np.bincount(end, row, count) - np.bincount(start, row, count) for row in rows.T], axis=1)
         for _ in range(_STEPS):  # Jacobi's: without sums over all vertices, whose order would depend on threads
             vertices = (_KEPT * old + links @ vertices + pull) / weight
         yield vertices

@@ -1,9 +1,9 @@
 """A triangle mesh through points with normals: signed distances on a voxel grid, and marching cubes.
 
-The distance of a place is the weighted mean of those from the planes of the points around it (`planes.py`). Only what was
-seen has points, so the mesh is open where no view looked, as below a vehicle. The grid is cut into bricks, of which only
-those near points are looked at, one after the other: time grows with the surface, and memory hardly. Noise of single
-points is left in triangles of a quarter of a cell: they are turned to the normals around them (`fitting.py`).
+The distance of a place is the weighted mean of those from the planes of the points around it (`planes.py`). Only what
+was seen has points, so the mesh is open where no view looked, as below a vehicle. The grid is cut into bricks, of which
+only those near points are looked at, one after the other: time grows with the surface, and memory hardly. Noise of
+single points is left in such small triangles: they are turned to the normals around them (`fitting.py`).
 """
 
 from __future__ import annotations
@@ -69,7 +69,8 @@ def surface_mesh(
             faces = _from_the_front(vertices, faces[near[faces].all(axis=1)], seen)
             vertices, faces = _without_crumbs(vertices, faces, planes.unit_m)
             if len(faces):
-                for done, vertices in enumerate(fitted(vertices, faces, planes), 1):  # noqa: B007
+                for done, moved in enumerate(fitted(vertices, faces, planes), 1):
+                    vertices = moved
                     shown.update(_NEAR + (_FIT - _NEAR) * done / ROUNDS)
                 vertex_normals = np.empty((len(vertices), 3))
                 for part in some_at_a_time(len(vertices)):  # of many points: those of a voxel's few triangles jump

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from sarsplat.surface.cells import on_cpu
+from sarsplat.surface import cells
 from sarsplat.uninterruptible import uninterruptible
 
 _PAIRS = 1 << 22
@@ -103,7 +103,7 @@ class Tree:
 
 def neighbours_of(points: Float64[Tensor, "n 3"]) -> Tree | Neighbours:
     """Ready to be asked, where the points are."""
-    return Tree(points) if on_cpu(points) else Neighbours(points)
+    return Tree(points) if cells.on_cpu(points) else Neighbours(points)
 
 
 class Neighbours:

@@ -18,17 +18,19 @@ from torch.nn.functional import normalize
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.progress import stage
+from sarsplat.surface import cells
 from sarsplat.surface.neighbours import neighbours_of
 from sarsplat.surface.surfels import CUBE, Surfels, dot
 
-_AT_ONCE = 4096  # pieces of surface
-_VOTERS, _BESIDE = 48, 32  # Gaussians, and pieces of surface, that count for one
-_BLUR, _NEAR = 1 / 3, 0.5  # standard deviations of what Gaussians and pieces count by distance, resolution cells
+_AT_ONCE, _AT_ONCE_ELSEWHERE = 4096, 1 << 16  # pieces of surface: on the CPU, in its caches
+_VOTERS, _BESIDE = 32, 32  # Gaussians, and pieces of surface, that count for one
+_BLUR, _NEAR = 0.2, 0.5  # standard deviations of what Gaussians and pieces count by distance, resolution cells
 _ROUNDS = 3
 _DISSENT = 0.3  # sine of the angle at which a vote counts e⁻¹ of one for the majority
 _SPREAD = (1.0, 0.5)  # weight of the points' spread against the votes, in the first round and the others
-_TOWARDS = 1e-3  # vote of the radar, which decides where nothing else does
+_TOWARDS = 1e-7  # vote of the radar, which decides where nothing else does
 _FIRST, _SECOND = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]  # coordinates of the products
+_TINY = torch.finfo(torch.float64).tiny
 _FLAT = 1e-18  # squared, to the fourth power of the spread: narrower is a line
 
 
@@ -64,8 +66,9 @@ def surface_normals(
     voters, beside = _Voters(gaussians, _BLUR * cell_m), neighbours_of(pieces.places)
     found, count = [], len(pieces.places)
     with stage("surface: normals of the points", count) as shown:
-        for first in range(0, count, _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
+        at_once = _AT_ONCE if cells.on_cpu(there) else _AT_ONCE_ELSEWHERE
+        for first in range(0, count, at_once):
+            some = slice(first, first + at_once)
             places, ways = pieces.places[some], pieces.normals[some]
             square, index = beside.nearest(places, min(_BESIDE, count))
             weight = pieces.counts[index] * torch.exp(-0.5 * square / (_NEAR * cell_m) ** 2)
@@ -104,7 +107,7 @@ class _Voters:
         """What most agree on, given the spread of the points around; on any side."""
         against = _squares(torch.eye(3).to(places)).sum(0) - _TOWARDS * _squares(towards)
         if self._near is None:
-            return normalize(_across(against + _SPREAD[0] * spread, towards), dim=1)
+            return normalize(_across(against + _SPREAD[0] * spread, towards), dim=1, eps=_TINY)
         _, index = self._near.nearest(places, min(_VOTERS, len(self._means)))
         square = dot(self._precision[index], _squares(places[:, None] - self._means[index]))
         weight = torch.exp(-0.5 * (square - square.amin(1, keepdim=True))) * self._flat[index]
@@ -117,7 +120,7 @@ class _Voters:
             vote = vote / vote.sum(1, keepdim=True).clamp(min=torch.finfo(vote.dtype).tiny)
             share = _SPREAD[0 if normal is None else 1]
             agreed = (vote[:, None] @ products)[:, 0]
-            normal = normalize(_across(against - agreed + share * spread, towards), dim=1)
+            normal = normalize(_across(against - agreed + share * spread, towards), dim=1, eps=_TINY)
         return normal
 
 

@@ -41,7 +41,7 @@ class Surfels:
         return cls(place / counts, normalize(normal, dim=1), counts[:, 0], groups.owner)
 
 
-def dot(one: Float64[Tensor, "*q c"], other: Float64[Tensor, "*q c"]) -> Float64[Tensor, "*q"]:
+def dot(one: Float64[Tensor, "*#q c"], other: Float64[Tensor, "*#q c"]) -> Float64[Tensor, "*#q"]:
     """Sums of products, ten times as fast as `sum` of so few."""
     total = one[..., 0] * other[..., 0]
     for k in range(1, one.shape[-1]):
