@@ -111,16 +111,18 @@ class _Voters:
         _, index = self._near.nearest(places, min(_VOTERS, len(self._means)))
         square = dot(self._precision[index], _squares(places[:, None] - self._means[index]))
         weight = torch.exp(-0.5 * (square - square.amin(1, keepdim=True))) * self._flat[index]
-        axes, normal = self._axis[index], None
+        axes = self._axis[index]
         products = _squares(axes)
-        for _ in range(1 + _ROUNDS):
-            vote = weight
-            if normal is not None:
-                vote = weight * torch.exp(-(1 - dot(axes, normal[:, None]).square()) / _DISSENT**2)
-            vote = vote / vote.sum(1, keepdim=True).clamp(min=torch.finfo(vote.dtype).tiny)
-            share = _SPREAD[0 if normal is None else 1]
+
+        def elected(vote: Float64[Tensor, "q k"], share: float) -> Float64[Tensor, "q 3"]:
+            vote = vote / vote.sum(1, keepdim=True).clamp(min=_TINY)
             agreed = (vote[:, None] @ products)[:, 0]
-            normal = normalize(_across(against - agreed + share * spread, towards), dim=1, eps=_TINY)
+            return normalize(_across(against - agreed + share * spread, towards), dim=1, eps=_TINY)
+
+        normal = elected(weight, _SPREAD[0])
+        for _ in range(_ROUNDS):
+            sine_square = 1 - dot(axes, normal[:, None]).square()
+            normal = elected(weight * torch.exp(-sine_square / _DISSENT**2), _SPREAD[1])
         return normal
 
 

@@ -64,7 +64,7 @@ class Planes:
     ) -> tuple[Float64[np.ndarray, " q"], Float64[np.ndarray, "q 3"]]:
         """Signed distances of places from their planes, m, and the planes' unit normals.
 
-        Of pieces that differ, those like the nearest one count, or those whose normals are like `sides`.
+        Of pieces that differ, those like most of them count, or those whose normals are like `sides`.
         """
         found = [np.empty((0, 4))]
         at_once = _SUMMED if cells.on_cpu(self._pieces.places) else _AT_ONCE
@@ -82,15 +82,14 @@ class Planes:
         offsets = dot(places[:, None] - self._pieces.places[index], normals)
         near = counts * torch.exp(-0.5 * (square - square[:, :1]) / (_SMOOTHING * self.unit_m) ** 2)
         weight = near
+        mean = normalize((near[:, None] @ normals)[:, 0], dim=1) if side is None else side
         for _ in range(_ROUNDS):
-            if side is None:
-                side = normalize((weight[:, None] @ normals)[:, 0], dim=1)
-            apart = 2 - 2 * dot(normals, side[:, None])
+            apart = 2 - 2 * dot(normals, mean[:, None])
             # relative to the most alike: some always count
             weight = near * torch.exp((apart.amin(1, keepdim=True) - apart) / _UNLIKE**2)
-            side = normalize((weight[:, None] @ normals)[:, 0], dim=1)
+            mean = normalize((weight[:, None] @ normals)[:, 0], dim=1)
         distance = (weight * offsets).sum(1) / weight.sum(1)
-        return torch.cat([distance[:, None], side], dim=1)
+        return torch.cat([distance[:, None], mean], dim=1)
 
     def apart(self, places: Real[np.ndarray, "q 3"]) -> Float64[np.ndarray, " q"]:
         """Distances of places from the nearest point, m."""
