@@ -146,6 +146,10 @@ def test_a_rendered_set_is_scored_by_protocol_r(make):
     assert scores["psnr_db"] == pytest.approx(psnr_db(truth, np.float32(1.1) * truth, float(np.sqrt(train.max()))))
     assert (each["metric"], np.mean(each["scores"])) == ("psnr_db", pytest.approx(scores["psnr_db"]))
     assert 0.9 < scores["ssim"] < 1
+    for kind in ("points", "mesh"):  # on the lid of a box
+        found = metrics[kind]["visible"]
+        assert found["normals_deg"] == pytest.approx(0, abs=1e-3)
+        assert found["normals_off@30"] < 0.01  # at its edges a side may be as near
     assert metrics["parameters"]["reference_amplitude"] == pytest.approx(float(np.sqrt(train.max())))
     assert [scores[key] for key in SPECKLED_ONLY] == [None] * 4
     assert "speckle" in metrics["reasons"]["images.test-17.nats_per_pixel"]
