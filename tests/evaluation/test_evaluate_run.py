@@ -60,6 +60,10 @@ class FakeRun:
     __class__ = Run  # to `isinstance`
     files, keep = Run.files, Run.keep
 
+    @property
+    def normals(self):
+        return np.tile(np.float32([0, 0, 1]), (len(self.points), 1))
+
     def mesh(self):
         lid = trimesh.Trimesh([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], [[0, 1, 2], [0, 2, 3]])
         return lid if self.has_mesh else trimesh.Trimesh()
@@ -142,6 +146,10 @@ def test_a_rendered_set_is_scored_by_protocol_r(make):
     assert scores["psnr_db"] == pytest.approx(psnr_db(truth, np.float32(1.1) * truth, float(np.sqrt(train.max()))))
     assert (each["metric"], np.mean(each["scores"])) == ("psnr_db", pytest.approx(scores["psnr_db"]))
     assert 0.9 < scores["ssim"] < 1
+    for kind in ("points", "mesh"):  # on the lid of a box
+        found = metrics[kind]["visible"]
+        assert found["normals_deg"] == pytest.approx(0, abs=1e-3)
+        assert found["normals_off@30"] < 0.01  # at its edges a side may be as near
     assert metrics["parameters"]["reference_amplitude"] == pytest.approx(float(np.sqrt(train.max())))
     assert [scores[key] for key in SPECKLED_ONLY] == [None] * 4
     assert "speckle" in metrics["reasons"]["images.test-17.nats_per_pixel"]

@@ -42,6 +42,25 @@ def test_a_plane_raised_by_a_known_height():
     assert scores.f1 == {0.3: 1.0, 0.2: 1.0, 0.1: 0.0}
 
 
+def test_normals_are_compared_with_the_nearest_triangle_whatever_their_signs() -> None:
+    wall = np.array([[[5, 0, 0], [5, 1, 0], [5, 0, 1]]], dtype=float)
+    points = np.concatenate([lattice(10), [[5, 0.2, 0.2]]])
+    angle = np.radians(np.append(np.repeat([0, 10, 50], [40, 30, 30]), 0))
+    normals = np.column_stack([np.sin(angle), np.zeros(101), np.cos(angle)])
+    normals[::2] *= -1
+    normals[-1] = [1, 0, 0]
+    surface = np.concatenate([SQUARE, wall])
+    scores = point_metrics(points, surface, lattice(10), YARDSTICK, normals)
+    assert scores.normals_deg == pytest.approx(10)
+    assert scores.normals_off == pytest.approx(30 / 101)
+    twice = point_metrics(np.repeat(points, 2, axis=0), surface, lattice(10), YARDSTICK, np.repeat(normals, 2, axis=0))
+    assert twice == scores
+    without = point_metrics(points, surface, lattice(10), YARDSTICK)
+    assert (without.normals_deg, without.normals_off) == (None, None)
+    with pytest.raises(SarsplatError, match="101 points have 3 normals"):
+        point_metrics(points, surface, lattice(10), YARDSTICK, normals[:3])
+
+
 def test_half_the_surface_and_a_floater():
     # 128 points on the half x < 0.5, one floater 1 m above
     half = lattice(16)[lattice(16)[:, 0] < 0.5]
@@ -153,10 +172,12 @@ def test_a_larger_scene_has_the_same_scores_in_cells(factor: float) -> None:
         yardstick = Yardstick.of(grid(0.3 * factor))
         box = trimesh.creation.box((2 * factor, factor, factor))
         seen = visible_surface(box, [View(0, 45), View(90, 30)], yardstick.ray_spacing_m, samples=5000)
-        scored = point_metrics(points * factor, seen.triangles, seen.samples, yardstick)
+        up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+        scored = point_metrics(points * factor, seen.triangles, seen.samples, yardstick, up)
         of_all = {metric.key: metric.compute(scored) for metric in metrics_of_points(yardstick)}
         cell = f"@{yardstick.cell_m:g}"
         lengths = [of_all[key] / factor for key in ("cd_m", "accuracy_m", "completeness_m")]
-        return [*lengths, of_all["cd_squared_m2"] / factor**2, of_all[f"f1{cell}"], of_all["count"]]
+        angles = [of_all["normals_deg"], of_all["normals_off@30"]]
+        return [*lengths, *angles, of_all["cd_squared_m2"] / factor**2, of_all[f"f1{cell}"], of_all["count"]]
 
     assert scored(factor) == pytest.approx(scored(1.0), rel=1e-3)

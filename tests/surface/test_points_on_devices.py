@@ -20,7 +20,7 @@ from sarsplat.scenes.village import village as made_village
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells, first_returns, neighbours, normals, voxels
 from sarsplat.surface.mesh import surface_mesh
-from sarsplat.surface.neighbours import Neighbours, sums_within
+from sarsplat.surface.neighbours import Neighbours
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.visibility import Seen
 from terrains import hill
@@ -46,7 +46,7 @@ class Found(NamedTuple):
         if points is None:
             points = extract_points(scene.gaussians, RING, scene.grid, scene.how, scene.terrain)
         gamma0, towards = Seen.of(scene.gaussians, RING, scene.grid).around(points)
-        return cls(points, surface_normals(points, towards, scene.grid.cell_m), gamma0)
+        return cls(points, surface_normals(points, towards, scene.gaussians, scene.grid.cell_m), gamma0)
 
 
 def with_haze(gaussians: Gaussians, count: int, reach_m: float) -> Gaussians:
@@ -181,17 +181,6 @@ def test_nearest_points_are_the_nearest(kind: str, monkeypatch: pytest.MonkeyPat
         np.testing.assert_allclose(np.sqrt(squares), expected, rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(np.linalg.norm(points[index] - places[:, None], axis=2), np.sqrt(squares))
         assert all(len(set(row)) == count for row in index.tolist())
-
-
-def test_sums_over_the_points_within_a_radius(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(neighbours, "_PAIRS", 1000)
-    points = np.random.default_rng(0).uniform(-1, 1, (500, 3)) * [4, 1, 0.2]
-    values = np.random.default_rng(1).uniform(0, 1, (500, 2))
-    for radius in (0.3, 9.0):
-        expected = np.stack([values[near].sum(0) for near in cKDTree(points).query_ball_point(points, radius)])
-        found = sums_within(torch.tensor(points), torch.tensor(values), radius)
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
-    assert sums_within(torch.empty(0, 3).double(), torch.empty(0, 2).double(), 1.0).shape == (0, 2)
 
 
 def test_points_spread_least_along_the_axis_of_the_smallest_eigenvalue() -> None:

@@ -40,7 +40,7 @@ from sarsplat.examination.plausible import warn, weakest_direction
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.runs import Run
-from sarsplat.scenes.surface_samples import surface_samples
+from sarsplat.scenes.surface_samples import blocks_of_samples
 
 if TYPE_CHECKING:
     import trimesh
@@ -270,13 +270,15 @@ def _surfaces(
     parts = dict.fromkeys(("visible", "whole"))
     given = dataset.truth_mesh != run.dataset.truth_mesh
     truth: dict[str, Any] = {"mesh": str(dataset.truth_mesh.resolve()) if given and dataset.truth_mesh else None}
+    normals: dict[str, Float[np.ndarray, "p 3"]] = {}
     lacks = dict.fromkeys(clouds, "the run reconstructed no points" if scored else "points were left out")
     if scored:
         if run.path is not None and run.state.trained and not run.state.has_results:
             run.write_results()  # which takes long, and need not be done again
         clouds["points"] = run.points
     if dataset.truth_mesh is not None and true_mesh is not None and len(clouds["points"]):
-        clouds["mesh"], lacks["mesh"] = _points_on_mesh(run)
+        normals["points"] = run.normals
+        clouds["mesh"], normals["mesh"], lacks["mesh"] = _points_on_mesh(run)
         shown.advance(_MESH, "surface: mesh")
         truth["sha256"] = _sha256(dataset.truth_mesh)
         views = dataset.select("train").views
@@ -302,13 +304,15 @@ def _surfaces(
             shown.note(f"to align them with {dataset.truth_mesh}, points were {motion} ({limits})")
             if motion.at_limit:
                 warn([f"points were {motion}, which is as far as they may be; bring the mesh nearer to the target"])
+            for kind, some in normals.items():
+                normals[kind] = motion.moved(clouds[kind] + some) - motion.moved(clouds[kind])
             clouds = {kind: motion.moved(points) for kind, points in clouds.items()}
             truth |= {"shift_m": motion.shift_m, "heading_deg": motion.heading_deg}
         parts["visible"] = surface.triangles, side_by_side(surface.samples)
         parts["whole"] = surface.all_triangles, side_by_side(surface.samples_whole)
     scores: dict[str, dict[str, dict[str, float | None]]] = {}
     for kind, points in clouds.items():
-        scores[kind], cloud = {}, Cloud(points, yardstick) if len(points) else None
+        scores[kind], cloud = {}, Cloud(points, yardstick, normals.get(kind)) if len(points) else None
         for part, surfaces in parts.items():
             measured: PointMetrics | UndefinedScore
             if surfaces is None or cloud is None:
@@ -339,12 +343,15 @@ def _advancing(shown: Reporter, steps: int, work: str) -> Callable[[float], None
     return advance
 
 
-def _points_on_mesh(run: Run) -> tuple[Float[np.ndarray, "p 3"], str]:
-    """Random points of a run's mesh, spread by area, or none and the reason."""
+def _points_on_mesh(run: Run) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "p 3"], str]:
+    """Random points of a run's mesh, spread by area, with their triangles' normals, or none and the reason."""
+    none = np.empty((0, 3))
     try:
         mesh = run.mesh()
     except SarsplatError as error:
-        return np.empty((0, 3)), str(error)
+        return none, none, str(error)
     if len(mesh.faces) == 0:
-        return np.empty((0, 3)), "the points make no surface"
-    return surface_samples(mesh, _MESH_SAMPLES, np.random.default_rng(0)), ""
+        return none, none, "the points make no surface"
+    blocks = blocks_of_samples(mesh, _MESH_SAMPLES, np.random.default_rng(0))
+    places, faces = zip(*((some.T, faces) for _, some, faces in blocks), strict=True)
+    return np.concatenate(places), mesh.face_normals[np.concatenate(faces)], ""

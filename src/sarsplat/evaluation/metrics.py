@@ -17,7 +17,7 @@ from sarsplat.data import Dataset
 from sarsplat.evaluation import images, lpips
 from sarsplat.evaluation.images import REACH, Stack, UndefinedScore
 from sarsplat.evaluation.masks import MaskPair
-from sarsplat.evaluation.points import PointMetrics, Yardstick
+from sarsplat.evaluation.points import NORMALS_OFF_DEG, PointMetrics, Yardstick
 from sarsplat.geometry import SHADOW, TARGET
 from sarsplat.runs import Run
 
@@ -248,6 +248,12 @@ MASK_METRICS: tuple[Metric[MaskPair], ...] = (
 _of_points = partial(Metric[PointMetrics], requires=KNOWN_SURFACE)
 
 
+def _of_normals(value: float | None) -> float:
+    if value is None:
+        raise UndefinedScore("these points have no normals")
+    return value
+
+
 def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
     """The metrics of reconstructed points; thresholds are parts of their names."""
     (cell, middle, _), voxel = yardstick.thresholds_m, f"{yardstick.voxel_m:.3g} m"
@@ -303,6 +309,19 @@ def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
                 place="headline" if threshold == cell else "table",
             )
             for threshold in yardstick.thresholds_m
+        ),
+        _of_points(
+            "normals_deg",
+            *("normals off, median", "°", ".1f", "less"),
+            "median angle between the normal of a point compared and that of the nearest true triangle, whatever their "
+            "signs; of a mesh, of points spread by area",
+            lambda points: _of_normals(points.normals_deg),
+        ),
+        _of_points(
+            f"normals_off@{NORMALS_OFF_DEG:g}",
+            *(f"normals off by more than {NORMALS_OFF_DEG:g}°", "", ".3f", "less"),
+            f"share of the points compared for which that angle is more than {NORMALS_OFF_DEG:g}°",
+            lambda points: _of_normals(points.normals_off),
         ),
         _of_points(
             "count",

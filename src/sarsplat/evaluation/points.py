@@ -16,6 +16,8 @@ from sarsplat.uninterruptible import uninterruptible
 
 _AT_ONCE = 20_000  # points whose distances fit into a processor's cache
 _SAMPLES_AT_ONCE = 200_000  # a second at most, so that progress is seen
+NORMALS_OFF_DEG = 30.0
+"""Beyond this angle a normal counts as wrong, degrees."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,11 @@ class PointMetrics:
     harmonic mean."""
     count: int
     """Number of reconstructed points left after thinning."""
+    normals_deg: float | None = None
+    """Median angle between the points' normals and that of the nearest true triangle, whatever their signs, degrees;
+    None if the points have no normals."""
+    normals_off: float | None = None
+    """Share of the points for which it is more than `NORMALS_OFF_DEG`."""
 
 
 @checks_arguments
@@ -83,6 +90,7 @@ def point_metrics(
     triangles: Float[np.ndarray, "t 3 3"],
     samples: Float[np.ndarray, "s 3"],
     yardstick: Yardstick,
+    normals: Float[np.ndarray, "p 3"] | None = None,
 ) -> PointMetrics:
     """Score reconstructed points against one part of the true surface.
 
@@ -96,13 +104,16 @@ def point_metrics(
         Area-weighted samples of the true surface, for completeness and recall.
     yardstick : Yardstick
         Thresholds and voxels; `Yardstick.of(grid)` for images on that grid.
+    normals : numpy.ndarray, float [P, 3], optional
+        Unit normals of the points, which are scored as well if given.
 
     Raises
     ------
     SarsplatError
-        If there is no point or no sample, or one is not finite, or no triangle has an area.
+        If there is no point or no sample, or one is not finite, or no triangle has an area, or there are not as many
+        normals as points.
     """
-    cloud = Cloud(points, yardstick)
+    cloud = Cloud(points, yardstick, normals)
     _check("samples of the true surface", samples)
     return cloud.scores(triangles, side_by_side(samples))
 
@@ -110,9 +121,19 @@ def point_metrics(
 class Cloud:
     """Reconstructed points, ready to be scored against several parts of the true surface (see `point_metrics`)."""
 
-    def __init__(self, points: Float[np.ndarray, "p 3"], yardstick: Yardstick) -> None:
+    def __init__(
+        self,
+        points: Float[np.ndarray, "p 3"],
+        yardstick: Yardstick,
+        normals: Float[np.ndarray, "p 3"] | None = None,
+    ) -> None:
         _check("reconstructed points", points)
-        self._kept = side_by_side(thin(points, yardstick.voxel_m))
+        if normals is not None and len(normals) != len(points):
+            raise SarsplatError(f"{len(points)} points have {len(normals)} normals; give one for each, or none")
+        first = _first_of_voxels(points, yardstick.voxel_m)
+        first = first[order_in_space(points[first].astype(np.float64))]
+        self._kept = points[first].astype(np.float64)
+        self._normals = None if normals is None else normals[first].astype(np.float64)
         self._tree = cKDTree(self._kept, leafsize=32, balanced_tree=False, compact_nodes=False)  # fastest
         self._thresholds_m = yardstick.thresholds_m
 
@@ -126,7 +147,12 @@ class Cloud:
 
         `advanced` is called now and then with the share of the work that is done, 0 to 1.
         """
-        to_surface = surface_distance(self._kept, triangles)
+        to_surface, across = on_surface(self._kept, triangles)
+        normals_deg, normals_off = None, None
+        if self._normals is not None:
+            cosine = np.abs(np.einsum("pc,pc->p", self._normals, across))
+            angle_deg = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
+            normals_deg, normals_off = float(np.median(angle_deg)), float(np.mean(angle_deg > NORMALS_OFF_DEG))
         to_points = np.empty(len(samples))
         for first in range(0, len(samples), _SAMPLES_AT_ONCE):
             part = slice(first, first + _SAMPLES_AT_ONCE)
@@ -144,6 +170,8 @@ class Cloud:
             recall=recall,
             f1={threshold: _harmonic_mean(precision[threshold], recall[threshold]) for threshold in precision},
             count=len(self._kept),
+            normals_deg=normals_deg,
+            normals_off=normals_off,
         )
 
 
@@ -167,15 +195,25 @@ def order_in_space(points: Float64[np.ndarray, "p 3"]) -> Int64[np.ndarray, " p"
 
 def thin(points: Float[np.ndarray, "p 3"], voxel: float) -> Float[np.ndarray, "fewer 3"]:
     """The first point of every voxel (edge in m, anchored at the origin), float64 [≤ P, 3], in their old order."""
+    return points[_first_of_voxels(points, voxel)].astype(np.float64)
+
+
+def _first_of_voxels(points: Float[np.ndarray, "p 3"], voxel: float) -> Int64[np.ndarray, " fewer"]:
     cells = np.floor(points / voxel).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
-    return points[np.sort(first)].astype(np.float64)
+    return np.sort(np.unique(cells, axis=0, return_index=True)[1])
 
 
 def surface_distance(
     points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"]
 ) -> Float64[np.ndarray, " p"]:
-    """Distance of each point from the nearest triangle, m; triangles without area are ignored.
+    """Distance of each point from the nearest triangle, m (`on_surface`)."""
+    return on_surface(points, triangles)[0]
+
+
+def on_surface(
+    points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"]
+) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:
+    """Distance of each point from the nearest triangle, m, and that one's unit normal; those without area are ignored.
 
     The nearest triangle is found in float32, and the distance from it calculated in float64.
     """
@@ -191,14 +229,16 @@ def surface_distance(
     scene.set_object_vertices((triangles - middle).reshape(-1, 3).astype(np.float32), 0)
     scene.set_object_triangles(np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3), 0)
     scene.build(fcpw.aggregate_type.bvh_surface_area, True)
-    distance = np.empty(len(points))
+    distance, across = np.empty(len(points)), np.empty((len(points), 3))
     for first in range(0, len(points), _AT_ONCE):
-        some, found = points[first : first + _AT_ONCE], fcpw.interaction_3D_list()
+        part, found = slice(first, first + _AT_ONCE), fcpw.interaction_3D_list()
+        some = points[part]
         anywhere = np.full(len(some), np.inf, np.float32)
         scene.find_closest_points((some - middle).astype(np.float32), anywhere, found)
         nearest = triangles[np.fromiter((one.primitive_index for one in found), np.int64, len(some))]
-        distance[first : first + _AT_ONCE] = np.linalg.norm(closest_point(nearest, some) - some, axis=1)
-    return distance
+        distance[part] = np.linalg.norm(closest_point(nearest, some) - some, axis=1)
+        across[part] = np.cross(nearest[:, 1] - nearest[:, 0], nearest[:, 2] - nearest[:, 0])
+    return distance, across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
 def _harmonic_mean(a: float, b: float) -> float:

@@ -45,7 +45,6 @@ from sarsplat.surface.visibility import Seen
 if TYPE_CHECKING:
     import trimesh
 
-_NORMAL_RADIUS = 1.0  # of the neighbours from which a point's normal is computed, resolution cells
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 _NOWHERE = -1e6  # resolution cells: the ground of what is aloft
 
@@ -229,10 +228,9 @@ class GaussianReconstruction(Reconstruction):
         return points.astype(np.float32)  # as the file has them
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
-        """Normals of the planes through their neighbours."""
+        """What Gaussians and points around agree on (`surface_normals`)."""
         towards = self._seen.around(points)[1]
-        radius, device = _NORMAL_RADIUS * self.grid.cell_m, self.gaussians.means.device
-        return surface_normals(points, towards, radius, device).astype(np.float32)
+        return surface_normals(points, towards, self.gaussians, self.grid.cell_m).astype(np.float32)
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
         """Mean γ⁰ over the views that see the Gaussians there, weighted by how much they see."""

@@ -1,9 +1,9 @@
 """A triangle mesh through points with normals: signed distances on a voxel grid, and marching cubes.
 
-After H. Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992: the distance of a place is that
-from the plane through the weighted mean of the points around it. Only what was seen has points, so the mesh is open
-where no view looked, as below a vehicle. The grid is cut into bricks, of which only those near points are looked at,
-one after the other: time grows with the surface, and memory hardly.
+The distance of a place is the weighted mean of those from the planes of the points around it (`planes.py`). Only what
+was seen has points, so the mesh is open where no view looked, as below a vehicle. The grid is cut into bricks, of which
+only those near points are looked at, one after the other: time grows with the surface, and memory hardly. Noise of
+single points is left in such small triangles: they are turned to the normals around them (`fitting.py`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.extras import install_command
 from sarsplat.progress import stage
 from sarsplat.radiometry import shade
-from sarsplat.surface.planes import Planes, planes_through, some_at_a_time
+from sarsplat.surface.fitting import ROUNDS, fitted
+from sarsplat.surface.planes import Planes, some_at_a_time
 from sarsplat.surface.visibility import Seen
 
 if TYPE_CHECKING:
@@ -33,8 +34,8 @@ _VOXEL = 0.25
 _REACH = 0.2  # of the mesh from the nearest point
 
 # A part that is smaller, of the whole area and in square units, floats.
-_SMALLEST_PART, _SMALLEST_UNITS = 0.01, 12.0
-_SEARCH, _NEAR, _NORMALS = 70, 75, 90  # per cent of the time, until they are done
+_SMALLEST_PART, _SMALLEST_UNITS = 0.01, 1.5
+_SEARCH, _NEAR, _FIT, _NORMALS = 60, 70, 90, 95  # per cent of the time, until they are done
 _BRICK = 128  # voxels along a side
 _DARKEST_DB = -30.0  # of the brightest vertex: black
 
@@ -47,7 +48,8 @@ def surface_mesh(
     Voxels are a quarter of a resolution cell, and no vertex is farther than a fifth from a point; where points are
     sparse, of 7.5 times their spacing. World frame, m; faces are counter-clockwise seen from outside. Vertices have the
     attribute `gamma0` (γ⁰, linear) and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of
-    less than 1 % of the area and 12 squares of such sides are left out. Without faces where the points make no surface.
+    less than 1 % of the area and 1.5 squares of such sides are left out, and faces that the radar would have seen from
+    behind. Without faces where the points make no surface.
     Refused if scikit-image or trimesh is missing.
     """
     try:
@@ -58,18 +60,22 @@ def surface_mesh(
     vertices, faces, vertex_normals = np.empty((0, 3)), np.empty((0, 3), np.int64), None
     with stage("surface: mesh", 100) as shown:
         if len(points):
-            planes = planes_through(np.asarray(points, np.float64), normals, cell, seen.means.device)
+            planes = Planes.through(np.asarray(points, np.float64), normals, cell, seen.means.device)
             vertices, faces = _zero_surface(planes, marching_cubes, lambda share: shown.update(_SEARCH * share))
             near = np.empty(len(vertices), bool)
             for part in some_at_a_time(len(vertices)):
                 near[part] = planes.apart(vertices[part]) <= _REACH * planes.unit_m
                 shown.update(_SEARCH + (_NEAR - _SEARCH) * part.stop / len(vertices))
-            vertices, faces = _without_crumbs(vertices, faces[near[faces].all(axis=1)], planes.unit_m)
+            faces = _from_the_front(vertices, faces[near[faces].all(axis=1)], seen)
+            vertices, faces = _without_crumbs(vertices, faces, planes.unit_m)
             if len(faces):
+                for done, moved in enumerate(fitted(vertices, faces, planes), 1):
+                    vertices = moved
+                    shown.update(_NEAR + (_FIT - _NEAR) * done / ROUNDS)
                 vertex_normals = np.empty((len(vertices), 3))
                 for part in some_at_a_time(len(vertices)):  # of many points: those of a voxel's few triangles jump
                     _, vertex_normals[part] = planes.at(vertices[part])
-                    shown.update(_NEAR + (_NORMALS - _NEAR) * part.stop / len(vertices))
+                    shown.update(_FIT + (_NORMALS - _FIT) * part.stop / len(vertices))
         gamma0, _ = seen.around(vertices)
         shown.update(100)
     grey = np.uint8(np.round(255 * shade(gamma0, gamma0.max(initial=np.finfo(float).tiny), -_DARKEST_DB)))
@@ -165,6 +171,18 @@ def _welded(
     owner = np.empty(len(vertices), np.int64)
     owner[on_face], owner[~on_face] = same.ravel(), len(first) + np.arange((~on_face).sum())
     return np.concatenate([vertices[on_face][first], vertices[~on_face]]), owner
+
+
+def _from_the_front(
+    vertices: Float64[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"], seen: Seen
+) -> Int64[np.ndarray, "g 3"]:
+    """Faces whose outer side looks to where the radar was, on average of the views that see what is there."""
+    front = np.empty(len(faces), bool)
+    for part in some_at_a_time(len(faces)):
+        a, b, c = np.moveaxis(vertices[faces[part]], 1, 0)
+        _, towards = seen.around((a + b + c) / 3)
+        front[part] = np.einsum("fc,fc->f", np.cross(b - a, c - a), towards) >= 0
+    return faces[front]
 
 
 def _without_crumbs(

@@ -1,6 +1,6 @@
-"""Which points are near a place, on any device: they are sorted by cubes, and those of 3 × 3 × 3 cubes are looked at.
+"""Which points are near a place: on the CPU by scipy's trees, which are faster there.
 
-On the CPU scipy's trees are faster.
+On other devices they are sorted by cubes, and those of 3 × 3 × 3 cubes are looked at.
 """
 
 from __future__ import annotations
@@ -10,11 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float64, Int64
+from scipy.spatial import cKDTree
 from torch import Tensor
 
-from sarsplat.surface.cells import sums_of
+from sarsplat.surface import cells
+from sarsplat.uninterruptible import uninterruptible
 
 _PAIRS = 1 << 22
 """Pairs of a place and a point that are looked at at once: memory."""
@@ -84,19 +87,23 @@ class _Cubes:
         return below.minimum(above).amin(1)
 
 
-def sums_within(
-    points: Float64[Tensor, "n 3"], values: Float64[Tensor, "n c"], radius: float
-) -> Float64[Tensor, "n c"]:
-    """Sums of what points have, each over those within a radius, m, of it, itself included."""
-    if not len(points):
-        return values
-    cubes, sums = _Cubes(points, radius), torch.empty_like(values)
-    values = values[cubes.order]
-    for some in cubes.pairs(points):
-        apart = cubes.points[some.row] - points[some.places][some.owner]
-        near = apart.square_().sum(1) <= radius**2
-        sums[some.places] = sums_of(values[some.row] * near[:, None], some.counts)
-    return sums
+class Tree:
+    """Points on the CPU that are asked for again and again."""
+
+    def __init__(self, points: Float64[Tensor, "n 3"]) -> None:
+        self._tree = cKDTree(points.numpy(), leafsize=32, balanced_tree=False, compact_nodes=False)  # the fastest
+
+    def nearest(
+        self, places: Float64[Tensor, "q 3"], count: int
+    ) -> tuple[Float64[Tensor, "q k"], Int64[Tensor, "q k"]]:
+        """As of `Neighbours`."""
+        apart, index = uninterruptible(self._tree.query, places.numpy(), k=np.arange(1, count + 1), workers=-1)
+        return torch.from_numpy(apart).square_(), torch.from_numpy(index)
+
+
+def neighbours_of(points: Float64[Tensor, "n 3"]) -> Tree | Neighbours:
+    """Ready to be asked, where the points are."""
+    return Tree(points) if cells.on_cpu(points) else Neighbours(points)
 
 
 class Neighbours:
