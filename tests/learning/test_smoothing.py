@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
+import torch
 from jaxtyping import Float64
 
 from sarsplat import Dataset, preset
-from sarsplat.learning import Trainer
+from sarsplat.learning import Trainer, levels
 from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes
 from sarsplat.settings.sections import Smoothing
 
@@ -55,16 +57,22 @@ def test_a_wall_does_not_bend_the_roof() -> None:
     assert np.abs(moves[: len(roof), 2]).max() < 0.05
 
 
-def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset) -> None:
+def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(preset("default"), iterations=40, gaussians=400)
-    smoothing = Smoothing(rounds=4, thinner=0.1)
-    assert [step for step in range(41) if Smoothed(smoothing, 40).due(step)] == [10, 20, 30, 40]
-    with_it, without = Trainer(dataset, replace(config, smoothing=smoothing)), Trainer(dataset, config)
+    smoothed = replace(config, smoothing=Smoothing(rounds=4, thinner=0.1))
+    assert [step for step in range(41) if Smoothed(smoothed.smoothing, 40).due(step)] == [10, 20, 30, 40]
+    small, without = Trainer(dataset, smoothed), Trainer(dataset, config)
+    assert small.model.levels.coarsest == 1
     for _ in range(10):
-        loss, other = with_it.step(), without.step()
-    assert loss == other  # until then nothing differs
-    moved = (with_it.gaussians.means != without.gaussians.means).any(dim=1)
-    thinner = (with_it.gaussians.scales < without.gaussians.scales).any(dim=1)
-    assert 20 < int(moved.sum()) < 400
+        assert small.step() == without.step()
+    assert torch.equal(small.gaussians.means, without.gaussians.means)  # a vehicle stays as it is
+    monkeypatch.setattr(levels, "_ACROSS", 2)
+    large, without = Trainer(dataset, smoothed), Trainer(dataset, config)
+    assert large.model.levels.coarsest > 1
+    for _ in range(10):
+        assert large.step() == without.step()  # the first round is after the tenth
+    moved = (large.gaussians.means != without.gaussians.means).any(dim=1)
+    thinner = (large.gaussians.scales < without.gaussians.scales).any(dim=1)
+    assert 20 < int(moved.sum()) < len(moved)
     assert int((thinner & ~moved).sum()) == 0 < int(thinner.sum())
-    with_it.step()
+    large.step()

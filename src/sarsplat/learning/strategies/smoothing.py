@@ -52,7 +52,7 @@ class Smoothed(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        if not self.due(step):
+        if not self.due(step) or info.model.levels.coarsest == 1:  # vehicles have no flat surface of many cells
             return
         info.check()
         cell_m, means, scales = info.images.grid.cell_m, params["means"].detach(), params["scales"].detach()
@@ -60,8 +60,8 @@ class Smoothed(Configured):
         axis = torch.zeros_like(scales).scatter_(1, shortest, 1.0)
         normals = rotated(params["quaternions"].detach(), axis)
         lit = info.rendering.lit_area.sum(0)
-        arrays = [tensor.double().cpu().numpy() for tensor in (means, normals, lit)]
-        moves = self._config.share * towards_planes(*arrays, cell_m, self._config.radius * cell_m)
+        where, facing, area = (tensor.double().cpu().numpy() for tensor in (means, normals, lit))
+        moves = self._config.share * towards_planes(where, facing, area, cell_m, self._config.radius * cell_m)
         means += torch.from_numpy(moves).to(means)
         if self._config.thinner:
             seen = torch.from_numpy(moves.any(axis=1)).to(scales.device)
