@@ -58,7 +58,7 @@ def test_a_wall_does_not_bend_the_roof() -> None:
 
 
 def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = replace(preset("default"), iterations=40, gaussians=400)
+    config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=0))
     smoothed = replace(config, smoothing=Smoothing(rounds=4, thinner=0.1))
     assert [step for step in range(41) if Smoothed(smoothed.smoothing, 40).due(step)] == [10, 20, 30, 40]
     small, without = Trainer(dataset, smoothed), Trainer(dataset, config)

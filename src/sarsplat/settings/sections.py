@@ -125,6 +125,8 @@ class Relocation(Record):
 class Smoothing(Record):
     """What is lit in each resolution cell moves towards a plane through its neighbours, of the same orientation.
 
+    Only where the training begins with blocks of pixels: surfaces of many cells look alike from inside, at any height.
+
     Parameters
     ----------
     rounds : int
@@ -139,10 +141,10 @@ class Smoothing(Record):
 
     _section: ClassVar[str] = "smoothing."
 
-    rounds: Iteration = 0
+    rounds: Iteration = 40
     share: Share = 0.7
     radius: Positive = 3.0
-    thinner: Annotated[float, Meta(ge=0, le=0.9)] = 0.0
+    thinner: Annotated[float, Meta(ge=0, le=0.9)] = 0.04
 
 
 @dataclass(frozen=True)
