@@ -32,6 +32,7 @@ from sarsplat.settings.sections import (
     PointExtraction,
     Rates,
     Relocation,
+    Smoothing,
     Surroundings,
 )
 
@@ -157,6 +158,8 @@ class Config(AnyConfig):
         Density control; None: the number of Gaussians is fixed.
     relocation : Relocation
         Moves of idle Gaussians.
+    smoothing : Smoothing
+        Moves of neighbours into common planes.
     ground : FlatGround or None
         Ground below the target; None: nothing.
     surroundings : Surroundings or None
@@ -215,6 +218,7 @@ class Config(AnyConfig):
     points: PointExtraction = PointExtraction()
     densification: Densification | None = None
     relocation: Relocation = Relocation()
+    smoothing: Smoothing = Smoothing()
     ground: FlatGround | None = None
     surroundings: Surroundings | None = None
     passes: Passes | None = None

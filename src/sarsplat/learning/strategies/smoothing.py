@@ -1,0 +1,125 @@
+"""Smoothing: neighbours are drawn into common planes, where images say nothing of their heights.
+
+Inside of a uniform surface the images' gradients are noise, and Adam, whose steps do not depend on their size, lets
+each Gaussian wander along the normal. It is drawn back here; where images do say where it is, at edges, the next steps
+of Adam bring it back to there.
+"""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.gaussians.covariance import rotated
+from sarsplat.learning.optimiser import Optimiser
+from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
+from sarsplat.settings.config import Config
+from sarsplat.settings.sections import Smoothing
+
+_LEAST = 0.05
+"""Of the mean lit area of a cell: cells with less are not seen, and neither moved nor anyone's neighbours."""
+
+_ALIKE = 8
+"""Power of the cosine between normals that a neighbour's weight has: a wall is none of a roof's."""
+
+_FITS = 2
+"""How often planes are fitted; each time, what lay far from the last one weighs less."""
+
+
+class Smoothed(Configured):
+    """At intervals, moves what is lit in each resolution cell along its normal, towards a plane through neighbours."""
+
+    order = 25
+    name = "smoothing"
+
+    def __init__(self, config: Smoothing, iterations: int) -> None:
+        self._config, self._iterations = config, iterations
+
+    @classmethod
+    def of(cls, config: Config, train: Dataset) -> Self | None:
+        wanted = config.smoothing.rounds > 0 and config.coarsest > 1
+        return cls(config.smoothing, config.iterations) if wanted else None
+
+    def due(self, step: int) -> bool:
+        return step > 0 and at_round(step, 0, self._iterations, self._config.rounds)
+
+    @torch.no_grad()
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        if not self.due(step) or info.model.levels.coarsest == 1:  # vehicles have no flat surface of many cells
+            return
+        info.check()
+        cell_m, means, scales = info.images.grid.cell_m, params["means"].detach(), params["scales"].detach()
+        shortest = scales.argmin(1, keepdim=True)
+        axis = torch.zeros_like(scales).scatter_(1, shortest, 1.0)
+        normals = rotated(params["quaternions"].detach(), axis)
+        lit = info.rendering.lit_area.sum(0)
+        where, facing, area = (tensor.double().cpu().numpy() for tensor in (means, normals, lit))
+        moves = self._config.share * towards_planes(where, facing, area, cell_m, self._config.radius * cell_m)
+        means += torch.from_numpy(moves).to(means)
+        if self._config.thinner:
+            seen = torch.from_numpy(moves.any(axis=1)).to(scales.device)
+            factor = torch.where(seen[:, None], 1 - self._config.thinner, 1.0).to(scales)
+            scales.scatter_(1, shortest, scales.gather(1, shortest) * factor)
+        optimizers.constrain()
+
+
+def towards_planes(
+    means: Float64[np.ndarray, "n 3"],
+    normals: Float64[np.ndarray, "n 3"],
+    lit: Float64[np.ndarray, " n"],
+    cell_m: float,
+    radius_m: float,
+) -> Float64[np.ndarray, "n 3"]:
+    """How far each Gaussian is from a plane through its neighbours, m; 0 where nothing is lit.
+
+    What lies in a cube of `cell_m` moves as one, so that layers stay as they are. Weights are areas that are lit, m²,
+    and fall with distance, with angles between `normals`, whose signs do not matter, and with distance from the plane.
+    """
+    cubes = np.floor(means / cell_m).astype(np.int64)
+    cubes -= cubes.min(axis=0)
+    _, owner = np.unique(np.ravel_multi_index(tuple(cubes.T), cubes.max(axis=0) + 1), return_inverse=True)
+    area = np.bincount(owner, lit)
+    (seen,) = np.nonzero(area > _LEAST * area.mean())
+    if not len(seen):
+        return np.zeros_like(means)
+    mean = _sums(owner, lit[:, None] * means)[seen] / area[seen, None]
+    own = np.linalg.eigh(_products(owner, lit, normals)[seen])[1][:, :, 2]  # of all normals in a cube
+    pairs = cKDTree(mean).query_pairs(radius_m, output_type="ndarray")
+    alone = np.arange(len(mean))
+    here, there = (np.concatenate([*each, alone]) for each in (pairs.T, pairs.T[::-1]))
+    apart = mean[there] - mean[here]
+    alike = ((own[here] * own[there]).sum(1) ** 2) ** (_ALIKE / 2)
+    near = area[seen][there] * alike * np.exp(-2 * (apart**2).sum(1) / radius_m**2)
+    plane, above = own, np.zeros(len(mean))
+    for _ in range(_FITS):
+        offset = (apart * plane[here]).sum(1) - above[here]
+        weight = near * (1 - (offset / cell_m) ** 2).clip(min=0) ** 2  # Tukey's
+        total = np.bincount(here, weight)
+        centre = _sums(here, weight[:, None] * apart) / total[:, None]
+        spread = _products(here, weight, apart) / total[:, None, None] - centre[:, :, None] * centre[:, None, :]
+        plane = np.linalg.eigh(spread)[1][:, :, 0]
+        above = (centre * plane).sum(1)
+    moves = np.zeros((len(area), 3))
+    moves[seen] = above[:, None] * plane
+    return moves[owner]
+
+
+def _sums(owner: np.ndarray, rows: Float[np.ndarray, "n k"]) -> Float64[np.ndarray, "m k"]:
+    return np.stack([np.bincount(owner, column) for column in rows.T], axis=1)
+
+
+def _products(
+    owner: np.ndarray, weight: Float64[np.ndarray, " n"], vectors: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "m 3 3"]:
+    """Sums of weighted outer products."""
+    x, y, z = vectors.T
+    xx, xy, xz, yy, yz, zz = (np.bincount(owner, weight * p) for p in (x * x, x * y, x * z, y * y, y * z, z * z))
+    return np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)

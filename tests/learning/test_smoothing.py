@@ -1,0 +1,78 @@
+"""Neighbours are drawn into common planes: what is rough becomes flat, what is bent or unseen stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from jaxtyping import Float64
+
+from sarsplat import Dataset, preset
+from sarsplat.learning import Trainer, levels
+from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes
+from sarsplat.settings.sections import Smoothing
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def sheet(roughness_m: float) -> Float64[np.ndarray, "n 3"]:
+    """A level square of 8 m at a height of 2 m, which no side of a cube has; in cells of 1 m."""
+    chance = np.random.default_rng(0)
+    places = chance.uniform(0, 8, (4000, 2))
+    return np.column_stack([places, 2.5 + chance.normal(0, roughness_m, len(places))])
+
+
+def upright(means: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    return np.tile(UP, (len(means), 1))
+
+
+def test_a_bump_in_a_plane_is_drawn_back() -> None:
+    means = sheet(0.01)
+    bump = (np.abs(means[:, :2] - 4.5) < 0.5).all(axis=1)
+    means[bump, 2] += 0.3
+    moved = means + towards_planes(means, upright(means), np.ones(len(means)), 1.0, 3.0)
+    assert abs(moved[bump, 2].mean() - 2.5) < 0.1
+    assert abs(moved[~bump, 2].mean() - 2.5) < 0.02
+
+
+def test_layers_of_a_cube_move_as_one_and_what_is_not_lit_stays() -> None:
+    means = sheet(0.1)
+    lit = (means[:, 2] > 2.5).astype(float)
+    below = means - (0, 0, 2)  # cubes of their own, where nothing is lit
+    all_of_them = np.concatenate([means, below])
+    moves = towards_planes(all_of_them, upright(all_of_them), np.concatenate([lit, 0 * lit]), 1.0, 3.0)
+    assert not moves[len(means) :].any()
+    cubes = np.floor(means).astype(int) @ (100, 10, 1)
+    assert all(len(np.unique(moves[: len(means)][cubes == cube], axis=0)) == 1 for cube in np.unique(cubes))
+    assert not towards_planes(means, upright(means), 0 * lit, 1.0, 3.0).any()
+
+
+def test_a_wall_does_not_bend_the_roof() -> None:
+    roof = sheet(0.01)
+    wall = roof[:, [2, 1, 0]] * (0, 1, 0.3) + (7.99, 0, 0)
+    means, normals = np.concatenate([roof, wall]), np.concatenate([upright(roof), upright(wall)[:, [2, 1, 0]]])
+    moves = towards_planes(means, normals, np.ones(len(means)), 1.0, 3.0)
+    assert np.abs(moves[: len(roof), 2]).max() < 0.05
+
+
+def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=0))
+    smoothed = replace(config, smoothing=Smoothing(rounds=4, thinner=0.1))
+    assert [step for step in range(41) if Smoothed(smoothed.smoothing, 40).due(step)] == [10, 20, 30, 40]
+    small, without = Trainer(dataset, smoothed), Trainer(dataset, config)
+    assert small.model.levels.coarsest == 1
+    for _ in range(10):
+        assert small.step() == without.step()
+    assert torch.equal(small.gaussians.means, without.gaussians.means)  # a vehicle stays as it is
+    monkeypatch.setattr(levels, "_ACROSS", 2)
+    large, without = Trainer(dataset, smoothed), Trainer(dataset, config)
+    assert large.model.levels.coarsest > 1
+    for _ in range(10):
+        assert large.step() == without.step()  # the first round is after the tenth
+    moved = (large.gaussians.means != without.gaussians.means).any(dim=1)
+    thinner = (large.gaussians.scales < without.gaussians.scales).any(dim=1)
+    assert 20 < int(moved.sum()) < len(moved)
+    assert int((thinner & ~moved).sum()) == 0 < int(thinner.sum())
+    large.step()
