@@ -76,3 +76,18 @@ def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypat
     assert 20 < int(moved.sum()) < len(moved)
     assert int((thinner & ~moved).sum()) == 0 < int(thinner.sum())
     large.step()
+
+
+def test_a_training_that_stops_between_rounds_goes_on_with_the_same_bits(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(levels, "_ACROSS", 2)
+    config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=8))
+    whole, resumed = Trainer(dataset, config), Trainer(dataset, config)
+    for _ in range(12):
+        whole.step()
+    resumed.restore(whole.snapshot(0.0))
+    for _ in range(12):
+        assert whole.step() == resumed.step()
+    one, other = whole.snapshot(0.0).tensors, resumed.snapshot(0.0).tensors
+    assert all(torch.equal(tensor, other[name]) for name, tensor in one.items())

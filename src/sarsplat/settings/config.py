@@ -5,9 +5,10 @@ Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from msgspec import Meta
 
@@ -59,6 +60,14 @@ class AnyConfig(Record):
 
     may_change: ClassVar[tuple[str, ...]] = ("iterations", "checkpoint_every")
     """What a training does not depend on, so that it may differ when a run is resumed; with a dot, a section."""
+
+    before: ClassVar[Mapping[str, Any]] = {}
+    """Settings of runs whose files do not have them, where these are not the defaults."""
+
+    @classmethod
+    def of_run(cls, settings: Mapping[str, Any], source: str) -> Self:
+        """Those that a run's file holds, as the run was begun, maybe by an earlier version; errors as `from_dict`."""
+        return cls.from_dict({**cls.before, **settings}, source)
 
 
 @dataclass(frozen=True)
@@ -178,6 +187,7 @@ class Config(AnyConfig):
     """
 
     may_change: ClassVar[tuple[str, ...]] = (*AnyConfig.may_change, PointExtraction._section)
+    before: ClassVar[Mapping[str, Any]] = {"smoothing": {"rounds": 0}}
 
     preset: str = "default"
     iterations: Count = 900
