@@ -123,7 +123,7 @@ class Relocation(Record):
 
 @dataclass(frozen=True)
 class Smoothing(Record):
-    """What is lit in each resolution cell moves towards a plane through its neighbours, of the same orientation.
+    """What is lit in each resolution cell moves and turns towards a plane through its neighbours.
 
     Only where the training begins with blocks of pixels: surfaces of many cells look alike from inside, at any height.
 
@@ -132,7 +132,7 @@ class Smoothing(Record):
     rounds : int
         How often, evenly spaced over all iterations; 0: never.
     share : float
-        How far each time, of the distance to the plane.
+        How far each time, of the distance to the plane and of the angle to its normal.
     radius : float
         How far neighbours are at most, in resolution cells.
     thinner : float

@@ -14,9 +14,10 @@ import torch
 from jaxtyping import Float, Float64
 from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians.covariance import rotated
+from sarsplat.gaussians.covariance import product, rotated
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
 from sarsplat.settings.config import Config
@@ -33,7 +34,7 @@ _FITS = 2
 
 
 class Smoothed(Configured):
-    """At intervals, moves what is lit in each resolution cell along its normal, towards a plane through neighbours."""
+    """At intervals, moves and turns what is lit in each resolution cell towards a plane through its neighbours."""
 
     order = 25
     name = "smoothing"
@@ -56,19 +57,33 @@ class Smoothed(Configured):
         if not self.due(step) or info.model.levels.coarsest == 1:  # vehicles have no flat surface of many cells
             return
         info.check()
-        cell_m, means, scales = info.images.grid.cell_m, params["means"].detach(), params["scales"].detach()
+        cell_m, means = info.images.grid.cell_m, params["means"].detach()
+        quaternions, scales = params["quaternions"].detach(), params["scales"].detach()
         shortest = scales.argmin(1, keepdim=True)
-        axis = torch.zeros_like(scales).scatter_(1, shortest, 1.0)
-        normals = rotated(params["quaternions"].detach(), axis)
+        axes = rotated(quaternions, torch.zeros_like(scales).scatter_(1, shortest, 1.0))
         lit = info.rendering.lit_area.sum(0)
-        where, facing, area = (tensor.double().cpu().numpy() for tensor in (means, normals, lit))
-        moves = self._config.share * towards_planes(where, facing, area, cell_m, self._config.radius * cell_m)
-        means += torch.from_numpy(moves).to(means)
+        where, facing, area = (tensor.double().cpu().numpy() for tensor in (means, axes, lit))
+        moves, planes = towards_planes(where, facing, area, cell_m, self._config.radius * cell_m)
+        means += torch.from_numpy(self._config.share * moves).to(means)
+        normals = torch.from_numpy(planes).to(scales)
+        quaternions.copy_(turned(quaternions, axes, normals, self._config.share))
         if self._config.thinner:
-            seen = torch.from_numpy(moves.any(axis=1)).to(scales.device)
-            factor = torch.where(seen[:, None], 1 - self._config.thinner, 1.0).to(scales)
+            factor = 1 - self._config.thinner * normals.any(dim=1, keepdim=True).to(scales)
             scales.scatter_(1, shortest, scales.gather(1, shortest) * factor)
         optimizers.constrain()
+
+
+def turned(
+    quaternions: Float[Tensor, "n 4"], axes: Float[Tensor, "n 3"], normals: Float[Tensor, "n 3"], share: float
+) -> Float[Tensor, "n 4"]:
+    """Orientations whose axis is turned towards a normal, on whichever side; as they are where that is 0.
+
+    By a share of the way, and less the farther the axis is from it: at 90 degrees it is as near to either side.
+    """
+    cosine = (axes * normals).sum(1, keepdim=True)
+    there = normalize(axes + share * cosine.abs() * (normals * cosine.sign() - axes), dim=1)
+    arc = torch.cat([1 + (axes * there).sum(1, keepdim=True), torch.linalg.cross(axes, there)], dim=1)
+    return product(normalize(arc, dim=1), quaternions)
 
 
 def towards_planes(
@@ -77,8 +92,8 @@ def towards_planes(
     lit: Float64[np.ndarray, " n"],
     cell_m: float,
     radius_m: float,
-) -> Float64[np.ndarray, "n 3"]:
-    """How far each Gaussian is from a plane through its neighbours, m; 0 where nothing is lit.
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """How far each Gaussian is from a plane through its neighbours, m, and that plane's normal; 0 where nothing is lit.
 
     What lies in a cube of `cell_m` moves as one, so that layers stay as they are. Weights are areas that are lit, m²,
     and fall with distance, with angles between `normals`, whose signs do not matter, and with distance from the plane.
@@ -89,7 +104,7 @@ def towards_planes(
     area = np.bincount(owner, lit)
     (seen,) = np.nonzero(area > _LEAST * area.mean())
     if not len(seen):
-        return np.zeros_like(means)
+        return np.zeros_like(means), np.zeros_like(means)
     mean = _sums(owner, lit[:, None] * means)[seen] / area[seen, None]
     own = np.linalg.eigh(_products(owner, lit, normals)[seen])[1][:, :, 2]  # of all normals in a cube
     pairs = cKDTree(mean).query_pairs(radius_m, output_type="ndarray")
@@ -107,9 +122,9 @@ def towards_planes(
         spread = _products(here, weight, apart) / total[:, None, None] - centre[:, :, None] * centre[:, None, :]
         plane = np.linalg.eigh(spread)[1][:, :, 0]
         above = (centre * plane).sum(1)
-    moves = np.zeros((len(area), 3))
-    moves[seen] = above[:, None] * plane
-    return moves[owner]
+    moves, normals = np.zeros((len(area), 3)), np.zeros((len(area), 3))
+    moves[seen], normals[seen] = above[:, None] * plane, plane
+    return moves[owner], normals[owner]
 
 
 def _sums(owner: np.ndarray, rows: Float[np.ndarray, "n k"]) -> Float64[np.ndarray, "m k"]:
