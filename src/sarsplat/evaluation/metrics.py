@@ -332,7 +332,7 @@ RUN_METRICS: tuple[Metric[Run], ...] = (
     Metric(
         "undetermined",
         *("surface that images leave open", "", ".3f", None),
-        "share of the points whose height along the normal no edge or texture within 3 cells fixes to one cell",
+        "share of the points whose height along the normal no edge or texture within 4 cells fixes to one cell",
         undetermined,
     ),
 )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float32, Float64
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from sarsplat.learning.model import SceneModel
     from sarsplat.runs import Run
 
-_AROUND = 3.0
+_AROUND = 4.0
 """How far a place's surroundings reach, resolution cells."""
 
-_SURE = 2.0
+_SURE = 1.0
 """Standard errors by which information must exceed what chance leaves of sums that should cancel."""
 
 _MOVED = 0.1
@@ -48,20 +48,27 @@ def undetermined(run: Run) -> float:
 
     Raises `UndefinedScore` of runs that have no Gaussians, points or training images, or were learned from phases.
     """
-    model, points, train = run.model, run.points, run.dataset.select("train")
+    return float(places(run)[1].mean())
+
+
+def places(run: Run) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
+    """Some of the points, drawn by chance, and whether each is left open."""
+    model = run.model
     if model is None:
         raise UndefinedScore("only of Gaussians it is known how images depend on the surface")
-    if len(points) == 0 or len(train.views) == 0:
+    points = run.points
+    if len(points) == 0 or "train" not in run.dataset.splits():
         raise UndefinedScore("there are no points, or no training images")
+    train = run.dataset.select("train")
     if train.interferometric or len(model.frame.views) != len(train.views):
         raise UndefinedScore("heights come from phases, or from other images than the dataset's")
     cell_m = model.frame.grid.cell_m
-    chosen = np.random.default_rng(0).permutation(len(points))[:_PLACES]
+    some = points[np.random.default_rng(0).permutation(len(points))[:_PLACES]]
     distance, nearest = cKDTree(points).query(model.parameters["means"].detach().cpu().numpy())
     outwards = np.where((distance < 2 * cell_m)[:, None], run.normals[nearest], 0).astype(np.float32)
     information = _information(model, run.iteration, torch.from_numpy(outwards).to(model.device), train.power)
     means = model.parameters["means"].detach().cpu().double().numpy()
-    return float((_known(means, information, points[chosen], cell_m) < 1).mean())
+    return some, _known(means, information, some, cell_m) < 1
 
 
 def _information(
