@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 import torch
 from jaxtyping import Float64
+from torch import Tensor
+from torch.nn.functional import normalize
 
 from sarsplat import Dataset, preset
+from sarsplat.gaussians.covariance import rotated
 from sarsplat.learning import Trainer, levels
-from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes
+from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes, turned
 from sarsplat.settings.sections import Smoothing
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -32,7 +35,7 @@ def test_a_bump_in_a_plane_is_drawn_back() -> None:
     means = sheet(0.01)
     bump = (np.abs(means[:, :2] - 4.5) < 0.5).all(axis=1)
     means[bump, 2] += 0.3
-    moved = means + towards_planes(means, upright(means), np.ones(len(means)), 1.0, 3.0)
+    moved = means + towards_planes(means, upright(means), np.ones(len(means)), 1.0, 3.0)[0]
     assert abs(moved[bump, 2].mean() - 2.5) < 0.1
     assert abs(moved[~bump, 2].mean() - 2.5) < 0.02
 
@@ -42,19 +45,38 @@ def test_layers_of_a_cube_move_as_one_and_what_is_not_lit_stays() -> None:
     lit = (means[:, 2] > 2.5).astype(float)
     below = means - (0, 0, 2)  # cubes of their own, where nothing is lit
     all_of_them = np.concatenate([means, below])
-    moves = towards_planes(all_of_them, upright(all_of_them), np.concatenate([lit, 0 * lit]), 1.0, 3.0)
+    moves, normals = towards_planes(all_of_them, upright(all_of_them), np.concatenate([lit, 0 * lit]), 1.0, 3.0)
     assert not moves[len(means) :].any()
+    assert not normals[len(means) :].any()
+    assert np.abs(normals[: len(means), 2]).min() > 0.9
     cubes = np.floor(means).astype(int) @ (100, 10, 1)
     assert all(len(np.unique(moves[: len(means)][cubes == cube], axis=0)) == 1 for cube in np.unique(cubes))
-    assert not towards_planes(means, upright(means), 0 * lit, 1.0, 3.0).any()
+    assert not any(each.any() for each in towards_planes(means, upright(means), 0 * lit, 1.0, 3.0))
 
 
 def test_a_wall_does_not_bend_the_roof() -> None:
     roof = sheet(0.01)
     wall = roof[:, [2, 1, 0]] * (0, 1, 0.3) + (7.99, 0, 0)
     means, normals = np.concatenate([roof, wall]), np.concatenate([upright(roof), upright(wall)[:, [2, 1, 0]]])
-    moves = towards_planes(means, normals, np.ones(len(means)), 1.0, 3.0)
+    moves, _ = towards_planes(means, normals, np.ones(len(means)), 1.0, 3.0)
     assert np.abs(moves[: len(roof), 2]).max() < 0.05
+
+
+def test_axes_turn_towards_a_normal_on_either_side_and_stay_where_there_is_none() -> None:
+    quaternions = normalize(torch.tensor(np.random.default_rng(0).normal(size=(50, 4))), dim=1)
+    x, z = (torch.tensor(axis).double().expand(50, 3) for axis in ([1.0, 0, 0], [0.0, 0, 1]))
+    axes = rotated(quaternions, x)
+
+    def after(normals: Tensor, share: float) -> Tensor:
+        return (rotated(turned(quaternions, axes, normals, share), x) * z).sum(1)
+
+    before = (axes * z).sum(1)
+    halfway = after(z, 0.5)
+    assert torch.equal(halfway.sign(), before.sign())
+    assert bool((halfway.abs() > before.abs()).all())
+    torch.testing.assert_close(after(-z, 0.5), halfway)
+    assert bool((after(z, 1.0).abs() >= halfway.abs()).all())
+    torch.testing.assert_close(turned(quaternions, axes, 0 * z, 0.5), quaternions)
 
 
 def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 import torch
 from jaxtyping import Float, Float64
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import normalize
@@ -106,35 +107,41 @@ def towards_planes(
     if not len(seen):
         return np.zeros_like(means), np.zeros_like(means)
     mean = _sums(owner, lit[:, None] * means)[seen] / area[seen, None]
-    own = np.linalg.eigh(_products(owner, lit, normals)[seen])[1][:, :, 2]  # of all normals in a cube
-    pairs = cKDTree(mean).query_pairs(radius_m, output_type="ndarray")
-    alone = np.arange(len(mean))
-    here, there = (np.concatenate([*each, alone]) for each in (pairs.T, pairs.T[::-1]))
+    squares = np.stack([lit * normals[:, i] * normals[:, j] for i in range(3) for j in range(i, 3)], axis=1)
+    own = np.linalg.eigh(_symmetric(_sums(owner, squares)[seen]))[1][:, :, 2]  # of all normals in a cube
+    near = _neighbours(mean, radius_m)
+    here, there = np.repeat(np.arange(len(mean)), np.diff(near.indptr)), near.indices
     apart = mean[there] - mean[here]
-    alike = ((own[here] * own[there]).sum(1) ** 2) ** (_ALIKE / 2)
-    near = area[seen][there] * alike * np.exp(-2 * (apart**2).sum(1) / radius_m**2)
+    alike = np.einsum("pi,pi->p", own[here], own[there]) ** _ALIKE
+    nearness = area[seen][there] * alike * np.exp(-2 / radius_m**2 * np.einsum("pi,pi->p", apart, apart))
     plane, above = own, np.zeros(len(mean))
+    x, y, z = mean.T
+    moments = np.column_stack([np.ones(len(mean)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
     for _ in range(_FITS):
-        offset = (apart * plane[here]).sum(1) - above[here]
-        weight = near * (1 - (offset / cell_m) ** 2).clip(min=0) ** 2  # Tukey's
-        total = np.bincount(here, weight)
-        centre = _sums(here, weight[:, None] * apart) / total[:, None]
-        spread = _products(here, weight, apart) / total[:, None, None] - centre[:, :, None] * centre[:, None, :]
+        offset = np.einsum("pi,pi->p", apart, plane[here]) - above[here]
+        near.data = nearness * (1 - (offset / cell_m) ** 2).clip(min=0) ** 2  # Tukey's
+        sums = near @ moments
+        centre = sums[:, 1:4] / sums[:, :1]
+        spread = _symmetric(sums[:, 4:] / sums[:, :1]) - centre[:, :, None] * centre[:, None, :]
         plane = np.linalg.eigh(spread)[1][:, :, 0]
-        above = (centre * plane).sum(1)
+        above = ((centre - mean) * plane).sum(1)
     moves, normals = np.zeros((len(area), 3)), np.zeros((len(area), 3))
     moves[seen], normals[seen] = above[:, None] * plane, plane
     return moves[owner], normals[owner]
+
+
+def _neighbours(places: Float64[np.ndarray, "m 3"], radius_m: float) -> csr_matrix:
+    """A row for each place, with an entry for each that is no farther away, itself included."""
+    pairs = cKDTree(places).query_pairs(radius_m, output_type="ndarray")
+    alone = np.arange(len(places))
+    here, there = (np.concatenate([*each, alone]) for each in (pairs.T, pairs.T[::-1]))
+    return csr_matrix((np.ones(len(here)), (here, there)), (len(places), len(places)))
 
 
 def _sums(owner: np.ndarray, rows: Float[np.ndarray, "n k"]) -> Float64[np.ndarray, "m k"]:
     return np.stack([np.bincount(owner, column) for column in rows.T], axis=1)
 
 
-def _products(
-    owner: np.ndarray, weight: Float64[np.ndarray, " n"], vectors: Float64[np.ndarray, "n 3"]
-) -> Float64[np.ndarray, "m 3 3"]:
-    """Sums of weighted outer products."""
-    x, y, z = vectors.T
-    xx, xy, xz, yy, yz, zz = (np.bincount(owner, weight * p) for p in (x * x, x * y, x * z, y * y, y * z, z * z))
-    return np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+def _symmetric(six: Float64[np.ndarray, "m 6"]) -> Float64[np.ndarray, "m 3 3"]:
+    """Of xx, xy, xz, yy, yz and zz."""
+    return six[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
