@@ -45,9 +45,9 @@ def test_layers_of_a_cube_move_as_one_and_what_is_not_lit_stays() -> None:
     lit = (means[:, 2] > 2.5).astype(float)
     below = means - (0, 0, 2)  # cubes of their own, where nothing is lit
     all_of_them = np.concatenate([means, below])
-    moves, normals = towards_planes(all_of_them, upright(all_of_them), np.concatenate([lit, 0 * lit]), 1.0, 3.0)
-    assert not moves[len(means) :].any()
-    assert not normals[len(means) :].any()
+    found = towards_planes(all_of_them, upright(all_of_them), np.concatenate([lit, 0 * lit]), 1.0, 3.0)
+    assert not any(each[len(means) :].any() for each in found)
+    moves, normals, _ = found
     assert np.abs(normals[: len(means), 2]).min() > 0.9
     cubes = np.floor(means).astype(int) @ (100, 10, 1)
     assert all(len(np.unique(moves[: len(means)][cubes == cube], axis=0)) == 1 for cube in np.unique(cubes))
@@ -58,8 +58,18 @@ def test_a_wall_does_not_bend_the_roof() -> None:
     roof = sheet(0.01)
     wall = roof[:, [2, 1, 0]] * (0, 1, 0.3) + (7.99, 0, 0)
     means, normals = np.concatenate([roof, wall]), np.concatenate([upright(roof), upright(wall)[:, [2, 1, 0]]])
-    moves, _ = towards_planes(means, normals, np.ones(len(means)), 1.0, 3.0)
+    moves, *_ = towards_planes(means, normals, np.ones(len(means)), 1.0, 3.0)
     assert np.abs(moves[: len(roof), 2]).max() < 0.05
+
+
+def test_what_goes_on_to_all_sides_is_wide_and_a_rail_is_not() -> None:
+    means = sheet(0.01)
+    rail = means * (1, 0.05, 1) + (0, 20, 0)
+    both = np.concatenate([means, rail])
+    wide = towards_planes(both, upright(both), np.ones(len(both)), 1.0, 3.0)[2]
+    inside = (np.abs(means[:, :2] - 4) < 1).all(axis=1)
+    assert wide[: len(means)][inside].min() > 0.6
+    assert wide[len(means) :].max() < 0.05
 
 
 def test_axes_turn_towards_a_normal_on_either_side_and_stay_where_there_is_none() -> None:
@@ -68,7 +78,8 @@ def test_axes_turn_towards_a_normal_on_either_side_and_stay_where_there_is_none(
     axes = rotated(quaternions, x)
 
     def after(normals: Tensor, share: float) -> Tensor:
-        return (rotated(turned(quaternions, axes, normals, share), x) * z).sum(1)
+        shares = torch.full((50, 1), share).double()
+        return (rotated(turned(quaternions, axes, normals, shares), x) * z).sum(1)
 
     before = (axes * z).sum(1)
     halfway = after(z, 0.5)
@@ -76,7 +87,7 @@ def test_axes_turn_towards_a_normal_on_either_side_and_stay_where_there_is_none(
     assert bool((halfway.abs() > before.abs()).all())
     torch.testing.assert_close(after(-z, 0.5), halfway)
     assert bool((after(z, 1.0).abs() >= halfway.abs()).all())
-    torch.testing.assert_close(turned(quaternions, axes, 0 * z, 0.5), quaternions)
+    torch.testing.assert_close(turned(quaternions, axes, 0 * z, torch.ones(50, 1).double()), quaternions)
 
 
 def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:

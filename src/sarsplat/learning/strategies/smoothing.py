@@ -30,6 +30,10 @@ _LEAST = 0.05
 _ALIKE = 8
 """Power of the cosine between normals that a neighbour's weight has: a wall is none of a roof's."""
 
+_WIDE = (0.1, 0.4)
+"""Ratio of a plane's two mean squared widths from which on what lies in it moves, and moves all of the share: narrow
+parts are all edges. It is 1 inside of a roof, 0.4 at its edge, and at most 0.15 for what is two cells wide."""
+
 _FITS = 2
 """How often planes are fitted; each time, what lay far from the last one weighs less."""
 
@@ -64,18 +68,21 @@ class Smoothed(Configured):
         axes = rotated(quaternions, torch.zeros_like(scales).scatter_(1, shortest, 1.0))
         lit = info.rendering.lit_area.sum(0)
         where, facing, area = (tensor.double().cpu().numpy() for tensor in (means, axes, lit))
-        moves, planes = towards_planes(where, facing, area, cell_m, self._config.radius * cell_m)
-        means += torch.from_numpy(self._config.share * moves).to(means)
-        normals = torch.from_numpy(planes).to(scales)
-        quaternions.copy_(turned(quaternions, axes, normals, self._config.share))
-        if self._config.thinner:
-            factor = 1 - self._config.thinner * normals.any(dim=1, keepdim=True).to(scales)
-            scales.scatter_(1, shortest, scales.gather(1, shortest) * factor)
+        planes = towards_planes(where, facing, area, cell_m, self._config.radius * cell_m)
+        moves, normals, wide = (torch.from_numpy(each).to(means) for each in planes)
+        share = self._config.share * wide[:, None]
+        means += share * moves
+        quaternions.copy_(turned(quaternions, axes, normals, share))
+        thinner = 1 - self._config.thinner * wide[:, None]
+        scales.scatter_(1, shortest, scales.gather(1, shortest) * thinner)
         optimizers.constrain()
 
 
 def turned(
-    quaternions: Float[Tensor, "n 4"], axes: Float[Tensor, "n 3"], normals: Float[Tensor, "n 3"], share: float
+    quaternions: Float[Tensor, "n 4"],
+    axes: Float[Tensor, "n 3"],
+    normals: Float[Tensor, "n 3"],
+    share: Float[Tensor, "n 1"],
 ) -> Float[Tensor, "n 4"]:
     """Orientations whose axis is turned towards a normal, on whichever side; as they are where that is 0.
 
@@ -93,8 +100,10 @@ def towards_planes(
     lit: Float64[np.ndarray, " n"],
     cell_m: float,
     radius_m: float,
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    """How far each Gaussian is from a plane through its neighbours, m, and that plane's normal; 0 where nothing is lit.
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
+    """How far each Gaussian is from a plane through its neighbours (m), that plane's normal, and how wide it is.
+
+    That is from 0, for a mast or a rail, to 1, for what goes on to all sides; all are 0 where nothing is lit.
 
     What lies in a cube of `cell_m` moves as one, so that layers stay as they are. Weights are areas that are lit, m²,
     and fall with distance, with angles between `normals`, whose signs do not matter, and with distance from the plane.
@@ -105,7 +114,7 @@ def towards_planes(
     area = np.bincount(owner, lit)
     (seen,) = np.nonzero(area > _LEAST * area.mean())
     if not len(seen):
-        return np.zeros_like(means), np.zeros_like(means)
+        return np.zeros_like(means), np.zeros_like(means), np.zeros_like(lit)
     mean = _sums(owner, lit[:, None] * means)[seen] / area[seen, None]
     squares = np.stack([lit * normals[:, i] * normals[:, j] for i in range(3) for j in range(i, 3)], axis=1)
     own = np.linalg.eigh(_symmetric(_sums(owner, squares)[seen]))[1][:, :, 2]  # of all normals in a cube
@@ -123,11 +132,13 @@ def towards_planes(
         sums = near @ moments
         centre = sums[:, 1:4] / sums[:, :1]
         spread = _symmetric(sums[:, 4:] / sums[:, :1]) - centre[:, :, None] * centre[:, None, :]
-        plane = np.linalg.eigh(spread)[1][:, :, 0]
+        spreads, axes = np.linalg.eigh(spread)
+        plane = axes[:, :, 0]
         above = ((centre - mean) * plane).sum(1)
-    moves, normals = np.zeros((len(area), 3)), np.zeros((len(area), 3))
+    moves, normals, wide = np.zeros((len(area), 3)), np.zeros((len(area), 3)), np.zeros(len(area))
     moves[seen], normals[seen] = above[:, None] * plane, plane
-    return moves[owner], normals[owner]
+    wide[seen] = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=1e-30), _WIDE, (0, 1))
+    return moves[owner], normals[owner], wide[owner]
 
 
 def _neighbours(places: Float64[np.ndarray, "m 3"], radius_m: float) -> csr_matrix:
