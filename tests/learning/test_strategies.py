@@ -90,7 +90,7 @@ def test_a_training_goes_on_only_with_the_strategies_it_was_begun_with(dataset: 
     snapshot = trained(dataset, CONFIG, 1)
     with pytest.raises(
         SarsplatError,
-        match="begun with the strategies Restless, density, growth, relocation, not density, growth, relocation",
+        match="begun with the strategies Restless, density, growth, relocation, smoothing, not density, growth, ",
     ):
         Trainer(dataset, CONFIG).restore(snapshot)
     damaged = replace(snapshot, tensors=snapshot.tensors | {"strategy/Restless/dim": torch.zeros(3)})

@@ -15,9 +15,10 @@ import torch
 from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_tiff
+from sarsplat.learning import levels
 from sarsplat.runs.run_folder import LogLine
 from sarsplat.settings import Config
-from sarsplat.settings.sections import Densification, PointExtraction, Rates
+from sarsplat.settings.sections import Densification, PointExtraction, Rates, Smoothing
 
 CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
 
@@ -64,6 +65,23 @@ def refused(begun: Path, dataset: Dataset, config: Config, message: str) -> None
 def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
     assert Run.load(begun).iteration == 1
     assert reconstruct(dataset, CONFIG, begun, resume=True).iteration == 2
+
+
+def test_one_of_before_there_was_smoothing(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its settings do not say that it has none, and it goes on without."""
+    monkeypatch.setattr(levels, "_ACROSS", 2)
+    unsmoothed = replace(CONFIG, coarsest=2, smoothing=Smoothing(rounds=0))
+    whole = reconstruct(dataset, unsmoothed, tmp_path / "run")
+    tensors, _ = load_checkpoint(whole.files.checkpoint_path)
+    assert "strategy/relocation" in tensors and "strategy/smoothing" not in tensors
+    whole.files.checkpoint_path.unlink()
+    header = json.loads((tmp_path / "run" / "config.json").read_text())
+    del header["config"]["smoothing"]
+    (tmp_path / "run" / "config.json").write_text(json.dumps(header))
+    refused(tmp_path / "run", dataset, replace(CONFIG, coarsest=2), r"started with smoothing\.rounds 0, not 40")
+    again = reconstruct(dataset, Run.load(tmp_path / "run").config, tmp_path / "run", resume=True)
+    assert again.config == unsmoothed
+    assert torch.equal(again.gaussians.means, whole.gaussians.means)
 
 
 @pytest.mark.parametrize("change", [{"spacing": 0.31}, {"azimuth": 1e-6}, {"seed": 1}])

@@ -278,6 +278,8 @@ def _base(method: Method, options: Options, images: Dataset) -> Any:
         content = read_json(file, dict[str, Any])
         if (whose := content.get("method", DEFAULT_METHOD)) != method.name:
             raise SarsplatError(f"{file} holds settings of {shown(whose)}, not of {method.name}; give that as --method")
+        if isinstance(of_run := content.get("config"), dict):
+            return method.settings.of_run(of_run, str(file))
         return method.settings.from_dict(content.get("config", content), str(file))
     if not options.resume:
         return method.preset(options.preset, images)

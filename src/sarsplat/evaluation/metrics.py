@@ -18,6 +18,7 @@ from sarsplat.evaluation import images, lpips
 from sarsplat.evaluation.images import REACH, Stack, UndefinedScore
 from sarsplat.evaluation.masks import MaskPair
 from sarsplat.evaluation.points import NORMALS_OFF_DEG, PointMetrics, Yardstick
+from sarsplat.evaluation.undetermined import undetermined
 from sarsplat.geometry import SHADOW, TARGET
 from sarsplat.runs import Run
 
@@ -346,6 +347,12 @@ RUN_METRICS: tuple[Metric[Run], ...] = (
         "wall-clock time of the training",
         _time_s,
         short="time",
+    ),
+    Metric(
+        "undetermined",
+        *("surface that images leave open", "", ".3f", None),
+        "share of the points whose height along the normal no edge or texture within 4 cells fixes to one cell",
+        undetermined,
     ),
 )
 """Metrics of a run as a whole."""

@@ -25,6 +25,13 @@ def rotated(quaternions: Float[Tensor, "*n 4"], vectors: Float[Tensor, "*n 3"]) 
     return vectors + w * across + torch.linalg.cross(axis, across)
 
 
+def product(one: Float[Tensor, "*n 4"], other: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
+    """Quaternions of R(one) R(other), [..., 4]; as long as both together."""
+    (w, axis), (x, second) = one.split([1, 3], dim=-1), other.split([1, 3], dim=-1)
+    turn = w * second + x * axis + torch.linalg.cross(axis, second)
+    return torch.cat([w * x - (axis * second).sum(-1, keepdim=True), turn], dim=-1)
+
+
 def covariance(quaternions: Float[Tensor, "*n 4"], scales: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3 3"]:
     """Σ = R(q) diag(s²) R(q)ᵀ, m²; [..., 4] and [..., 3] → [..., 3, 3]."""
     root = rotation_matrix(quaternions) * scales[..., None, :]

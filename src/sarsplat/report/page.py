@@ -24,7 +24,7 @@ from sarsplat.evaluation import (
     metrics_of_points,
     paper_beside,
 )
-from sarsplat.evaluation.tables import baselines, whose
+from sarsplat.evaluation.tables import baselines, left_open, whose
 from sarsplat.examination.plausible import weakest_direction
 from sarsplat.report.figure import Figure
 from sarsplat.runs import Run
@@ -116,7 +116,8 @@ def compared_tables(
     cells = dict.fromkeys(metrics["parameters"]["yardstick_m"] for metrics in every)
     of_points = {metric.key: metric for cell in cells for metric in metrics_of_points(Yardstick(cell))}
     tables.append(score_table("Points, visible surface", [*of_points.values()], columns))
-    columns = [column(name, {"time_s": metrics["time_s"]}) for name, metrics in zip(names, every, strict=True)]
+    of_runs = [{metric.key: metrics.get(metric.key) for metric in RUN_METRICS} for metrics in every]
+    columns = [column(name, values) for name, values in zip(names, of_runs, strict=True)]
     tables.append(score_table("Training", RUN_METRICS, columns))
     return [table for table in tables if table.rows]
 
@@ -253,6 +254,7 @@ def _run_facts(run: Run) -> dict[str, str]:
         "method": run.method,
         **run.facts,
         "training time": _duration(run.time_s),
+        **({} if run.metrics is None else left_open(run.metrics)),
         "seed": str(run.seed),
         "report by": f"sarsplat {program_version()}",
     }

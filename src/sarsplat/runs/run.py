@@ -182,7 +182,7 @@ class Run(Result):
                 f"{path / HEADER} is of a run by the method {shown(header.method)}; give one by {', '.join(METHODS)}, "
                 "or install the package that has this method"
             )
-        config = method_named(header.method).settings.from_dict(header.config, str(path / HEADER))
+        config = method_named(header.method).settings.of_run(header.config, str(path / HEADER))
         if dataset is not None and header.dataset_fingerprint not in ("", dataset.fingerprint()):
             raise SarsplatError(f"{path} was made from another dataset than {dataset}; give the one it was made from")
         where = None if header.dataset is None else Path(header.dataset)

@@ -70,6 +70,7 @@ class Metrics(TypedDict):
     truth: NotRequired[Truth]
     masks: NotRequired[str | None]
     time_s: float | None
+    undetermined: NotRequired[float | None]
     seed: int
     method: NotRequired[str]
     parameters: dict[str, int | float]

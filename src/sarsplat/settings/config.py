@@ -5,9 +5,10 @@ Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from msgspec import Meta
 
@@ -32,6 +33,7 @@ from sarsplat.settings.sections import (
     PointExtraction,
     Rates,
     Relocation,
+    Smoothing,
     Surroundings,
 )
 
@@ -58,6 +60,14 @@ class AnyConfig(Record):
 
     may_change: ClassVar[tuple[str, ...]] = ("iterations", "checkpoint_every")
     """What a training does not depend on, so that it may differ when a run is resumed; with a dot, a section."""
+
+    before: ClassVar[Mapping[str, Any]] = {}
+    """Settings of runs whose files do not have them, where these are not the defaults."""
+
+    @classmethod
+    def of_run(cls, settings: Mapping[str, Any], source: str) -> Self:
+        """Those that a run's file holds, as the run was begun, maybe by an earlier version; errors as `from_dict`."""
+        return cls.from_dict({**cls.before, **settings}, source)
 
 
 @dataclass(frozen=True)
@@ -157,6 +167,8 @@ class Config(AnyConfig):
         Density control; None: the number of Gaussians is fixed.
     relocation : Relocation
         Moves of idle Gaussians.
+    smoothing : Smoothing
+        Moves of neighbours into common planes.
     ground : FlatGround or None
         Ground below the target; None: nothing.
     surroundings : Surroundings or None
@@ -175,6 +187,7 @@ class Config(AnyConfig):
     """
 
     may_change: ClassVar[tuple[str, ...]] = (*AnyConfig.may_change, PointExtraction._section)
+    before: ClassVar[Mapping[str, Any]] = {"smoothing": {"rounds": 0}}
 
     preset: str = "default"
     iterations: Count = 900
@@ -215,6 +228,7 @@ class Config(AnyConfig):
     points: PointExtraction = PointExtraction()
     densification: Densification | None = None
     relocation: Relocation = Relocation()
+    smoothing: Smoothing = Smoothing()
     ground: FlatGround | None = None
     surroundings: Surroundings | None = None
     passes: Passes | None = None

@@ -122,6 +122,32 @@ class Relocation(Record):
 
 
 @dataclass(frozen=True)
+class Smoothing(Record):
+    """What is lit in each resolution cell moves and turns towards a plane through its neighbours.
+
+    Only where the training begins with blocks of pixels: surfaces of many cells look alike from inside, at any height.
+
+    Parameters
+    ----------
+    rounds : int
+        How often, evenly spaced over all iterations; 0: never.
+    share : float
+        How far each time, of the distance to the plane and of the angle to its normal.
+    radius : float
+        How far neighbours are at most, in resolution cells.
+    thinner : float
+        By which share the shortest standard deviation of what moves shrinks each time.
+    """
+
+    _section: ClassVar[str] = "smoothing."
+
+    rounds: Iteration = 40
+    share: Share = 0.7
+    radius: Positive = 3.0
+    thinner: Annotated[float, Meta(ge=0, le=0.9)] = 0.04
+
+
+@dataclass(frozen=True)
 class PointExtraction(Record):
     """How a point cloud is extracted from the Gaussians.
 

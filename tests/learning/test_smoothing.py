@@ -1,0 +1,126 @@
+"""Neighbours are drawn into common planes: what is rough becomes flat, what is bent or unseen stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from sarsplat import Dataset, preset
+from sarsplat.gaussians.covariance import rotated
+from sarsplat.learning import Trainer, levels
+from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes, turned
+from sarsplat.settings.sections import Smoothing
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def sheet(roughness_m: float) -> Float64[np.ndarray, "n 3"]:
+    """A level square of 8 m at a height of 2 m, which no side of a cube has; in cells of 1 m."""
+    chance = np.random.default_rng(0)
+    places = chance.uniform(0, 8, (4000, 2))
+    return np.column_stack([places, 2.5 + chance.normal(0, roughness_m, len(places))])
+
+
+def upright(means: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    return np.tile(UP, (len(means), 1))
+
+
+def test_a_bump_in_a_plane_is_drawn_back() -> None:
+    means = sheet(0.01)
+    bump = (np.abs(means[:, :2] - 4.5) < 0.5).all(axis=1)
+    means[bump, 2] += 0.3
+    moved = means + towards_planes(means, upright(means), np.ones(len(means)), 1.0, 3.0)[0]
+    assert abs(moved[bump, 2].mean() - 2.5) < 0.1
+    assert abs(moved[~bump, 2].mean() - 2.5) < 0.02
+
+
+def test_layers_of_a_cube_move_as_one_and_what_is_not_lit_stays() -> None:
+    means = sheet(0.1)
+    lit = (means[:, 2] > 2.5).astype(float)
+    below = means - (0, 0, 2)  # cubes of their own, where nothing is lit
+    all_of_them = np.concatenate([means, below])
+    found = towards_planes(all_of_them, upright(all_of_them), np.concatenate([lit, 0 * lit]), 1.0, 3.0)
+    assert not any(each[len(means) :].any() for each in found)
+    moves, normals, _ = found
+    assert np.abs(normals[: len(means), 2]).min() > 0.9
+    cubes = np.floor(means).astype(int) @ (100, 10, 1)
+    assert all(len(np.unique(moves[: len(means)][cubes == cube], axis=0)) == 1 for cube in np.unique(cubes))
+    assert not any(each.any() for each in towards_planes(means, upright(means), 0 * lit, 1.0, 3.0))
+
+
+def test_a_wall_does_not_bend_the_roof() -> None:
+    roof = sheet(0.01)
+    wall = roof[:, [2, 1, 0]] * (0, 1, 0.3) + (7.99, 0, 0)
+    means, normals = np.concatenate([roof, wall]), np.concatenate([upright(roof), upright(wall)[:, [2, 1, 0]]])
+    moves, *_ = towards_planes(means, normals, np.ones(len(means)), 1.0, 3.0)
+    assert np.abs(moves[: len(roof), 2]).max() < 0.05
+
+
+def test_what_goes_on_to_all_sides_is_wide_and_a_rail_is_not() -> None:
+    means = sheet(0.01)
+    rail = means * (1, 0.05, 1) + (0, 20, 0)
+    both = np.concatenate([means, rail])
+    wide = towards_planes(both, upright(both), np.ones(len(both)), 1.0, 3.0)[2]
+    inside = (np.abs(means[:, :2] - 4) < 1).all(axis=1)
+    assert wide[: len(means)][inside].min() > 0.6
+    assert wide[len(means) :].max() < 0.05
+
+
+def test_axes_turn_towards_a_normal_on_either_side_and_stay_where_there_is_none() -> None:
+    quaternions = normalize(torch.tensor(np.random.default_rng(0).normal(size=(50, 4))), dim=1)
+    x, z = (torch.tensor(axis).double().expand(50, 3) for axis in ([1.0, 0, 0], [0.0, 0, 1]))
+    axes = rotated(quaternions, x)
+
+    def after(normals: Tensor, share: float) -> Tensor:
+        shares = torch.full((50, 1), share).double()
+        return (rotated(turned(quaternions, axes, normals, shares), x) * z).sum(1)
+
+    before = (axes * z).sum(1)
+    halfway = after(z, 0.5)
+    assert torch.equal(halfway.sign(), before.sign())
+    assert bool((halfway.abs() > before.abs()).all())
+    torch.testing.assert_close(after(-z, 0.5), halfway)
+    assert bool((after(z, 1.0).abs() >= halfway.abs()).all())
+    torch.testing.assert_close(turned(quaternions, axes, 0 * z, torch.ones(50, 1).double()), quaternions)
+
+
+def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=0))
+    smoothed = replace(config, smoothing=Smoothing(rounds=4, thinner=0.1))
+    assert [step for step in range(41) if Smoothed(smoothed.smoothing, 40).due(step)] == [10, 20, 30, 40]
+    small, without = Trainer(dataset, smoothed), Trainer(dataset, config)
+    assert small.model.levels.coarsest == 1
+    for _ in range(10):
+        assert small.step() == without.step()
+    assert torch.equal(small.gaussians.means, without.gaussians.means)  # a vehicle stays as it is
+    monkeypatch.setattr(levels, "_ACROSS", 2)
+    large, without = Trainer(dataset, smoothed), Trainer(dataset, config)
+    assert large.model.levels.coarsest > 1
+    for _ in range(10):
+        assert large.step() == without.step()  # the first round is after the tenth
+    moved = (large.gaussians.means != without.gaussians.means).any(dim=1)
+    thinner = (large.gaussians.scales < without.gaussians.scales).any(dim=1)
+    assert 20 < int(moved.sum()) < len(moved)
+    assert int((thinner & ~moved).sum()) == 0 < int(thinner.sum())
+    large.step()
+
+
+def test_a_training_that_stops_between_rounds_goes_on_with_the_same_bits(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(levels, "_ACROSS", 2)
+    config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=8))
+    whole, resumed = Trainer(dataset, config), Trainer(dataset, config)
+    for _ in range(12):
+        whole.step()
+    resumed.restore(whole.snapshot(0.0))
+    for _ in range(12):
+        assert whole.step() == resumed.step()
+    one, other = whole.snapshot(0.0).tensors, resumed.snapshot(0.0).tensors
+    assert all(torch.equal(tensor, other[name]) for name, tensor in one.items())
