@@ -15,6 +15,7 @@ from sarsplat.progress import Reporter
 from sarsplat.renderer import RayMap
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import extract_points
+from sarsplat.surface import bricks as of_bricks
 from sarsplat.surface import points as of_points
 from sarsplat.surface import voxels as of_voxels
 from sarsplat.surface.bricks import Brick, Scene, Window
@@ -157,7 +158,7 @@ def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(ball
     assert len(usual) / 40 < len(points) < len(usual)
     off = np.abs(np.linalg.norm(points - [0, 0, HEIGHT], axis=1) - RADIUS)
     assert np.median(off) < 0.2
-    monkeypatch.setattr(of_points, "_MOST_RAYS", rays / 1600)
+    monkeypatch.setattr(of_points, "_MOST_RAYS", rays / 100)
     fewer = extract_points(ball_with_a_hole, many, GRID, KEPT)
     assert said[1] == said[0]
     assert sorted_rows(fewer).tobytes() == sorted_rows(points).tobytes()
@@ -186,6 +187,7 @@ def test_points_are_the_same_bits_whatever_the_bricks(
 
     monkeypatch.setattr(Scene, "bricks", counting)
     monkeypatch.setattr(of_points, "_COARSEST", 1e-3)
+    monkeypatch.setattr(of_bricks, "_SMALLEST", 8)
     for most in (30_000, 15_000):
         monkeypatch.setattr(of_points, "_MOST_RAYS", most)
         parts = extract_points(twice, VIEWS, GRID, how)

@@ -23,6 +23,7 @@ from sarsplat.renderer.constants import CELL_WIDENING, MIN_RAY_DEPTH
 from sarsplat.tiles.reach import rows_of
 
 _CUBES = 48  # along the longest side of the scene, by which Gaussians are looked for
+_SMALLEST = 32  # steps of rays along the sides of a brick: in smaller ones, rays at the rim outnumber the others
 _CORNERS = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, -1).T
 
 
@@ -161,7 +162,7 @@ class Scene:
         if not len(some):
             return
         windows = (brick.window(view, rays) for view in views)
-        if sum(window.rows * window.columns for window in windows) <= most_rays or max(high - low) < 2 * brick.side_m:
+        if sum(window.rows * window.columns for window in windows) <= most_rays or max(high - low) <= _SMALLEST * self._step_m:
             yield brick
             return
         for half in brick.halves():
