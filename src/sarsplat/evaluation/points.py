@@ -6,12 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float, Float64, Int64
 from scipy.spatial import cKDTree
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
+from sarsplat.surface.cells import numbered
 from sarsplat.uninterruptible import uninterruptible
 
 _AT_ONCE = 20_000  # points whose distances fit into a processor's cache
@@ -168,7 +170,7 @@ def order_in_space(points: Float64[np.ndarray, "p 3"]) -> Int64[np.ndarray, " p"
 def thin(points: Float[np.ndarray, "p 3"], voxel: float) -> Float[np.ndarray, "fewer 3"]:
     """The first point of every voxel (edge in m, anchored at the origin), float64 [≤ P, 3], in their old order."""
     cells = np.floor(points / voxel).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
+    _, first = np.unique(numbered(torch.from_numpy(cells)).numpy(), return_index=True)
     return points[np.sort(first)].astype(np.float64)
 
 

@@ -39,6 +39,7 @@ from sarsplat.settings.sections import FlatGround
 from sarsplat.surface.masks import scene_masks, without_imitated_ground
 from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.normals import surface_normals
+from sarsplat.surface.parts import parts_of
 from sarsplat.surface.points import extract_points
 from sarsplat.surface.visibility import Seen
 
@@ -227,10 +228,13 @@ class GaussianReconstruction(Reconstruction):
         return points.astype(np.float32)  # as the file has them
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
-        """Normals of the planes through their neighbours."""
-        towards = self._seen.around(points)[1]
+        """Normals of the planes through their neighbours, some points at a time."""
         radius, device = _NORMAL_RADIUS * self.grid.cell_m, self.gaussians.means.device
-        return surface_normals(points, towards, radius, device).astype(np.float32)
+        normals = np.empty((len(points), 3), np.float32)
+        for some, own in parts_of(points, radius):
+            near = points[some]
+            normals[some[own]] = surface_normals(near, self._seen.around(near)[1], radius, device)[own]
+        return normals
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
         """Mean γ⁰ over the views that see the Gaussians there, weighted by how much they see."""

@@ -7,7 +7,7 @@ meets is there, however far in front: so what a brick's rays return does not dep
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -77,10 +77,10 @@ class Brick:
     side_m: float
     """Of a voxel."""
 
-    def window(self, view: View, rays: RayGrid) -> Window:
-        """The rays on which what lies in it is seen."""
-        corners = np.where(_CORNERS, self.end, self.first) * self.side_m
-        return Window.around(corners @ view.look.frame[:2].T, rays)
+    def window(self, view: View, rays: RayGrid, beyond_m: float = 0.0) -> Window:
+        """The rays on which what lies in it is seen, or so far beyond it."""
+        corners = np.where(_CORNERS, self.end, self.first) * self.side_m @ view.look.frame[:2].T
+        return Window.around(np.concatenate([corners - beyond_m, corners + beyond_m]), rays)
 
     def holds(self, points: Float64[Tensor, "p 3"]) -> Bool[Tensor, " p"]:
         """Which points lie in its voxels."""
@@ -146,7 +146,7 @@ class Scene:
     def _cubes(self) -> _Cubes:
         return _Cubes.of(self._means, self._reach[:, None])
 
-    def bricks(self, views: list[View], rays: RayGrid, side_m: float, most_rays: float) -> Iterator[Brick]:
+    def bricks(self, views: Sequence[View], rays: RayGrid, side_m: float, most_rays: float) -> Iterator[Brick]:
         """Boxes of voxels of a side, m, for which the views need so many rays at most; those with Gaussians."""
         low, high = (self._means - self._reach[:, None]).min(0), (self._means + self._reach[:, None]).max(0)
         first, end = np.floor(low / side_m).astype(int), np.floor(high / side_m).astype(int) + 1
@@ -154,7 +154,7 @@ class Scene:
         yield from self._halved(whole, np.arange(len(self._means)), views, rays, most_rays)
 
     def _halved(
-        self, brick: Brick, some: Int64[np.ndarray, " k"], views: list[View], rays: RayGrid, most_rays: float
+        self, brick: Brick, some: Int64[np.ndarray, " k"], views: Sequence[View], rays: RayGrid, most_rays: float
     ) -> Iterator[Brick]:
         low, high = np.multiply(brick.first, brick.side_m), np.multiply(brick.end, brick.side_m)
         means, reach = self._means[some], self._reach[some, None]
@@ -162,14 +162,17 @@ class Scene:
         if not len(some):
             return
         windows = (brick.window(view, rays) for view in views)
-        if sum(window.rows * window.columns for window in windows) <= most_rays or max(high - low) <= _SMALLEST * self._step_m:
+        if (
+            sum(window.rows * window.columns for window in windows) <= most_rays
+            or max(high - low) <= _SMALLEST * self._step_m
+        ):
             yield brick
             return
         for half in brick.halves():
             yield from self._halved(half, some, views, rays, most_rays)
 
-    def met_by(self, window: Window, view: View, rays: RayGrid) -> Gaussians:
-        """The Gaussians that rays of a window may meet, in their order."""
+    def met_by(self, window: Window, view: View, rays: RayGrid) -> tuple[Int64[Tensor, " k"], Gaussians]:
+        """The Gaussians that rays of a window may meet: their indices, in order, and themselves."""
         axes, spacing = view.look.frame[:2], np.array(rays.spacing_m)
         low = (np.array([window.column, window.row]) + 0.5) * spacing
         high = low + (np.array([window.columns, window.rows]) - 1) * spacing
@@ -180,4 +183,19 @@ class Scene:
         index = np.sort(np.concatenate([cubes.order[:0], *(cubes.order[cubes.starts[k] : ends[k]] for k in near)]))
         places, reach = self._means[index] @ axes.T, self._reach[index, None]
         index = index[((places + reach >= low) & (places - reach <= high)).all(1)]
-        return rows_of(self.gaussians, torch.from_numpy(index).to(self.gaussians.means.device))
+        chosen = torch.from_numpy(index).to(self.gaussians.means.device)
+        return chosen, rows_of(self.gaussians, chosen)
+
+    def widest_m(self, some: Int64[Tensor, " k"]) -> float:
+        """How far from their centres these Gaussians touch rays at most, m."""
+        return float(self._reach[some.cpu().numpy()].max(initial=0))
+
+
+def ray_count(gaussians: Gaussians, views: Sequence[View], rays: RayGrid) -> float:
+    """About how many rays the views have, as far as there are Gaussians."""
+    means, reach = gaussians.means.double().cpu().numpy(), 3 * float(gaussians.scales.max()) if len(gaussians) else 0
+    total = 0.0
+    for view in views if len(means) else ():
+        sides = np.ptp(view.look.frame[:2] @ means.T, axis=1) + 2 * reach
+        total += math.prod(sides / rays.spacing_m)
+    return total

@@ -73,7 +73,7 @@ class FirstReturns:
         blocks = some_at_once(scene.gaussians, views, pixel, rays) if brick is None else ([view] for view in views)
         for some in blocks:
             asked = None if brick is None else brick.window(some[0], rays)
-            gaussians = scene.gaussians if asked is None else scene.met_by(asked, some[0], rays)
+            gaussians = scene.gaussians if asked is None else scene.met_by(asked, some[0], rays)[1]
             for ray_map in traced(gaussians, some, pixel, rays, optical_depth):
                 windows.append(asked or Window.of(ray_map, rays))
                 ranges.append(windows[-1].cut(ray_map, rays).flatten())

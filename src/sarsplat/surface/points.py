@@ -27,7 +27,7 @@ from sarsplat.progress import stage
 from sarsplat.renderer import render
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells
-from sarsplat.surface.bricks import Scene
+from sarsplat.surface.bricks import Scene, ray_count
 from sarsplat.surface.first_returns import FirstReturns, some_at_once
 from sarsplat.surface.returns_on_cpu import FirstReturnsOnCpu
 from sarsplat.surface.voxels import AT_ONCE, Voxels
@@ -135,7 +135,7 @@ def _seen_points(
     """Mean first return in each voxel, without those that too many views look through or too few see."""
     cell, rays, chosen = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel), spread(views, _MOST_VIEWS)
     said = "the views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views"
-    views, count = chosen, _rays(gaussians, chosen, rays)
+    views, count = chosen, ray_count(gaussians, chosen, rays)
     coarser = math.sqrt(max(1.0, min(count / _MOST_RAYS, (_COARSEST * cell / max(rays.spacing_m)) ** 2)))
     rays = RayGrid((coarser * rays.spacing_m[0], coarser * rays.spacing_m[1]))
     needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if coarser > 1 else 0.0
@@ -168,16 +168,6 @@ def _bytes(gaussians: Gaussians, grid: ImageGrid, rays: float, views: int) -> fl
     ranges = np.dtype(np.float32).itemsize * rays
     thinned, kept = min(rays, AT_ONCE + rays / views), rays / _SAMPLES
     return ranges + max(of_a_view + _RETURN * (thinned + kept), _POINT * kept)
-
-
-def _rays(gaussians: Gaussians, views: Sequence[View], rays: RayGrid) -> float:
-    """About how many rays the views have, as far as there are Gaussians."""
-    means, reach = gaussians.means.double().cpu().numpy(), 3 * float(gaussians.scales.max()) if len(gaussians) else 0
-    total = 0.0
-    for view in views if len(means) else ():
-        sides = np.ptp(view.look.frame[:2] @ means.T, axis=1) + 2 * reach
-        total += math.prod(sides / rays.spacing_m)
-    return total
 
 
 def spread(views: Sequence[View], most: int) -> list[View]:

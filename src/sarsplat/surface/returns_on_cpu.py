@@ -89,7 +89,7 @@ class OfView:
         cls, scene: Scene, brick: Brick | None, view: View, grid: ImageGrid, rays: RayGrid, optical_depth: float
     ) -> OfView:
         asked = None if brick is None else brick.window(view, rays)
-        gaussians = scene.gaussians if asked is None else scene.met_by(asked, view, rays)
+        gaussians = scene.gaussians if asked is None else scene.met_by(asked, view, rays)[1]
         (ray_map,) = traced(gaussians, [view], replace(grid, rows=1, columns=1), rays, optical_depth)
         window = asked or Window.of(ray_map, rays)
         ranges = np.pad(window.cut(ray_map, rays).numpy(), 1, constant_values=np.inf)
