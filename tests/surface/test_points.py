@@ -14,8 +14,8 @@ from sarsplat.geometry import RayGrid
 from sarsplat.progress import Reporter
 from sarsplat.renderer import RayMap
 from sarsplat.settings.sections import PointExtraction
-from sarsplat.surface import extract_points
 from sarsplat.surface import bricks as of_bricks
+from sarsplat.surface import extract_points
 from sarsplat.surface import points as of_points
 from sarsplat.surface import voxels as of_voxels
 from sarsplat.surface.bricks import Brick, Scene, Window
@@ -174,7 +174,7 @@ def test_points_are_the_same_bits_whatever_the_bricks(
 ) -> None:
     """Occluders outside a brick count, and haze that views look through from elsewhere."""
     twice = Gaussians.cat([ball_with_a_hole, upright(np.array([[2.5, -1, 0.7], [-2, 2, 3]]), 0.3, 0.5)])
-    how = replace(KEPT, seen_by=2, min_height=least_height)
+    how = replace(KEPT, voxel=0.2, seen_by=2, min_height=least_height)
     whole = extract_points(twice, VIEWS, GRID, how)
     assert len(whole) > 1000
     cut: list[int] = []

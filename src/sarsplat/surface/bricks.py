@@ -92,9 +92,11 @@ class Brick:
         """Cut across its longest side."""
         axis = int(np.argmax(np.subtract(self.end, self.first)))
         middle = (self.first[axis] + self.end[axis]) // 2
-        end, first = list(self.end), list(self.first)
-        end[axis] = first[axis] = middle
-        return replace(self, end=tuple(end)), replace(self, first=tuple(first))
+        (x, y, z), (i, j, k) = (
+            (middle if along == axis else corner for along, corner in enumerate(corners))
+            for corners in (self.end, self.first)
+        )
+        return replace(self, end=(x, y, z)), replace(self, first=(i, j, k))
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,8 @@ class Scene:
         """Boxes of voxels of a side, m, for which the views need so many rays at most; those with Gaussians."""
         low, high = (self._means - self._reach[:, None]).min(0), (self._means + self._reach[:, None]).max(0)
         first, end = np.floor(low / side_m).astype(int), np.floor(high / side_m).astype(int) + 1
-        whole = Brick(tuple(first.tolist()), tuple(end.tolist()), side_m)
+        (i, j, k), (x, y, z) = first.tolist(), end.tolist()
+        whole = Brick((i, j, k), (x, y, z), side_m)
         yield from self._halved(whole, np.arange(len(self._means)), views, rays, most_rays)
 
     def _halved(

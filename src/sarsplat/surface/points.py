@@ -29,6 +29,7 @@ from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells
 from sarsplat.surface.bricks import Scene, ray_count
 from sarsplat.surface.first_returns import FirstReturns, some_at_once
+from sarsplat.surface.parts import MOST_POINTS
 from sarsplat.surface.returns_on_cpu import FirstReturnsOnCpu
 from sarsplat.surface.voxels import AT_ONCE, Voxels
 from sarsplat.tiles.plan import memory_bytes
@@ -43,14 +44,14 @@ _COARSEST = 2 / 3
 _SAMPLES = 3.0
 """Returns that a voxel has at least, on average; a surface is seen by about a third of the views."""
 
-_RETURN, _POINT = 130, 650
-"""Bytes at most: of a return while it is thinned, and of a point while normals and mesh are made of it."""
+_RETURN, _POINT, _KEPT = 130, 650, 72
+"""Bytes at most: of a return while it is thinned, of a point while normals are made of it, and of one that waits."""
 
 _CUBES = 4
 """To the radius of a cluster."""
 
 _FEWER = (
-    "set fewer rays, such as --points.rays-per-pixel 2; `--resume` with it extracts the points of a finished training"
+    "set fewer rays, such as --points.rays-per-pixel 1; `--resume` with it extracts the points of a finished training"
 )
 
 
@@ -138,13 +139,13 @@ def _seen_points(
     views, count = chosen, ray_count(gaussians, chosen, rays)
     coarser = math.sqrt(max(1.0, min(count / _MOST_RAYS, (_COARSEST * cell / max(rays.spacing_m)) ** 2)))
     rays = RayGrid((coarser * rays.spacing_m[0], coarser * rays.spacing_m[1]))
-    needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if coarser > 1 else 0.0
+    needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if count > _MOST_RAYS else 0.0
     side_m = max(how.voxel * cell, needed_m)
     enough = min(how.seen_by, len(views) // 5)  # a fifth, so that of few views there are points, too
     rarer = f" {coarser:.2g} times as far apart as set" if coarser > 1 else ""
-    scene, few = Scene(gaussians, rays), count / coarser**2 <= _MOST_RAYS
-    bricks = [None] if few else list(scene.bricks(views, rays, side_m, _MOST_RAYS))
-    much = required("extracting the surface", _bytes(gaussians, grid, min(count, _MOST_RAYS), len(views)), _FEWER)
+    scene, count = Scene(gaussians, rays), count / coarser**2
+    bricks = [None] if count <= _MOST_RAYS else list(scene.bricks(views, rays, side_m, _MOST_RAYS))
+    much = required("extracting the surface", _bytes(gaussians, count, len(views)), _FEWER)
     found, kind = [], FirstReturnsOnCpu if cells.on_cpu(gaussians.means) else FirstReturns
     with stage(f"surface: rays{rarer} from {said}", 2 * len(views) * len(bricks)) as shown:
         if much is not None:
@@ -160,14 +161,14 @@ def _seen_points(
     return torch.cat(found).numpy()
 
 
-def _bytes(gaussians: Gaussians, grid: ImageGrid, rays: float, views: int) -> float:
+def _bytes(gaussians: Gaussians, rays: float, views: int) -> float:
     """Upper bound of the memory that points, normals and mesh need for so many rays, bytes."""
-    of_a_view = memory_bytes(
-        len(gaussians), gaussians.scattering.parameters.shape[1], rays / views, grid.rows * grid.columns
-    )
-    ranges = np.dtype(np.float32).itemsize * rays
-    thinned, kept = min(rays, AT_ONCE + rays / views), rays / _SAMPLES
-    return ranges + max(of_a_view + _RETURN * (thinned + kept), _POINT * kept)
+    at_once, points = min(rays, _MOST_RAYS), rays / _SAMPLES
+    met = len(gaussians) * min(1.0, 2 * at_once / rays) if rays else 0.0
+    of_a_view = memory_bytes(math.ceil(met), gaussians.scattering.parameters.shape[1], at_once / views, 1)
+    ranges = np.dtype(np.float32).itemsize * at_once
+    thinned = min(at_once, AT_ONCE + at_once / views) + at_once / _SAMPLES
+    return ranges + max(of_a_view + _RETURN * thinned, _POINT * min(points, MOST_POINTS)) + _KEPT * points
 
 
 def spread(views: Sequence[View], most: int) -> list[View]:
