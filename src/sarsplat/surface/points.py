@@ -28,6 +28,7 @@ from sarsplat.renderer import render
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells
 from sarsplat.surface.bricks import Scene, ray_count
+from sarsplat.surface.cells import numbered
 from sarsplat.surface.first_returns import FirstReturns, some_at_once
 from sarsplat.surface.parts import MOST_POINTS
 from sarsplat.surface.returns_on_cpu import FirstReturnsOnCpu
@@ -209,10 +210,8 @@ def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Fl
     if len(points) == 0:
         return points
     # by the cube, as far as clusters are concerned one heavy point: a dense cloud has hundreds of neighbours for each
-    cubes, owner, count = np.unique(
-        np.floor(points * (_CUBES / radius)).astype(np.int64), axis=0, return_inverse=True, return_counts=True
-    )
-    owner = owner.ravel()
+    cubes = numbered(torch.from_numpy(np.floor(points * (_CUBES / radius)).astype(np.int64))).numpy()
+    cubes, owner, count = np.unique(cubes, return_inverse=True, return_counts=True)
     centres = np.stack([np.bincount(owner, axis, len(cubes)) for axis in points.T], axis=1) / count[:, None]
     labels = DBSCAN(eps=radius, min_samples=size).fit(centres, sample_weight=count).labels_[owner]
     return points[labels == np.bincount(labels + 1, minlength=2)[1:].argmax()]

@@ -16,6 +16,8 @@ from sarsplat.geometry.terrain import heights_of
 from sarsplat.surface.bricks import Brick, Scene, Window
 from sarsplat.surface.first_returns import traced
 
+_WORTH = 0.9  # of the points are left: those that are given up are set aside
+
 
 @dataclass(frozen=True)
 class FirstReturnsOnCpu:
@@ -56,15 +58,17 @@ class FirstReturnsOnCpu:
         advance: Callable[[int], object],
     ) -> Int64[Tensor, " k"]:
         """Which points at most that share of the views look through, by more than `behind_m`, and so many see."""
-        places = points.numpy()
-        through, seen, left = np.zeros(len(places), int), np.zeros(len(places), int), np.arange(len(places))
+        left, places = np.arange(len(points)), np.ascontiguousarray(points.numpy().T)
+        through, seen = np.zeros((2, len(points)), np.uint8 if len(self.views) < 256 else np.int64)
         for number in _mixed(len(self.views)):  # so that haze is soon looked through
-            beyond = self.views[number].beyond(places[left])
-            through[left] += beyond > behind_m
-            seen[left] += abs(beyond) <= behind_m
-            left = left[through[left] <= seen_through * len(self.views)]
+            beyond = self.views[number].beyond(places.T)
+            through += beyond > behind_m
+            seen += np.abs(beyond, out=beyond) <= behind_m
+            kept = through <= seen_through * len(self.views)
+            if kept.sum() <= _WORTH * len(left):
+                left, places, through, seen = left[kept], places[:, kept], through[kept], seen[kept]
             advance(1)
-        return torch.from_numpy(left[seen[left] >= seen_by])
+        return torch.from_numpy(left[(through <= seen_through * len(self.views)) & (seen >= seen_by)])
 
 
 def _mixed(count: int) -> Int64[np.ndarray, " n"]:
@@ -105,8 +109,24 @@ class OfView:
 
     def beyond(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " p"]:
         """How far behind each point the ray through it returns, m; infinite where it never does, [P]."""
-        x, y, z = (points[:, 0] * a + points[:, 1] * b + points[:, 2] * c for a, b, c in self.frame)
+        across, along, away = (self._sum(points, axis) for axis in self.frame)
         rows, columns = self.range_m.shape
-        column = np.clip(np.rint(x / self.spacing_m[0] - 0.5) - self.first[0], 0, columns - 1).astype(np.int32)
-        row = np.clip(np.rint(y / self.spacing_m[1] - 0.5) - self.first[1], 0, rows - 1).astype(np.int32)
-        return self.range_m[row, column] - z
+        for places, step, first, count in zip(
+            (across, along), self.spacing_m, self.first, (columns, rows), strict=True
+        ):
+            places /= step
+            places -= 0.5
+            np.rint(places, out=places)
+            places -= first
+            np.clip(places, 0, count - 1, out=places)
+        along *= columns
+        along += across
+        return np.subtract(self.range_m.ravel()[along.astype(np.int64)], away, out=away)
+
+    @staticmethod
+    def _sum(points: Float64[np.ndarray, "p 3"], axis: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, " p"]:
+        """Coordinate along an axis, m; not as a matrix product, which may round by the number of points."""
+        total = points[:, 0] * axis[0]
+        total += points[:, 1] * axis[1]
+        total += points[:, 2] * axis[2]
+        return total
