@@ -12,11 +12,15 @@ from sarsplat import Gaussians, ImageGrid, View, memory
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
 from sarsplat.progress import Reporter
+from sarsplat.renderer import RayMap
 from sarsplat.settings.sections import PointExtraction
+from sarsplat.surface import bricks as of_bricks
 from sarsplat.surface import extract_points
 from sarsplat.surface import points as of_points
 from sarsplat.surface import voxels as of_voxels
-from sarsplat.surface.points import _cluster, _FirstReturns, between, spread
+from sarsplat.surface.bricks import Brick, Scene, Window
+from sarsplat.surface.points import _cluster, between, spread
+from sarsplat.surface.returns_on_cpu import OfView
 from sarsplat.surface.voxels import Voxels
 from upright import upright
 
@@ -69,13 +73,13 @@ def test_views_between_neighbours_alone() -> None:
 
 def test_how_far_behind_a_place_its_ray_returns() -> None:
     ranges = np.pad([[1.0, 2.0, np.inf], [4.0, 5.0, 6.0]], 1, constant_values=np.inf)  # two rows of y, three columns
-    returns = _FirstReturns(np.eye(3), ranges, np.array([9.5, 18.0]), np.array([0.5, 2.0]))
-    beyond = {(10, 20): 1, (10.5, 20): 2, (11, 20): np.inf, (11.2, 22.9): 6, (10.2, 21.1): 4}
-    beyond |= dict.fromkeys([(9.7, 20), (11.3, 20), (10, 18.9), (10, 23.1)], np.inf)
+    returns = OfView(np.eye(3), ranges, (19, 9), (0.5, 2.0))  # the first of them at (20.5, 10.5) steps
+    beyond = {(10.25, 21): 1, (10.75, 21): 2, (11.25, 21): np.inf, (11.45, 23.9): 6, (10.45, 22.1): 4}
+    beyond |= dict.fromkeys([(9.95, 21), (11.55, 21), (10.25, 19.9), (10.25, 24.1)], np.inf)
     places = np.array([(*place, 0.25) for place in beyond])
     assert returns.beyond(places).tolist() == [far - 0.25 for far in beyond.values()]
     x, y, r = returns.points().T
-    assert [*zip(x, y, r)] == [(10, 20, 1), (10.5, 20, 2), (10, 22, 4), (10.5, 22, 5), (11, 22, 6)]
+    assert [*zip(x, y, r)] == [(10.25, 21, 1), (10.75, 21, 2), (10.25, 23, 4), (10.75, 23, 5), (11.25, 23, 6)]
 
 
 def test_points_are_those_that_enough_of_all_views_confirm(ball_with_a_hole: Gaussians) -> None:
@@ -83,7 +87,8 @@ def test_points_are_those_that_enough_of_all_views_confirm(ball_with_a_hole: Gau
     how = replace(KEPT, seen_by=3)
     rays = RayGrid.for_image(GRID, how.rays_per_pixel)
     views = [*VIEWS, *between(VIEWS)]
-    returns = [_FirstReturns.of(ball_with_a_hole, view, GRID, rays, how.optical_depth) for view in views]
+    scene = Scene(ball_with_a_hole, rays)
+    returns = [OfView.of(scene, None, view, GRID, rays, how.optical_depth) for view in views]
     every = np.concatenate([each.points() for each in returns])
     cells, owner = np.unique(np.floor(every / (how.voxel * GRID.cell_m)), axis=0, return_inverse=True)
     expected = np.stack([every[owner.ravel() == k].mean(axis=0) for k in range(len(cells))])
@@ -112,20 +117,6 @@ def test_voxels_are_the_same_however_the_points_come(offset: float, monkeypatch:
     assert Voxels(0.3).means().shape == (0, 3)
 
 
-def test_voxels_grow_where_there_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory and what is done with the points have a limit, also while points are added; none is lost."""
-    monkeypatch.setattr(of_voxels, "AT_ONCE", 1000)
-    monkeypatch.setattr(of_voxels, "MOST_POINTS", 600)
-    places = np.random.default_rng(0).uniform(-1, 1, (9000, 3)) * [1, 1, 0]
-    voxels = Voxels(0.01)
-    for part in np.array_split(places, 9):
-        voxels.add(torch.from_numpy(part))
-        assert len(voxels._cells) <= 600
-    assert 300 < len(voxels.means()) <= 600
-    assert voxels._sums[:, 3].sum() == len(places)
-    np.testing.assert_allclose(voxels._sums[:, :3].sum(0), places.sum(axis=0), atol=1e-9)
-
-
 def test_many_views_are_thinned_evenly() -> None:
     ring = [View(float(azimuth), 30.0) for azimuth in range(360)]
     some = spread(ring, 12)
@@ -138,16 +129,16 @@ def test_many_views_are_thinned_evenly() -> None:
 
 
 def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(ball_with_a_hole: Gaussians, monkeypatch):
-    """The ball's cost has a limit, whatever rays and views are asked for."""
+    """Down to a limit, which holds however large the scene."""
     counted: list[int] = []
-    first_returns = vars(_FirstReturns)["of"].__func__
+    first_returns = vars(OfView)["of"].__func__
 
-    def counting(cls: type, *arguments: object) -> _FirstReturns:
+    def counting(cls: type, *arguments: object) -> OfView:
         returns = first_returns(cls, *arguments)
         counted.append(returns.range_m.size)
         return returns
 
-    monkeypatch.setattr(_FirstReturns, "of", classmethod(counting))
+    monkeypatch.setattr(OfView, "of", classmethod(counting))
     usual = extract_points(ball_with_a_hole, VIEWS, GRID, KEPT)
     rays = sum(counted)
     counted.clear()
@@ -163,17 +154,67 @@ def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(ball
 
     monkeypatch.setattr(of_points, "stage", noted)
     points = extract_points(ball_with_a_hole, many, GRID, KEPT)
-    assert re.fullmatch(r"surface: rays [\d.]+ times as far apart as set from 12 of \d+ views", said[0])
-    assert len(counted) == 12
-    assert rays / 64 < sum(counted) < rays / 8
+    assert re.fullmatch(r"surface: rays 2.7 times as far apart as set from 12 of \d+ views", said[0])
     assert len(usual) / 40 < len(points) < len(usual)
     off = np.abs(np.linalg.norm(points - [0, 0, HEIGHT], axis=1) - RADIUS)
     assert np.median(off) < 0.2
+    monkeypatch.setattr(of_points, "_MOST_RAYS", rays / 100)
+    fewer = extract_points(ball_with_a_hole, many, GRID, KEPT)
+    assert said[1] == said[0]
+    assert sorted_rows(fewer).tobytes() == sorted_rows(points).tobytes()
+
+
+def sorted_rows(points: np.ndarray) -> np.ndarray:
+    return points[np.lexsort(points.T)]
+
+
+@pytest.mark.parametrize("least_height", [-5.0, 1.0])
+def test_points_are_the_same_bits_whatever_the_bricks(
+    ball_with_a_hole: Gaussians, least_height: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Occluders outside a brick count, and haze that views look through from elsewhere."""
+    twice = Gaussians.cat([ball_with_a_hole, upright(np.array([[2.5, -1, 0.7], [-2, 2, 3]]), 0.3, 0.5)])
+    how = replace(KEPT, voxel=0.2, seen_by=2, min_height=least_height)
+    whole = extract_points(twice, VIEWS, GRID, how)
+    assert len(whole) > 1000
+    cut: list[int] = []
+    bricks_of = Scene.bricks
+
+    def counting(*arguments: object) -> list[Brick]:
+        bricks = list(bricks_of(*arguments))
+        cut.append(len(bricks))
+        return bricks
+
+    monkeypatch.setattr(Scene, "bricks", counting)
+    monkeypatch.setattr(of_points, "_COARSEST", 1e-3)
+    monkeypatch.setattr(of_bricks, "_SMALLEST", 8)
+    for most in (30_000, 15_000):
+        monkeypatch.setattr(of_points, "_MOST_RAYS", most)
+        parts = extract_points(twice, VIEWS, GRID, how)
+        assert sorted_rows(parts).tobytes() == sorted_rows(whole).tobytes()
+    assert 2 <= cut[0] < cut[1]
+
+
+def test_rays_of_a_window_are_cut_from_what_was_traced() -> None:
+    rays, ranges = RayGrid((0.5, 2.0)), torch.tensor([[1.0, 2.0, torch.nan], [4.0, 5.0, 6.0]])
+    traced = RayMap(torch.ones(2, 3), ranges, (-0.25, 3.0))
+    assert Window.of(traced, rays) == Window(-1, 1, 3, 2)
+    inf = np.inf
+    for window, expected in (
+        (Window(-1, 1, 3, 2), [[1, 2, inf], [4, 5, 6]]),
+        (Window(-2, 2, 4, 2), [[inf, 4, 5, 6], [inf] * 4]),
+        (Window(0, 0, 1, 4), [[inf], [2], [5], [inf]]),
+        (Window(7, 1, 2, 1), [[inf, inf]]),
+        (Window(-9, -9, 1, 2), [[inf], [inf]]),
+    ):
+        assert window.cut(traced, rays).tolist() == expected
+    around = Window.around(np.array([[-0.3, 2.9], [0.8, 3.2]]), rays)
+    assert around == Window(-3, -1, 7, 5)
 
 
 def test_what_does_not_fit_into_memory_is_refused(ball_with_a_hole: Gaussians, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "free_bytes", lambda: 1000.0)
-    monkeypatch.setattr(_FirstReturns, "of", lambda *_: pytest.fail("must not get here"))
+    monkeypatch.setattr(OfView, "of", lambda *_: pytest.fail("must not get here"))
     with pytest.raises(
         SarsplatError, match=r"^extracting the surface takes about .* 9\.3e-07 GiB are free; .*rays-per"
     ):

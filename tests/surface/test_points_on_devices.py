@@ -18,7 +18,7 @@ from sarsplat.learning.strategies.ranking import whole_sums
 from sarsplat.scenes import surface_gaussians, target_mesh
 from sarsplat.scenes.village import village as made_village
 from sarsplat.settings.sections import PointExtraction
-from sarsplat.surface import cells, first_returns, neighbours, normals, voxels
+from sarsplat.surface import cells, first_returns, neighbours, normals, points, voxels
 from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.neighbours import Neighbours
 from sarsplat.surface.normals import surface_normals
@@ -115,10 +115,13 @@ def test_a_village_is_that_of_the_cpu(village: Scene, elsewhere: Any) -> None:
     same(village, elsewhere)
 
 
-def test_voxels_grow_as_on_the_cpu(scenes: dict[str, Scene], elsewhere: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where there are too many points, or many rays: parts at a time."""
+def test_parts_at_a_time_are_as_on_the_cpu(
+    scenes: dict[str, Scene], elsewhere: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Many points, many rays, and bricks."""
     monkeypatch.setattr(voxels, "AT_ONCE", 5000)
-    monkeypatch.setattr(voxels, "MOST_POINTS", 1500)
+    monkeypatch.setattr(points, "_COARSEST", 1e-3)
+    monkeypatch.setattr(points, "_MOST_RAYS", 30_000)
     monkeypatch.setattr(first_returns, "_AT_ONCE", 20_000)
     scene = scenes["on a hill"]
     expected = Found.of(scene).points

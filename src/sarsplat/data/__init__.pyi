@@ -1,7 +1,7 @@
 from .checkpoint import load_checkpoint, save_checkpoint
 from .dataset import Dataset, DatasetEntry
 from .dataset_folder import read_dataset, write_dataset
-from .files import read_json, read_versioned_json, write_bytes, write_json
+from .files import new_file, read_json, read_versioned_json, write_bytes, write_json
 from .folders import new_folder
 from .geotiff import read_terrain, write_terrain
 from .image import SarImage
@@ -18,6 +18,7 @@ __all__ = [
     "Masks",
     "SarImage",
     "load_checkpoint",
+    "new_file",
     "new_folder",
     "read_dataset",
     "read_gaussians_ply",

@@ -121,8 +121,9 @@ def growing(folder: Path) -> Iterator[None]:
         _GROWING.discard(folder)
 
 
-def write_bytes(path: Path, data: bytes | memoryview) -> None:
-    """Write a file, whole or not at all; an existing one is replaced only once the new one is on the disk.
+@contextmanager
+def new_file(path: Path) -> Iterator[BinaryIO]:
+    """Write a file in parts, whole or not at all; an existing one is replaced only once the new one is on the disk.
 
     What a killed process left under the temporary name, `.NAME.tmp`, is written over by the next one.
 
@@ -130,8 +131,6 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
     ----------
     path : Path
         File to write; its folder must exist.
-    data : bytes
-        Its whole content.
 
     Raises
     ------
@@ -151,7 +150,7 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
             temporary.unlink(missing_ok=True)
             try:
                 with temporary.open("xb") as file:  # a new file: it follows no link
-                    file.write(data)
+                    yield file
                     file.flush()
                     if kept:
                         os.fsync(file.fileno())
@@ -161,6 +160,20 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
                 raise
         if kept:
             sync(path.parent)
+
+
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
+    """Write a file, whole or not at all (see `new_file`).
+
+    Parameters
+    ----------
+    path : Path
+        File to write; its folder must exist.
+    data : bytes
+        Its whole content.
+    """
+    with new_file(path) as file:
+        file.write(data)
 
 
 def write_json(path: Path, obj: Any) -> None:

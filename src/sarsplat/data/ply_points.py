@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Real
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.files import open_file, write_bytes
+from sarsplat.data.files import new_file, open_file
 from sarsplat.errors import SarsplatError, shown
 
 _TYPES = {
@@ -36,15 +36,20 @@ _FARTHEST = 1e9  # m from the origin: squares of it stay finite
 
 def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comments: Sequence[str]) -> None:
     """Write the properties of vertices as float32, and comments as lines of ASCII, whole or not at all."""
-    table = np.empty(len(next(iter(columns.values()))), dtype=[(name, "<f4") for name in columns])
-    for name, column in columns.items():
-        table[name] = column
+    count = len(next(iter(columns.values())))
     lines = [line.encode("ascii", "backslashreplace").decode() for text in comments for line in text.splitlines()]
     header = [
         *("ply", _FORMAT, *(f"comment {line}" for line in lines)),
-        *(f"element vertex {len(table)}", *(f"property float {name}" for name in columns), "end_header"),
+        *(f"element vertex {count}", *(f"property float {name}" for name in columns), "end_header"),
     ]
-    write_bytes(Path(path), "\n".join(header).encode("ascii") + b"\n" + table.tobytes())
+    table = np.empty(min(count, _AT_A_TIME), dtype=[(name, "<f4") for name in columns])
+    with new_file(path) as file:
+        file.write("\n".join(header).encode("ascii") + b"\n")
+        for first in range(0, count, _AT_A_TIME):
+            some = table[: count - first]
+            for name, column in columns.items():
+                some[name] = column[first : first + len(some)]
+            file.write(some.data)
 
 
 def read_ply(

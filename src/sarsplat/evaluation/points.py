@@ -6,12 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float, Float64, Int64
 from scipy.spatial import cKDTree
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
+from sarsplat.surface.cells import numbered
 from sarsplat.uninterruptible import uninterruptible
 
 _AT_ONCE = 20_000  # points whose distances fit into a processor's cache
@@ -200,7 +202,7 @@ def thin(points: Float[np.ndarray, "p 3"], voxel: float) -> Float[np.ndarray, "f
 
 def _first_of_voxels(points: Float[np.ndarray, "p 3"], voxel: float) -> Int64[np.ndarray, " fewer"]:
     cells = np.floor(points / voxel).astype(np.int64)
-    return np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    return np.sort(np.unique(numbered(torch.from_numpy(cells)).numpy(), return_index=True)[1])
 
 
 def surface_distance(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import math
+from pathlib import Path
 
 import numpy as np
 
-from sarsplat.data import write_bytes
+from sarsplat.data import new_file
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.format import Format, Points
 from sarsplat.extras import install_command
@@ -16,6 +16,7 @@ from sarsplat.radiometry import LEAST_POWER, shade
 _DARKEST_DB = -30.0  # of the brightest point: intensity 0, as black in a mesh
 _FINEST_M = 1e-4  # of coordinates, which are whole numbers of such steps
 _LARGEST = 2**31 - 1
+_AT_A_TIME = 1 << 18
 _FRAME = (
     'LOCAL_CS["target frame: x nose, y left, z up",LOCAL_DATUM["target",0],UNIT["metre",1],'
     'AXIS["x",OTHER],AXIS["y",OTHER],AXIS["z",UP]]'
@@ -23,8 +24,11 @@ _FRAME = (
 _DESCRIBED = {"nx": "unit normal", "ny": "unit normal", "nz": "unit normal", "gamma0": "gamma0, linear"}
 
 
-def las_bytes(points: Points, *, compressed: bool = False) -> bytes:
-    """A LAS or LAZ file of points: coordinates, intensity by γ⁰ in decibels, and normals and γ⁰ as extra dimensions."""
+def write_las(points: Points, path: Path, *, compressed: bool = False) -> None:
+    """A LAS or LAZ file of points: coordinates, intensity by γ⁰ in decibels, and normals and γ⁰ as extra dimensions.
+
+    Points are written some at a time: the file is never in memory.
+    """
     try:
         import laspy
 
@@ -36,7 +40,7 @@ def las_bytes(points: Points, *, compressed: bool = False) -> bytes:
             f"{install_command('las')}"
         ) from error
     header = laspy.LasHeader(point_format=6, version="1.4")
-    farthest = max(float(np.abs(points.positions).max()), _FINEST_M)
+    farthest = max(float(points.positions.max()), -float(points.positions.min()), _FINEST_M)
     step = max(_FINEST_M, 10.0 ** math.ceil(math.log10(farthest / _LARGEST)))
     header.scales, header.offsets = np.full(3, step), np.zeros(3)
     header.generating_software = header.system_identifier = "sarsplat"
@@ -46,20 +50,26 @@ def las_bytes(points: Points, *, compressed: bool = False) -> bytes:
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name=name, type=np.float32, description=_DESCRIBED[name]) for name in columns]
     )
-    cloud = laspy.LasData(header)
-    cloud.xyz = points.positions.astype(np.float64)
-    for name, column in columns.items():
-        cloud[name] = column
-    if points.gamma0 is not None:
-        brightest = max(float(points.gamma0.max()), LEAST_POWER)
-        cloud.intensity = np.round(65535 * shade(points.gamma0, brightest, -_DARKEST_DB)).astype(np.uint16)
-    content = io.BytesIO()
-    cloud.write(content, do_compress=compressed)
-    return content.getvalue()
+    brightest = None if points.gamma0 is None else max(float(points.gamma0.max()), LEAST_POWER)
+    with (
+        new_file(path) as file,
+        laspy.open(file, mode="w", header=header, do_compress=compressed, closefd=False) as writer,
+    ):
+        for first in range(0, len(points.positions), _AT_A_TIME):
+            part = slice(first, first + _AT_A_TIME)
+            places = points.positions[part].astype(np.float64)
+            some = laspy.ScaleAwarePointRecord.zeros(len(places), header=header)
+            some.x, some.y, some.z = places.T
+            for name, column in columns.items():
+                some[name] = column[part]
+            if points.gamma0 is not None and brightest is not None:
+                grey = shade(points.gamma0[part], brightest, -_DARKEST_DB)
+                some.intensity = np.round(65535 * grey).astype(np.uint16)
+            writer.write_points(some)
 
 
 FORMAT = Format(
-    writers={"points": lambda points, path, _: write_bytes(path, las_bytes(points))},
+    writers={"points": lambda points, path, _: write_las(points, path)},
     opened_with={"points": "CloudCompare, QGIS or any viewer of laser scans"},
     recognises=lambda head, _: head.startswith(b"LASF"),
 )

@@ -2,8 +2,7 @@
 
 from dataclasses import replace
 
-from sarsplat.data import write_bytes
 from sarsplat.exports.format_las import FORMAT as LAS
-from sarsplat.exports.format_las import las_bytes
+from sarsplat.exports.format_las import write_las
 
-FORMAT = replace(LAS, writers={"points": lambda points, path, _: write_bytes(path, las_bytes(points, compressed=True))})
+FORMAT = replace(LAS, writers={"points": lambda points, path, _: write_las(points, path, compressed=True)})

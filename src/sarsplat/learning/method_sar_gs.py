@@ -39,6 +39,7 @@ from sarsplat.settings.sections import FlatGround
 from sarsplat.surface.masks import scene_masks, without_imitated_ground
 from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.normals import surface_normals
+from sarsplat.surface.parts import parts_of
 from sarsplat.surface.points import extract_points
 from sarsplat.surface.visibility import Seen
 
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     import trimesh
 
 _EVALUATION_RAYS_PER_PIXEL = 4.0
+_NORMAL_REACH = 3.0  # of what counts for a normal, resolution cells
 _NOWHERE = -1e6  # resolution cells: the ground of what is aloft
 
 
@@ -228,9 +230,12 @@ class GaussianReconstruction(Reconstruction):
         return points.astype(np.float32)  # as the file has them
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
-        """What Gaussians and points around agree on (`surface_normals`)."""
-        towards = self._seen.around(points)[1]
-        return surface_normals(points, towards, self.gaussians, self.grid.cell_m).astype(np.float32)
+        """What Gaussians and points around agree on (`surface_normals`), some points at a time."""
+        cell_m, normals = self.grid.cell_m, np.empty((len(points), 3), np.float32)
+        for some, own in parts_of(points, _NORMAL_REACH * cell_m):
+            near = points[some]
+            normals[some[own]] = surface_normals(near, self._seen.around(near)[1], self.gaussians, cell_m)[own]
+        return normals
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
         """Mean γ⁰ over the views that see the Gaussians there, weighted by how much they see."""

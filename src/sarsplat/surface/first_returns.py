@@ -1,25 +1,26 @@
 """First returns of many views at once, on the device of the Gaussians: nothing but sizes comes back to the CPU.
 
-The same as `points.py` finds on the CPU, view by view, where points that are given up early take no more time.
+The same as `returns_on_cpu.py` finds view by view.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Self
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer import RayMap, render
 from sarsplat.surface import cells
+from sarsplat.surface.bricks import Brick, Scene, Window
 from sarsplat.tiles import at_once
 
 _AT_ONCE = 1 << 22
@@ -34,11 +35,21 @@ def some_at_once(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, r
     return (list(views[k : k + most]) for k in range(0, len(views), most))
 
 
+def traced(
+    gaussians: Gaussians, views: Sequence[View], pixel: ImageGrid, rays: RayGrid, optical_depth: float
+) -> Sequence[RayMap]:
+    """What the rays of views meet; `pixel` is a grid that takes no time."""
+    black = gaussians.means.new_zeros(len(views), len(gaussians), 1)
+    done = render(gaussians, views, pixel, rays=rays, first_return_depth=optical_depth, amplitudes=black)
+    return done.ray_maps or ()
+
+
 @dataclass(frozen=True)
 class FirstReturns:
     """First returns of the rays of V views."""
 
-    maps: Sequence[RayMap]
+    windows: Sequence[Window]
+    """Where the rays are."""
     range_m: Float[Tensor, " r"]
     """Of all rays, view by view; infinite where a ray meets nothing."""
     frames: Float64[Tensor, "v 3 3"]
@@ -47,23 +58,33 @@ class FirstReturns:
 
     @classmethod
     def of(
-        cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid, optical_depth: float
+        cls,
+        scene: Scene,
+        brick: Brick | None,
+        views: Sequence[View],
+        grid: ImageGrid,
+        rays: RayGrid,
+        optical_depth: float,
+        advance: Callable[[int], object],
     ) -> Self:
-        """Trace the rays, some views at a time."""
-        maps: list[RayMap] = []
+        """Trace the rays of a brick view by view, or all of them and some views at a time; tell how many are done."""
+        windows, ranges = list[Window](), list[Float[Tensor, "rows columns"]]()
         pixel = replace(grid, rows=1, columns=1)  # images would take their time
-        for some in some_at_once(gaussians, views, pixel, rays):
-            black = gaussians.means.new_zeros(len(some), len(gaussians), 1)
-            traced = render(gaussians, some, pixel, rays=rays, first_return_depth=optical_depth, amplitudes=black)
-            maps += traced.ray_maps or ()
-        ranges = torch.cat([each.first_return.flatten() for each in maps]).nan_to_num(math.inf, posinf=math.inf)
-        frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(ranges.device)
-        return cls(maps, ranges, frames, rays.spacing_m)
+        blocks = some_at_once(scene.gaussians, views, pixel, rays) if brick is None else ([view] for view in views)
+        for some in blocks:
+            asked = None if brick is None else brick.window(some[0], rays)
+            gaussians = scene.gaussians if asked is None else scene.met_by(asked, some[0], rays)[1]
+            for ray_map in traced(gaussians, some, pixel, rays, optical_depth):
+                windows.append(asked or Window.of(ray_map, rays))
+                ranges.append(windows[-1].cut(ray_map, rays).flatten())
+            advance(len(some))
+        frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(ranges[0].device)
+        return cls(windows, torch.cat(ranges), frames, rays.spacing_m)
 
     @property
     def _sizes(self) -> list[int]:
         """Rays of each view."""
-        return [each.first_return.numel() for each in self.maps]
+        return [window.rows * window.columns for window in self.windows]
 
     def points(self, terrain: Terrain | None, lowest_m: float) -> Iterator[Float64[Tensor, "p 3"]]:
         """The returns of each view in the world frame, m, that lie so high above the terrain."""
@@ -88,37 +109,43 @@ class FirstReturns:
 
     def _placed(self, view: int, ranges: Float[Tensor, " r"]) -> Float64[Tensor, "r 3"]:
         """Where the rays of a view return, world frame, m; somewhere if they do not."""
-        origin, spacing = np.array(self.maps[view].origin), np.array(self.spacing_m)
-        rows, columns = self.maps[view].first_return.shape
+        window, (rows, columns) = self.windows[view], self.windows[view].shape
         # rounded as on the CPU: voxels and rays may have edges in common
-        x, y = ((origin - spacing)[k] + np.arange(1, n + 1) * spacing[k] for k, n in ((0, columns), (1, rows)))
+        x = (np.arange(columns) + (window.column + 0.5)) * self.spacing_m[0]
+        y = (np.arange(rows) + (window.row + 0.5)) * self.spacing_m[1]
         local = ranges.new_empty(rows, columns, 3, dtype=torch.float64)
         local[..., 0], local[..., 1] = torch.from_numpy(x).to(local), torch.from_numpy(y).to(local)[:, None]
         local[..., 2] = ranges.nan_to_num(posinf=0.0).view(rows, columns)
         return local.view(-1, 3) @ self.frames[view]
 
     def confirmed(
-        self, points: Float64[Tensor, "p 3"], behind_m: float, seen_through: float, seen_by: int
-    ) -> Bool[Tensor, " p"]:
+        self,
+        points: Float64[Tensor, "p 3"],
+        behind_m: float,
+        seen_through: float,
+        seen_by: int,
+        advance: Callable[[int], object],
+    ) -> Int64[Tensor, " k"]:
         """Which points at most that share of the views look through, by more than `behind_m`, and so many see."""
         counts = torch.zeros(2, len(points), dtype=torch.int64, device=points.device)
         sizes, new = self._sizes, partial(torch.tensor, device=points.device)
-        shapes = new([each.first_return.shape for each in self.maps])
+        shapes = new([window.shape for window in self.windows])
         firsts = new(np.cumsum([0, *sizes[:-1]]))
-        origins = new([each.origin for each in self.maps], dtype=torch.float64)
+        corners = new([(window.column, window.row) for window in self.windows], dtype=torch.float64)
         spacing = new(self.spacing_m, dtype=torch.float64)
         each = max(1, _AT_ONCE // max(1, len(points)))
         for k in range(0, len(sizes), each):
             some = slice(k, k + each)
             local = (points @ self.frames[some].flatten(0, 1).T).view(len(points), -1, 3)
-            place = ((local[..., :2] - origins[some]) / spacing).round()
+            place = (local[..., :2] / spacing - 0.5).round() - corners[some]
             (column, row), (rows, columns) = place.unbind(-1), shapes[some].unbind(1)
             inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
             ray = (firsts[some] + row * columns + column).where(inside, 0).long()
             beyond = self.range_m[ray].double().where(inside, math.inf) - local[..., 2]
             counts[0] += (beyond > behind_m).sum(1)
             counts[1] += (beyond.abs() <= behind_m).sum(1)
-        return (counts[0] <= seen_through * len(sizes)) & (counts[1] >= seen_by)
+            advance(len(sizes[some]))
+        return ((counts[0] <= seen_through * len(sizes)) & (counts[1] >= seen_by)).nonzero()[:, 0]
 
 
 def _heights(points: Float64[Tensor, "p 3"], terrain: Terrain | None) -> Float64[Tensor, " p"]:

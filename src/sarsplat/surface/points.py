@@ -1,19 +1,18 @@
 """From Gaussians to a point cloud: where the rays of the training views return, thinned and cleaned.
 
-However many views and pixels there are, at most so many rays are traced, views compared and points kept: beyond that,
-views are chosen evenly, rays lie farther apart and voxels are larger. Memory holds the rays' ranges and the voxels, not
-every return.
+Views are at most so many, chosen evenly. In large scenes rays lie farther apart and voxels are larger, up to a limit;
+beyond it, time and points grow with the scene, and memory with the points alone: rays are traced brick by brick, and
+held are the ranges and the voxels of one brick.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64, Int64, Real
+from jaxtyping import Bool, Float64
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -28,25 +27,32 @@ from sarsplat.progress import stage
 from sarsplat.renderer import render
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells
+from sarsplat.surface.bricks import Scene, ray_count
+from sarsplat.surface.cells import numbered
 from sarsplat.surface.first_returns import FirstReturns, some_at_once
-from sarsplat.surface.voxels import AT_ONCE, MOST_POINTS, Voxels
+from sarsplat.surface.parts import MOST_POINTS
+from sarsplat.surface.returns_on_cpu import FirstReturnsOnCpu
+from sarsplat.surface.voxels import AT_ONCE, Voxels
 from sarsplat.tiles.plan import memory_bytes
 
 _MOST_VIEWS = 96
 _MOST_RAYS = 2e7
-"""In all views together."""
+"""Of a brick, in all views together."""
+
+_COARSEST = 2 / 3
+"""Distance of rays at most, resolution cells, however large the scene."""
 
 _SAMPLES = 3.0
 """Returns that a voxel has at least, on average; a surface is seen by about a third of the views."""
 
-_RETURN, _POINT = 130, 650
-"""Bytes at most: of a return while it is thinned, and of a point while normals and mesh are made of it."""
+_RETURN, _POINT, _KEPT = 130, 650, 72
+"""Bytes at most: of a return while it is thinned, of a point while normals are made of it, and of one that waits."""
 
 _CUBES = 4
 """To the radius of a cluster."""
 
 _FEWER = (
-    "set fewer rays, such as --points.rays-per-pixel 2; `--resume` with it extracts the points of a finished training"
+    "set fewer rays, such as --points.rays-per-pixel 1; `--resume` with it extracts the points of a finished training"
 )
 
 
@@ -69,8 +75,8 @@ def extract_points(
     grid : ImageGrid
         Sets the spacing of the rays and the unit of `how`, its resolution cell.
     how : PointExtraction
-        Method, thinning and clean-up. In large scenes rays and voxels are coarser than it says: at most 20 million rays
-        are traced, from at most 96 views, and at most a million points kept.
+        Method, thinning and clean-up. Rays are traced from at most 96 views. Where they would be more than 20 million
+        in all, rays and voxels are coarser than it says, but rays no farther apart than two thirds of a cell.
     terrain : Terrain, optional
         What the lowest points lie on; z = 0 unless given.
 
@@ -131,65 +137,39 @@ def _seen_points(
     """Mean first return in each voxel, without those that too many views look through or too few see."""
     cell, rays, chosen = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel), spread(views, _MOST_VIEWS)
     said = "the views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views"
-    views, count = chosen, _rays(gaussians, chosen, rays)
-    coarser = math.sqrt(max(1.0, count / _MOST_RAYS))
-    much = required("extracting the surface", _bytes(gaussians, grid, min(count, _MOST_RAYS), len(views)), _FEWER)
+    views, count = chosen, ray_count(gaussians, chosen, rays)
+    coarser = math.sqrt(max(1.0, min(count / _MOST_RAYS, (_COARSEST * cell / max(rays.spacing_m)) ** 2)))
     rays = RayGrid((coarser * rays.spacing_m[0], coarser * rays.spacing_m[1]))
-    needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if coarser > 1 else 0.0
-    voxels, returns = Voxels(max(how.voxel * cell, needed_m), gaussians.means.device), []
+    needed_m = max(rays.spacing_m) * math.sqrt(3 * _SAMPLES / len(views)) if count > _MOST_RAYS else 0.0
+    side_m = max(how.voxel * cell, needed_m)
     enough = min(how.seen_by, len(views) // 5)  # a fifth, so that of few views there are points, too
     rarer = f" {coarser:.2g} times as far apart as set" if coarser > 1 else ""
-    with stage(f"surface: rays{rarer} from {said}", len(views)) as shown:
+    scene, count = Scene(gaussians, rays), count / coarser**2
+    bricks = [None] if count <= _MOST_RAYS else list(scene.bricks(views, rays, side_m, _MOST_RAYS))
+    much = required("extracting the surface", _bytes(gaussians, count, len(views)), _FEWER)
+    found, kind = [], FirstReturnsOnCpu if cells.on_cpu(gaussians.means) else FirstReturns
+    with stage(f"surface: rays{rarer} from {said}", 2 * len(views) * len(bricks)) as shown:
         if much is not None:
             shown.note(much)
-        if not cells.on_cpu(gaussians.means):
-            traced = FirstReturns.of(gaussians, views, grid, rays, how.optical_depth)
-            for found in traced.points(terrain, how.min_height * cell):
-                voxels.add(found)
+        for brick in bricks:
+            returns = kind.of(scene, brick, views, grid, rays, how.optical_depth, shown.advance)
+            voxels = Voxels(side_m, gaussians.means.device)
+            for some in returns.points(terrain, how.min_height * cell):
+                voxels.add(some if brick is None else some[brick.holds(some)])
             means = voxels.means()
-            kept = traced.confirmed(means, how.behind * cell, how.seen_through, enough)
-            return means[kept].cpu().numpy()
-        for view in views:
-            returns.append(_FirstReturns.of(gaussians, view, grid, rays, how.optical_depth))
-            points = returns[-1].points()
-            voxels.add(torch.from_numpy(points[heights_of(points, terrain) >= how.min_height * cell]))
-            shown.advance(1)
-    # haze that one view takes for a surface is looked through by others, or seen by no other
-    points = voxels.means().numpy()
-    through, seen, left = np.zeros(len(points), int), np.zeros(len(points), int), np.arange(len(points))
-    with stage("surface: points compared with the views", len(views)) as shown:
-        for number in _mixed(len(views)):  # so that haze is soon looked through
-            beyond = returns[number].beyond(points[left])
-            through[left] += beyond > how.behind * cell
-            seen[left] += abs(beyond) <= how.behind * cell
-            left = left[through[left] <= how.seen_through * len(views)]
-            shown.advance(1)
-    return points[left[seen[left] >= enough]]
+            kept = returns.confirmed(means, how.behind * cell, how.seen_through, enough, shown.advance)
+            found.append(means[kept].cpu())
+    return torch.cat(found).numpy()
 
 
-def _bytes(gaussians: Gaussians, grid: ImageGrid, rays: float, views: int) -> float:
+def _bytes(gaussians: Gaussians, rays: float, views: int) -> float:
     """Upper bound of the memory that points, normals and mesh need for so many rays, bytes."""
-    of_a_view = memory_bytes(
-        len(gaussians), gaussians.scattering.parameters.shape[1], rays / views, grid.rows * grid.columns
-    )
-    ranges = np.dtype(np.float32).itemsize * rays
-    thinned, kept = min(rays, AT_ONCE + rays / views), min(rays / _SAMPLES, MOST_POINTS)
-    return ranges + max(of_a_view + _RETURN * (thinned + kept), _POINT * kept)
-
-
-def _rays(gaussians: Gaussians, views: Sequence[View], rays: RayGrid) -> float:
-    """About how many rays the views have, as far as there are Gaussians."""
-    means, reach = gaussians.means.double().cpu().numpy(), 3 * float(gaussians.scales.max()) if len(gaussians) else 0
-    total = 0.0
-    for view in views if len(means) else ():
-        sides = np.ptp(view.look.frame[:2] @ means.T, axis=1) + 2 * reach
-        total += math.prod(sides / rays.spacing_m)
-    return total
-
-
-def _mixed(count: int) -> Int64[np.ndarray, " n"]:
-    """Indices 0 … count − 1 in an order in which consecutive ones are far apart."""
-    return np.argsort(np.arange(count) * (5**0.5 - 1) / 2 % 1, kind="stable")
+    at_once, points = min(rays, _MOST_RAYS), rays / _SAMPLES
+    met = len(gaussians) * min(1.0, 2 * at_once / rays) if rays else 0.0
+    of_a_view = memory_bytes(math.ceil(met), gaussians.scattering.parameters.shape[1], at_once / views, 1)
+    ranges = np.dtype(np.float32).itemsize * at_once
+    thinned = min(at_once, AT_ONCE + at_once / views) + at_once / _SAMPLES
+    return ranges + max(of_a_view + _RETURN * thinned, _POINT * min(points, MOST_POINTS)) + _KEPT * points
 
 
 def spread(views: Sequence[View], most: int) -> list[View]:
@@ -221,42 +201,6 @@ def between(views: Sequence[View]) -> list[View]:
     return [View.towards(direction, aloft=views[0].aloft) for direction in middle[nearer == 2]]
 
 
-@dataclass(frozen=True)
-class _FirstReturns:
-    """First returns of the rays of one view."""
-
-    frame: Float64[np.ndarray, "3 3"]
-    """R_r."""
-    range_m: Real[np.ndarray, "rows columns"]
-    """Ranges on the rays' lattice, with one more ray on each side; infinite where a ray meets nothing."""
-    origin: Float64[np.ndarray, " 2"]
-    """(x_r, y_r) of row 0, column 0."""
-    spacing_m: Float64[np.ndarray, " 2"]
-
-    @classmethod
-    def of(
-        cls, gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, optical_depth: float
-    ) -> _FirstReturns:
-        black = gaussians.means.new_zeros(1, len(gaussians), 1)  # images would take their time
-        traced = render(gaussians, [view], grid, rays=rays, first_return_depth=optical_depth, amplitudes=black)
-        (ray_map,) = traced.ray_maps or ()
-        ranges = np.nan_to_num(ray_map.first_return.cpu().numpy(), nan=np.inf)
-        origin, spacing_m = np.array(ray_map.origin), np.array(rays.spacing_m)
-        return cls(view.look.frame, np.pad(ranges, 1, constant_values=np.inf), origin - spacing_m, spacing_m)
-
-    def points(self) -> Float64[np.ndarray, "p 3"]:
-        row, column = np.nonzero(np.isfinite(self.range_m))
-        plane = self.origin + np.column_stack([column, row]) * self.spacing_m
-        return np.column_stack([plane, self.range_m[row, column]]) @ self.frame
-
-    def beyond(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " p"]:
-        """How far behind each point the ray through it returns, m; infinite where it never does, [P]."""
-        local = points @ self.frame.T
-        last = np.array(self.range_m.shape[::-1]) - 1
-        column, row = np.rint((local[:, :2] - self.origin) / self.spacing_m).clip(0, last).astype(np.int32).T
-        return self.range_m[row, column] - local[:, 2]
-
-
 def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Float64[np.ndarray, "fewer 3"]:
     """Keep the largest DBSCAN cluster: what floats apart from the target is left out."""
     try:
@@ -266,10 +210,8 @@ def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Fl
     if len(points) == 0:
         return points
     # by the cube, as far as clusters are concerned one heavy point: a dense cloud has hundreds of neighbours for each
-    cubes, owner, count = np.unique(
-        np.floor(points * (_CUBES / radius)).astype(np.int64), axis=0, return_inverse=True, return_counts=True
-    )
-    owner = owner.ravel()
+    cubes = numbered(torch.from_numpy(np.floor(points * (_CUBES / radius)).astype(np.int64))).numpy()
+    cubes, owner, count = np.unique(cubes, return_inverse=True, return_counts=True)
     centres = np.stack([np.bincount(owner, axis, len(cubes)) for axis in points.T], axis=1) / count[:, None]
     labels = DBSCAN(eps=radius, min_samples=size).fit(centres, sample_weight=count).labels_[owner]
     return points[labels == np.bincount(labels + 1, minlength=2)[1:].argmax()]

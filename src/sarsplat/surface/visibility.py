@@ -2,28 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Real
+from jaxtyping import Bool, Float64, Int64, Real
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.progress import stage
-from sarsplat.renderer import render
+from sarsplat.renderer import Rendering, render
 from sarsplat.surface import cells
+from sarsplat.surface.bricks import Scene, ray_count
 from sarsplat.surface.first_returns import some_at_once
 from sarsplat.surface.neighbours import Neighbours
+from sarsplat.tiles.plan import memory_bytes
 from sarsplat.uninterruptible import uninterruptible
 
 _RAYS_PER_PIXEL = 4.0
+_MOST_BYTES = 1 << 29  # of a view that is rendered at once
 _AT_ONCE = 1 << 18  # places
 _RADIUS = 0.25  # standard deviation of the weights around a place, resolution cells
 _NEIGHBOURS = 16  # Gaussians that count around a place; those farther away weigh next to nothing
+
+
+def _rendered(
+    gaussians: Gaussians, views: Sequence[View], pixel: ImageGrid, rays: RayGrid
+) -> Iterator[tuple[list[View], Rendering, tuple[Int64[Tensor, " k"], Bool[Tensor, " k"]] | None]]:
+    """Views, and what they show: of all Gaussians, or, where these are too many at once, of some.
+
+    Of some there are also their indices, and which of them are whole: all Gaussians are, in one of the parts.
+    """
+    scene, count = Scene(gaussians, rays), ray_count(gaussians, views, rays)
+    needed = memory_bytes(len(gaussians), gaussians.scattering.parameters.shape[1], count / len(views), 1)
+    few = needed <= _MOST_BYTES
+    bricks = [] if few else list(scene.bricks(views, rays, max(rays.spacing_m), count * _MOST_BYTES / needed))
+    with stage("surface: what each view sees", len(views) * max(1, len(bricks))) as shown, torch.no_grad():
+        for some in some_at_once(gaussians, views, pixel, rays) if few else ():
+            yield some, render(gaussians, some, pixel, rays=rays), None
+            shown.advance(len(some))
+        for brick in bricks:
+            own = brick.holds(gaussians.means.double())
+            beyond_m = scene.widest_m(own.nonzero()[:, 0])
+            for view in views:
+                rows, met = scene.met_by(brick.window(view, rays, beyond_m), view, rays)
+                yield [view], render(met, [view], pixel, rays=rays), (rows, own[rows])
+                shown.advance(1)
 
 
 @dataclass(frozen=True)
@@ -45,21 +72,19 @@ class Seen:
     def of(cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid) -> Seen:
         gaussians, rays = gaussians.detach(), RayGrid.for_image(grid, _RAYS_PER_PIXEL)
         means, channel = gaussians.means.double(), gaussians.scattering.power_channel
-        cross_section, lit_area, towards = (
-            means.new_zeros(len(means)),
-            means.new_zeros(len(means)),
-            torch.zeros_like(means),
-        )
-        with stage("surface: what each view sees", len(views)) as shown, torch.no_grad():
-            for some in some_at_once(gaussians, views, grid, rays):
-                done = render(gaussians, some, grid, rays=rays)
-                outs = torch.from_numpy(np.stack([view.look.way_out for view in some])).to(means.device)
-                for area, section, out in zip(done.lit_area, done.cross_sections, outs, strict=True):
-                    lit_area += area.double()
-                    towards += area.double()[:, None] * out
-                    cross_section += section[:, channel].double()
-                shown.advance(len(some))
-        return cls(means, cross_section, lit_area, towards, _RADIUS * grid.cell_m)
+        sums = means.new_zeros(len(means), 5)  # cross-section, lit area, towards
+        pixel = replace(grid, rows=1, columns=1)  # images would take their time
+        for some, done, index in _rendered(gaussians, views, pixel, rays):
+            outs = torch.from_numpy(np.stack([view.look.way_out for view in some])).to(means.device)
+            for area, section, out in zip(done.lit_area.double(), done.cross_sections, outs, strict=True):
+                found = torch.cat([section[:, channel, None].double(), area[:, None], area[:, None] * out], dim=1)
+                if index is None:
+                    sums += found
+                else:
+                    rows, own = index
+                    sums[rows[own]] += found[own]
+        cross_section, lit_area, towards = sums.split([1, 1, 3], dim=1)
+        return cls(means, cross_section[:, 0], lit_area[:, 0], towards, _RADIUS * grid.cell_m)
 
     def around(self, points: Real[np.ndarray, "p 3"]) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:
         """γ⁰ (linear) around points (m), 0 where nothing was seen, and the mean direction to the radars, of any length.

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 from torch import Tensor
 
 from sarsplat.surface.cells import Groups, numbered
 
-MOST_POINTS = 1_000_000
 AT_ONCE = 1 << 22
 """Points that wait to be thinned."""
 
 
 class Voxels:
-    """Sums of points in cubes of a side, m, which grows where there are too many; on the device of the points."""
+    """Sums of points in cubes of a side, m, on the device of the points."""
 
     def __init__(self, side_m: float, device: torch.device | str = "cpu") -> None:
         self._side_m = side_m
@@ -31,21 +30,11 @@ class Voxels:
     def means(self) -> Float64[Tensor, "v 3"]:
         """The mean of the points in each cube that has any."""
         self._merge()
-        return self._means
-
-    @property
-    def _means(self) -> Float64[Tensor, "v 3"]:
         return self._sums[:, :3] / self._sums[:, 3:]
 
     def _merge(self) -> None:
         points, self._waiting = torch.cat([self._sums[:0, :3], *self._waiting]), []
         self._sums = torch.cat([self._sums, torch.cat([points, torch.ones_like(points[:, :1])], dim=1)])
-        self._group(torch.cat([self._cells, (points / self._side_m).floor().long()]))
-        while len(self._cells) > MOST_POINTS:
-            self._side_m *= max(1.1, (len(self._cells) / MOST_POINTS) ** (1 / 3))  # a volume, at most
-            self._group((self._means / self._side_m).floor().long())
-
-    def _group(self, cells: Int64[Tensor, "p 3"]) -> None:
-        """Add up what lies in the same cells."""
-        groups = Groups.of(numbered(cells))
-        self._cells, self._sums = cells[groups.first], groups.sums(self._sums)
+        places = torch.cat([self._cells, (points / self._side_m).floor().long()])
+        groups = Groups.of(numbered(places))
+        self._cells, self._sums = places[groups.first], groups.sums(self._sums)
