@@ -263,5 +263,7 @@ def _half_sphere(normal: Points, height: Float64[np.ndarray, " k"], turn: Float6
     first = np.column_stack([1 + sign * x * x * a, sign * b, -sign * x])
     second = np.column_stack([b, sign + y * y * a, -y])
     across = np.sqrt(1 - height**2)
-    along = (across * np.cos(2 * math.pi * turn))[:, None] * first + (across * np.sin(2 * math.pi * turn))[:, None] * second
+    along = (across * np.cos(2 * math.pi * turn))[:, None] * first + (across * np.sin(2 * math.pi * turn))[
+        :, None
+    ] * second
     return along + height[:, None] * normal

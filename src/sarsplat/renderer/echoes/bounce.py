@@ -1,0 +1,185 @@
+"""The echo by way of the ground: Gaussian–ground and ground–Gaussian, off a level, smooth ground.
+
+The way in is the line of sight u, the way out its mirror image M u at the ground, or the reverse. Both are as long as the
+way to the foot (x, y, ground) and back, whatever the height: a Gaussian is imaged as if it were pressed flat onto the
+ground. The amplitudes of both orders add: four times the power of one.
+
+What returns is lit both ways. Along M u the scene is seen as its mirror image is along u, so the scene and its image are
+one scene of 2 N Gaussians, attenuated once: all real ones are before the ground, and so before all mirrored ones. What
+shares of a surface both ways find is its Gaussians' geometric mean, √(lit(u)·lit(M u)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.ground import Ground
+from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.renderer.echoes.echo import Echo, Sighting
+from sarsplat.renderer.engines.chosen_views import ChosenViews
+from sarsplat.renderer.footprints import Footprints
+from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
+from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
+
+_COHERENT = 4.0
+"""Power of two equal amplitudes over that of one."""
+
+
+@dataclass(frozen=True)
+class GroundBounce(Echo):
+    """What Gaussians return by way of a smooth, level ground, both orders together.
+
+    Parameters
+    ----------
+    ground : Ground
+        Where the ground is: a plane, the one that is rendered.
+    reflectivity : Tensor []
+        |Γ|², the share of the power that it reflects like a mirror, 0 to 1; differentiable.
+    amplitudes : Tensor [V, N], optional
+        What each Gaussian returns per lit area between u and M u in each view, linear power; otherwise what its scattering
+        law says of the direction in the middle, which is level. Differentiable.
+
+    Raises
+    ------
+    SarsplatError
+        If the ground is terrain, or the reflectivity is not one number.
+    """
+
+    ground: Ground
+    reflectivity: Float[Tensor, ""]
+    amplitudes: Float[Tensor, "v n"] | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.ground.height_m, Terrain):
+            raise SarsplatError("the bounce is off a plane, but the ground is terrain; leave out the bounce")
+        if not isinstance(self.reflectivity, Tensor) or self.reflectivity.ndim:
+            raise SarsplatError(
+                "the bounce's reflectivity must be a torch.Tensor of one number, such as torch.tensor(0.5)"
+            )
+
+    def check(self, gaussians: Gaussians) -> None:
+        like = gaussians.means
+        for name, tensor in (("reflectivity", self.reflectivity), ("amplitudes", self.amplitudes)):
+            if tensor is not None and (tensor.dtype != like.dtype or tensor.device != like.device):
+                raise SarsplatError(
+                    f"the bounce's {name} is {tensor.dtype} on {tensor.device} but means is {like.dtype} on "
+                    f"{like.device}; use one floating dtype and one device for all tensors"
+                )
+
+    def values(self) -> dict[str, Tensor | None]:
+        return {"bounce.reflectivity": self.reflectivity.reshape(1), "bounce.amplitudes": self.amplitudes}
+
+    def visible(self, gaussians: Gaussians) -> Gaussians:
+        """Those whose centres are above the ground, as for the ground itself."""
+        hidden = gaussians.means[:, 2] < self._height
+        return replace(gaussians, optical_depth=gaussians.optical_depth.masked_fill(hidden, 0.0))
+
+    def by_view(self, views: int) -> Float[Tensor, "v n"] | None:
+        if self.amplitudes is not None and len(self.amplitudes) != views:
+            raise SarsplatError(f"the bounce's amplitudes are of {len(self.amplitudes)} views, not of {views}")
+        return self.amplitudes
+
+    def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
+        """As if the ground reflected everything."""
+        sections, s = self.cross_sections(sighting, by_view)[..., None], sighting
+        places = feet(s.gaussians, s.views, s.grid, self._height, s.shift)
+        if s.new_pass is None:
+            return splat_reference(places, sections, s.grid, cuts=s.cuts)[:, 0]
+        return splat_with(s.new_pass, places, sections, s.grid, imaging_weight="area")[:, 0]
+
+    def returned(
+        self,
+        seen: Float[Tensor, "v rows columns"],
+        views: Sequence[View],
+        grid: ImageGrid,
+        shift: Float[Tensor, "v 2"] | None,
+    ) -> Float[Tensor, "v rows columns"]:
+        # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+        return seen * self.reflectivity.expand(1, 1, grid.columns).expand(-1, grid.rows, -1)
+
+    def cross_sections(self, sighting: Sighting, amplitudes: Tensor | None) -> Float[Tensor, "v n"]:
+        """What each Gaussian returns by way of a ground that reflects everything, m²."""
+        s = sighting
+        if isinstance(s.views, ChosenViews):
+            raise SarsplatError("the bounce off the ground is not in recorded training steps; leave it out")
+        if amplitudes is None:
+            amplitudes = s.gaussians.gamma0(_middles(s.views, s.gaussians.means))
+        direct, below = self._lit(s)
+        both = direct * below
+        some = both > 0  # the slope of the root is infinite where nothing is lit, and of no use
+        return _COHERENT * amplitudes * both.where(some, 1.0).sqrt() * some
+
+    def _lit(self, s: Sighting) -> tuple[Float[Tensor, "v n"], Float[Tensor, "v n"]]:
+        """Areas over which Gaussians are seen along u, and along M u, m²."""
+        n, both = len(s.gaussians), _with_mirror_image(s.gaussians, self._height)
+        by_engine = s.new_pass is not None
+        project = partial(project_with, s.new_pass) if by_engine else project_reference  # type: ignore[arg-type]
+        p = project(both, s.views, s.grid, rays=s.rays, shift=None)
+        if n:
+            real, image = p.range_m.split(n, dim=1)
+            behind = 1 + (real.amax(1, keepdim=True) - image.amin(1, keepdim=True))  # no digit of the real ones is lost
+            p = replace(p, range_m=torch.cat([real, image + behind], 1))
+        lit = (
+            attenuate_with(s.new_pass, p, s.rays, first_return_depth=None)
+            if s.new_pass is not None
+            else attenuate_reference(p, s.rays, cuts=s.cuts)
+        ).lit_area
+        return lit[:, :n], lit[:, n:]
+
+    @property
+    def _height(self) -> float:
+        assert not isinstance(self.ground.height_m, Terrain)  # refused
+        return self.ground.height_m
+
+
+def feet(
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, height_m: float, shift: Float[Tensor, "v 2"] | None
+) -> Footprints:
+    """On the imaging plane, of Gaussians pressed flat onto a level ground."""
+    means = gaussians.means
+    gradients = torch.from_numpy(np.stack([view.look.gradients for view in views])).to(means)[:, None]  # [V, 1, 2, 3]
+    x, y = means[:, None, 0], means[:, None, 1]
+    centers = gradients[..., 0] * x + gradients[..., 1] * y + gradients[..., 2] * height_m
+    if shift is not None:
+        centers = centers + shift[:, None]
+    root = rotation_matrix(gaussians.quaternions) * gaussians.scales[:, None]  # covariance is root · rootᵀ
+    seen = gradients[..., 0, None] * root[:, None, 0] + gradients[..., 1, None] * root[:, None, 1]  # [V, N, 2, 3]
+    f, g = seen.unbind(2)
+    of_azimuth, of_range = (means.new_tensor(variance) for variance in grid.response_variance_m2)
+    ff, gg, fg = f.square().sum(-1), g.square().sum(-1), (f * g).sum(-1)
+    # of a needle, a difference of products would lose the digits that a sum of squares keeps
+    minors = torch.linalg.cross(f, g).square().sum(-1)
+    determinant = minors + ff * of_range + gg * of_azimuth + of_azimuth * of_range
+    yy = gg + of_range
+    a = (yy / determinant).sqrt()
+    return Footprints(centers, torch.stack([a, -fg / yy * a, yy.rsqrt()], dim=-1))
+
+
+def _with_mirror_image(gaussians: Gaussians, height_m: float) -> Gaussians:
+    """The scene, and after it its image in the ground; M R(q) M of the quaternion (w, x, y, z) is (w, −x, −y, z)."""
+    g = gaussians
+    flipped = g.means * g.means.new_tensor([1.0, 1.0, -1.0]) + g.means.new_tensor([0.0, 0.0, 2 * height_m])
+    turned = g.quaternions * g.quaternions.new_tensor([1.0, -1.0, -1.0, 1.0])
+    return Gaussians(
+        torch.cat([g.means, flipped]),
+        torch.cat([g.quaternions, turned]),
+        g.scales.repeat(2, 1),
+        g.optical_depth.repeat(2),
+        Harmonics(g.means.new_zeros(2 * len(g), 1)),  # nobody asks
+    )
+
+
+def _middles(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
+    """Unit vectors in the middle between u and M u: level, towards the radar."""
+    u = np.array([view.look.way_out for view in views]) * (1.0, 1.0, 0.0)
+    return torch.from_numpy(u / np.linalg.norm(u, axis=1, keepdims=True)).to(like)
