@@ -42,7 +42,6 @@ def test_a_wall_returns_what_the_closed_form_says_at_its_foot(grazing: float, he
     pixel = grid.spacing_m[0] * grid.spacing_m[1]
     expected = 4 * 0.5 * 0.7 * 6 * high * math.cos(math.radians(grazing))
     assert float(image.sum()) * pixel == pytest.approx(expected, rel=0.05)  # Gaussians stand out over edges
-    assert float(image.sum()) * pixel == pytest.approx(4 * 0.5 * 0.7 * float(rendering.lit_area.sum()), rel=0.01)
     foot = -height * math.sin(math.radians(grazing))
     by_row = image.sum(1) / image.sum()
     ranges = torch.from_numpy(grid.range_m).float()
@@ -169,7 +168,7 @@ def test_what_does_not_fit_is_refused() -> None:
     hills = Ground(torch.tensor(0.3), height_m=Terrain(np.zeros((2, 2)), (1.0, 1.0)))
     with pytest.raises(SarsplatError, match="off a plane, but the ground is terrain"):
         GroundBounce(hills, ONE)
-    with pytest.raises(SarsplatError, match="must be a torch.Tensor of one number"):
+    with pytest.raises(SarsplatError, match=r"must be a torch\.Tensor of one number"):
         GroundBounce(ground, torch.ones(2))
     for wrong, message in (
         (GroundBounce(ground, ONE.double()), "reflectivity is torch.float64 on cpu but means"),

@@ -1,9 +1,9 @@
 """What a mesh returns after two bounces: by way of level ground, or from facet to facet; every leg is traced.
 
-A rough facet sends on what its `ScatteringLaw` says of the bisector h of the two directions: a small facet of area A and
-normal n has the cross-section γ(|n·h|)·A·√((n·a)(n·b)) from direction a to b, which is γ⁰·A·cos i where a = b. The ground
-is a mirror, of |Γ|² of the power. Every way is also gone backwards, over the same length, so that its amplitude counts
-twice and its power four times.
+A rough facet sends on what its `ScatteringLaw` says of the bisector h of the two directions: a small facet of area A
+and normal n has the cross-section γ(|n·h|)·A·√((n·a)(n·b)) from direction a to b, which is γ⁰·A·cos i where a = b. The
+ground is a mirror, of |Γ|² of the power. Every way is also gone backwards, over the same length, so that its amplitude
+counts twice and its power four times.
 
 Rays find a point of the surface either way round: straight from the radar, or as the second of two. Each sample is
 weighted by how likely both are together, so that no sample weighs more than the patch that it stands for.
@@ -135,7 +135,7 @@ class SecondBounce:
 
         def by_mirror(position: Float64[np.ndarray, "k 2"]) -> Int32[np.ndarray, " k"]:
             ground = np.column_stack([position, look.range_on_ground(*position.T)]) @ look.frame
-            face = legs.first(ground + (0.0, 0.0, legs.lift), -mirrored)
+            face = legs.first(legs.above(ground), -mirrored)
             hit = np.flatnonzero(face >= 0)
             face[hit[~legs.free_above(ground[hit], u)]] = -1
             return face
@@ -248,7 +248,11 @@ class _Legs:
 
     def free_above(self, ground: Points, direction: Float64[np.ndarray, " 3"]) -> Bool[np.ndarray, " k"]:
         """Whether nothing is on the way from places of the ground."""
-        return self.free(ground + (0.0, 0.0, self.lift), direction)
+        return self.free(self.above(ground), direction)
+
+    def above(self, ground: Points) -> Points:
+        """Just above places of the ground."""
+        return ground + np.array([0.0, 0.0, self.lift])
 
     def _rays(self, origin: Points, direction: Float64[np.ndarray, "*k 3"]) -> tuple[np.ndarray, np.ndarray]:
         return (origin - self._center).astype(np.float32), np.atleast_2d(direction).astype(np.float32)

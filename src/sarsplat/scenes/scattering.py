@@ -138,7 +138,8 @@ def check_bounces(
     if bounces == 1:
         if ground_reflectivity is not None:
             raise SarsplatError(
-                f"the ground's reflectivity {ground_reflectivity} is of second bounces; ask for 2 bounces, or leave it out"
+                f"the ground's reflectivity {ground_reflectivity} is of second bounces; ask for 2 bounces, or leave it "
+                "out"
             )
         return
     if terrain is not None:
@@ -153,8 +154,8 @@ def check_bounces(
     if ground_reflectivity is None or not 0 <= ground_reflectivity <= 1:  # also catches NaN
         found = "nowhere said" if ground_reflectivity is None else str(ground_reflectivity)
         raise SarsplatError(
-            f"the share of the power that the ground reflects like a mirror is {found}; give 0 to 1 (|Γ|², not decibels), "
-            "with --ground-reflectivity"
+            f"the share of the power that the ground reflects like a mirror is {found}; give 0 to 1 (|Γ|², not "
+            "decibels), with --ground-reflectivity"
         )
 
 

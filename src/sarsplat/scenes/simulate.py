@@ -15,12 +15,19 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.names import Simulator
-from sarsplat.renderer import render
+from sarsplat.renderer import GroundBounce, render
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._random import generator
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
-from sarsplat.scenes.scattering import ScatteringLaw, add_speckle, check_ground, check_reflectivity, check_terrain
-from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
+from sarsplat.scenes.scattering import (
+    ScatteringLaw,
+    add_speckle,
+    check_bounces,
+    check_ground,
+    check_reflectivity,
+    check_terrain,
+)
+from sarsplat.scenes.splat_truth import law_by_ground, law_scattering, surface_gaussians
 
 if TYPE_CHECKING:
     import trimesh
@@ -29,6 +36,9 @@ if TYPE_CHECKING:
 # Protocol R: nodes of the ray caster, and Gaussians and rays of the splat truth, per pixel spacing.
 _OVERSAMPLE = 9
 _PIECES_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 15.0
+
+_SECOND: dict[Simulator, str] = {"raycast": "by way of the ground, and between facets", "splat": "by way of the ground"}
+"""Which second bounces are simulated, in words."""
 
 
 @checks_arguments
@@ -42,6 +52,8 @@ def simulate_images(
     reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
     terrain: Terrain | None = None,
+    bounces: int = 1,
+    ground_reflectivity: float | None = None,
     ray_spacing: float | None = None,
     looks: float | None = None,
     clean: Sequence[int] = (),
@@ -67,6 +79,10 @@ def simulate_images(
         γ⁰ (linear) of a flat ground at z = 0; none unless given.
     terrain : Terrain, optional
         Heights of that ground, instead of z = 0. The mesh is not moved.
+    bounces : {1, 2}
+        2: also what returns by way of flat ground and the mesh, and, by ray casting, of two of its facets.
+    ground_reflectivity : float, optional
+        With second bounces on ground: |Γ|², the share of the power that it reflects like a mirror, 0 to 1.
     ray_spacing : float, optional
         Spacing of the rays in ray casting, m; `default_ray_spacing` unless given.
     looks : float, optional
@@ -93,6 +109,7 @@ def simulate_images(
     reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
     check_ground(ground_gamma0)
     check_terrain(terrain, ground_gamma0)
+    check_bounces(bounces, ground_reflectivity, ground_gamma0, terrain)
     speckle = generator(seed, "speckle")
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
     if source == "raycast":
@@ -103,6 +120,8 @@ def simulate_images(
             reflectivity=reflectivity,
             ground_gamma0=ground_gamma0,
             terrain=terrain,
+            bounces=bounces,
+            ground_reflectivity=ground_reflectivity,
             ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
             oversample=_OVERSAMPLE,
         )
@@ -118,8 +137,13 @@ def simulate_images(
         raise SarsplatError(
             f"the renderer's response is a Gaussian, but the grid's is {grid.response}; choose the source 'raycast'"
         )
+    elif bounces == 2 and not ground_reflectivity:
+        raise SarsplatError(
+            "the renderer's second bounces are by way of the ground alone, which reflects nothing here; give the ground's "
+            "reflectivity, or choose the source 'raycast'"
+        )
     else:
-        images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain)
+        images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain, ground_reflectivity)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
     if looks is not None:  # first, so that a bad number of looks is refused before minutes of ray casting
         stack = add_speckle(stack, looks, speckle)
@@ -138,11 +162,13 @@ def simulation_record(
     ground_gamma0: float | None,
     ray_spacing: float | None,
     seed: int,
+    bounces: int = 1,
+    ground_reflectivity: float | None = None,
     ray_error_db: float | None = None,
 ) -> dict[str, Any]:
     """How `simulate_images` makes images with these arguments, except speckle, as JSON for a dataset's `source`.
 
-    `ray_error_db` is what `ray_error_db` has estimated.
+    `ray_error_db` is what `ray_error_db` has estimated. Of bounces nothing is said unless there are second ones.
     """
     sampling: dict[str, dict[str, Any]] = {
         "raycast": {
@@ -155,6 +181,8 @@ def simulation_record(
             "rays_per_pixel": _RAYS_PER_PIXEL,
         },
     }
+    second = {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
+    second |= {"second_bounces": _SECOND[source] if ground_reflectivity else "between facets"}
     return {
         "kind": source,
         "law": law.as_dict(),
@@ -162,6 +190,7 @@ def simulation_record(
         "ground_gamma0": ground_gamma0,
         "seed": seed,
         **sampling[source],
+        **(second if bounces == 2 else {}),
     }
 
 
@@ -173,6 +202,7 @@ def _splat(
     reflectivity: Float64[np.ndarray, " faces"],
     ground_gamma0: float | None,
     terrain: Terrain | None,
+    ground_reflectivity: float | None,
 ) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
     pixel = min(grid.spacing_m)
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
@@ -182,6 +212,10 @@ def _splat(
     for view in views:
         face_gamma0 = reflectivity * law_scattering(mesh.face_normals, [view], law)
         gamma0 = torch.from_numpy(face_gamma0[:, faces, None]).float()
+        echoes = []
+        if ground is not None and ground_reflectivity:
+            sent_on = torch.from_numpy((reflectivity * law_by_ground(mesh.face_normals, [view], law))[:, faces]).float()
+            echoes.append(GroundBounce(ground, torch.tensor(ground_reflectivity), sent_on))
         with torch.no_grad():
-            rendering = render(gaussians, [view], grid, rays=rays, amplitudes=gamma0, ground=ground)
+            rendering = render(gaussians, [view], grid, rays=rays, amplitudes=gamma0, ground=ground, echoes=echoes)
             yield rendering.channel(0)[0].numpy()

@@ -1,12 +1,13 @@
 """The echo by way of the ground: Gaussian–ground and ground–Gaussian, off a level, smooth ground.
 
-The way in is the line of sight u, the way out its mirror image M u at the ground, or the reverse. Both are as long as the
-way to the foot (x, y, ground) and back, whatever the height: a Gaussian is imaged as if it were pressed flat onto the
-ground. The amplitudes of both orders add: four times the power of one.
+The way in is the line of sight u, the way out its mirror image M u at the ground, or the reverse. Both are as long as
+the way to the foot (x, y, ground) and back, whatever the height: a Gaussian is imaged as if it were pressed flat onto
+the ground. The amplitudes of both orders add: four times the power of one.
 
-What returns is lit both ways. Along M u the scene is seen as its mirror image is along u, so the scene and its image are
-one scene of 2 N Gaussians, attenuated once: all real ones are before the ground, and so before all mirrored ones. What
-shares of a surface both ways find is its Gaussians' geometric mean, √(lit(u)·lit(M u)).
+What returns is lit both ways. Along M u the scene is seen as its mirror image is along u, so the scene and its image
+are one scene of 2 N Gaussians, attenuated once: all real ones are before the ground, and so before all mirrored ones.
+The area of both ways is √(lit(u)·lit(M u)), because what Gaussians of one surface take from each other is the same
+either way, and counts once.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ class GroundBounce(Echo):
     reflectivity : Tensor []
         |Γ|², the share of the power that it reflects like a mirror, 0 to 1; differentiable.
     amplitudes : Tensor [V, N], optional
-        What each Gaussian returns per lit area between u and M u in each view, linear power; otherwise what its scattering
-        law says of the direction in the middle, which is level. Differentiable.
+        What each Gaussian returns per lit area between u and M u in each view, linear power; otherwise what its
+        scattering law says of the direction in the middle, which is level. Differentiable.
 
     Raises
     ------
