@@ -64,6 +64,8 @@ def simulate(
     reflectivity: Decibels = 0.0,
     ground: OptionalNumber = None,
     terrain: OptionalFile = None,
+    bounces: Literal[1, 2] = 1,
+    ground_reflectivity: OptionalNumber = None,
     looks: OptionalNumber = None,
     clean_tests: bool = False,
     pixels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N [N]", help_behavior_hint="(optional)")] = (),
@@ -126,6 +128,11 @@ def simulate(
     terrain
         Heights of the ground (GeoTIFF, metres), its middle, where z = 0, at the target's origin (default: flat). The
         target is not moved.
+    bounces
+        2: also second bounces, by way of flat ground (facet–ground, ground–facet) and, by ray casting, from facet to
+        facet.
+    ground_reflectivity
+        Of second bounces, with --ground: the share of the power that the ground reflects like a mirror, 0 to 1.
     looks
         Looks of multiplicative speckle; 1 is single look (default: no speckle).
     clean_tests
@@ -172,7 +179,7 @@ def simulate(
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import is_larger, scaled, side_m, suspicious_size
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db, raycast_masks
-    from sarsplat.scenes.scattering import check_terrain, part_reflectivity
+    from sarsplat.scenes.scattering import check_bounces, check_terrain, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
     from sarsplat.scenes.village import FITTING, village
 
@@ -180,6 +187,7 @@ def simulate(
         raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
     relief = heights(terrain)
     check_terrain(relief, ground)
+    check_bounces(bounces, ground_reflectivity, ground, relief)
     if masks and relief is not None:
         raise SarsplatError("--masks are of a target on flat ground; leave out --masks or --terrain")
     if masks:
@@ -193,7 +201,8 @@ def simulate(
     box_m = corners(target_box)
     if (stack := asked_stack(passes, baseline, wavelength, noise, polarimetric)) is not None:
         no_stacks = {"looks": looks, "clean-tests": clean_tests, "terrain": terrain, "reflectivity": reflectivity}
-        refuse_with_stacks(no_stacks | {"ray-spacing": ray_spacing, "masks": masks}, source)
+        no_stacks |= {"ray-spacing": ray_spacing, "masks": masks, "bounces 2": bounces == 2}
+        refuse_with_stacks(no_stacks, source)
     refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name
@@ -226,6 +235,7 @@ def simulate(
             [f"rays {ray_spacing:g} m apart miss what pixels of {spacing_m:g} m show; give at most {spacing_m / 2:g} m"]
         )
     scene: dict[str, Any] = {"law": gamma0, "ground_gamma0": ground, "ray_spacing": ray_spacing}
+    scene |= {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
     how = {"source": source, "seed": seed, **scene}
     scene |= {"reflectivity": part_reflectivity(surface, reflectivity, seed), "terrain": relief}
     error_db = None

@@ -139,8 +139,8 @@ def simulate_images(
         )
     elif bounces == 2 and not ground_reflectivity:
         raise SarsplatError(
-            "the renderer's second bounces are by way of the ground alone, which reflects nothing here; give the ground's "
-            "reflectivity, or choose the source 'raycast'"
+            "the renderer's second bounces are by way of the ground alone, which reflects nothing here; give the "
+            "ground's reflectivity, or choose the source 'raycast'"
         )
     else:
         images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain, ground_reflectivity)
