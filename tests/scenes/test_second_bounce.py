@@ -185,7 +185,30 @@ def test_the_record_says_so_only_of_second_bounces():
     assert "bounces" not in simulation_record(source="raycast", **known)
     record = simulation_record(source="raycast", **known, bounces=2, ground_reflectivity=0.5)
     assert (record["bounces"], record["ground_reflectivity"]) == (2, 0.5)
-    assert record["second_bounces"] == "by way of the ground, and between facets"
+
+
+def test_power_is_told_by_the_way_it_returned():
+    mesh, views = box((-1, 0), (-2, 2), (0, 1.0)), [View(0, 45), View(20, 30)]
+    shares: dict[str, float] = {}
+    known = {"law": CONSTANT, "ground_gamma0": 0.1}
+    both = simulate_images(
+        mesh, views, GRID, **known, bounces=2, ground_reflectivity=1.0, looks=1, power_by_echo=shares
+    )
+    direct = simulate_images(mesh, views, GRID, **known)
+    clean = simulate_images(mesh, views, GRID, **known, bounces=2, ground_reflectivity=1.0)
+    assert not np.array_equal(both, clean)
+    assert list(shares) == ["target", "ground", "by way of the ground", "between facets"]
+    assert sum(shares.values()) == pytest.approx(1)
+    assert shares["by way of the ground"] == pytest.approx(1 - direct.sum() / clean.sum(), rel=1e-3)
+    splats: dict[str, float] = {}
+    simulate_images(
+        mesh, views, GRID, source="splat", **known, bounces=2, ground_reflectivity=1.0, power_by_echo=splats
+    )
+    assert splats == pytest.approx({kind: shares[kind] for kind in splats}, rel=0.05)
+    assert list(splats) == ["target", "ground", "by way of the ground"]
+    nothing: dict[str, float] = {}
+    simulate_images(mesh, views[:1], GRID, **known, power_by_echo=nothing)
+    assert not nothing
 
 
 @pytest.mark.parametrize(

@@ -239,6 +239,7 @@ def simulate(
     how = {"source": source, "seed": seed, **scene}
     scene |= {"reflectivity": part_reflectivity(surface, reflectivity, seed), "terrain": relief}
     error_db = None
+    power_by_echo: dict[str, float] = {}
     with progress(f"simulate {name}", len(views)) as shown:
         if source == "raycast":
             error_db = ray_error_db(surface, looked[0], grid, **scene)
@@ -258,11 +259,15 @@ def simulate(
             looks=looks,
             clean=[index for index, (_, split) in enumerate(views) if clean_tests and split != "train"],
             progress=shown.update,
+            power_by_echo=power_by_echo,
         )
+        if power_by_echo:
+            shown.note("power: " + ", ".join(f"{kind} {share:.0%}" for kind, share in power_by_echo.items()))
     true_masks = None
     if masks:
         with progress(f"masks of {name}", len(views)) as shown:
             true_masks = raycast_masks(surface, looked, grid, progress=shown.update)
+    record = simulation_record(**how, power_by_echo=power_by_echo, ray_error_db=error_db)
     dataset = Dataset(
         grid,
         _entries(views),
@@ -272,7 +277,7 @@ def simulate(
         terrain=relief,
         **about,
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
-        source={**simulation_record(**how, ray_error_db=error_db), "reflectivity_db": reflectivity, "scale": scale},
+        source={**record, "reflectivity_db": reflectivity, "scale": scale},
     )
     _finish(out, dataset, surface, true_masks, overwrite)
 

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float64, Int32
 from sarsplat.errors import SarsplatError
 from sarsplat.extras import install_command
 from sarsplat.geometry import View
-from sarsplat.scenes._deposit import Deposit
+from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, sparse_hits
 from sarsplat.scenes.scattering import ScatteringLaw
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     import trimesh
 
 Points = Float64[np.ndarray, "k 3"]
+
+BY_GROUND, BETWEEN_FACETS = "by way of the ground", "between facets"
+"""Kinds of second bounces, in words."""
 
 _LIFT = 1e-5  # of the mesh's extent: legs begin so far from the surface, some hundred roundings of float32
 _COHERENT = 4.0  # two equal amplitudes, there and back, over the power of one
@@ -91,16 +94,18 @@ class SecondBounce:
         normal = np.cross(b - a, c - a)
         self._normals = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
-    def add(
-        self, view: View, facets: Facets, trace: Trace, deposit: Deposit, progress: Callable[[float], object]
-    ) -> None:
-        """Add all second bounces of a view; `facets` and `trace` are of the rays that come straight from the radar."""
-        parts: list[Callable[[Callable[[float], object]], None]] = []
-        if self._reflectivity:
-            parts.append(lambda report: self.by_ground(view, facets, trace, deposit, report))
-        parts.append(lambda report: self.between_facets(view, facets, trace, deposit, report))
-        for done, part in enumerate(parts):
-            part(lambda share, done=done: progress((done + share) / len(parts)))  # type: ignore[misc]
+    def images(
+        self, view: View, facets: Facets, trace: Trace, nodes: NodeGrid, progress: Callable[[float], object]
+    ) -> dict[str, Float64[np.ndarray, "rows columns"]]:
+        """β⁰ by kind; `facets` and `trace` are of the rays that come straight from the radar."""
+        kinds = {BY_GROUND: self.by_ground} if self._reflectivity else {}
+        kinds |= {BETWEEN_FACETS: self.between_facets}
+        images = {}
+        for done, (kind, add) in enumerate(kinds.items()):
+            deposit = Deposit(nodes)
+            add(view, facets, trace, deposit, lambda share, done=done: progress((done + share) / len(kinds)))  # type: ignore[misc]
+            images[kind] = deposit.image
+        return images
 
     # ---- facet and ground --------------------------------------------------------------------------------------------
     def by_ground(

@@ -146,6 +146,8 @@ class RayCaster:
         self._spacing, self._offset = ray_spacing, ray_offset
         self._nodes = NodeGrid(grid, oversample)
         self._patches = Patches.of(mesh, self._reflectivity)
+        self.power_by_echo: dict[View, dict[str, float]] = {}
+        """Of each image with second bounces so far: what of the sum of its pixels, β⁰, returned which way."""
         self._second: SecondBounce | None = None
         if bounces == 2:
             how = (self._patches, ray_spacing, ray_offset, grid.resolution_m, ground_reflectivity)
@@ -162,7 +164,7 @@ class RayCaster:
         trace = tracer(facets)
         if ground is not None:
             trace = _above_ground(facets, trace, look)
-        deposit = Deposit(self._nodes)
+        deposit, target = Deposit(self._nodes), Deposit(self._nodes)
         region = self._region(facets, view)
         direct = 1.0 if self._second is None else _DIRECT
         hits = sparse_hits(
@@ -179,13 +181,22 @@ class RayCaster:
         for hit in hits if not region.empty else ():
             x, y = hit.position.T
             deposit.add(x, hit.slant_range, gamma0[hit.face] * hit.area)
+            if self._second is not None:
+                target.add(x, hit.slant_range, gamma0[hit.face] * hit.area)
             if ground is not None:
                 # Free ground has a closed form, without moiré; a ray that the target stops subtracts what it would
                 # have contributed there.
                 deposit.add(x, look.range_on_ground(x, y), np.full(x.shape, -ground) * hit.area)
-        if self._second is not None:
-            self._second.add(view, facets, trace, deposit, lambda share: progress(direct + (1 - direct) * share))
         image = deposit.image + (0.0 if ground is None else look.beta0_of_gamma0(ground))
+        if self._second is not None:
+
+            def report(share: float) -> None:
+                progress(direct + (1 - direct) * share)
+
+            echoes = {"target": target.image} | ({} if ground is None else {"ground": image - target.image})
+            second = self._second.images(view, facets, trace, self._nodes, report)
+            self.power_by_echo[view] = {kind: float(one.sum()) for kind, one in (echoes | second).items()}
+            image = sum(second.values(), image)
         return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
 
     def _region(self, facets: Facets, view: View) -> Region:

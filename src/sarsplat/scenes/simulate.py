@@ -18,6 +18,7 @@ from sarsplat.names import Simulator
 from sarsplat.renderer import GroundBounce, render
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._random import generator
+from sarsplat.scenes._second_bounce import BY_GROUND
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
 from sarsplat.scenes.scattering import (
     ScatteringLaw,
@@ -36,9 +37,6 @@ if TYPE_CHECKING:
 # Protocol R: nodes of the ray caster, and Gaussians and rays of the splat truth, per pixel spacing.
 _OVERSAMPLE = 9
 _PIECES_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 15.0
-
-_SECOND: dict[Simulator, str] = {"raycast": "by way of the ground, and between facets", "splat": "by way of the ground"}
-"""Which second bounces are simulated, in words."""
 
 
 @checks_arguments
@@ -59,6 +57,7 @@ def simulate_images(
     clean: Sequence[int] = (),
     seed: int = 0,
     progress: Callable[[float], object] | None = None,
+    power_by_echo: dict[str, float] | None = None,
 ) -> Float32[np.ndarray, "v {grid.rows} {grid.columns}"]:
     """SAR images of a mesh from every view.
 
@@ -94,6 +93,8 @@ def simulate_images(
     progress : callable, optional
         Called with the number of finished images after each, and by ray casting, which works on as many views at once
         as PyTorch has threads, several times a second with the parts that are done.
+    power_by_echo : dict, optional
+        With second bounces, filled with the share of all images' power, without speckle, that returned each way.
 
     Returns
     -------
@@ -112,6 +113,7 @@ def simulate_images(
     check_bounces(bounces, ground_reflectivity, ground_gamma0, terrain)
     speckle = generator(seed, "speckle")
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
+    powers: dict[View, dict[str, float]] = {}
     if source == "raycast":
         caster = RayCaster(
             mesh,
@@ -125,7 +127,7 @@ def simulate_images(
             ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
             oversample=_OVERSAMPLE,
         )
-        images = in_order(caster.image, views, progress)
+        images, powers = in_order(caster.image, views, progress), caster.power_by_echo
     elif source != "splat":
         raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
     elif ray_spacing is not None:
@@ -143,7 +145,7 @@ def simulate_images(
             "ground's reflectivity, or choose the source 'raycast'"
         )
     else:
-        images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain, ground_reflectivity)
+        images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain, ground_reflectivity, powers)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
     if looks is not None:  # first, so that a bad number of looks is refused before minutes of ray casting
         stack = add_speckle(stack, looks, speckle)
@@ -152,6 +154,10 @@ def simulate_images(
         stack[index] *= image
         if progress is not None:
             progress(index + 1)
+    if power_by_echo is not None and powers:
+        of_views = [powers[view] for view in views]
+        total = sum(sum(one.values()) for one in of_views) or 1.0
+        power_by_echo |= {kind: sum(one[kind] for one in of_views) / total for kind in of_views[0]}
     return stack
 
 
@@ -164,11 +170,13 @@ def simulation_record(
     seed: int,
     bounces: int = 1,
     ground_reflectivity: float | None = None,
+    power_by_echo: dict[str, float] | None = None,
     ray_error_db: float | None = None,
 ) -> dict[str, Any]:
     """How `simulate_images` makes images with these arguments, except speckle, as JSON for a dataset's `source`.
 
-    `ray_error_db` is what `ray_error_db` has estimated. Of bounces nothing is said unless there are second ones.
+    `ray_error_db` is what `ray_error_db` has estimated, and `power_by_echo` what `simulate_images` has found. Of
+    bounces nothing is said unless there are second ones.
     """
     sampling: dict[str, dict[str, Any]] = {
         "raycast": {
@@ -181,8 +189,8 @@ def simulation_record(
             "rays_per_pixel": _RAYS_PER_PIXEL,
         },
     }
-    second = {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
-    second |= {"second_bounces": _SECOND[source] if ground_reflectivity else "between facets"}
+    second: dict[str, Any] = {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
+    second["power_by_echo"] = power_by_echo
     return {
         "kind": source,
         "law": law.as_dict(),
@@ -203,6 +211,7 @@ def _splat(
     ground_gamma0: float | None,
     terrain: Terrain | None,
     ground_reflectivity: float | None,
+    powers: dict[View, dict[str, float]],
 ) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
     pixel = min(grid.spacing_m)
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
@@ -218,4 +227,7 @@ def _splat(
             echoes.append(GroundBounce(ground, torch.tensor(ground_reflectivity), sent_on))
         with torch.no_grad():
             rendering = render(gaussians, [view], grid, rays=rays, amplitudes=gamma0, ground=ground, echoes=echoes)
-            yield rendering.channel(0)[0].numpy()
+        if echoes:
+            shown = dict(zip(("ground", BY_GROUND), (float(one.sum()) for one in rendering.echoes), strict=True))
+            powers[view] = {"target": float(rendering.images.sum()) - sum(shown.values()), **shown}
+        yield rendering.channel(0)[0].numpy()
