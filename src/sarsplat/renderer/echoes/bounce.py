@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -25,10 +24,13 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer.echoes.echo import Echo, Sighting
+from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.chosen_views import ChosenViews
-from sarsplat.renderer.footprints import Footprints
+from sarsplat.renderer.engines.on_device import NotRecordable
+from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.footprints import Footprints, Projection
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
@@ -92,11 +94,10 @@ class GroundBounce(Echo):
 
     def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
         """As if the ground reflected everything."""
-        sections, s = self.cross_sections(sighting, by_view)[..., None], sighting
-        places = feet(s.gaussians, s.views, s.grid, self._height, s.shift)
-        if s.new_pass is None:
-            return splat_reference(places, sections, s.grid, cuts=s.cuts)[:, 0]
-        return splat_with(s.new_pass, places, sections, s.grid, imaging_weight="area")[:, 0]
+        s = sighting
+        steps = _Steps(s.new_pass, s.cuts)
+        sections, places = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift, by_view)
+        return steps.splat(places, sections[..., None], s.grid)[:, 0]
 
     def returned(
         self,
@@ -108,39 +109,74 @@ class GroundBounce(Echo):
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         return seen * self.reflectivity.expand(1, 1, grid.columns).expand(-1, grid.rows, -1)
 
-    def cross_sections(self, sighting: Sighting, amplitudes: Tensor | None) -> Float[Tensor, "v n"]:
-        """What each Gaussian returns by way of a ground that reflects everything, m²."""
-        s = sighting
-        if isinstance(s.views, ChosenViews):
-            raise SarsplatError("the bounce off the ground is not in recorded training steps; leave it out")
+    def parts(
+        self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid
+    ) -> tuple[Float[Tensor, "v n"], Footprints]:
+        """What each Gaussian returns by way of a ground that reflects everything, m², and where images show it."""
+        steps = _Steps(passes_for("auto", gaussians.tensors(), grid), cuts=True)
+        return self._parts(steps, gaussians, views, grid, rays, None, self.amplitudes)
+
+    def _parts(
+        self,
+        steps: _Steps,
+        gaussians: Gaussians,
+        views: Sequence[View],
+        grid: ImageGrid,
+        rays: RayGrid,
+        shift: Float[Tensor, "v 2"] | None,
+        amplitudes: Float[Tensor, "v n"] | None,
+    ) -> tuple[Float[Tensor, "v n"], Footprints]:
+        if isinstance(views, ChosenViews):
+            raise NotRecordable("has a bounce off the ground")
         if amplitudes is None:
-            amplitudes = s.gaussians.gamma0(_middles(s.views, s.gaussians.means))
-        direct, below = self._lit(s)
+            amplitudes = gaussians.gamma0(_middles(views, gaussians.means))
+        direct, below = lit_both_ways(steps, gaussians, views, grid, rays, self._height)
         both = direct * below
         some = both > 0  # the slope of the root is infinite where nothing is lit, and of no use
-        return _COHERENT * amplitudes * both.where(some, 1.0).sqrt() * some
-
-    def _lit(self, s: Sighting) -> tuple[Float[Tensor, "v n"], Float[Tensor, "v n"]]:
-        """Areas over which Gaussians are seen along u, and along M u, m²."""
-        n, both = len(s.gaussians), _with_mirror_image(s.gaussians, self._height)
-        by_engine = s.new_pass is not None
-        project = partial(project_with, s.new_pass) if by_engine else project_reference  # type: ignore[arg-type]
-        p = project(both, s.views, s.grid, rays=s.rays, shift=None)
-        if n:
-            real, image = p.range_m.split(n, dim=1)
-            behind = 1 + (real.amax(1, keepdim=True) - image.amin(1, keepdim=True))  # no digit of the real ones is lost
-            p = replace(p, range_m=torch.cat([real, image + behind], 1))
-        lit = (
-            attenuate_with(s.new_pass, p, s.rays, first_return_depth=None)
-            if s.new_pass is not None
-            else attenuate_reference(p, s.rays, cuts=s.cuts)
-        ).lit_area
-        return lit[:, :n], lit[:, n:]
+        sections = _COHERENT * amplitudes * both.where(some, 1.0).sqrt() * some
+        return sections, feet(gaussians, views, grid, self._height, shift)
 
     @property
     def _height(self) -> float:
         assert not isinstance(self.ground.height_m, Terrain)  # refused
         return self.ground.height_m
+
+
+class _Steps:
+    """The steps of a rendering, by an engine's passes or by the reference."""
+
+    def __init__(self, new_pass: NewPass | None, cuts: bool) -> None:
+        self._new_pass, self._cuts = new_pass, cuts
+
+    def project(self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Projection:
+        if self._new_pass is None:
+            return project_reference(gaussians, views, grid, rays=rays)
+        return project_with(self._new_pass, gaussians, views, grid, rays=rays, shift=None)
+
+    def lit_area(self, projection: Projection, rays: RayGrid) -> Float[Tensor, "v n"]:
+        if self._new_pass is None:
+            return attenuate_reference(projection, rays, cuts=self._cuts).lit_area
+        return attenuate_with(self._new_pass, projection, rays, first_return_depth=None).lit_area
+
+    def splat(
+        self, footprints: Footprints, cross_sections: Float[Tensor, "v n c"], grid: ImageGrid
+    ) -> Float[Tensor, "v c rows columns"]:
+        if self._new_pass is None:
+            return splat_reference(footprints, cross_sections, grid, cuts=self._cuts)
+        return splat_with(self._new_pass, footprints, cross_sections, grid, imaging_weight="area")
+
+
+def lit_both_ways(
+    steps: _Steps, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid, height_m: float
+) -> tuple[Float[Tensor, "v n"], Float[Tensor, "v n"]]:
+    """Areas over which Gaussians are seen along u, and by way of the ground along M u, m²."""
+    n, p = len(gaussians), steps.project(_with_mirror_image(gaussians, height_m), views, grid, rays)
+    if n:
+        real, image = p.range_m.split(n, dim=1)
+        behind = 1 + (real.amax(1, keepdim=True) - image.amin(1, keepdim=True))  # no digit of the real ones is lost
+        p = replace(p, range_m=torch.cat([real, image + behind], 1))
+    lit = steps.lit_area(p, rays)
+    return lit[:, :n], lit[:, n:]
 
 
 def feet(
