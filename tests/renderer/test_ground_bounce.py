@@ -1,11 +1,15 @@
 """The echo by way of the ground: closed forms, the reference's gradients, and the engines against the reference."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from emulated_cuda import Emulator, render_on
 from named_scenes import GRID, VIEWS, cloud, wall, with_scales
 from test_cpu_engine import AVAILABLE, relative
 from test_reference_gradients import check_gradients
@@ -15,8 +19,9 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.renderer import GroundBounce, render
+from sarsplat.renderer import GroundBounce, Rendering, render
 from sarsplat.renderer.echoes.bounce import _Steps, feet, lit_both_ways
+from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.reference import render_reference
 
 HEIGHT = -0.55
@@ -55,8 +60,8 @@ def test_real_ones_hide_and_are_not_hidden_by_their_images() -> None:
     """Without their order, images of low ones would stand before high ones that are farther away."""
     scene, ground = cloud(60, 41, kappa=(4.0, 12.0)), level()
     rendering, rays = render(scene, VIEWS, GRID, ground=ground), RayGrid.for_image(GRID)
-    direct, below = lit_both_ways(_Steps(None, cuts=True), scene, VIEWS, GRID, rays, HEIGHT)
-    torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-4, atol=1e-6)
+    direct, below = lit_both_ways(_Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT)
+    torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-5, atol=1e-7)
     assert float(below.sum()) < 0.9 * float(rendering.lit_area.sum())
 
 
@@ -116,15 +121,15 @@ SCENES = {
 }
 
 
-def _everything(scene: Gaussians, dtype: torch.dtype, engine: str, **options: str) -> dict[str, Tensor]:
+def _everything(scene: Gaussians, dtype: torch.dtype, renderer: Callable[..., Rendering]) -> dict[str, Tensor]:
     leaves = {name: tensor.to(dtype, copy=True).requires_grad_() for name, tensor in scene.tensors().items()}
     leaves["shift"] = (0.1 * torch.arange(6.0).view(3, 2)).to(dtype).requires_grad_()
     leaves["reflectivity"] = torch.tensor(0.6, dtype=dtype, requires_grad=True)
     fields = {name: leaves[name] for name in scene.tensors()}
     ground = level(dtype)
     echoes = [GroundBounce(ground, leaves["reflectivity"])]
-    how = {"shift": leaves["shift"], "ground": ground, "echoes": echoes, "engine": engine, **options}
-    image = render(scene.with_tensors(**fields), VIEWS, GRID, **how).echoes[1]  # type: ignore[arg-type]
+    how = {"shift": leaves["shift"], "ground": ground, "echoes": echoes}
+    image = renderer(scene.with_tensors(**fields), VIEWS, GRID, **how).echoes[1]
     cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
     found = torch.autograd.grad((image * cotangent.to(dtype)).sum(), list(leaves.values()))
     return {"image": image.detach(), **dict(zip(leaves, found, strict=True))}
@@ -133,13 +138,22 @@ def _everything(scene: Gaussians, dtype: torch.dtype, engine: str, **options: st
 @pytest.mark.parametrize("name", SCENES)
 def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
     scene = SCENES[name]()
-    expected = _everything(scene, torch.float64, "reference")
+    expected = _everything(scene, torch.float64, partial(render, engine="reference"))
     for instruction_set in AVAILABLE:
-        found = _everything(scene, torch.float32, "cpu", instruction_set=instruction_set)
+        found = _everything(scene, torch.float32, partial(render, engine="cpu", instruction_set=instruction_set))
         assert relative(found["image"], expected["image"]) <= 1e-5
         for argument, value in expected.items():
             assert float(value.norm()) > 0, argument
             assert relative(found[argument], value) <= 1e-4, (argument, instruction_set)
+
+
+def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:
+    scene = cloud(12, 0)
+    expected = _everything(scene, torch.float64, partial(render, engine="reference"))
+    found = _everything(scene, torch.float32, partial(render_on, Emulator(library)))
+    assert relative(found["image"], expected["image"]) <= 1e-5
+    for argument, value in expected.items():
+        assert relative(found[argument], value) <= 1e-4, argument
 
 
 def test_the_same_bits_for_any_number_of_threads() -> None:
@@ -148,7 +162,7 @@ def test_the_same_bits_for_any_number_of_threads() -> None:
     try:
         for count in (1, 3):
             torch.set_num_threads(count)
-            found.append(_everything(scene, torch.float32, "cpu"))
+            found.append(_everything(scene, torch.float32, render))
     finally:
         torch.set_num_threads(threads)
     for name, value in found[0].items():
