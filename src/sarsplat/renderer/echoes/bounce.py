@@ -184,22 +184,24 @@ def feet(
 ) -> Footprints:
     """On the imaging plane, of Gaussians pressed flat onto a level ground."""
     means = gaussians.means
-    gradients = torch.from_numpy(np.stack([view.look.gradients for view in views])).to(means)[:, None]  # [V, 1, 2, 3]
-    x, y = means[:, None, 0], means[:, None, 1]
-    centers = gradients[..., 0] * x + gradients[..., 1] * y + gradients[..., 2] * height_m
+    gradients = torch.from_numpy(np.stack([view.look.gradients for view in views])).to(means)  # [V, 2, 3]
+    centers = means[:, :2] @ gradients[:, :, :2].mT + gradients[:, None, :, 2] * height_m
     if shift is not None:
         centers = centers + shift[:, None]
-    root = rotation_matrix(gaussians.quaternions) * gaussians.scales[:, None]  # covariance is root · rootᵀ
-    seen = gradients[..., 0, None] * root[:, None, 0] + gradients[..., 1, None] * root[:, None, 1]  # [V, N, 2, 3]
-    f, g = seen.unbind(2)
+    (along, across, _), ((p, q), (r, s)) = (
+        (rotation_matrix(gaussians.quaternions) * gaussians.scales[:, None]).unbind(1),
+        (row.unbind(1) for row in gradients[:, :, :2, None].unbind(1)),
+    )
+    xx, xy, yy = along.square().sum(1), (along * across).sum(1), across.square().sum(1)
     of_azimuth, of_range = (means.new_tensor(variance) for variance in grid.response_variance_m2)
-    ff, gg, fg = f.square().sum(-1), g.square().sum(-1), (f * g).sum(-1)
+    var_azimuth, var_range = (a * a * xx + 2 * a * b * xy + b * b * yy for a, b in ((p, q), (r, s)))
+    both = p * r * xx + (p * s + q * r) * xy + q * s * yy
     # of a needle, a difference of products would lose the digits that a sum of squares keeps
-    minors = torch.linalg.cross(f, g).square().sum(-1)
-    determinant = minors + ff * of_range + gg * of_azimuth + of_azimuth * of_range
-    yy = gg + of_range
-    a = (yy / determinant).sqrt()
-    return Footprints(centers, torch.stack([a, -fg / yy * a, yy.rsqrt()], dim=-1))
+    flat = (p * s - q * r).square() * torch.linalg.cross(along, across).square().sum(1)
+    determinant = flat + var_azimuth * of_range + var_range * of_azimuth + of_azimuth * of_range
+    var_range = var_range + of_range
+    a = (var_range / determinant).sqrt()
+    return Footprints(centers, torch.stack([a, -both / var_range * a, var_range.rsqrt()], dim=-1))
 
 
 def _with_mirror_image(gaussians: Gaussians, height_m: float) -> Gaussians:
