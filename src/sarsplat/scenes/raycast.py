@@ -161,9 +161,7 @@ class RayCaster:
         gamma0 = self._reflectivity * self._law.gamma0(facets.cos_incidence)
         gamma0[len(gamma0) - len(self._terrain_gamma0) :] = self._terrain_gamma0
         look, ground = view.look, self._ground_gamma0
-        trace = tracer(facets)
-        if ground is not None:
-            trace = _above_ground(facets, trace, look)
+        trace = self._trace(facets, look)
         deposit, target = Deposit(self._nodes), Deposit(self._nodes)
         region = self._region(facets, view)
         direct = 1.0 if self._second is None else _DIRECT
@@ -194,10 +192,23 @@ class RayCaster:
                 progress(direct + (1 - direct) * share)
 
             echoes = {"target": target.image} | ({} if ground is None else {"ground": image - target.image})
-            second = self._second.images(view, facets, trace, self._nodes, report)
+            second = self.second_bounces(view, report)
             self.power_by_echo[view] = {kind: float(one.sum()) for kind, one in (echoes | second).items()}
             image = sum(second.values(), image)
         return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
+
+    def second_bounces(
+        self, view: View, progress: Callable[[float], object] = lambda share: None
+    ) -> dict[str, Float64[np.ndarray, "rows columns"]]:
+        """What second bounces alone show, β⁰, by kind; none unless they were asked for."""
+        if self._second is None:
+            return {}
+        facets = Facets.of(self._mesh, view)
+        return self._second.images(view, facets, self._trace(facets, view.look), self._nodes, progress)
+
+    def _trace(self, facets: Facets, look: Look) -> Trace:
+        trace = tracer(facets)
+        return trace if self._ground_gamma0 is None else _above_ground(facets, trace, look)
 
     def _region(self, facets: Facets, view: View) -> Region:
         """Where rays can meet the mesh, or shade the ground, within the image."""
