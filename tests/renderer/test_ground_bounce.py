@@ -60,7 +60,9 @@ def test_real_ones_hide_and_are_not_hidden_by_their_images() -> None:
     """Without their order, images of low ones would stand before high ones that are farther away."""
     scene, ground = cloud(60, 41, kappa=(4.0, 12.0)), level()
     rendering, rays = render(scene, VIEWS, GRID, ground=ground), RayGrid.for_image(GRID)
-    direct, below = lit_both_ways(_Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT)
+    direct, below = lit_both_ways(
+        _Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
+    )
     torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-5, atol=1e-7)
     assert float(below.sum()) < 0.9 * float(rendering.lit_area.sum())
 
