@@ -161,7 +161,7 @@ class SecondBounce:
     ) -> None:
         """From one rough facet to another, in directions spread evenly over the half space of the first."""
         look, legs, count = view.look, _Legs(self._mesh), 0
-        u, level = look.way_in, look.frame[[0, 2]]
+        u = look.way_in
         for points in self._found(facets, trace, view, u, progress):
             several = np.maximum(np.rint(_DIRECTIONS * points.area / self._spacing**2), 1).astype(np.int64)
             points = points[np.repeat(np.arange(len(several)), several)]
@@ -188,7 +188,7 @@ class SecondBounce:
             # twice for the amplitude of both ways; a direction stands for 2π, and a cross-section spreads over 4π
             section = 2 * area * gamma * np.sqrt(there * back) / (there + back)
             middle = (points.place + place) / 2
-            azimuth, slant_range = level @ middle.T
+            azimuth, slant_range = look.gradients @ middle.T
             deposit.add(azimuth, slant_range + way / 2, section)
 
     def _sent_on(self, face: Int32[np.ndarray, " k"], normal: Points, both: Points) -> Float64[np.ndarray, " k"]:
