@@ -13,11 +13,10 @@ import torch
 
 from sarsplat import Ground, ImageGrid, RayGrid, ScatteringLaw, View, mstar_grid, paper_grid, render, target_mesh
 from sarsplat.renderer import GroundBounce
-from sarsplat.scenes import law_scattering, surface_gaussians
+from sarsplat.scenes import law_by_ground, law_scattering, surface_gaussians
 from sarsplat.scenes._second_bounce import BY_GROUND
 from sarsplat.scenes._shapes import box
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
-from sarsplat.scenes.splat_truth import law_by_ground
 
 LAW = ScatteringLaw(0.1, 0.9, 8.0)
 VIEWS = [View(30.0 * k + 7.0, (17.0, 30.0, 45.0, 60.0)[k % 4]) for k in range(12)]

@@ -25,9 +25,8 @@ from sarsplat.regions.target_region import target_region
 from sarsplat.renderer import GroundBounce
 from sarsplat.report.interferogram import Interferogram, Pair
 from sarsplat.runs.own_gaussians import own_scene
-from sarsplat.scenes import ScatteringLaw
+from sarsplat.scenes import ScatteringLaw, law_by_ground
 from sarsplat.scenes.meshes import read_mesh
-from sarsplat.scenes.splat_truth import law_by_ground
 
 if TYPE_CHECKING:
     import trimesh
