@@ -52,6 +52,7 @@ from .learning import LOSSES as LOSSES, Trainer as Trainer, stack_nats as stack_
 from .renderer import (
     Attenuation as Attenuation,
     Footprints as Footprints,
+    GroundBounce as GroundBounce,
     Projection as Projection,
     RayMap as RayMap,
     Rendering as Rendering,

@@ -179,6 +179,36 @@ def test_laws_and_the_reflectivity_of_parts_are_recorded_and_shown(box: Path) ->
     assert abs(10 * math.log10(ratios[0] / ratios[1])) > 0.5
 
 
+def test_second_bounces_are_recorded_and_told(box: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = "--scale 0.001 --ground 0.05"
+    once, twice = simulated(box, words), simulated(box, f"{words} --bounces 2 --ground-reflectivity 0.5")
+    assert "by way of the ground" in capsys.readouterr().out
+    assert "bounces" not in once.source
+    assert (twice.source["bounces"], twice.source["ground_reflectivity"]) == (2, 0.5)
+    shares = twice.source["power_by_echo"]
+    added = 1 - once.power.sum() / twice.power.sum()
+    assert shares["by way of the ground"] + shares["between facets"] == pytest.approx(added, rel=1e-3)
+    assert main(["info", str(twice.path)]) == 0
+    assert "by way of the ground" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--ground-reflectivity 0.5", "is of second bounces; ask for 2 bounces"),
+        ("--bounces 2 --ground 0.1", "like a mirror is nowhere said"),
+        ("--bounces 2 --passes 2 --baseline 0.004", "--bounces 2 is for single images"),
+        ("--bounces 2 --source splat", "second bounces are by way of the ground alone"),
+    ],
+)
+def test_second_bounces_that_make_no_sense_are_refused(
+    box: Path, words: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(box.parent / "refused")
+    assert main(["simulate", "--mesh", str(box), "--scale", "0.001", *words.split(), "--out", out]) == 2
+    assert told in capsys.readouterr().err
+
+
 def test_a_protocol_is_named_only_if_views_and_pixels_are_its_own(tmp_path: Path, monkeypatch) -> None:
     def images(_mesh: object, views: list[View], grid: Any, **_: object) -> np.ndarray:
         return np.zeros((len(views), grid.rows, grid.columns), np.float32)

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians import Gaussians, Ground, Harmonics
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.radar import Pixel, contributions, iso_range_line
-from sarsplat.renderer import render
+from sarsplat.renderer import GroundBounce, render
 
 GRID = ImageGrid(32, 24, (0.3, 0.2), (0.4, 0.3), (0.5, -0.3))
 VIEW = View(70.0, 35.0)
@@ -70,6 +70,18 @@ def test_the_contributions_add_up_to_the_pixel():
             parts = contributions(scene[:count], VIEW, GRID, pixel)
             assert parts.shape == (count,)
             assert float(parts.sum()) == pytest.approx(float(image[pixel.row, pixel.column]), rel=1e-4, abs=1e-7)
+
+
+def test_what_returns_by_way_of_the_ground_adds_up_to_the_pixel_of_that_echo():
+    scene = balls(np.random.default_rng(3).uniform(-1.5, 1.5, (200, 3)))
+    ground = Ground(torch.tensor(0.1), height_m=-0.5)
+    bounce = GroundBounce(ground, torch.tensor(0.6))
+    image = render(scene, [VIEW], GRID, ground=ground, echoes=[bounce]).echoes[1][0]
+    for pixel in (PIXEL, Pixel(16, 12), Pixel(0, 0)):
+        parts = contributions(scene, VIEW, GRID, pixel, bounce=bounce)
+        assert float(parts.sum()) == pytest.approx(float(image[pixel.row, pixel.column]), rel=1e-4, abs=1e-7)
+    assert float(image[16, 12]) > 0
+    assert not parts[scene.means[:, 2].numpy() < -0.5].any()
 
 
 def test_a_pixel_outside_is_refused():

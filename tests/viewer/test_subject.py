@@ -14,6 +14,7 @@ from sarsplat.runs import reconstruct
 from sarsplat.settings import preset
 from sarsplat.viewer import subject_at
 from sarsplat.viewer.subject import TRUTH, dataset_subject
+from sarsplat.viewer.viewer import _who
 
 VIEW = View(40.0, 30.0)
 
@@ -48,6 +49,25 @@ def test_the_shares_of_a_pixel_add_up_and_lie_on_its_line(finished):
     assert (np.diff(contributors.shares) <= 0).all()
     assert contributors.ground_share == 0
     assert subject.contributors(VIEW, Pixel(0, 0)) is None
+
+
+def test_a_wall_is_at_its_foot_too_where_second_bounces_were_simulated(dataset):
+    subject = dataset_subject(dataset)
+    mirror = dataset_subject(replace(dataset, source=dataset.source | {"ground_reflectivity": 1.0}))
+    column, shares = dataset.grid.columns // 2, []
+    for row in range(dataset.grid.rows):
+        direct, both = (one.contributors(VIEW, Pixel(row, column)) for one in (subject, mirror))
+        assert direct is None or direct.by_ground_share == 0
+        shares.append(0.0 if both is None else both.by_ground_share)
+    row = int(np.argmax(shares))
+    both = mirror.contributors(VIEW, Pixel(row, column))
+    assert both is not None
+    assert both.by_ground_share > 0.5
+    assert both.shares.sum() == pytest.approx(1.0, abs=1e-4)
+    place = Pixel(row, column).place_m(dataset.grid)
+    feet = both.places_m[:20, :2] @ VIEW.look.gradients[:, :2].T
+    assert np.abs(feet - place).max() < 2 * max(dataset.grid.resolution_m)
+    assert "returns by way of the ground" in _who(both, False)
 
 
 def test_the_nearest_view_is_an_angle_away(dataset):

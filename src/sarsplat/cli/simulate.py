@@ -69,6 +69,8 @@ def simulate(
     reflectivity: Decibels = 0.0,
     ground: OptionalNumber = None,
     terrain: OptionalFile = None,
+    bounces: Literal[1, 2] = 1,
+    ground_reflectivity: OptionalNumber = None,
     looks: OptionalNumber = None,
     clean_tests: bool = False,
     pixels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N [N]", help_behavior_hint="(optional)")] = (),
@@ -143,6 +145,11 @@ def simulate(
     terrain
         Heights of the ground (GeoTIFF, metres), its middle, where z = 0, at the target's origin (default: flat). The
         target is not moved.
+    bounces
+        2: also second bounces, by way of flat ground (facet–ground, ground–facet) and, by ray casting, from facet to
+        facet.
+    ground_reflectivity
+        Of second bounces, with --ground: the share of the power that the ground reflects like a mirror, 0 to 1.
     looks
         Looks of multiplicative speckle; 1 is single look (default: no speckle).
     clean_tests
@@ -189,7 +196,7 @@ def simulate(
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import is_larger, scaled, side_m, suspicious_size
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db, raycast_masks
-    from sarsplat.scenes.scattering import check_terrain, part_reflectivity
+    from sarsplat.scenes.scattering import check_bounces, check_terrain, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
     from sarsplat.scenes.targets import ALOFT
     from sarsplat.scenes.village import FITTING, village
@@ -198,6 +205,7 @@ def simulate(
         raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
     relief = heights(terrain)
     check_terrain(relief, ground)
+    check_bounces(bounces, ground_reflectivity, ground, relief)
     if masks and relief is not None:
         raise SarsplatError("--masks are of a target on flat ground; leave out --masks or --terrain")
     if masks:
@@ -222,7 +230,8 @@ def simulate(
     box_m = corners(target_box)
     if (stack := asked_stack(passes, baseline, wavelength, noise, polarimetric)) is not None:
         no_stacks = {"looks": looks, "clean-tests": clean_tests, "terrain": terrain, "reflectivity": reflectivity}
-        refuse_with_stacks(no_stacks | {"ray-spacing": ray_spacing, "masks": masks}, source)
+        no_stacks |= {"ray-spacing": ray_spacing, "masks": masks, "bounces 2": bounces == 2}
+        refuse_with_stacks(no_stacks, source)
     refuse_existing(out, overwrite, marker=HEADER)
     if mesh is not None and target is None:
         surface, name = load_mesh(mesh), mesh.name
@@ -255,9 +264,11 @@ def simulate(
             [f"rays {ray_spacing:g} m apart miss what pixels of {spacing_m:g} m show; give at most {spacing_m / 2:g} m"]
         )
     scene: dict[str, Any] = {"law": gamma0, "ground_gamma0": ground, "ray_spacing": ray_spacing}
+    scene |= {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
     how = {"source": source, "seed": seed, **scene}
     scene |= {"reflectivity": part_reflectivity(surface, reflectivity, seed), "terrain": relief}
     error_db = None
+    power_by_echo: dict[str, float] = {}
     with progress(f"simulate {name}", len(views)) as shown:
         if source == "raycast":
             error_db = ray_error_db(surface, looked[0], grid, **scene)
@@ -277,11 +288,15 @@ def simulate(
             looks=looks,
             clean=[index for index, (_, split) in enumerate(views) if clean_tests and split != "train"],
             progress=shown.update,
+            power_by_echo=power_by_echo,
         )
+        if power_by_echo:
+            shown.note("power: " + ", ".join(f"{kind} {share:.0%}" for kind, share in power_by_echo.items()))
     true_masks = None
     if masks:
         with progress(f"masks of {name}", len(views)) as shown:
             true_masks = raycast_masks(surface, looked, grid, progress=shown.update)
+    record = simulation_record(**how, power_by_echo=power_by_echo, ray_error_db=error_db)
     dataset = Dataset(
         grid,
         _entries(views),
@@ -291,7 +306,7 @@ def simulate(
         terrain=relief,
         **about,
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
-        source={**simulation_record(**how, ray_error_db=error_db), "reflectivity_db": reflectivity, "scale": scale},
+        source={**record, "reflectivity_db": reflectivity, "scale": scale},
     )
     _finish(out, dataset, surface, true_masks, overwrite)
 

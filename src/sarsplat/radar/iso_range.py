@@ -13,7 +13,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import attenuate, project
+from sarsplat.renderer import GroundBounce, attenuate, project
 from sarsplat.renderer.constants import IMAGE_CUT
 
 _PARALLEL = 1e-12
@@ -95,9 +95,17 @@ def iso_range_line(
 @torch.no_grad()
 @checks_arguments
 def contributions(
-    gaussians: Gaussians, view: View, grid: ImageGrid, pixel: Pixel, *, rays: RayGrid | None = None
+    gaussians: Gaussians,
+    view: View,
+    grid: ImageGrid,
+    pixel: Pixel,
+    *,
+    rays: RayGrid | None = None,
+    bounce: GroundBounce | None = None,
 ) -> Float[np.ndarray, " n"]:
     """How much each Gaussian adds to the power of one pixel; the sum is the pixel of `render`.
+
+    With `bounce`, what it adds by way of the ground instead: the sum is that pixel of this echo.
 
     Parameters
     ----------
@@ -107,6 +115,8 @@ def contributions(
         Which pixel of which image.
     rays : RayGrid, optional
         As for `render`.
+    bounce : GroundBounce, optional
+        An echo, of which each Gaussian's part is wanted.
 
     Returns
     -------
@@ -122,11 +132,15 @@ def contributions(
     if len(gaussians) == 0:
         return np.zeros(0, np.float32)
     gaussians = gaussians.detach()
-    projection = project(gaussians, [view], grid, rays=rays)
-    gamma0 = projection.amplitudes[..., gaussians.scattering.power_channel]
-    sections = (attenuate(projection, rays).lit_area * gamma0)[0]
-    a, b, c = projection.pixels.roots[0].unbind(-1)
-    x, y = (projection.pixels.centers.new_tensor(place) - projection.pixels.centers[0]).unbind(-1)
+    if bounce is None:
+        projection = project(gaussians, [view], grid, rays=rays)
+        gamma0 = projection.amplitudes[..., gaussians.scattering.power_channel]
+        sections, footprints = (attenuate(projection, rays).lit_area * gamma0)[0], projection.pixels
+    else:
+        parts, footprints = bounce.parts(bounce.visible(gaussians), [view], grid, rays)
+        sections = parts[0] * bounce.reflectivity.detach()
+    a, b, c = footprints.roots[0].unbind(-1)
+    x, y = (footprints.centers.new_tensor(place) - footprints.centers[0]).unbind(-1)
     squared = (a * x + b * y) ** 2 + (c * y) ** 2
     mass = 2 * math.pi * (1 - math.exp(-IMAGE_CUT / 2))  # of a footprint, cut where the renderer cuts it
     weight = torch.where(squared <= IMAGE_CUT, torch.exp(-squared / 2), 0) * a * c / mass

@@ -19,6 +19,7 @@ from sarsplat.processes import Processes
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances
 from sarsplat.renderer.echoes import Echo, GroundEcho
+from sarsplat.renderer.echoes.bounce import GroundBounce
 from sarsplat.renderer.echoes.echo import all_visible, check_echoes
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.choice import ENGINES, chosen_engine, passes_for
@@ -33,6 +34,7 @@ __all__ = [
     "Attenuation",
     "Bounds",
     "Footprints",
+    "GroundBounce",
     "Projection",
     "RayMap",
     "Rendering",
@@ -95,7 +97,7 @@ def render(
     ground : Ground, optional
         The plane on which rays end: it is in the images, and hides the Gaussians whose centres are below it.
     echoes : sequence of Echo
-        Further returns that are added to the images (`sarsplat.renderer.echoes`), for research of one's own.
+        Further returns that are added to the images: `GroundBounce`, or one's own (`sarsplat.renderer.echoes`).
     first_return_depth : float, optional
         Two-way optical depth at which a ray counts as returned; asks for `Rendering.ray_maps`.
     plane_gradients : bool

@@ -62,7 +62,7 @@ def render_reference(
     cross_sections = amplitudes * attenuation.lit_area[..., None]  # σ = P A_c Σ w
     images = splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight, cuts=cuts)
     ends = ends_of(attenuation.ray_maps) if wants_ends and attenuation.ray_maps else None
-    sighting = Sighting(gaussians, views, grid, rays, shift, attenuation.lit_area, ends, None)
+    sighting = Sighting(gaussians, views, grid, rays, shift, attenuation.lit_area, ends, None, cuts)
     returns = []
     for echo in echoes:
         returns.append(echo.returned(echo.seen(sighting, echo.by_view(len(views))), views, grid, shift))

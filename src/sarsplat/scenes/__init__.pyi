@@ -5,7 +5,7 @@ from .protocols import mstar_grid, mstar_views, paper_grid, paper_views
 from .raycast import simulate_raycast
 from .scattering import ScatteringLaw, add_speckle
 from .simulate_stack import simulate_stack
-from .splat_truth import law_scattering, surface_gaussians
+from .splat_truth import law_by_ground, law_scattering, surface_gaussians
 from .targets import TARGETS, VEHICLES, target_mesh
 from .village import village
 
@@ -20,6 +20,7 @@ __all__ = [
     "ScatteringLaw",
     "add_speckle",
     "building_profile",
+    "law_by_ground",
     "law_scattering",
     "load_mesh",
     "mstar_grid",

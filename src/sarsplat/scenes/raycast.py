@@ -3,7 +3,7 @@
 Parallel rays along the line of sight stand on the computation plane (x_r, y_r), dense along the edges of flat surfaces
 and sparse within them; each deposits the cross-section γ⁰(i)·δx·δy of its first hit on the imaging plane (x_r, z_r),
 which is then seen through the system's power response.
-Direct scattering only: no multiple reflections, no phase.
+Direct scattering, and second bounces if they are asked for; no further ones, no phase.
 """
 
 from __future__ import annotations
@@ -23,7 +23,14 @@ from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, first_hits, sparse_hits, tracer
-from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity, check_terrain
+from sarsplat.scenes._second_bounce import SecondBounce
+from sarsplat.scenes.scattering import (
+    ScatteringLaw,
+    check_bounces,
+    check_ground,
+    check_reflectivity,
+    check_terrain,
+)
 
 if TYPE_CHECKING:
     import trimesh
@@ -39,6 +46,8 @@ _PARTS = 5  # along each side of a pixel, each lit or not
 _RAYS = 2  # along the shorter side of a part, so that every part of a surface has one
 _OFFSET = 0.5, 0.5
 
+_DIRECT = 0.1  # of the time of an image with second bounces, about
+
 
 @checks_arguments
 def simulate_raycast(
@@ -50,6 +59,8 @@ def simulate_raycast(
     reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
     terrain: Terrain | None = None,
+    bounces: int = 1,
+    ground_reflectivity: float | None = None,
     ray_spacing: float | None = None,
     ray_offset: tuple[float, float] = (0.5, 0.5),
     oversample: int = 9,
@@ -71,6 +82,10 @@ def simulate_raycast(
         ground is not seen.
     terrain : Terrain, optional
         Heights of that ground, instead of z = 0; each of its squares is two triangles.
+    bounces : {1, 2}
+        2: also what returns by way of two facets, or of a facet and flat ground.
+    ground_reflectivity : float, optional
+        With second bounces on ground: |Γ|², the share of the power that it reflects like a mirror, 0 to 1.
     ray_spacing : float, optional
         Spacing δ of the square ray lattice where there are edges, m; `default_ray_spacing` unless given. Flat surfaces
         between them, which one ray in 64 recognises, are deposited as finely as the resolution needs.
@@ -91,6 +106,7 @@ def simulate_raycast(
     """
     spacing = default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing
     known: dict[str, Any] = {"reflectivity": reflectivity, "ground_gamma0": ground_gamma0, "terrain": terrain}
+    known |= {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
     return RayCaster(mesh, grid, law, **known, ray_spacing=spacing, ray_offset=ray_offset, oversample=oversample).image(
         view
     )
@@ -109,11 +125,14 @@ class RayCaster:
         ground_gamma0: float | None,
         ray_spacing: float,
         terrain: Terrain | None = None,
+        bounces: int = 1,
+        ground_reflectivity: float | None = None,
         ray_offset: tuple[float, float] = (0.5, 0.5),
         oversample: int = 9,
     ) -> None:
         check_rays(mesh, ground_gamma0, ray_spacing, ray_offset)
         check_terrain(terrain, ground_gamma0)
+        check_bounces(bounces, ground_reflectivity, ground_gamma0, terrain)
         self._grid, self._law = grid, law
         self._reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
         self._terrain_gamma0: Float64[np.ndarray, " t"] = np.empty(0)
@@ -127,6 +146,12 @@ class RayCaster:
         self._spacing, self._offset = ray_spacing, ray_offset
         self._nodes = NodeGrid(grid, oversample)
         self._patches = Patches.of(mesh, self._reflectivity)
+        self.power_by_echo: dict[View, dict[str, float]] = {}
+        """Of each image with second bounces so far: what of the sum of its pixels, β⁰, returned which way."""
+        self._second: SecondBounce | None = None
+        if bounces == 2:
+            how = (self._patches, ray_spacing, ray_offset, grid.resolution_m, ground_reflectivity)
+            self._second = SecondBounce(mesh, law, self._reflectivity, *how)
 
     def image(
         self, view: View, progress: Callable[[float], object] = lambda share: None
@@ -138,11 +163,10 @@ class RayCaster:
         look, ground = view.look, self._ground_gamma0
         if view.aloft and (ground is not None or len(self._terrain_gamma0)):
             raise SarsplatError("the view is of a target aloft, where there is no ground; leave out the ground")
-        trace = tracer(facets)
-        if ground is not None:
-            trace = _above_ground(facets, trace, look)
-        deposit = Deposit(self._nodes)
+        trace = self._trace(facets, look)
+        deposit, target = Deposit(self._nodes), Deposit(self._nodes)
         region = self._region(facets, view)
+        direct = 1.0 if self._second is None else _DIRECT
         hits = sparse_hits(
             facets,
             self._patches,
@@ -152,17 +176,41 @@ class RayCaster:
             self._offset,
             self._grid.resolution_m,
             0.0 if ground is None else math.hypot(1 / look.slope, look.range_on_ground(1.0, 0.0)),
-            progress,
+            lambda share: progress(direct * share),
         )
         for hit in hits if not region.empty else ():
             x, y = hit.position.T
             deposit.add(x, hit.slant_range, gamma0[hit.face] * hit.area)
+            if self._second is not None:
+                target.add(x, hit.slant_range, gamma0[hit.face] * hit.area)
             if ground is not None:
                 # Free ground has a closed form, without moiré; a ray that the target stops subtracts what it would
                 # have contributed there.
                 deposit.add(x, look.range_on_ground(x, y), np.full(x.shape, -ground) * hit.area)
         image = deposit.image + (0.0 if ground is None else look.beta0_of_gamma0(ground))
+        if self._second is not None:
+
+            def report(share: float) -> None:
+                progress(direct + (1 - direct) * share)
+
+            echoes = {"target": target.image} | ({} if ground is None else {"ground": image - target.image})
+            second = self.second_bounces(view, report)
+            self.power_by_echo[view] = {kind: float(one.sum()) for kind, one in (echoes | second).items()}
+            image = sum(second.values(), image)
         return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
+
+    def second_bounces(
+        self, view: View, progress: Callable[[float], object] = lambda share: None
+    ) -> dict[str, Float64[np.ndarray, "rows columns"]]:
+        """What second bounces alone show, β⁰, by kind; none unless they were asked for."""
+        if self._second is None:
+            return {}
+        facets = Facets.of(self._mesh, view)
+        return self._second.images(view, facets, self._trace(facets, view.look), self._nodes, progress)
+
+    def _trace(self, facets: Facets, look: Look) -> Trace:
+        trace = tracer(facets)
+        return trace if self._ground_gamma0 is None else _above_ground(facets, trace, look)
 
     def _region(self, facets: Facets, view: View) -> Region:
         """Where rays can meet the mesh, or shade the ground, within the image."""

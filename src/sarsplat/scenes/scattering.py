@@ -129,6 +129,36 @@ def check_terrain(terrain: Terrain | None, gamma0: float | None) -> None:
         raise SarsplatError("terrain is the shape of the ground, which has no γ⁰; give that too, with --ground")
 
 
+def check_bounces(
+    bounces: int, ground_reflectivity: float | None, gamma0: float | None, terrain: Terrain | None
+) -> None:
+    """Refuse a number of bounces other than 1 and 2, and a mirror that is missing, or that nothing would use."""
+    if bounces not in (1, 2):
+        raise SarsplatError(f"bounces {bounces} is unknown; choose 1, or 2 for second bounces as well")
+    if bounces == 1:
+        if ground_reflectivity is not None:
+            raise SarsplatError(
+                f"the ground's reflectivity {ground_reflectivity} is of second bounces; ask for 2 bounces, or leave it "
+                "out"
+            )
+        return
+    if terrain is not None:
+        raise SarsplatError("second bounces are on flat ground; leave out the terrain, or ask for 1 bounce")
+    if gamma0 is None:
+        if ground_reflectivity is not None:
+            raise SarsplatError(
+                f"the ground's reflectivity is {ground_reflectivity}, but there is no ground by which anything could "
+                "return; give its γ⁰ too (0 for a dark mirror), with --ground, or leave it out"
+            )
+        return
+    if ground_reflectivity is None or not 0 <= ground_reflectivity <= 1:  # also catches NaN
+        found = "nowhere said" if ground_reflectivity is None else str(ground_reflectivity)
+        raise SarsplatError(
+            f"the share of the power that the ground reflects like a mirror is {found}; give 0 to 1 (|Γ|², not "
+            "decibels), with --ground-reflectivity"
+        )
+
+
 def check_reflectivity(
     reflectivity: Real[np.ndarray, " {faces}"] | Sequence[float] | None, faces: int
 ) -> Float64[np.ndarray, " {faces}"]:

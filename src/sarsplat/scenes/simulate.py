@@ -15,12 +15,20 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.names import Simulator
-from sarsplat.renderer import render
+from sarsplat.renderer import GroundBounce, render
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._random import generator
+from sarsplat.scenes._second_bounce import BY_GROUND
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
-from sarsplat.scenes.scattering import ScatteringLaw, add_speckle, check_ground, check_reflectivity, check_terrain
-from sarsplat.scenes.splat_truth import law_scattering, surface_gaussians
+from sarsplat.scenes.scattering import (
+    ScatteringLaw,
+    add_speckle,
+    check_bounces,
+    check_ground,
+    check_reflectivity,
+    check_terrain,
+)
+from sarsplat.scenes.splat_truth import law_by_ground, law_scattering, surface_gaussians
 
 if TYPE_CHECKING:
     import trimesh
@@ -42,11 +50,14 @@ def simulate_images(
     reflectivity: Real[np.ndarray, " faces"] | Sequence[float] | None = None,
     ground_gamma0: float | None = None,
     terrain: Terrain | None = None,
+    bounces: int = 1,
+    ground_reflectivity: float | None = None,
     ray_spacing: float | None = None,
     looks: float | None = None,
     clean: Sequence[int] = (),
     seed: int = 0,
     progress: Callable[[float], object] | None = None,
+    power_by_echo: dict[str, float] | None = None,
 ) -> Float32[np.ndarray, "v {grid.rows} {grid.columns}"]:
     """SAR images of a mesh from every view.
 
@@ -67,6 +78,10 @@ def simulate_images(
         γ⁰ (linear) of a flat ground at z = 0; none unless given.
     terrain : Terrain, optional
         Heights of that ground, instead of z = 0. The mesh is not moved.
+    bounces : {1, 2}
+        2: also what returns by way of flat ground and the mesh, and, by ray casting, of two of its facets.
+    ground_reflectivity : float, optional
+        With second bounces on ground: |Γ|², the share of the power that it reflects like a mirror, 0 to 1.
     ray_spacing : float, optional
         Spacing of the rays in ray casting, m; `default_ray_spacing` unless given.
     looks : float, optional
@@ -78,6 +93,8 @@ def simulate_images(
     progress : callable, optional
         Called with the number of finished images after each, and by ray casting, which works on as many views at once
         as PyTorch has threads, several times a second with the parts that are done.
+    power_by_echo : dict, optional
+        With second bounces, filled with the share of all images' power, without speckle, that returned each way.
 
     Returns
     -------
@@ -93,8 +110,10 @@ def simulate_images(
     reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
     check_ground(ground_gamma0)
     check_terrain(terrain, ground_gamma0)
+    check_bounces(bounces, ground_reflectivity, ground_gamma0, terrain)
     speckle = generator(seed, "speckle")
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
+    powers: dict[View, dict[str, float]] = {}
     if source == "raycast":
         caster = RayCaster(
             mesh,
@@ -103,10 +122,12 @@ def simulate_images(
             reflectivity=reflectivity,
             ground_gamma0=ground_gamma0,
             terrain=terrain,
+            bounces=bounces,
+            ground_reflectivity=ground_reflectivity,
             ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
             oversample=_OVERSAMPLE,
         )
-        images = in_order(caster.image, views, progress)
+        images, powers = in_order(caster.image, views, progress), caster.power_by_echo
     elif source != "splat":
         raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
     elif ray_spacing is not None:
@@ -118,8 +139,13 @@ def simulate_images(
         raise SarsplatError(
             f"the renderer's response is a Gaussian, but the grid's is {grid.response}; choose the source 'raycast'"
         )
+    elif bounces == 2 and not ground_reflectivity:
+        raise SarsplatError(
+            "the renderer's second bounces are by way of the ground alone, which reflects nothing here; give the "
+            "ground's reflectivity, or choose the source 'raycast'"
+        )
     else:
-        images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain)
+        images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain, ground_reflectivity, powers)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
     if looks is not None:  # first, so that a bad number of looks is refused before minutes of ray casting
         stack = add_speckle(stack, looks, speckle)
@@ -128,6 +154,10 @@ def simulate_images(
         stack[index] *= image
         if progress is not None:
             progress(index + 1)
+    if power_by_echo is not None and powers:
+        of_views = [powers[view] for view in views]
+        total = sum(sum(one.values()) for one in of_views) or 1.0
+        power_by_echo |= {kind: sum(one[kind] for one in of_views) / total for kind in of_views[0]}
     return stack
 
 
@@ -138,11 +168,15 @@ def simulation_record(
     ground_gamma0: float | None,
     ray_spacing: float | None,
     seed: int,
+    bounces: int = 1,
+    ground_reflectivity: float | None = None,
+    power_by_echo: dict[str, float] | None = None,
     ray_error_db: float | None = None,
 ) -> dict[str, Any]:
     """How `simulate_images` makes images with these arguments, except speckle, as JSON for a dataset's `source`.
 
-    `ray_error_db` is what `ray_error_db` has estimated.
+    `ray_error_db` is what `ray_error_db` has estimated, and `power_by_echo` what `simulate_images` has found. Of
+    bounces nothing is said unless there are second ones.
     """
     sampling: dict[str, dict[str, Any]] = {
         "raycast": {
@@ -155,6 +189,8 @@ def simulation_record(
             "rays_per_pixel": _RAYS_PER_PIXEL,
         },
     }
+    second: dict[str, Any] = {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
+    second["power_by_echo"] = power_by_echo
     return {
         "kind": source,
         "law": law.as_dict(),
@@ -162,6 +198,7 @@ def simulation_record(
         "ground_gamma0": ground_gamma0,
         "seed": seed,
         **sampling[source],
+        **(second if bounces == 2 else {}),
     }
 
 
@@ -173,6 +210,8 @@ def _splat(
     reflectivity: Float64[np.ndarray, " faces"],
     ground_gamma0: float | None,
     terrain: Terrain | None,
+    ground_reflectivity: float | None,
+    powers: dict[View, dict[str, float]],
 ) -> Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]:
     pixel = min(grid.spacing_m)
     gaussians, faces = surface_gaussians(mesh, pixel / _PIECES_PER_PIXEL)
@@ -182,6 +221,13 @@ def _splat(
     for view in views:
         face_gamma0 = reflectivity * law_scattering(mesh.face_normals, [view], law)
         gamma0 = torch.from_numpy(face_gamma0[:, faces, None]).float()
+        echoes = []
+        if ground is not None and ground_reflectivity:
+            sent_on = torch.from_numpy((reflectivity * law_by_ground(mesh.face_normals, [view], law))[:, faces]).float()
+            echoes.append(GroundBounce(ground, torch.tensor(ground_reflectivity), sent_on))
         with torch.no_grad():
-            rendering = render(gaussians, [view], grid, rays=rays, amplitudes=gamma0, ground=ground)
-            yield rendering.channel(0)[0].numpy()
+            rendering = render(gaussians, [view], grid, rays=rays, amplitudes=gamma0, ground=ground, echoes=echoes)
+        if echoes:
+            shown = dict(zip(("ground", BY_GROUND), (float(one.sum()) for one in rendering.echoes), strict=True))
+            powers[view] = {"target": float(rendering.images.sum()) - sum(shown.values()), **shown}
+        yield rendering.channel(0)[0].numpy()

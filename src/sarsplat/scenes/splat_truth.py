@@ -126,3 +126,19 @@ def law_scattering(
     """
     towards_radar = np.array([view.look.way_out for view in views]).reshape(-1, 3)
     return law.gamma0(towards_radar @ np.asarray(normals, dtype=np.float64).T)
+
+
+@checks_arguments
+def law_by_ground(
+    normals: Float[np.ndarray, "n 3"] | Sequence[Sequence[float]], views: Sequence[View], law: ScatteringLaw
+) -> Float64[np.ndarray, "v n"]:
+    """What surface points send from the radar to the ground or back, per lit area: `GroundBounce.amplitudes`.
+
+    It is the law's γ of the direction in the middle, which is level; none where the two ways are on different sides.
+    Arguments are those of `law_scattering`.
+    """
+    normals = np.asarray(normals, dtype=np.float64)
+    u = np.array([view.look.way_out for view in views]).reshape(-1, 3)
+    level, mirrored = u * (1.0, 1.0, 0.0), u * (1.0, 1.0, -1.0)
+    middle = level / np.linalg.norm(level, axis=1, keepdims=True)
+    return law.gamma0(middle @ normals.T) * ((u @ normals.T) * (mirrored @ normals.T) > 0)

@@ -15,15 +15,17 @@ from scipy.spatial import cKDTree
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning import Trainer
 from sarsplat.learning.model import SceneModel
 from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mesh
 from sarsplat.radar.iso_range import contributions
 from sarsplat.regions.target_region import target_region
+from sarsplat.renderer import GroundBounce
 from sarsplat.report.interferogram import Interferogram, Pair
 from sarsplat.runs.own_gaussians import own_scene
+from sarsplat.scenes import ScatteringLaw, law_by_ground
 from sarsplat.scenes.meshes import read_mesh
 
 if TYPE_CHECKING:
@@ -50,11 +52,15 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Contributors:
-    """What makes a pixel: places with their shares, largest first, and the share of the learned ground."""
+    """What makes a pixel: places with their shares, largest first, and the share of the learned ground.
+
+    `by_ground_share` is what of the places' shares returns by way of the ground.
+    """
 
     places_m: Float[np.ndarray, "n 3"]
     shares: Float[np.ndarray, " n"]
     ground_share: float
+    by_ground_share: float = 0.0
 
 
 class Subject:
@@ -161,19 +167,34 @@ class Subject:
         return None if self.surface is None else radar_maps(self.surface, view, self.maps_grid)
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
-        """The contributors to a pixel: here, by area alone."""
+        """The contributors to a pixel: here, by area alone, and by way of the ground if that was simulated."""
         surface = self.surface
-        return None if surface is None else self._shares(surface.gaussians, len(surface.normals), view, pixel)
+        if surface is None:
+            return None
+        bounce, reflectivity = None, self.dataset.source.get("ground_reflectivity") if self.dataset else None
+        if reflectivity:
+            towards = torch.from_numpy(view.look.way_out).float()[None]
+            sides = torch.from_numpy(law_by_ground(surface.normals, [view], ScatteringLaw(1.0, 0.0))).float()
+            sent_on = surface.gaussians.gamma0(towards) * sides
+            bounce = GroundBounce(Ground(torch.tensor(0.0)), torch.tensor(float(reflectivity)), sent_on)
+        return self._shares(surface.gaussians, len(surface.normals), view, pixel, bounce)
 
-    def _shares(self, scene: Gaussians, target: int, view: View, pixel: Pixel) -> Contributors | None:
+    def _shares(
+        self, scene: Gaussians, target: int, view: View, pixel: Pixel, bounce: GroundBounce | None = None
+    ) -> Contributors | None:
         power = contributions(scene, view, self.maps_grid, pixel)
+        by_ground = np.zeros_like(power)
+        if bounce is not None:
+            by_ground = contributions(scene, view, self.maps_grid, pixel, bounce=bounce)
+        power = power + by_ground
         total = float(power.sum())
         if not total > 0:
             return None
         order = power[:target].argsort()[::-1]
         order = order[power[order] > 0]
         places = scene.means.double().cpu().numpy()[order]
-        return Contributors(places, power[order] / total, float(power[target:].sum()) / total)
+        shares = float(power[target:].sum()) / total, float(by_ground.sum()) / total
+        return Contributors(places, power[order] / total, *shares)
 
     @property
     def box_m(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:

@@ -337,6 +337,8 @@ def _first_view(subject: Subject) -> View:
 def _who(lit: Contributors, gaussians: bool) -> str:
     """One sentence on what makes a pixel."""
     ground = f" {lit.ground_share:.0%} comes from the ground." if lit.ground_share >= 0.005 else ""
+    if lit.by_ground_share >= 0.005:
+        ground += f" {lit.by_ground_share:.0%} returns by way of the ground, at the foot of what returns it."
     if len(lit.shares) == 0:
         return f"No part of the target is there.{ground}"
     target = lit.shares.sum()

@@ -74,6 +74,8 @@ class Sighting:
         What is left of the rays behind all Gaussians, if an echo wants it.
     new_pass : NewPass or None
         Engine for `Operation.on`; None where plain torch calculates.
+    cuts : bool
+        Whether plain torch leaves out what it may of footprints.
     """
 
     gaussians: Gaussians
@@ -84,6 +86,7 @@ class Sighting:
     lit_area: Float[Tensor, "v n"]
     ends: RayEnds | None
     new_pass: NewPass | None
+    cuts: bool = True
 
 
 class Echo(ABC):

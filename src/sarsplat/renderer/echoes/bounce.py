@@ -1,0 +1,224 @@
+"""The echo by way of the ground: Gaussian–ground and ground–Gaussian, off a level, smooth ground.
+
+The way in is the line of sight u, the way out its mirror image M u at the ground, or the reverse. Both are as long as
+the way to the foot (x, y, ground) and back, whatever the height: a Gaussian is imaged as if it were pressed flat onto
+the ground. The amplitudes of both orders add: four times the power of one.
+
+What returns is lit both ways. Along M u the scene is seen as its mirror image is along u, so the scene and its image
+are one scene of 2 N Gaussians, attenuated once: all real ones are before the ground, and so before all mirrored ones.
+The area of both ways is √(lit(u)·lit(M u)), because what Gaussians of one surface take from each other is the same
+either way, and counts once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.ground import Ground
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.renderer.echoes.echo import Echo, Sighting
+from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.engines.chosen_views import ChosenViews
+from sarsplat.renderer.engines.on_device import NotRecordable
+from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.footprints import Footprints, Projection
+from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
+from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
+
+_COHERENT = 4.0
+"""Power of two equal amplitudes over that of one."""
+
+
+@dataclass(frozen=True)
+class GroundBounce(Echo):
+    """What Gaussians return by way of a smooth, level ground, both orders together.
+
+    Parameters
+    ----------
+    ground : Ground
+        Where the ground is: a plane, the one that is rendered.
+    reflectivity : Tensor []
+        |Γ|², the share of the power that it reflects like a mirror, 0 to 1; differentiable.
+    amplitudes : Tensor [V, N], optional
+        What each Gaussian returns per lit area between u and M u in each view, linear power; otherwise what its
+        scattering law says of the direction in the middle, which is level. Differentiable.
+
+    Raises
+    ------
+    SarsplatError
+        If the ground is terrain, or the reflectivity is not one number.
+    """
+
+    ground: Ground
+    reflectivity: Float[Tensor, ""]
+    amplitudes: Float[Tensor, "v n"] | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.ground.height_m, Terrain):
+            raise SarsplatError("the bounce is off a plane, but the ground is terrain; leave out the bounce")
+        if not isinstance(self.reflectivity, Tensor) or self.reflectivity.ndim:
+            raise SarsplatError(
+                "the bounce's reflectivity must be a torch.Tensor of one number, such as torch.tensor(0.5)"
+            )
+
+    def check(self, gaussians: Gaussians) -> None:
+        like = gaussians.means
+        for name, tensor in (("reflectivity", self.reflectivity), ("amplitudes", self.amplitudes)):
+            if tensor is not None and (tensor.dtype != like.dtype or tensor.device != like.device):
+                raise SarsplatError(
+                    f"the bounce's {name} is {tensor.dtype} on {tensor.device} but means is {like.dtype} on "
+                    f"{like.device}; use one floating dtype and one device for all tensors"
+                )
+
+    def values(self) -> dict[str, Tensor | None]:
+        return {"bounce.reflectivity": self.reflectivity.reshape(1), "bounce.amplitudes": self.amplitudes}
+
+    def visible(self, gaussians: Gaussians) -> Gaussians:
+        """Those whose centres are above the ground, as for the ground itself."""
+        hidden = gaussians.means[:, 2] < self._height
+        return replace(gaussians, optical_depth=gaussians.optical_depth.masked_fill(hidden, 0.0))
+
+    def by_view(self, views: int) -> Float[Tensor, "v n"] | None:
+        if self.amplitudes is not None and len(self.amplitudes) != views:
+            raise SarsplatError(f"the bounce's amplitudes are of {len(self.amplitudes)} views, not of {views}")
+        return self.amplitudes
+
+    def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
+        """As if the ground reflected everything."""
+        s = sighting
+        steps = _Steps(s.new_pass, s.cuts)
+        sections, places = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift, by_view)
+        return steps.splat(places, sections[..., None], s.grid)[:, 0]
+
+    def returned(
+        self,
+        seen: Float[Tensor, "v rows columns"],
+        views: Sequence[View],
+        grid: ImageGrid,
+        shift: Float[Tensor, "v 2"] | None,
+    ) -> Float[Tensor, "v rows columns"]:
+        # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+        return seen * self.reflectivity.expand(1, 1, grid.columns).expand(-1, grid.rows, -1)
+
+    def parts(
+        self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid
+    ) -> tuple[Float[Tensor, "v n"], Footprints]:
+        """What each Gaussian returns by way of a ground that reflects everything, m², and where images show it."""
+        steps = _Steps(passes_for("auto", gaussians.tensors(), grid), cuts=True)
+        return self._parts(steps, gaussians, views, grid, rays, None, self.amplitudes)
+
+    def _parts(
+        self,
+        steps: _Steps,
+        gaussians: Gaussians,
+        views: Sequence[View],
+        grid: ImageGrid,
+        rays: RayGrid,
+        shift: Float[Tensor, "v 2"] | None,
+        amplitudes: Float[Tensor, "v n"] | None,
+    ) -> tuple[Float[Tensor, "v n"], Footprints]:
+        if isinstance(views, ChosenViews):
+            raise NotRecordable("has a bounce off the ground")
+        if amplitudes is None:
+            amplitudes = gaussians.gamma0(_middles(views, gaussians.means))
+        direct, below = lit_both_ways(steps, gaussians, views, grid, rays, self._height)
+        both = direct * below
+        some = both > 0  # the slope of the root is infinite where nothing is lit, and of no use
+        sections = _COHERENT * amplitudes * both.where(some, 1.0).sqrt() * some
+        return sections, feet(gaussians, views, grid, self._height, shift)
+
+    @property
+    def _height(self) -> float:
+        assert not isinstance(self.ground.height_m, Terrain)  # refused
+        return self.ground.height_m
+
+
+class _Steps:
+    """The steps of a rendering, by an engine's passes or by the reference."""
+
+    def __init__(self, new_pass: NewPass | None, cuts: bool) -> None:
+        self._new_pass, self._cuts = new_pass, cuts
+
+    def project(self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Projection:
+        if self._new_pass is None:
+            return project_reference(gaussians, views, grid, rays=rays)
+        return project_with(self._new_pass, gaussians, views, grid, rays=rays, shift=None)
+
+    def lit_area(self, projection: Projection, rays: RayGrid) -> Float[Tensor, "v n"]:
+        if self._new_pass is None:
+            return attenuate_reference(projection, rays, cuts=self._cuts).lit_area
+        return attenuate_with(self._new_pass, projection, rays, first_return_depth=None).lit_area
+
+    def splat(
+        self, footprints: Footprints, cross_sections: Float[Tensor, "v n c"], grid: ImageGrid
+    ) -> Float[Tensor, "v c rows columns"]:
+        if self._new_pass is None:
+            return splat_reference(footprints, cross_sections, grid, cuts=self._cuts)
+        return splat_with(self._new_pass, footprints, cross_sections, grid, imaging_weight="area")
+
+
+def lit_both_ways(
+    steps: _Steps, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid, height_m: float
+) -> tuple[Float[Tensor, "v n"], Float[Tensor, "v n"]]:
+    """Areas over which Gaussians are seen along u, and by way of the ground along M u, m²."""
+    n, p = len(gaussians), steps.project(_with_mirror_image(gaussians, height_m), views, grid, rays)
+    if n:
+        real, image = p.range_m.split(n, dim=1)
+        behind = 1 + (real.amax(1, keepdim=True) - image.amin(1, keepdim=True))  # no digit of the real ones is lost
+        p = replace(p, range_m=torch.cat([real, image + behind], 1))
+    lit = steps.lit_area(p, rays)
+    return lit[:, :n], lit[:, n:]
+
+
+def feet(
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, height_m: float, shift: Float[Tensor, "v 2"] | None
+) -> Footprints:
+    """On the imaging plane, of Gaussians pressed flat onto a level ground."""
+    means = gaussians.means
+    gradients = torch.from_numpy(np.stack([view.look.gradients for view in views])).to(means)  # [V, 2, 3]
+    centers = means[:, :2] @ gradients[:, :, :2].mT + gradients[:, None, :, 2] * height_m
+    if shift is not None:
+        centers = centers + shift[:, None]
+    (along, across, _), ((p, q), (r, s)) = (
+        (rotation_matrix(gaussians.quaternions) * gaussians.scales[:, None]).unbind(1),
+        (row.unbind(1) for row in gradients[:, :, :2, None].unbind(1)),
+    )
+    xx, xy, yy = along.square().sum(1), (along * across).sum(1), across.square().sum(1)
+    of_azimuth, of_range = (means.new_tensor(variance) for variance in grid.response_variance_m2)
+    var_azimuth, var_range = (a * a * xx + 2 * a * b * xy + b * b * yy for a, b in ((p, q), (r, s)))
+    both = p * r * xx + (p * s + q * r) * xy + q * s * yy
+    # of a needle, a difference of products would lose the digits that a sum of squares keeps
+    flat = (p * s - q * r).square() * torch.linalg.cross(along, across).square().sum(1)
+    determinant = flat + var_azimuth * of_range + var_range * of_azimuth + of_azimuth * of_range
+    var_range = var_range + of_range
+    a = (var_range / determinant).sqrt()
+    return Footprints(centers, torch.stack([a, -both / var_range * a, var_range.rsqrt()], dim=-1))
+
+
+def _with_mirror_image(gaussians: Gaussians, height_m: float) -> Gaussians:
+    """The scene, and after it its image in the ground; M R(q) M of the quaternion (w, x, y, z) is (w, −x, −y, z)."""
+    g = gaussians
+    flipped = g.means * g.means.new_tensor([1.0, 1.0, -1.0]) + g.means.new_tensor([0.0, 0.0, 2 * height_m])
+    turned = g.quaternions * g.quaternions.new_tensor([1.0, -1.0, -1.0, 1.0])
+    return Gaussians(
+        torch.cat([g.means, flipped]),
+        torch.cat([g.quaternions, turned]),
+        g.scales.repeat(2, 1),
+        g.optical_depth.repeat(2),
+        Harmonics(g.means.new_zeros(2 * len(g), 1)),  # nobody asks
+    )
+
+
+def _middles(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
+    """Unit vectors in the middle between u and M u: level, towards the radar."""
+    u = np.array([view.look.way_out for view in views]) * (1.0, 1.0, 0.0)
+    return torch.from_numpy(u / np.linalg.norm(u, axis=1, keepdims=True)).to(like)

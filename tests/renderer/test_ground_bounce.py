@@ -1,0 +1,189 @@
+"""The echo by way of the ground: closed forms, the reference's gradients, and the engines against the reference."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from emulated_cuda import Emulator, render_on
+from named_scenes import GRID, VIEWS, cloud, wall, with_scales
+from test_cpu_engine import AVAILABLE, relative
+from test_reference_gradients import check_gradients
+from torch import Tensor
+
+from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.ground import Ground
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.renderer import GroundBounce, Rendering, render
+from sarsplat.renderer.echoes.bounce import _Steps, feet, lit_both_ways
+from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.reference import render_reference
+
+HEIGHT = -0.55
+PIXEL = GRID.spacing_m[0] * GRID.spacing_m[1]
+ONE = torch.tensor(1.0)
+
+
+def level(dtype: torch.dtype = torch.float32, height_m: float = HEIGHT) -> Ground:
+    return Ground(torch.tensor(0.3, dtype=dtype), height_m=height_m)
+
+
+@pytest.mark.parametrize("grazing", [17.0, 45.0])
+@pytest.mark.parametrize("height", [0.0, -0.4])
+def test_a_wall_returns_what_the_closed_form_says_at_its_foot(grazing: float, height: float) -> None:
+    high, view = 1.5, View(0.0, grazing)
+    black = wall(height + high, height)
+    ground, reflectivity = level(height_m=height), torch.tensor(0.5)
+    rays = RayGrid((0.02, 0.02))
+    bounce = GroundBounce(ground, reflectivity, torch.full((1, len(black)), 0.7))
+    grid = ImageGrid(60, 60, (0.15, 0.15), (0.4, 0.4))
+    rendering = render(black, [view], grid, rays=rays, ground=ground, echoes=[bounce])
+    image = rendering.echoes[1][0]
+    pixel = grid.spacing_m[0] * grid.spacing_m[1]
+    expected = 4 * 0.5 * 0.7 * 6 * high * math.cos(math.radians(grazing))
+    assert float(image.sum()) * pixel == pytest.approx(expected, rel=0.05)  # Gaussians stand out over edges
+    foot = -height * math.sin(math.radians(grazing))
+    by_row = image.sum(1) / image.sum()
+    ranges = torch.from_numpy(grid.range_m).float()
+    middle = float((by_row * ranges).sum())
+    assert middle == pytest.approx(foot, abs=0.01)
+    deviation = math.sqrt(float((by_row * (ranges - middle) ** 2).sum()))
+    assert deviation == pytest.approx(math.sqrt(grid.response_variance_m2[1]), rel=0.05)  # a line
+
+
+def test_real_ones_hide_and_are_not_hidden_by_their_images() -> None:
+    """Without their order, images of low ones would stand before high ones that are farther away."""
+    scene, ground = cloud(60, 41, kappa=(4.0, 12.0)), level()
+    rendering, rays = render(scene, VIEWS, GRID, ground=ground), RayGrid.for_image(GRID)
+    direct, below = lit_both_ways(
+        _Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
+    )
+    torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-5, atol=1e-7)
+    assert float(below.sum()) < 0.9 * float(rendering.lit_area.sum())
+
+
+def test_feet_are_pressed_flat() -> None:
+    scene = cloud(5, 3)
+    flat = feet(scene, VIEWS, GRID, HEIGHT, None)
+    moved = replace(scene, means=scene.means + torch.tensor([0.0, 0.0, 0.3]))
+    torch.testing.assert_close(flat.centers, feet(moved, VIEWS, GRID, HEIGHT, None).centers)
+    upright = with_scales(scene, (0.3, 0.001, 0.001))
+    upright = replace(upright, quaternions=torch.tensor([[math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]]).repeat(5, 1))
+    of_response = torch.tensor(GRID.response_variance_m2).rsqrt()  # a vertical needle is a point
+    roots = feet(upright, VIEWS, GRID, HEIGHT, None).roots
+    torch.testing.assert_close(roots[..., [0, 2]], of_response.expand(3, 5, 2), rtol=1e-4, atol=0)
+
+
+# ---- gradients -------------------------------------------------------------------------------------------------------
+def _small() -> tuple[Gaussians, ImageGrid, RayGrid]:
+    scene = cloud(4, 3, size=(0.6, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=2)
+    grid = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45))
+    return scene, grid, RayGrid((0.27, 0.31))
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
+    scene, grid, rays = _small()
+    views, generator = (VIEWS[0], VIEWS[2]), torch.Generator().manual_seed(1)
+    leaves = {name: tensor.double() for name, tensor in scene.tensors().items()}
+    leaves["shift"] = 0.1 * torch.randn(2, 2, generator=generator, dtype=torch.float64)
+    leaves["reflectivity"] = torch.tensor(0.6, dtype=torch.float64)
+    if given:
+        leaves["own"] = 0.5 + torch.rand(2, 4, generator=generator, dtype=torch.float64)
+        del leaves["scattering"]
+    leaves = {name: tensor.requires_grad_() for name, tensor in leaves.items()}
+
+    def image(*values: Tensor) -> list[Tensor]:
+        named = dict(zip(leaves, values, strict=True))
+        fields = {name: named.get(name, tensor.double()) for name, tensor in scene.tensors().items()}
+        bounce = GroundBounce(level(torch.float64), named["reflectivity"], named.get("own"))
+        how = {"rays": rays, "shift": named["shift"], "echoes": [bounce], "cuts": False}
+        return [render_reference(scene.with_tensors(**fields), views, grid, **how).echoes[0]]  # type: ignore[arg-type]
+
+    check_gradients(image, tuple(leaves.values()))
+    (shown,) = image(*leaves.values())
+    weights = torch.linspace(1, 2, shown.numel(), dtype=shown.dtype).view_as(shown)
+    for name, gradient in zip(leaves, torch.autograd.grad((shown * weights).sum(), list(leaves.values())), strict=True):
+        rows = gradient.reshape(gradient.shape[0] if gradient.ndim else 1, -1)
+        assert (rows.norm(dim=1) > 1e-6).all(), name
+
+
+SCENES = {
+    "overlap": lambda: cloud(60, 0),
+    "opaque": lambda: cloud(60, 41, kappa=(4.0, 12.0)),
+    "needles": lambda: with_scales(cloud(40, 5), (0.5, 0.01, 0.01)),
+    "discs": lambda: with_scales(cloud(40, 6), (0.2, 0.2, 0.002)),
+    "dark": lambda: replace(cloud(40, 4), optical_depth=cloud(40, 4).optical_depth * (torch.arange(40) % 3 > 0)),
+    "below the ground": lambda: replace(cloud(40, 7), means=cloud(40, 7).means - torch.tensor([0.0, 0.0, 0.3])),
+}
+
+
+def _everything(scene: Gaussians, dtype: torch.dtype, renderer: Callable[..., Rendering]) -> dict[str, Tensor]:
+    leaves = {name: tensor.to(dtype, copy=True).requires_grad_() for name, tensor in scene.tensors().items()}
+    leaves["shift"] = (0.1 * torch.arange(6.0).view(3, 2)).to(dtype).requires_grad_()
+    leaves["reflectivity"] = torch.tensor(0.6, dtype=dtype, requires_grad=True)
+    fields = {name: leaves[name] for name in scene.tensors()}
+    ground = level(dtype)
+    echoes = [GroundBounce(ground, leaves["reflectivity"])]
+    how = {"shift": leaves["shift"], "ground": ground, "echoes": echoes}
+    image = renderer(scene.with_tensors(**fields), VIEWS, GRID, **how).echoes[1]
+    cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+    found = torch.autograd.grad((image * cotangent.to(dtype)).sum(), list(leaves.values()))
+    return {"image": image.detach(), **dict(zip(leaves, found, strict=True))}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
+    scene = SCENES[name]()
+    expected = _everything(scene, torch.float64, partial(render, engine="reference"))
+    for instruction_set in AVAILABLE:
+        found = _everything(scene, torch.float32, partial(render, engine="cpu", instruction_set=instruction_set))
+        assert relative(found["image"], expected["image"]) <= 1e-5
+        for argument, value in expected.items():
+            assert float(value.norm()) > 0, argument
+            assert relative(found[argument], value) <= 1e-4, (argument, instruction_set)
+
+
+def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:
+    scene = cloud(12, 0)
+    expected = _everything(scene, torch.float64, partial(render, engine="reference"))
+    found = _everything(scene, torch.float32, partial(render_on, Emulator(library)))
+    assert relative(found["image"], expected["image"]) <= 1e-5
+    for argument, value in expected.items():
+        assert relative(found[argument], value) <= 1e-4, argument
+
+
+def test_the_same_bits_for_any_number_of_threads() -> None:
+    scene, threads = cloud(3000, 8, scale=0.05), torch.get_num_threads()
+    found = []
+    try:
+        for count in (1, 3):
+            torch.set_num_threads(count)
+            found.append(_everything(scene, torch.float32, render))
+    finally:
+        torch.set_num_threads(threads)
+    for name, value in found[0].items():
+        assert torch.equal(value, found[1][name]), name
+
+
+# ---- what does not fit -----------------------------------------------------------------------------------------------
+def test_what_does_not_fit_is_refused() -> None:
+    scene, ground = cloud(3, 0), level()
+    hills = Ground(torch.tensor(0.3), height_m=Terrain(np.zeros((2, 2)), (1.0, 1.0)))
+    with pytest.raises(SarsplatError, match="off a plane, but the ground is terrain"):
+        GroundBounce(hills, ONE)
+    with pytest.raises(SarsplatError, match=r"must be a torch\.Tensor of one number"):
+        GroundBounce(ground, torch.ones(2))
+    for wrong, message in (
+        (GroundBounce(ground, ONE.double()), "reflectivity is torch.float64 on cpu but means"),
+        (GroundBounce(ground, ONE, torch.ones(2, 3)), "amplitudes are of 2 views, not of 3"),
+        (GroundBounce(ground, ONE * torch.nan), r"bounce\.reflectivity"),
+        (GroundBounce(ground, ONE, torch.full((3, 3), torch.inf)), r"bounce\.amplitudes"),
+    ):
+        with pytest.raises(SarsplatError, match=message):
+            render(scene, VIEWS, GRID, ground=ground, echoes=[wrong])
