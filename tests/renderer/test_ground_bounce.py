@@ -20,8 +20,9 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer import GroundBounce, Rendering, render
-from sarsplat.renderer.echoes.bounce import _Steps, feet, lit_both_ways
+from sarsplat.renderer.echoes.bounce import feet, lit_both_ways
 from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.one_by_one import Steps
 from sarsplat.renderer.reference import render_reference
 
 HEIGHT = -0.55
@@ -61,7 +62,7 @@ def test_real_ones_hide_and_are_not_hidden_by_their_images() -> None:
     scene, ground = cloud(60, 41, kappa=(4.0, 12.0)), level()
     rendering, rays = render(scene, VIEWS, GRID, ground=ground), RayGrid.for_image(GRID)
     direct, below = lit_both_ways(
-        _Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
+        Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
     )
     torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-5, atol=1e-7)
     assert float(below.sum()) < 0.9 * float(rendering.lit_area.sum())

@@ -203,7 +203,8 @@ def _blamed_on(place: object) -> Iterator[None]:
 
 def _view(index: int, item: ViewHeader) -> View:
     with _blamed_on(f"views[{index}]"):
-        return View(item.azimuth_deg, item.grazing_deg, item.tilt_deg, item.side, item.aloft)
+        angles = item.azimuth_deg, item.grazing_deg, item.tilt_deg
+        return View(*angles, item.side, item.aloft, item.apart_deg, item.apart_towards_deg)
 
 
 def _stack(index: int, item: ViewHeader) -> Stack | None:

@@ -100,6 +100,19 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
     aloft: Annotated[
         bool, about("whether the target is in free space: no ground at z = 0, and the radar may be below")
     ] = False
+    apart_deg: Annotated[
+        float,
+        about("angle between transmitter and receiver, halfway between which the radar is", minimum=0, maximum=170),
+    ] = 0.0
+    apart_towards_deg: Annotated[
+        float,
+        about(
+            "where the transmitter is from halfway, degrees: 0 along the level azimuth axis of a radar that looks to the "
+            "right, 90 above",
+            minimum=-180,
+            maximum=180,
+        ),
+    ] = 0.0
     stack: Annotated[
         StackHeader | None,
         about("passes of a stack, one page of the TIFF each, in this order; null if it is a single image"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -21,11 +21,12 @@ Ends = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """How a far-away, monostatic radar sees places: all geometry that a view's angles imply.
+    """How a far-away radar sees places: all geometry that a view's angles imply.
 
     A place is x_r = R_r x_w in the radar frame: its azimuth and range are where the image shows it, its azimuth and
     elevation are on which ray it lies. Ground is level, at z = 0 unless a height is given; θ is the grazing angle, and
-    τ the tilt.
+    τ the tilt. If transmitter and receiver are apart, the radar is halfway between them: rays are along either way, and
+    the slant range in the image, −½(u_t + u_r)·x, grows less than the range away from halfway.
 
     Parameters
     ----------
@@ -37,50 +38,76 @@ class Look:
         tan θ / cos τ: elevation for each metre of slant range on the ground, and so β⁰ over γ⁰ of the ground.
     lean : float
         tan τ: how much the azimuth axis rises for each metre of elevation that the elevation axis does.
+    aside : numpy.ndarray, float64 [3]
+        ½(u_t − u_r), perpendicular to the line of sight: 0 unless transmitter and receiver are apart.
+    shortening : float
+        Slant range in the image for each metre of range in the frame: cosine of half the angle between the two ways.
     """
 
     frame: Float64[np.ndarray, "3 3"]
     slope: float
     lean: float
+    aside: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
+    shortening: float = 1.0
 
     @classmethod
-    def of(cls, azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: bool = False) -> Self:
+    def of(
+        cls,
+        azimuth_deg: float,
+        grazing_deg: float,
+        tilt_deg: float = 0.0,
+        left: bool = False,
+        apart_deg: float = 0.0,
+        apart_towards_deg: float = 0.0,
+    ) -> Self:
         """From the angles of a view; source: SAR-GS, eq. (5), for a level azimuth axis and a radar that looks right."""
         phi, theta, tau = math.radians(azimuth_deg), math.radians(grazing_deg), math.radians(tilt_deg)
         sp, cp, st, ct = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)
         frame = np.array([[-sp, -cp, 0.0], [-st * cp, st * sp, ct], [-ct * cp, ct * sp, -st]])
+        half, psi = math.radians(apart_deg / 2), math.radians(apart_towards_deg)
+        aside = math.sin(half) * (math.cos(psi) * frame[0] + math.sin(psi) * frame[1])
         if left:
             frame[0] = -frame[0]
         if tau:
             cos, sin = math.cos(tau), math.sin(tau)
             frame[:2] = np.array([[cos, sin], [-sin, cos]]) @ frame[:2]
-        return cls(frame, math.tan(theta) / math.cos(tau), math.tan(tau))
+        return cls(frame, math.tan(theta) / math.cos(tau), math.tan(tau), aside, math.cos(half))
 
     # ---- ways and images ---------------------------------------------------------------------------------------------
     @property
-    def way_in(self) -> Float64[np.ndarray, " 3"]:
-        """Unit vector from the scene to the transmitter, world frame."""
+    def facing(self) -> Float64[np.ndarray, " 3"]:
+        """Unit vector from the scene to the radar, world frame: to halfway, if transmitter and receiver are apart."""
         return -self.frame[2]
 
     @property
+    def way_in(self) -> Float64[np.ndarray, " 3"]:
+        """Unit vector u_t from the scene to the transmitter, world frame."""
+        return self.facing * self.shortening + self.aside if self.bistatic else self.facing
+
+    @property
     def way_out(self) -> Float64[np.ndarray, " 3"]:
-        """Unit vector from the scene to the receiver, world frame: the way in, backwards."""
-        return -self.frame[2]
+        """Unit vector u_r from the scene to the receiver, world frame: the way in, backwards, unless they are apart."""
+        return self.facing * self.shortening - self.aside if self.bistatic else self.facing
 
     @property
     def ways(self) -> tuple[Float64[np.ndarray, " 3"], ...]:
         """Directions in all of which nothing may lie before a place that is in sight: in and out, once if the same."""
-        return (self.way_in,)
+        return (self.way_in, self.way_out) if self.bistatic else (self.facing,)
+
+    @property
+    def bistatic(self) -> bool:
+        """Whether transmitter and receiver are apart."""
+        return self.shortening < 1
 
     @property
     def gradients(self) -> Float64[np.ndarray, "2 3"]:
         """How a place's azimuth and slant range in the image grow along x, y and z: one row each."""
-        return self.frame[[0, 2]]
+        return self.frame[[0, 2]] * np.array([[1.0], [self.shortening]])
 
     @property
     def sine(self) -> float:
-        """Slant range by which each metre of height is nearer; cosine of the ground's incidence angle: sin θ."""
-        return float(-self.frame[2, 2])
+        """Slant range by which each metre of height is nearer; if monostatic, cosine of the ground's incidence angle."""
+        return self._sine * self.shortening
 
     @property
     def height_per_elevation(self) -> float:
@@ -106,10 +133,10 @@ class Look:
     @property
     def onto_ground(self) -> Float64[np.ndarray, "2 2"]:
         """(x, y) on the ground for each metre of azimuth, and for each of slant range."""
-        across, away = self._across, self.frame[2, :2] / self._cosine**2
+        across, away = self._across, self.frame[2, :2] / self._cosine**2 / self.shortening
         if self.level:
             return np.stack([across, away])
-        return np.stack([across / self._cos_tilt, away - self.lean * self.sine / self._cosine * across])
+        return np.stack([across / self._cos_tilt, away - self.lean * self._sine / self._cosine / self.shortening * across])
 
     @property
     def displaced(self) -> Float64[np.ndarray, " 2"]:
@@ -124,23 +151,23 @@ class Look:
 
     def ground_range(self, slant_range: Lengths, height: Any = 0.0) -> Lengths:
         """How far `ahead` of the origin what is imaged at a slant range lies, m."""
-        return (slant_range + height * self.sine) / self._cosine
+        return (slant_range / self.shortening + height * self._sine) / self._cosine
 
     def slant_range(self, ground_range: Lengths, height: Any = 0.0) -> Lengths:
         """Where in the image what lies so far `ahead` is, m."""
-        return ground_range * self._cosine - height * self.sine
+        return (ground_range * self._cosine - height * self._sine) * self.shortening
 
     def to_ground(self, azimuth: Lengths, slant_range: Lengths) -> tuple[Lengths, Lengths]:
         """Where on the ground the image shows a place: across, as a level flight looking right goes, and `ahead`, m."""
         ahead = self.ground_range(slant_range)
-        level = azimuth if self.level else azimuth / self._cos_tilt - ahead * (self.lean * self.sine)
+        level = azimuth if self.level else azimuth / self._cos_tilt - ahead * (self.lean * self._sine)
         return (level if self._along_right > 0 else -level), ahead
 
     def to_image(self, across: Lengths, ahead: Lengths) -> tuple[Lengths, Lengths]:
         """Azimuth and slant range at which the image shows such a place, m."""
         level = across if self._along_right > 0 else -across
         if not self.level:
-            level = self._cos_tilt * (level + ahead * (self.lean * self.sine))
+            level = self._cos_tilt * (level + ahead * (self.lean * self._sine))
         return level, self.slant_range(ahead)
 
     def shadow_m(self, height: Lengths) -> Lengths:
@@ -158,7 +185,7 @@ class Look:
     def elevation_on_ground(self, azimuth: Any, slant_range: Lengths) -> Lengths:
         """Elevation of the ground that the image shows at a place, m; the same at every azimuth of a level axis."""
         # `elevation_at` of height 0, but for the last bit: images depend on either
-        level = slant_range * self.slope
+        level = slant_range / self.shortening * self.slope
         return level if self.level else level - azimuth * self.lean
 
     def range_on_ground(self, azimuth: Any, elevation: Lengths) -> Lengths:
@@ -168,7 +195,7 @@ class Look:
 
     def elevation_at(self, azimuth: Any, slant_range: Lengths, height: Any) -> Lengths:
         """Elevation of what is so high, where the image shows it, m; the same at every azimuth if the axis is level."""
-        level = (slant_range * self.sine + height) / self.height_per_elevation
+        level = (slant_range / self.shortening * self._sine + height) / self.height_per_elevation
         return level if self.level else level - azimuth * self.lean
 
     def rays_to_ground(self, azimuths: Ends, ranges: Ends, heights: Ends) -> tuple[Ends, Ends]:
@@ -182,16 +209,16 @@ class Look:
 
         Rays of all columns end there: only under a level azimuth axis are rays and pixels on the ground both in rows.
         """
-        return (first * self._cosine - height) / self.sine, step / self.slope
+        return (first * self._cosine - height) / self._sine, step / self.slope
 
     # ---- the vertical plane in which all rays of a column lie, if the azimuth axis is level --------------------------
     def in_section(self, ground_range: Lengths, height: Any) -> tuple[Lengths, Lengths]:
         """Elevation and slant range of places, m."""
-        return ground_range * self.sine + height * self._cosine, self.slant_range(ground_range, height)
+        return ground_range * self._sine + height * self._cosine, self.slant_range(ground_range, height)
 
     def along_ray(self, elevation: Lengths, height: Any) -> Lengths:
         """Ground range at which a ray at an elevation is so high, m."""
-        return (elevation - height * self._cosine) / self.sine
+        return (elevation - height * self._cosine) / self._sine
 
     # ---- power of the ground ----------------------------------------------------------------------------------------
     def beta0_of_gamma0(self, gamma0: Power) -> Power:
@@ -201,6 +228,11 @@ class Look:
     def gamma0_of_beta0(self, beta0: Power) -> Power:
         """γ⁰ of ground with this β⁰."""
         return beta0 / self.slope
+
+    @property
+    def _sine(self) -> float:
+        """Range away from the radar by which each metre of height is nearer: sin θ."""
+        return float(-self.frame[2, 2])
 
     @property
     def _cosine(self) -> float:

@@ -21,6 +21,16 @@ _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
 _MAX_TILT = 89.0  # degrees: at 90 the image shows level ground edge-on, as a line
 _LEAST_TURN = 1e-3  # sine of the angle between a line of sight and an axis: along it, nothing has a Doppler frequency
 
+_MOST_APART = 170.0  # degrees between transmitter and receiver: beyond, slant range tells next to nothing
+
+_ANGLES = {
+    "azimuth_deg": "azimuth",
+    "grazing_deg": "grazing angle",
+    "tilt_deg": "tilt",
+    "apart_deg": "angle between transmitter and receiver",
+    "apart_towards_deg": "direction of the transmitter",
+}
+
 _TURNED = (
     "give float(…), and turn the means instead; by `a` radians of azimuth: x, y, z = means.unbind(1); "
     "means = torch.stack([x * a.cos() - y * a.sin(), x * a.sin() + y * a.cos(), z], 1)"
@@ -30,7 +40,9 @@ _TURNED = (
 
 @dataclass(frozen=True)
 class View:
-    """Direction to a far-away, monostatic radar, and how its image lies around it.
+    """Direction to a far-away radar, and how its image lies around it.
+
+    If transmitter and receiver are apart (bistatic, see `bistatic`), it is the direction halfway between them.
 
     Parameters
     ----------
@@ -48,12 +60,17 @@ class View:
     aloft : bool
         The target is in free space: there is no ground at z = 0, and the radar may be below, at a grazing angle down to
         −90°, and the tilt be 90°. See `isar`.
+    apart_deg : float
+        Angle between transmitter and receiver seen from the scene, degrees, at most 170: 0 if they are one radar.
+    apart_towards_deg : float
+        Where the transmitter is from halfway, degrees: 0 along the level azimuth axis of a radar that looks to the
+        right, 90 above; the receiver is opposite. 0 if they are one radar.
 
     Raises
     ------
     SarsplatError
         If an angle is not a number, the azimuth exceeds ten turns, the grazing angle lies outside (0°, 90°), the tilt
-        exceeds 89°, or there is no such side.
+        exceeds 89°, there is no such side, transmitter and receiver are too far apart, or one is below the horizon.
     """
 
     azimuth_deg: float
@@ -61,9 +78,11 @@ class View:
     tilt_deg: float = 0.0
     side: RadarSide = "right"
     aloft: bool = False
+    apart_deg: float = 0.0
+    apart_towards_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        for field, name in (("azimuth_deg", "azimuth"), ("grazing_deg", "grazing angle"), ("tilt_deg", "tilt")):
+        for field, name in _ANGLES.items():
             value = getattr(self, field)
             if type(value).__name__ == "Tensor":
                 raise SarsplatError(f"{name} is a tensor, but views have no gradients; {_TURNED}")
@@ -88,6 +107,24 @@ class View:
             )
         if self.side not in get_args(RadarSide):
             raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(RadarSide))}")
+        self._check_apart()
+
+    def _check_apart(self) -> None:
+        if not 0 <= self.apart_deg <= _MOST_APART:
+            raise SarsplatError(
+                f"transmitter and receiver are {self.apart_deg}° apart, which is not between 0° and {_MOST_APART:g}°; "
+                "give the angle between them, 0 if they are one radar"
+            )
+        if not abs(self.apart_towards_deg) <= 180 or (self.apart_towards_deg and not self.apart_deg):
+            raise SarsplatError(
+                f"direction of the transmitter {self.apart_towards_deg}° is not between ±180°, or it is not apart from "
+                "the receiver; give 0, or apart_deg too"
+            )
+        if self.apart_deg and not self.aloft and not min(way[2] for way in self.look.ways) > 0:
+            raise SarsplatError(
+                f"{self!r} has its transmitter or its receiver below the horizon; give both grazing angles above 0°, "
+                "or aloft=True where there is no ground"
+            )
 
     def __repr__(self) -> str:
         """As it is called: what is as usual is left out."""
@@ -101,7 +138,8 @@ class View:
     def unusual(self) -> str:
         """What follows its angles where they are said: ", tilted by 5°, looking left"; empty for most views."""
         tilt = f", tilted by {round(self.tilt_deg, 1):g}°" if self.tilt_deg else ""
-        return tilt + (", looking left" if self.side == "left" else "")
+        side = ", looking left" if self.side == "left" else ""
+        return tilt + side + (f", bistatic by {round(self.apart_deg, 1):g}°" if self.apart_deg else "")
 
     @classmethod
     @checks_arguments
@@ -150,6 +188,63 @@ class View:
         tilt = math.degrees(math.atan2(elevation, abs(across)))
         return replace(level, tilt_deg=tilt, side="left" if across < 0 else "right")
 
+    @classmethod
+    @checks_arguments
+    def bistatic(
+        cls,
+        transmit: Float64[np.ndarray, " 3"] | Sequence[float | int],
+        receive: Float64[np.ndarray, " 3"] | Sequence[float | int],
+        *,
+        tilt_deg: float = 0.0,
+        side: RadarSide = "right",
+        aloft: bool = False,
+    ) -> Self:
+        """The view of a transmitter and a receiver in different directions (bistatic).
+
+        Azimuth is perpendicular to the direction halfway between them, and level unless tilted, as if one radar were
+        there; slant range is −½(u_t + u_r)·x. Of equal directions it is `towards`.
+
+        Parameters
+        ----------
+        transmit, receive : (x, y, z)
+            From the scene to the transmitter, and to the receiver, of any length.
+        tilt_deg, side, aloft
+            As for `View`: of the image's azimuth axis, as one radar halfway would have it.
+
+        Raises
+        ------
+        SarsplatError
+            If a direction is none, they are more than 170° apart, or one is below the horizon and not aloft.
+        """
+        ways = []
+        for name, given in (("transmitter", transmit), ("receiver", receive)):
+            vector = np.asarray(given, float)
+            if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+                raise SarsplatError(
+                    f"the way to the {name} {vector.tolist()} has no direction; give three numbers, not all 0"
+                )
+            ways.append(vector / np.linalg.norm(vector))
+        u_t, u_r = ways
+        if (u_t == u_r).all():
+            return replace(cls.towards(np.asarray(transmit, float), aloft=aloft), tilt_deg=tilt_deg, side=side)
+        apart = 2 * math.degrees(math.atan2(np.linalg.norm(u_t - u_r), np.linalg.norm(u_t + u_r)))
+        if apart > _MOST_APART:
+            raise SarsplatError(
+                f"transmitter and receiver are {apart:.4g}° apart, more than {_MOST_APART:g}°, where slant range tells "
+                "next to nothing; give nearer ones"
+            )
+        view = cls.towards(u_t + u_r, aloft=aloft)
+        across, up = view.look.frame[:2] @ (u_t - u_r)
+        towards = math.degrees(math.atan2(up, across))
+        return replace(view, tilt_deg=tilt_deg, side=side, apart_deg=apart, apart_towards_deg=towards)
+
+    @property
+    def legs(self) -> tuple[Self, ...]:
+        """Views along each way: from the transmitter and from the receiver, itself alone if they are one radar."""
+        if not self.apart_deg:
+            return (self,)
+        return tuple(self.towards(way, aloft=self.aloft) for way in self.look.ways)
+
     @property
     def incidence_deg(self) -> float:
         """Incidence angle against the vertical, degrees."""
@@ -158,12 +253,14 @@ class View:
     @property
     def look(self) -> Look:
         """How the radar sees places from there."""
-        return Look.of(self.azimuth_deg, self.grazing_deg, self.tilt_deg, self.side == "left")
+        left = self.side == "left"
+        angles = self.azimuth_deg, self.grazing_deg, self.tilt_deg
+        return Look.of(*angles, left, self.apart_deg, self.apart_towards_deg)
 
     @property
     def direction(self) -> Float64[np.ndarray, " 3"]:
-        """Unit vector u from the scene to the radar, world frame, float64 [3]."""
-        return self.look.way_in
+        """Unit vector u from the scene to the radar, or to halfway if it is bistatic, world frame, float64 [3]."""
+        return self.look.facing
 
 
 @checks_arguments

@@ -16,6 +16,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
+from sarsplat.renderer.bistatic import render_bistatic
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances
 from sarsplat.renderer.echoes import Echo, GroundEcho
@@ -23,8 +24,9 @@ from sarsplat.renderer.echoes.bounce import GroundBounce
 from sarsplat.renderer.echoes.echo import all_visible, check_echoes
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.choice import ENGINES, chosen_engine, passes_for
-from sarsplat.renderer.engines.chosen_views import ChosenViews
+from sarsplat.renderer.engines.chosen_views import ChosenViews, candidates
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
+from sarsplat.renderer.one_by_one import Steps
 from sarsplat.renderer.operations import render_with
 from sarsplat.renderer.reference import render_reference
 from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
@@ -80,7 +82,8 @@ def render(
     gaussians : Gaussians
         The scene, N Gaussians.
     views : sequence of View
-        V views, at least one.
+        V views, at least one. Bistatic ones are rendered step by step, and have no ground or other echoes, ray maps or
+        processes; `bounds` are of no use to them.
     grid : ImageGrid
         Pixels and system response, the same for all views.
     rays : RayGrid, optional
@@ -156,14 +159,18 @@ def render(
         )
     by_view = {"amplitudes": amplitudes, "shift": shift, "gain": gain}
     tensors = {**gaussians.tensors(), **by_view}
-    options: dict[str, Any] = {
-        **by_view,
-        "rays": rays,
-        "imaging_weight": imaging_weight,
-        "echoes": echoes,
-        "first_return_depth": first_return_depth,
-    }
+    options: dict[str, Any] = {**by_view, "rays": rays, "imaging_weight": imaging_weight}
+    bistatic = any(view.apart_deg for view in candidates(views)[0])
+    if bistatic:
+        _check_bistatic(echoes, first_return_depth, processes)
+    else:
+        options |= {"echoes": echoes, "first_return_depth": first_return_depth}
     if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
+        if bistatic:
+            check_values(by_view)  # the rest is checked on the way in
+            return render_bistatic(
+                Steps(new_pass, cuts=True), gaussians, views, grid, **options, plane_gradients=plane_gradients
+            )
         if bounds is not None and ENGINES[engine].takes_bounds:
             if bounds.broken.device != gaussians.means.device:
                 raise SarsplatError(
@@ -184,5 +191,18 @@ def render(
     check_for_reference("means", gaussians.means.dtype)
     for values in (tensors, *(echo.values() for echo in echoes)):
         check_values(values)
+    if bistatic:
+        return render_bistatic(Steps(None, cuts=True), gaussians, views, grid, **options)
     rendering = render_reference(gaussians, views, grid, **options)
     return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
+
+
+def _check_bistatic(echoes: Sequence[Echo], first_return_depth: float | None, processes: Processes | None) -> None:
+    """Refuse what images of a transmitter and a receiver apart cannot have."""
+    given = {
+        "ground, bounces or other echoes; leave them out": bool(echoes),
+        "ray maps; ask for those of the views along each way, view.legs": first_return_depth is not None,
+        "processes that share them; omit these": processes is not None,
+    }
+    if wrong := next((what for what, there in given.items() if there), None):
+        raise SarsplatError(f"a view is bistatic, and such images have no {wrong}")

@@ -11,6 +11,7 @@ from torch import Tensor
 from sarsplat.arguments import expect
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.gaussians import check_tensors
+from sarsplat.geometry import ImageGrid
 from sarsplat.renderer.rendering import RayMap
 
 
@@ -86,6 +87,25 @@ def deviations(roots: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 2"]:
     """Standard deviations along the two axes of the plane, m: the roots of the diagonal of Σ'."""
     a, b, c = roots.unbind(-1)
     return torch.stack([(1 + (b / c) ** 2).sqrt() / a, 1 / c], dim=-1)
+
+
+def footprints_of(
+    centers: Float[Tensor, "v n 2"],
+    variances: tuple[Float[Tensor, "v n"], Float[Tensor, "v n"], Float[Tensor, "v n"]],
+    determinant: Float[Tensor, "v n"],
+    grid: ImageGrid,
+) -> Footprints:
+    """On the imaging plane, widened by the system's response.
+
+    `variances` are those of azimuth, of azimuth and range, and of range, m²; their `determinant` is given, because of a
+    needle, a difference of products would lose the digits that a sum of squares keeps.
+    """
+    of_azimuth, of_range = (centers.new_tensor(variance) for variance in grid.response_variance_m2)
+    var_azimuth, both, var_range = variances
+    determinant = determinant + var_azimuth * of_range + var_range * of_azimuth + of_azimuth * of_range
+    var_range = var_range + of_range
+    a = (var_range / determinant).sqrt()
+    return Footprints(centers, torch.stack([a, -both / var_range * a, var_range.rsqrt()], dim=-1))
 
 
 @dataclass(frozen=True)

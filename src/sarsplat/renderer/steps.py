@@ -14,6 +14,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import (
     check_for_reference,
+    check_monostatic,
     check_options,
     check_shapes,
     check_step_values,
@@ -76,6 +77,7 @@ def project(
     rays = rays or RayGrid.for_image(grid)
     views = tuple(views)
     check_shapes(gaussians, views, None, shift, None)
+    check_monostatic(views, "give those along each way, view.legs, or use render")
     tensors = {**gaussians.tensors(), "shift": shift}
     if (new_pass := passes_for(engine, tensors, grid)) is not None:
         return project_with(new_pass, gaussians, views, grid, rays=rays, shift=shift)

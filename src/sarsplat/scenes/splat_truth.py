@@ -108,7 +108,9 @@ def _bisected(
 def law_scattering(
     normals: Float[np.ndarray, "n 3"] | Sequence[Sequence[float]], views: Sequence[View], law: ScatteringLaw
 ) -> Float64[np.ndarray, "v n"]:
-    """γ⁰ of surface points in every view, two-sided.
+    """γ⁰ of surface points in every view, two-sided; in bistatic ones, of the direction halfway.
+
+    A point with the transmitter on one side and the receiver on the other returns nothing.
 
     Parameters
     ----------
@@ -124,8 +126,13 @@ def law_scattering(
     numpy.ndarray, float64 [V, N]
         γ⁰, linear: the amplitudes to pass to the renderer.
     """
-    towards_radar = np.array([view.look.way_out for view in views]).reshape(-1, 3)
-    return law.gamma0(towards_radar @ np.asarray(normals, dtype=np.float64).T)
+    normals = np.asarray(normals, dtype=np.float64)
+    facing, way_in, way_out = (
+        np.array([getattr(view.look, name) for view in views]).reshape(-1, 3)
+        for name in ("facing", "way_in", "way_out")
+    )
+    gamma0 = law.gamma0(facing @ normals.T)
+    return gamma0 * ((way_in @ normals.T) * (way_out @ normals.T) >= 0)
 
 
 @checks_arguments

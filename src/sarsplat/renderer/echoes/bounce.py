@@ -29,10 +29,8 @@ from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.engines.on_device import NotRecordable
-from sarsplat.renderer.engines.passes import NewPass
-from sarsplat.renderer.footprints import Footprints, Projection
-from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
-from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
+from sarsplat.renderer.footprints import Footprints, footprints_of
+from sarsplat.renderer.one_by_one import Steps
 
 _COHERENT = 4.0
 """Power of two equal amplitudes over that of one."""
@@ -95,7 +93,7 @@ class GroundBounce(Echo):
     def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
         """As if the ground reflected everything."""
         s = sighting
-        steps = _Steps(s.new_pass, s.cuts)
+        steps = Steps(s.new_pass, s.cuts)
         sections, places = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift, by_view)
         return steps.splat(places, sections[..., None], s.grid)[:, 0]
 
@@ -113,12 +111,12 @@ class GroundBounce(Echo):
         self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
         """What each Gaussian returns by way of a ground that reflects everything, m², and where images show it."""
-        steps = _Steps(passes_for("auto", gaussians.tensors(), grid), cuts=True)
+        steps = Steps(passes_for("auto", gaussians.tensors(), grid), cuts=True)
         return self._parts(steps, gaussians, views, grid, rays, None, self.amplitudes)
 
     def _parts(
         self,
-        steps: _Steps,
+        steps: Steps,
         gaussians: Gaussians,
         views: Sequence[View],
         grid: ImageGrid,
@@ -142,32 +140,8 @@ class GroundBounce(Echo):
         return self.ground.height_m
 
 
-class _Steps:
-    """The steps of a rendering, by an engine's passes or by the reference."""
-
-    def __init__(self, new_pass: NewPass | None, cuts: bool) -> None:
-        self._new_pass, self._cuts = new_pass, cuts
-
-    def project(self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Projection:
-        if self._new_pass is None:
-            return project_reference(gaussians, views, grid, rays=rays)
-        return project_with(self._new_pass, gaussians, views, grid, rays=rays, shift=None)
-
-    def lit_area(self, projection: Projection, rays: RayGrid) -> Float[Tensor, "v n"]:
-        if self._new_pass is None:
-            return attenuate_reference(projection, rays, cuts=self._cuts).lit_area
-        return attenuate_with(self._new_pass, projection, rays, first_return_depth=None).lit_area
-
-    def splat(
-        self, footprints: Footprints, cross_sections: Float[Tensor, "v n c"], grid: ImageGrid
-    ) -> Float[Tensor, "v c rows columns"]:
-        if self._new_pass is None:
-            return splat_reference(footprints, cross_sections, grid, cuts=self._cuts)
-        return splat_with(self._new_pass, footprints, cross_sections, grid, imaging_weight="area")
-
-
 def lit_both_ways(
-    steps: _Steps, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid, height_m: float
+    steps: Steps, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid, height_m: float
 ) -> tuple[Float[Tensor, "v n"], Float[Tensor, "v n"]]:
     """Areas over which Gaussians are seen along u, and by way of the ground along M u, m²."""
     n, p = len(gaussians), steps.project(_with_mirror_image(gaussians, height_m), views, grid, rays)
@@ -193,15 +167,11 @@ def feet(
         (row.unbind(1) for row in gradients[:, :, :2, None].unbind(1)),
     )
     xx, xy, yy = along.square().sum(1), (along * across).sum(1), across.square().sum(1)
-    of_azimuth, of_range = (means.new_tensor(variance) for variance in grid.response_variance_m2)
     var_azimuth, var_range = (a * a * xx + 2 * a * b * xy + b * b * yy for a, b in ((p, q), (r, s)))
     both = p * r * xx + (p * s + q * r) * xy + q * s * yy
     # of a needle, a difference of products would lose the digits that a sum of squares keeps
     flat = (p * s - q * r).square() * torch.linalg.cross(along, across).square().sum(1)
-    determinant = flat + var_azimuth * of_range + var_range * of_azimuth + of_azimuth * of_range
-    var_range = var_range + of_range
-    a = (var_range / determinant).sqrt()
-    return Footprints(centers, torch.stack([a, -both / var_range * a, var_range.rsqrt()], dim=-1))
+    return footprints_of(centers, (var_azimuth, both, var_range), flat, grid)
 
 
 def _with_mirror_image(gaussians: Gaussians, height_m: float) -> Gaussians:

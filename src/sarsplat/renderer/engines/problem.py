@@ -43,7 +43,7 @@ def directions_to(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
 @kept_on_device(maxsize=4096)
 def _direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " 3"]:
     """The unit vector towards the radar."""
-    return torch.from_numpy(view.look.way_out).to(device, dtype)
+    return torch.from_numpy(view.look.facing).to(device, dtype)
 
 
 @kept_on_device(maxsize=4096)
@@ -54,7 +54,7 @@ def _frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
 @kept_on_device(maxsize=4096)
 def _basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
     """Harmonics towards the radar."""
-    return harmonic_basis(torch.from_numpy(view.look.way_out), degree).float().to(device)
+    return harmonic_basis(torch.from_numpy(view.look.facing), degree).float().to(device)
 
 
 def problem_of(

@@ -1,0 +1,98 @@
+"""Images of a transmitter and a receiver apart, put together from the steps of a rendering.
+
+The way in is u_t and the way out u_r. A Gaussian is imaged where the look's gradients say, in slant range −½(u_t + u_r)·x,
+and lit both ways: over √(lit(u_t)·lit(u_r)), because what Gaussians of one surface take from each other is the same
+either way, and counts once. What it returns per lit area is what its law says of the direction halfway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer.engines.chosen_views import ChosenViews
+from sarsplat.renderer.engines.on_device import NotRecordable
+from sarsplat.renderer.footprints import Footprints, footprints_of
+from sarsplat.renderer.lobes import amplitudes_towards
+from sarsplat.renderer.one_by_one import Steps
+from sarsplat.renderer.rendering import Rendering
+
+
+def render_bistatic(
+    steps: Steps,
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    rays: RayGrid,
+    amplitudes: Float[Tensor, "v n c"] | None = None,
+    shift: Float[Tensor, "v 2"] | None = None,
+    gain: Float[Tensor, " v"] | None = None,
+    imaging_weight: str = "area",
+    plane_gradients: bool = False,
+) -> Rendering:
+    """`sarsplat.render` of views some or all of which are bistatic; arguments are documented there."""
+    if isinstance(views, ChosenViews):
+        raise NotRecordable("has a transmitter and a receiver apart")
+    g = gaussians
+    ways = [view.legs[end] for end in (0, -1) for view in views]
+    unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # nobody asks what returns along either way
+    projection = steps.project(unlit, ways, grid, rays)
+    there, back = steps.lit_area(projection, rays).split(len(views))
+    both = there * back
+    some = both > 0  # the slope of the root is infinite where nothing is lit, and of no use
+    lit_area = both.where(some, 1.0).sqrt() * some
+    if amplitudes is None:
+        amplitudes = amplitudes_towards(steps.new_pass, g, views)
+    cross_sections = amplitudes * lit_area[..., None]
+    places = imaged(g, views, grid, shift)
+    planes = None
+    if plane_gradients:
+        planes = g.means.new_zeros(len(views), len(g), 4)
+        _filled_later(planes, projection.rays.centers, places.centers)
+    images = steps.splat(places, cross_sections, grid, imaging_weight)
+    if gain is not None:
+        # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+        images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
+    return Rendering(images, cross_sections, lit_area.detach(), plane_gradients=planes)
+
+
+def imaged(
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, shift: Float[Tensor, "v 2"] | None
+) -> Footprints:
+    """Footprints on the imaging plane by the gradients of any looks."""
+    means = gaussians.means
+    with torch.autocast(means.device.type, enabled=False):
+        gradients = torch.from_numpy(np.stack([view.look.gradients for view in views])).to(means)  # [V, 2, 3]
+        centers = means @ gradients.mT
+        if shift is not None:
+            centers = centers + shift[:, None]
+        sides = gradients[:, None] @ (rotation_matrix(gaussians.quaternions) * gaussians.scales[:, None])
+        of_azimuth, of_range = sides.unbind(2)  # [V, N, 3]: their products are the covariance
+        variances = of_azimuth.square().sum(2), (of_azimuth * of_range).sum(2), of_range.square().sum(2)
+        flat = torch.linalg.cross(of_azimuth, of_range).square().sum(2)
+        return footprints_of(centers, variances, flat, grid)
+
+
+def _filled_later(
+    planes: Float[Tensor, "v n 4"], of_rays: Float[Tensor, "w n 2"], of_pixels: Float[Tensor, "v n 2"]
+) -> None:
+    """Gradients on the planes once they are there; on the computation plane, of both ways together."""
+
+    def on_rays(slope: Tensor) -> None:
+        planes[..., :2] = slope.detach().unflatten(0, (2, -1)).sum(0)
+
+    def on_pixels(slope: Tensor) -> None:
+        planes[..., 2:] = slope.detach()
+
+    for centers, fill in ((of_rays, on_rays), (of_pixels, on_pixels)):
+        if centers.requires_grad:
+            centers.register_hook(fill)
