@@ -18,6 +18,7 @@ from sarsplat.baselines.trainer import BaselineTrainer, saved_scene, scene_of
 from sarsplat.data import Dataset, read_masks, write_mesh
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry.view import check_monostatic
 from sarsplat.learning.method import Inputs, Method, Reconstruction
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.runs.run_folder import MESH
@@ -69,6 +70,7 @@ class BaselineMethod(Method):
         begun: Callable[[], Reconstruction] | None,
     ) -> BaselineTrainer:
         """A training at its beginning; a resumed one keeps its masks."""
+        check_monostatic(dataset.views, f"{self.title} knows one radar only; leave out the method")
         if begun is None:
             masks = None if inputs.masks is None else read_masks(inputs.masks, dataset, ("train",))
             scene = scene_of(dataset, None if masks is None else np.stack([*masks.values()]))

@@ -25,7 +25,7 @@ favours the baseline, not a reconstruction measured by it. The likelihood is fla
 def nearest_chip(
     train: Real[np.ndarray, "k rows columns"], train_views: Sequence[View], views: Sequence[View]
 ) -> Float[np.ndarray, "v rows columns"]:
-    """The training chip nearest in azimuth, among those tilted alike and from the same side, smoothed by a 5×5 mean.
+    """The training chip nearest in azimuth, among those tilted and apart alike and from the same side, smoothed by a 5×5 mean.
 
     Parameters
     ----------
@@ -39,7 +39,10 @@ def nearest_chip(
     numpy.ndarray, float [V, rows, columns]
         Predicted mean power.
     """
-    other = [[(a.side != b.side) * 360 + abs(a.tilt_deg - b.tilt_deg) for a in train_views] for b in views]
+    other = [
+        [(a.side != b.side) * 360 + abs(a.tilt_deg - b.tilt_deg) + abs(a.apart_deg - b.apart_deg) for a in train_views]
+        for b in views
+    ]
     return smoothed(train, 5, 5)[(np.abs(_turn_deg(train_views, views)) + other).argmin(axis=1)]
 
 

@@ -140,7 +140,7 @@ def visible_surface(
     scene = _scene(mesh)
     visible = np.zeros(len(mesh.faces), dtype=bool)
     with ThreadPoolExecutor(_THREADS) as threads:
-        hits = threads.map(lambda view: _first_hits(scene, mesh, view, ray_spacing), views)
+        hits = threads.map(lambda view: _first_hits(scene, mesh, view.legs[-1], ray_spacing), views)
         for number, hit in enumerate(hits, 1):
             visible |= hit
             advanced(number / len(views) / 2)

@@ -90,6 +90,9 @@ def _upright(
     if dataset.views[0].aloft:
         examined.checks["orientation"] = "cannot be determined: what is aloft turns about any axis and has no shadow"
         return dataset
+    if any(view.apart_deg for view in dataset.views):
+        examined.checks["orientation"] = "not examined: shadow and layover of bistatic images lie in two directions"
+        return dataset
     ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
     centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
     look = partial(orientation, dataset.power, dataset.views, dataset.grid, centred=centred, spread=spread)

@@ -136,7 +136,9 @@ class Look:
         across, away = self._across, self.frame[2, :2] / self._cosine**2 / self.shortening
         if self.level:
             return np.stack([across, away])
-        return np.stack([across / self._cos_tilt, away - self.lean * self._sine / self._cosine / self.shortening * across])
+        return np.stack(
+            [across / self._cos_tilt, away - self.lean * self._sine / self._cosine / self.shortening * across]
+        )
 
     @property
     def displaced(self) -> Float64[np.ndarray, " 2"]:

@@ -263,6 +263,17 @@ class View:
         return self.look.facing
 
 
+def along_ways(views: Sequence[View]) -> list[View]:
+    """Views along each way of all views, as of one radar: `View.legs`."""
+    return [leg for view in views for leg in view.legs]
+
+
+def check_monostatic(views: Sequence[View], remedy: str) -> None:
+    """Refuse views of a transmitter and a receiver apart, where one radar is meant."""
+    if any(view.apart_deg for view in views):
+        raise SarsplatError(f"a view is bistatic; {remedy}")
+
+
 @checks_arguments
 def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
     """R_r from the world to the radar frame, x_r = R_r x_w.

@@ -13,7 +13,8 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import GroundBounce, attenuate, project
+from sarsplat.renderer import GroundBounce, attenuate, project, render
+from sarsplat.renderer.bistatic import imaged
 from sarsplat.renderer.constants import IMAGE_CUT
 
 _PARALLEL = 1e-12
@@ -80,7 +81,7 @@ def iso_range_line(
     """
     azimuth, slant_range = pixel.place_m(grid)
     frame = view.look.frame
-    origin, direction = azimuth * frame[0] + slant_range * frame[2], frame[1]
+    origin, direction = azimuth * frame[0] + slant_range / view.look.shortening * frame[2], frame[1]
     first, last = -math.inf, math.inf
     for start, step, a, b in zip(origin, direction, low, high, strict=True):
         if abs(step) < _PARALLEL:
@@ -132,7 +133,11 @@ def contributions(
     if len(gaussians) == 0:
         return np.zeros(0, np.float32)
     gaussians = gaussians.detach()
-    if bounce is None:
+    if bounce is None and view.apart_deg:
+        rendering = render(gaussians, [view], grid, rays=rays)
+        sections = rendering.cross_sections[0, :, gaussians.scattering.power_channel]
+        footprints = imaged(gaussians, [view], grid, None)
+    elif bounce is None:
         projection = project(gaussians, [view], grid, rays=rays)
         gamma0 = projection.amplitudes[..., gaussians.scattering.power_channel]
         sections, footprints = (attenuate(projection, rays).lit_area * gamma0)[0], projection.pixels

@@ -97,12 +97,6 @@ def check_shapes(
             )
 
 
-def check_monostatic(views: Sequence[View], remedy: str) -> None:
-    """Refuse views of a transmitter and a receiver apart, where one is imaged as if it were halfway."""
-    if any(view.apart_deg for view in views):
-        raise SarsplatError(f"a view is bistatic; {remedy}")
-
-
 def check_options(
     *,
     imaging_weight: str = "area",

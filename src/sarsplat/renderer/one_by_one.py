@@ -39,7 +39,5 @@ class Steps:
         imaging_weight: str = "area",
     ) -> Float[Tensor, "v c rows columns"]:
         if self.new_pass is None:
-            return splat_reference(
-                footprints, cross_sections, grid, imaging_weight=imaging_weight, cuts=self._cuts
-            )
+            return splat_reference(footprints, cross_sections, grid, imaging_weight=imaging_weight, cuts=self._cuts)
         return splat_with(self.new_pass, footprints, cross_sections, grid, imaging_weight=imaging_weight)

@@ -12,9 +12,9 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry.view import check_monostatic
 from sarsplat.renderer.checks import (
     check_for_reference,
-    check_monostatic,
     check_options,
     check_shapes,
     check_step_values,

@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float64, Int32
 from sarsplat.errors import SarsplatError
 from sarsplat.extras import install_command
 from sarsplat.geometry import View
+from sarsplat.geometry.view import check_monostatic
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, sparse_hits
@@ -98,6 +99,7 @@ class SecondBounce:
         self, view: View, facets: Facets, trace: Trace, nodes: NodeGrid, progress: Callable[[float], object]
     ) -> dict[str, Float64[np.ndarray, "rows columns"]]:
         """β⁰ by kind; `facets` and `trace` are of the rays that come straight from the radar."""
+        check_monostatic([view], "second bounces are those of one radar")
         kinds = {BY_GROUND: self.by_ground} if self._reflectivity else {}
         kinds |= {BETWEEN_FACETS: self.between_facets}
         images = {}

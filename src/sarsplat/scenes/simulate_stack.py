@@ -19,6 +19,7 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.geometry.responses import Response
 from sarsplat.geometry.stack import LOUDEST
+from sarsplat.geometry.view import check_monostatic
 from sarsplat.scenes._random import generator
 from sarsplat.scenes._rays import Facets, Region, tracer
 from sarsplat.scenes.mechanisms import Mechanisms
@@ -85,6 +86,7 @@ def simulate_stack(
     SarsplatError
         If the mesh has no faces or is not finite, a setting is out of range, or mechanisms are missing or do not fit.
     """
+    check_monostatic([view], "stacks are those of one radar; leave out the passes or the second direction")
     roots = _roots(mechanisms, stack, len(mesh.faces))
     spacing = min(grid.resolution_m) / _PER_CELL if spacing_m is None else spacing_m
     check_rays(mesh, ground_gamma0, spacing, (0.5, 0.5))

@@ -22,6 +22,7 @@ from sarsplat.extras import install_command
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
+from sarsplat.geometry.view import along_ways
 from sarsplat.memory import required
 from sarsplat.progress import stage
 from sarsplat.renderer import render
@@ -71,7 +72,7 @@ def extract_points(
     gaussians : Gaussians
         The target alone, on any device.
     views : sequence of View
-        The training views.
+        The training views; of bistatic ones, rays are traced along both ways.
     grid : ImageGrid
         Sets the spacing of the rays and the unit of `how`, its resolution cell.
     how : PointExtraction
@@ -102,7 +103,8 @@ def extract_points(
         voxels.add(torch.from_numpy(points[heights_of(points, terrain) >= how.min_height * cell]))
         points = voxels.means().numpy()
     else:
-        points = _seen_points(gaussians, [*views, *between(views)], grid, how, terrain)
+        ways = along_ways(views)
+        points = _seen_points(gaussians, [*ways, *between(ways)], grid, how, terrain)
     return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry.view import along_ways
 from sarsplat.progress import stage
 from sarsplat.renderer import Rendering, render
 from sarsplat.surface import cells
@@ -55,7 +56,7 @@ def _rendered(
 
 @dataclass(frozen=True)
 class Seen:
-    """Visibility of each of N Gaussians, summed over views."""
+    """Visibility of each of N Gaussians, summed over views; bistatic ones count as two, along each way."""
 
     means: Float64[Tensor, "n 3"]
     """Centres, world frame, m."""
@@ -70,6 +71,7 @@ class Seen:
 
     @classmethod
     def of(cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid) -> Seen:
+        views = along_ways(views)
         gaussians, rays = gaussians.detach(), RayGrid.for_image(grid, _RAYS_PER_PIXEL)
         means, channel = gaussians.means.double(), gaussians.scattering.power_channel
         sums = means.new_zeros(len(means), 5)  # cross-section, lit area, towards

@@ -163,8 +163,8 @@ class Subject:
         return self.grid
 
     def maps(self, view: View) -> RadarMaps | None:
-        """Radar maps of any view, if the target's shape is known."""
-        return None if self.surface is None else radar_maps(self.surface, view, self.maps_grid)
+        """Radar maps of any view of one radar, if the target's shape is known."""
+        return None if self.surface is None or view.apart_deg else radar_maps(self.surface, view, self.maps_grid)
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
         """The contributors to a pixel: here, by area alone, and by way of the ground if that was simulated."""
@@ -254,7 +254,7 @@ class OfScene(Subject):
         """See `Subject`: of the Gaussian nearest to each place."""
         if cloud.name not in self._nearest:
             self._nearest[cloud.name] = cKDTree(self.target.means.double().cpu().numpy()).query(cloud.places_m)[1]
-        towards = self.target.means.new_tensor(view.look.way_out)[None]
+        towards = self.target.means.new_tensor(view.look.facing)[None]
         gamma0: Float[np.ndarray, " n"] = self.target.gamma0(towards)[0].cpu().numpy()[self._nearest[cloud.name]]
         return gamma0
 

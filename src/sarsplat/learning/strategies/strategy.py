@@ -124,7 +124,7 @@ class Info:
         views, truth = self.images.views[few], self.images.truth[few]
         with torch.no_grad():
             scene = self.model.scene(self.degree)
-            towards = scene.means.new_tensor(np.array([view.look.way_out for view in views]))
+            towards = scene.means.new_tensor(np.array([view.look.facing for view in views]))
             amplitudes = scene.scattering.amplitudes(towards, scene.quaternions, scene.scales)
         amplitudes.requires_grad_()
         images, _ = self._rendered(views, self.images.numbers[few], amplitudes)

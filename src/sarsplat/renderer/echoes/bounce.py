@@ -25,6 +25,7 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.geometry.view import check_monostatic
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.chosen_views import ChosenViews
@@ -126,6 +127,7 @@ class GroundBounce(Echo):
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
         if isinstance(views, ChosenViews):
             raise NotRecordable("has a bounce off the ground")
+        check_monostatic(views, "the bounce off the ground is that of one radar")
         if amplitudes is None:
             amplitudes = gaussians.gamma0(_middles(views, gaussians.means))
         direct, below = lit_both_ways(steps, gaussians, views, grid, rays, self._height)
