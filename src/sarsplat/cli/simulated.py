@@ -114,7 +114,7 @@ def isar_views(axes: tuple[float, ...], sight: tuple[float, ...], frames: int) -
 def bistatic_views(
     views: list[tuple[View, str]], apart_deg: float, tilt_deg: float, side: RadarSide
 ) -> list[tuple[View, str]]:
-    """The same from a transmitter there, and a receiver so many degrees of azimuth further at the same grazing angle."""
+    """The same of a transmitter there, and a receiver so many degrees of azimuth further, at the same grazing angle."""
     from sarsplat.geometry import View
 
     if not 0 < abs(apart_deg) <= 180:

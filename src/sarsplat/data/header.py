@@ -107,8 +107,8 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
     apart_towards_deg: Annotated[
         float,
         about(
-            "where the transmitter is from halfway, degrees: 0 along the level azimuth axis of a radar that looks to the "
-            "right, 90 above",
+            "where the transmitter is from halfway, degrees: 0 along the level azimuth axis of a radar that looks to "
+            "the right, 90 above",
             minimum=-180,
             maximum=180,
         ),

@@ -25,7 +25,9 @@ favours the baseline, not a reconstruction measured by it. The likelihood is fla
 def nearest_chip(
     train: Real[np.ndarray, "k rows columns"], train_views: Sequence[View], views: Sequence[View]
 ) -> Float[np.ndarray, "v rows columns"]:
-    """The training chip nearest in azimuth, among those tilted and apart alike and from the same side, smoothed by a 5×5 mean.
+    """The training chip nearest in azimuth, among those of like looks, smoothed by a 5×5 mean.
+
+    Looks are alike if tilted alike, from the same side, and bistatic by as much.
 
     Parameters
     ----------

@@ -106,7 +106,7 @@ class Look:
 
     @property
     def sine(self) -> float:
-        """Slant range by which each metre of height is nearer; if monostatic, cosine of the ground's incidence angle."""
+        """Slant range by which each metre of height is nearer; of one radar, cosine of the ground's incidence."""
         return self._sine * self.shortening
 
     @property

@@ -1,8 +1,9 @@
 """Images of a transmitter and a receiver apart, put together from the steps of a rendering.
 
-The way in is u_t and the way out u_r. A Gaussian is imaged where the look's gradients say, in slant range −½(u_t + u_r)·x,
-and lit both ways: over √(lit(u_t)·lit(u_r)), because what Gaussians of one surface take from each other is the same
-either way, and counts once. What it returns per lit area is what its law says of the direction halfway.
+The way in is u_t and the way out u_r. A Gaussian is imaged where the look's gradients say, in slant range
+−½(u_t + u_r)·x, and lit both ways: over √(lit(u_t)·lit(u_r)), because what Gaussians of one surface take from each
+other is the same either way, and counts once. What it returns per lit area is what its law says of the direction
+halfway.
 """
 
 from __future__ import annotations

@@ -157,13 +157,12 @@ class Maps:
 
 def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
     count = len(tensors["view_deg"])
+    given = tensors["view_deg"].shape[-1:]
+    known = given[0] if given in ((4,), (6,)) else 2
     expected = {
         "ratio": (torch.float32, (count, grid.rows, grid.columns)),
         "shift_m": (torch.float32, (count, 2)),
-        "view_deg": (
-            torch.float64,
-            (count, *(given if (given := tensors["view_deg"].shape[-1:]) in ((4,), (6,)) else (2,))),
-        ),
+        "view_deg": (torch.float64, (count, known)),
     }
     for name, (dtype, shape) in expected.items():
         tensor = tensors[name]
