@@ -387,3 +387,37 @@ def test_inverse_sar_of_what_flies(tmp_path: Path) -> None:
 def test_inverse_sar_that_cannot_be(words: list[str], message: str, tmp_path: Path, capsys) -> None:
     assert main(["simulate", "--target", "satellite", *words, "--out", str(tmp_path / "set")]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
+
+
+def test_bistatic_images_are_read_as_written_and_reconstructed(tmp_path: Path) -> None:
+    words = ["--target", "slicy", "--azimuth", "0:360:45", "--grazing", "30", "--test-azimuth", "20"]
+    words += ["--pixels", "32", "--spacing", "0.2", "--bistatic", "40"]
+    assert main(["simulate", *words, "--out", str(tmp_path / "set")]) == 0
+    dataset = read_dataset(tmp_path / "set")
+    assert dataset.source["bistatic_deg"] == 40
+    for view, azimuth in zip(dataset.select("train").views, range(0, 360, 45), strict=True):
+        first, second = view.legs
+        assert first.direction == pytest.approx(View(azimuth, 30.0).direction)
+        assert second.direction == pytest.approx(View(azimuth + 40.0, 30.0).direction)
+        assert View(**view.as_dict()) == view  # type: ignore[arg-type]
+        assert f"bistatic by {view.apart_deg:.1f}°" in view.unusual
+    run = reconstruct(dataset, replace(preset("quick"), iterations=60, points=FEW_POINTS), out=tmp_path / "run")
+    assert len(run.points)
+    again = Run.load(tmp_path / "run")
+    assert again.reconstruction.render(dataset.views[:1]) == pytest.approx(run.reconstruction.render(dataset.views[:1]))
+    assert main(["evaluate", str(tmp_path / "run")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--bistatic", "0"], "--bistatic 0 must be degrees of azimuth"),
+        (["--bistatic", "30", "--ground", "0.1"], "--ground is for one radar"),
+        (["--bistatic", "30", "--masks"], "--masks is for one radar"),
+        (["--bistatic", "30", "--passes", "3", "--baseline", "0.01"], "--passes is for one radar"),
+        (["--bistatic", "180", "--grazing", "2", "--azimuth", "0"], "more than 170"),
+    ],
+)
+def test_bistatic_images_that_cannot_be(words: list[str], message: str, tmp_path: Path, capsys) -> None:
+    assert main(["simulate", "--target", "slicy", *words, "--out", str(tmp_path / "set")]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
