@@ -389,12 +389,16 @@ def test_inverse_sar_that_cannot_be(words: list[str], message: str, tmp_path: Pa
     assert message in " ".join(capsys.readouterr().err.split())
 
 
-def test_bistatic_images_are_read_as_written_and_reconstructed(tmp_path: Path) -> None:
+def test_bistatic_images_are_read_as_written_and_reconstructed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["--target", "slicy", "--azimuth", "0:360:45", "--grazing", "30", "--test-azimuth", "20"]
     words += ["--pixels", "32", "--spacing", "0.2", "--bistatic", "40"]
     assert main(["simulate", *words, "--out", str(tmp_path / "set")]) == 0
     dataset = read_dataset(tmp_path / "set")
     assert dataset.source["bistatic_deg"] == 40
+    assert main(["info", str(tmp_path / "set")]) == 0
+    assert f"by {dataset.views[0].apart_deg:.3g}°" in capsys.readouterr().out
     for view, azimuth in zip(dataset.select("train").views, range(0, 360, 45), strict=True):
         first, second = view.legs
         assert first.direction == pytest.approx(View(azimuth, 30.0).direction)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -83,6 +83,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         "ground": "shown" if dataset.ground else "not shown",
         **({} if dataset.terrain is None else {"terrain": str(dataset.terrain)}),
         **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
+        **_bistatic([view.apart_deg for view in dataset.views]),
         "largest gap": f"{largest_gap(view.azimuth_deg for view in train)} (azimuths of the training views)",
         **(_passes(dataset.stacks[0]) if dataset.passes else {"weakest direction": str(weakest_direction(train))}),
         "protocol": dataset.protocol or "none",
@@ -93,6 +94,12 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         "masks": "masks/" if (path / "masks").is_dir() else "none",
         **_source(dataset.source),
     }
+
+
+def _bistatic(apart_deg: Sequence[float]) -> dict[str, str]:
+    """Between what angles transmitter and receiver are apart, if they are."""
+    low, high = (f"{bound(apart_deg):.3g}" for bound in (min, max))
+    return {"bistatic": f"by {low}{'' if low == high else f' to {high}'}°"} if any(apart_deg) else {}
 
 
 def _passes(stack: Stack) -> dict[str, str]:

@@ -173,7 +173,8 @@ def _raster(views: Sequence[View], count: int) -> list[View]:
     steps = max(1, min(finest, count // levels))
     grazing = np.linspace(lowest, highest, levels) if levels > 1 else [(lowest + highest) / 2]
     around = first + np.linspace(0, span, steps, endpoint=not all_around)
-    return [replace(views[0], azimuth_deg=float(a), grazing_deg=float(g)) for g in grazing for a in around]
+    level = replace(views[0], apart_towards_deg=0.0)  # of bistatic ones, neither end gets below the horizon
+    return [replace(level, azimuth_deg=float(a), grazing_deg=float(g)) for g in grazing for a in around]
 
 
 def _sheet(images: UInt8[np.ndarray, "v rows columns"]) -> dict[str, Any]:

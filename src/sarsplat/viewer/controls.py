@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from sarsplat.colours import DARK, LIGHT, POWER_RAMPS, Page, rgb
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB
 from sarsplat.viewer.pictures import MAPS, PHASES
@@ -121,8 +122,13 @@ class Controls:
             steps = gui.add_button_group("known views", ("◀ previous", "next ▶"))
 
         def slid(event: Any) -> None:
-            if event.client is not None:  # and not the page itself, which follows the radar
-                self._on_aim(replace(view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value))
+            if event.client is None:  # the page itself, which follows the radar
+                return
+            try:
+                aimed = replace(view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value)
+            except SarsplatError:  # the transmitter or the receiver would be below the horizon
+                return
+            self._on_aim(aimed)
 
         self._azimuth.on_update(slid)
         self._grazing.on_update(slid)
