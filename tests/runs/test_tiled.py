@@ -172,8 +172,14 @@ def here(jobs: Sequence[TileJob], out: Path, means: Means) -> Ends:
 
 
 def test_processes_that_learn_tiles_make_the_same_bits(
-    finished: Run, stored: Dataset, config: Config, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished: Run,
+    stored: Dataset,
+    config: Config,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("sarsplat.progress._SECONDS_BETWEEN_LINES", 0.0)
     run = reconstruct(stored, config, tmp_path / "run", executor="local", means=Means(processes=2))
     assert_same(run, finished)
     np.testing.assert_array_equal(run.points, finished.points)

@@ -24,10 +24,11 @@ from sarsplat.evaluation import (
     metrics_of_points,
     paper_beside,
 )
-from sarsplat.evaluation.tables import baselines, left_open, whose
+from sarsplat.evaluation.tables import baselines, whose
 from sarsplat.examination.plausible import weakest_direction
 from sarsplat.report.figure import Figure
 from sarsplat.runs import Run
+from sarsplat.runs.run_folder import left_open
 from sarsplat.version import program_version
 
 if TYPE_CHECKING:
