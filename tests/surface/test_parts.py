@@ -6,11 +6,13 @@ import pytest
 from sarsplat.surface.parts import parts_of
 
 
-@pytest.mark.parametrize("kind", ["even", "a plane", "one place"])
+@pytest.mark.parametrize("kind", ["even", "a plane", "half a wall", "one place"])
 def test_each_point_is_in_one_part_with_all_that_is_near_it(kind: str) -> None:
     points = np.random.default_rng(0).uniform(-1, 1, (2000, 3)).astype(np.float32) * [9, 5, 2]
     if kind == "a plane":
         points[:, 2] = 0.25
+    elif kind == "half a wall":
+        points[:1200, 0] = -20
     elif kind == "one place":
         points[:] = points[0]
     parts, reach = list(parts_of(points, 0.5, 300)), 0.5

@@ -162,7 +162,7 @@ class GaussianReconstruction(Reconstruction):
             )
         if not all(low <= high for low, high in zip(*box, strict=True)):  # also catches NaN
             raise SarsplatError(f"the box is {box[0]} to {box[1]} m; give its lower corner (x, y, z) first")
-        corners = [torch.tensor(corner).to(gaussians.means) for corner in box]
+        corners = [torch.tensor(corner, dtype=torch.float64).to(gaussians.means) for corner in box]
         inside = ((gaussians.means >= corners[0]) & (gaussians.means <= corners[1])).all(dim=1)
         if not bool(inside.any()):
             raise SarsplatError(

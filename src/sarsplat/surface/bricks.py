@@ -167,7 +167,7 @@ class Scene:
         windows = (brick.window(view, rays) for view in views)
         if (
             sum(window.rows * window.columns for window in windows) <= most_rays
-            or max(high - low) <= _SMALLEST * self._step_m
+            or max(high - low) <= max(_SMALLEST * self._step_m, brick.side_m)
         ):
             yield brick
             return
