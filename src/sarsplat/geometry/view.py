@@ -19,6 +19,8 @@ from sarsplat.names import RadarSide
 _MAX_AZIMUTH = 3600  # degrees: ten turns
 _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
 _MAX_TILT = 89.0  # degrees: at 90 the image shows level ground edge-on, as a line
+_LEVEL_DEG = 1e-9  # an axis that vectors tilt by less is level: rounding
+_ALIKE_DEG = 1.0  # tilts of one radar: those of measured images scatter
 _LEAST_TURN = 1e-3  # sine of the angle between a line of sight and an axis: along it, nothing has a Doppler frequency
 
 _TURNED = (
@@ -100,8 +102,13 @@ class View:
     @property
     def unusual(self) -> str:
         """What follows its angles where they are said: ", tilted by 5°, looking left"; empty for most views."""
-        tilt = f", tilted by {round(self.tilt_deg, 1):g}°" if self.tilt_deg else ""
+        tilt = f", tilted by {tenths:g}°" if (tenths := round(self.tilt_deg, 1)) else ""
         return tilt + (", looking left" if self.side == "left" else "")
+
+    @property
+    def open_beta0(self) -> float:
+        """β⁰ for γ⁰ = 1 of open ground, which masks measure by; aloft, of a plane at 45° to the line of sight."""
+        return 1.0 if self.aloft else self.look.beta0_of_gamma0(1.0)
 
     @classmethod
     @checks_arguments
@@ -148,6 +155,8 @@ class View:
             )
         across, elevation = level.look.frame[:2] @ along
         tilt = math.degrees(math.atan2(elevation, abs(across)))
+        if abs(tilt) < _LEVEL_DEG:
+            tilt = 0.0
         return replace(level, tilt_deg=tilt, side="left" if across < 0 else "right")
 
     @property
@@ -164,6 +173,19 @@ class View:
     def direction(self) -> Float64[np.ndarray, " 3"]:
         """Unit vector u from the scene to the radar, world frame, float64 [3]."""
         return self.look.way_in
+
+
+def seen_alike(views: Sequence[View], azimuth_deg: float, grazing_deg: float) -> View:
+    """The view from a direction by a radar like that of known views, of which there must be one.
+
+    It is tilted and looks to the side as all of them do: by the median of tilts that differ by a degree at most. Where
+    they differ by more, it is level and looks to the right.
+    """
+    tilts = sorted(view.tilt_deg for view in views)
+    usual = View(azimuth_deg, grazing_deg, aloft=views[0].aloft)
+    if len({view.side for view in views}) > 1 or tilts[-1] - tilts[0] > _ALIKE_DEG:
+        return usual
+    return replace(usual, tilt_deg=tilts[len(tilts) // 2], side=views[0].side)
 
 
 @checks_arguments

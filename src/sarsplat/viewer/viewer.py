@@ -231,7 +231,8 @@ class Viewer:
             index, apart_deg = subject.nearest(view)
             entry, power = subject.dataset.entries[index], subject.dataset.power[index]
             kind = "training" if entry.split == "train" else entry.split
-            away = "the same view" if apart_deg < _SAME_DEG else f"{apart_deg:.1f}° away: {_name(entry.view)}"
+            same = apart_deg < _SAME_DEG and entry.view.unusual == view.unusual
+            away = "the same view" if same else f"{apart_deg:.1f}° away: {_name(entry.view)}"
             panels.append((power_panel(f"nearest {kind} image", power, *style), away))
             if rendered is not None:
                 levels = subject.peak, choices.limits_db[0]
