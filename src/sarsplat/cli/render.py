@@ -134,9 +134,10 @@ def render(
         False: "β⁰ up to an unknown factor",
         None: f"{to_db(look.peak):.1f} dB in the unit of its dataset, which is not there to ask",
     }[_absolute(done)]
+    like = f"; as in training, views are{views[0].unusual.removeprefix(",")}" if views[0].unusual else ""
     console.say(
         f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the "
-        f"{brightest}, {level}; row 0 is near range{views[0].unusual}"
+        f"{brightest}, {level}; row 0 is near range{like}"
     )
     console.finish(f"{out}: {wrote}", f"look at {out if recognises else out / SHEET}")
 
