@@ -256,7 +256,10 @@ class Stage:
         """Lay an image on its plane, azimuth × slant range, which the lines of one range cross at right angles."""
         frame = view.look.frame
         place = np.array([part.center_m[0], self.plane_depth(view), part.center_m[1]]) @ frame
-        turn = Rotation.from_matrix(np.stack([frame[0], frame[2], -frame[1]], axis=1)).as_quat(scalar_first=True)
+        across = frame[0]
+        if view.side == "left":  # its frame is mirrored, and planes are turned only
+            rgb, across = rgb[:, ::-1], -across
+        turn = Rotation.from_matrix(np.stack([across, frame[2], -frame[1]], axis=1)).as_quat(scalar_first=True)
         size = part.columns * part.spacing_m[0], part.rows * part.spacing_m[1]
         if self._plane is not None and self._plane[1] == size:
             plane = self._plane[0]

@@ -332,7 +332,7 @@ def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator
 def _first_view(subject: Subject) -> View:
     """A known view from the front left, at an elevation that is usual among them."""
     usual = float(np.median([view.grazing_deg for view, _ in subject.views]))
-    return subject.views[subject.nearest(View(_FIRST_AZIMUTH_DEG, usual))[0]][0]
+    return subject.views[subject.nearest(View(_FIRST_AZIMUTH_DEG, usual, aloft=subject.views[0][0].aloft))[0]][0]
 
 
 def _who(lit: Contributors, gaussians: bool) -> str:
