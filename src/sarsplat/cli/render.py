@@ -134,7 +134,8 @@ def render(
         False: "β⁰ up to an unknown factor",
         None: f"{to_db(look.peak):.1f} dB in the unit of its dataset, which is not there to ask",
     }[_absolute(done)]
-    like = f"; as in training, views are{views[0].unusual.removeprefix(",")}" if views[0].unusual else ""
+    unusual = views[0].unusual.removeprefix(", ")
+    like = f"; views are {unusual}, as those of the training" if unusual else ""
     console.say(
         f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the "
         f"{brightest}, {level}; row 0 is near range{like}"
