@@ -19,6 +19,7 @@ from sarsplat.names import RadarSide
 _MAX_AZIMUTH = 3600  # degrees: ten turns
 _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
 _MAX_TILT = 89.0  # degrees: at 90 the image shows level ground edge-on, as a line
+_ALOFT_BETA0 = 0.5  # in masks of boxes best of 0.2 to 1
 _LEVEL_DEG = 1e-9  # an axis that vectors tilt by less is level: rounding
 _ALIKE_DEG = 1.0  # tilts of one radar: those of measured images scatter
 _LEAST_TURN = 1e-3  # sine of the angle between a line of sight and an axis: along it, nothing has a Doppler frequency
@@ -77,6 +78,8 @@ class View:
                 f"azimuth {self.azimuth_deg} is not a number of degrees between ±{_MAX_AZIMUTH}; "
                 "give degrees, such as 0 to 360"
             )
+        if not isinstance(self.aloft, bool):
+            raise SarsplatError(f"aloft is {described(self.aloft)}; give True or False")
         lowest = -90.0 if self.aloft else 0.0
         if not lowest < self.grazing_deg < 90.0:  # also catches NaN
             raise SarsplatError(
@@ -107,8 +110,8 @@ class View:
 
     @property
     def open_beta0(self) -> float:
-        """β⁰ for γ⁰ = 1 of open ground, which masks measure by; aloft, of a plane at 45° to the line of sight."""
-        return 1.0 if self.aloft else self.look.beta0_of_gamma0(1.0)
+        """β⁰ for γ⁰ = 1 of open ground, which masks measure by; aloft, of a plane seen at 27°."""
+        return _ALOFT_BETA0 if self.aloft else self.look.beta0_of_gamma0(1.0)
 
     @classmethod
     @checks_arguments
@@ -147,6 +150,7 @@ class View:
             if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
                 raise SarsplatError(f"the {name} {vector.tolist()} has no direction; give three numbers, not all 0")
         level = cls.towards(sight, aloft=True)
+        axis = axis / np.abs(axis).max()  # of any length: no square overflows
         along = np.cross(level.direction, axis / np.linalg.norm(axis))  # as the radar moves, seen from the target
         if not np.linalg.norm(along) > _LEAST_TURN:
             raise SarsplatError(

@@ -319,7 +319,7 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     least half that of flat ground: what faces the radar covers little of the image. Layover counts; neither brightness
     nor resolution nor the orientation of the triangles matters. Otherwise it is shadow if the mesh hides at least half
     of its ground. Nothing below the ground is seen. Aloft, there is no shadow, and instead of flat ground it is a plane
-    at 45° to the line of sight. Raises `SarsplatError` if the mesh has no faces, is not finite or
+    seen at a grazing angle of 27°. Raises `SarsplatError` if the mesh has no faces, is not finite or
     needs too many rays, or embreex is missing.
     """
     spacing = min(grid.spacing_m) / _PARTS / _RAYS
