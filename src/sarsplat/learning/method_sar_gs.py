@@ -84,6 +84,12 @@ class SarGs(Method):
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
+        if dataset.views[0].aloft and (config.ground or (config.surroundings and config.surroundings.texture_looks)):
+            asked = "ground is on" if config.ground else "texture_looks, of ground, is not 0"
+            raise SarsplatError(
+                f"{dataset} is of a target aloft, where there is no ground, but {asked} (preset {config.preset}); "
+                "leave that off, as the presets default and speckled do"
+            )
         for observation in observations_of(config):
             observation.refuse(config, dataset, inputs)
         return Trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)

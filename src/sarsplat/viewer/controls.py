@@ -14,6 +14,7 @@ from sarsplat.colours import DARK, LIGHT, POWER_RAMPS, Page, rgb
 from sarsplat.geometry import View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB
 from sarsplat.viewer.pictures import MAPS, PHASES
+from sarsplat.viewer.stage import HIGHEST_DEG, lowest_deg
 from sarsplat.viewer.subject import Subject
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ class Controls:
         gui.main_panel.dock_left()
         gui.main_panel.set_width(280)
         self.title = gui.add_markdown("")
-        self._radar(subject.views, view)
+        self._radar(subject, view)
         self._target()
         self._image()
         self.offer(subject)
@@ -110,27 +111,26 @@ class Controls:
         handle.on_update(lambda _: self._on_change())
         self._set[name] = handle
 
-    def _radar(self, views: list[tuple[View, str]], view: View) -> None:
-        gui = self._gui
+    def _radar(self, subject: Subject, view: View) -> None:
+        gui, views, self._view = self._gui, subject.views, view
         with gui.add_folder("Radar"):
             self._azimuth = gui.add_slider("azimuth, °", 0.0, 360.0, 0.1, round(view.azimuth_deg % 360, 1))
-            lowest = -89.0 if view.aloft else 1.0
-            first = round(min(max(view.grazing_deg, lowest), 89), 1)
-            self._grazing = gui.add_slider("grazing, °", lowest, 89.0, 0.1, first)
+            lowest = lowest_deg(view)
+            first = round(min(max(view.grazing_deg, lowest), HIGHEST_DEG), 1)
+            self._grazing = gui.add_slider("grazing, °", lowest, HIGHEST_DEG, 0.1, first)
             gui.add_html(_HINT)
             steps = gui.add_button_group("known views", ("◀ previous", "next ▶"))
 
         def slid(event: Any) -> None:
             if event.client is not None:  # and not the page itself, which follows the radar
-                self._on_aim(replace(view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value))
+                self._on_aim(replace(self._view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value))
 
         self._azimuth.on_update(slid)
         self._grazing.on_update(slid)
 
         @steps.on_click
         def stepped(event: Any) -> None:
-            here = View(self._azimuth.value, self._grazing.value).direction
-            index = int(np.argmax([view.direction @ here for view, _ in views]))
+            index, _ = subject.nearest(self._view)
             self._on_aim(views[(index + (1 if event.target.value == "next ▶" else -1)) % len(views)][0])
 
     def _target(self) -> None:
@@ -177,6 +177,7 @@ class Controls:
 
     def follow(self, view: View) -> None:
         """Set the sliders to the radar's view."""
+        self._view = view
         slider: Any
         for slider, angle in ((self._azimuth, view.azimuth_deg % 360), (self._grazing, view.grazing_deg)):
             if slider.value != round(angle, 1):
