@@ -38,6 +38,7 @@ from sarsplat.settings.presets import preset
 from sarsplat.settings.sections import FlatGround
 from sarsplat.surface.masks import scene_masks, without_imitated_ground
 from sarsplat.surface.mesh import surface_mesh
+from sarsplat.surface.neighbours import spacing_m
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.parts import parts_of
 from sarsplat.surface.points import extract_points
@@ -237,10 +238,11 @@ class GaussianReconstruction(Reconstruction):
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
         """What Gaussians and points around agree on (`surface_normals`), some points at a time."""
-        cell_m, normals = self.grid.cell_m, np.empty((len(points), 3), np.float32)
+        cell_m, normals, apart_m = self.grid.cell_m, np.empty((len(points), 3), np.float32), spacing_m(points)
         for some, own in parts_of(points, _NORMAL_REACH * cell_m):
             near = points[some]
-            normals[some[own]] = surface_normals(near, self._seen.around(near)[1], self.gaussians, cell_m)[own]
+            towards = self._seen.around(near)[1]
+            normals[some[own]] = surface_normals(near, towards, self.gaussians, cell_m, apart_m)[own]
         return normals
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:

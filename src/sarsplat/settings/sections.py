@@ -184,7 +184,7 @@ class PointExtraction(Record):
     method: Literal["rays", "centres"] = "rays"
     optical_depth: Annotated[float, Meta(ge=0, le=40)] = 0.7
     power_share: Share = 1.0
-    voxel: Positive = 0.067
+    voxel: Positive = 0.05
     min_height: Number = 0.0
     rays_per_pixel: RaysPerPixel = 10.0
     seen_through: Share = 0.17
