@@ -42,6 +42,10 @@ class SingleImages(Observation):
                 f"scattering is {config.scattering}, which is learned from stacks of several polarisations with passes "
                 f"on, and {dataset} is learned from without them; choose harmonics"
             )
+        if config.bounce is not None and dataset.terrain is not None:
+            raise SarsplatError(f"bounce is on, which is off level ground, but {dataset} has terrain; give bounce off")
+        if config.bounce is not None and inputs.processes is not None:
+            raise SarsplatError(f"{inputs.processes} cannot be combined with bounce on; omit them, or give bounce off")
         super().refuse(config, dataset, inputs)
 
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -61,6 +62,8 @@ class GroundBounce(Echo):
     ground: Ground
     reflectivity: Float[Tensor, ""]
     amplitudes: Float[Tensor, "v n"] | None = None
+
+    within_bounds: ClassVar[bool] = False  # the mirror image is below
 
     def __post_init__(self) -> None:
         if isinstance(self.ground.height_m, Terrain):

@@ -95,6 +95,9 @@ class Echo(ABC):
     wants_ray_ends: ClassVar[bool] = False
     """Whether it is told where rays end."""
 
+    within_bounds: ClassVar[bool] = True
+    """Whether it renders nothing beyond the scene's `Bounds`."""
+
     shareable: ClassVar[bool] = False
     """Whether its tensors enter by `by_view` and `returned` alone, so that processes can share the views."""
 
