@@ -268,12 +268,12 @@ class GaussianReconstruction(Reconstruction):
         if ground.exponent is not None:
             sines = [view.look.sine for view in self.snapshot.views]
             gamma0 += float(ground.exponent.detach()) * float(np.log(sines).mean())
-        mirror = {
-            "second bounce": f"by way of the ground, which reflects {float(echo.reflectivity.detach()):.3g} of the power"
-            for echo in self.model.echoes()
-            if isinstance(echo, GroundBounce)
-        }
-        return {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"} | mirror
+        facts = {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
+        for echo in self.model.echoes():
+            if isinstance(echo, GroundBounce):
+                share = float(echo.reflectivity.detach())
+                facts["second bounce"] = f"by way of the ground, which reflects {share:.3g} of the power"
+        return facts
 
 
 def lengths(config: Config, grid: ImageGrid) -> str:

@@ -223,6 +223,22 @@ class SceneModel:
             rendering = self.windows.render(scene, views, shot.grid, numbers.tolist(), **how)
         return self.developed(rendering.images, shot, estimated), rendering
 
+    @torch.no_grad()
+    def power_by_echo(self, degree: int) -> dict[str, float]:
+        """Shares of the power that the training views show of the scene: directly, and by each way besides."""
+        ground, echoes = self.ground(), self.echoes()
+        ways = ([] if ground is None else ["ground"]) + [echo.way for echo in echoes]
+        scene, powers = self.scene(degree), dict.fromkeys(["target", *ways], 0.0)
+        for view in self.frame.views:  # one at a time: memory stays small
+            rendering = render(scene, [view], self.frame.grid, ground=ground, echoes=echoes)
+            powers["target"] += float(rendering.channel(self.power_channel).double().sum())
+            for way, returned in zip(ways, rendering.echoes, strict=True):
+                power = float(returned.double().sum())
+                powers[way] += power
+                powers["target"] -= power
+        total = sum(powers.values())
+        return {way: power / total for way, power in powers.items()} if total else {}
+
     def covariances(
         self,
         views: Sequence[View],

@@ -253,7 +253,9 @@ class Config(AnyConfig):
                 f"target_box is {shown(self.target_box)}; give the lower corner (x, y, z) and then the upper one, m"
             )
         if self.bounce is not None and self.ground is None:
-            raise SarsplatError("bounce is on, but ground is off, by way of which it returns; give ground on, or bounce off")
+            raise SarsplatError(
+                "bounce is on, but ground is off, by way of which it returns; give ground on, or bounce off"
+            )
         if self.scale_bounds[0] > self.scale_bounds[1]:
             raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")
         if self.directional_std is not None and self.scattering != "harmonics":

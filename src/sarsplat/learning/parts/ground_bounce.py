@@ -1,4 +1,4 @@
-"""The second bounce by way of level ground: the share of the power that the ground reflects like a mirror is learned."""
+"""The second bounce by way of level ground: the share of power that the ground reflects like a mirror is learned."""
 
 from __future__ import annotations
 

@@ -28,8 +28,6 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
-from sarsplat.renderer.engines.chosen_views import ChosenViews
-from sarsplat.renderer.engines.on_device import NotRecordable
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.footprints import Footprints, Projection
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
@@ -63,6 +61,7 @@ class GroundBounce(Echo):
     reflectivity: Float[Tensor, ""]
     amplitudes: Float[Tensor, "v n"] | None = None
 
+    way: ClassVar[str] = "by way of the ground"
     within_bounds: ClassVar[bool] = False  # the mirror image is below
 
     def __post_init__(self) -> None:
@@ -129,8 +128,6 @@ class GroundBounce(Echo):
         shift: Float[Tensor, "v 2"] | None,
         amplitudes: Float[Tensor, "v n"] | None,
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
-        if isinstance(views, ChosenViews):
-            raise NotRecordable("has a bounce off the ground")
         if amplitudes is None:
             amplitudes = gaussians.gamma0(_middles(views, gaussians.means))
         direct, below = lit_both_ways(steps, gaussians, views, grid, rays, self._height)

@@ -92,6 +92,9 @@ class Sighting:
 class Echo(ABC):
     """Base of the echoes: one return of a scene, differentiable with respect to its own tensors and the scene's."""
 
+    way: ClassVar[str] = "echo"
+    """How it returns, in words."""
+
     wants_ray_ends: ClassVar[bool] = False
     """Whether it is told where rays end."""
 
