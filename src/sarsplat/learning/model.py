@@ -171,6 +171,11 @@ class SceneModel:
         """Returns besides the direct one and the ground's."""
         return [echo for part in self.parts for echo in part.echoes(self.parameters)]
 
+    @property
+    def scenes_rendered(self) -> int:
+        """How many of its size a rendering holds at a time: an echo has the scene and its mirror image."""
+        return 1 + 2 * len(self.echoes())
+
     def _refuse_echoes(self, where: str) -> None:
         """What would be left out in silence."""
         if self.echoes():
@@ -270,7 +275,7 @@ class SceneModel:
         """Images of unseen views, some at a time and without gradients: one, by tiles, where they are too large."""
         with torch.no_grad():
             scene, ground = self.scene(degree), self.ground()
-            together = min(at_once(scene, views, grid, rays), _AT_A_TIME)
+            together = -(-min(at_once(scene, views, grid, rays), _AT_A_TIME) // self.scenes_rendered)
             for first in range(0, len(views), max(together, 1)):
                 some = views[first : first + max(together, 1)]
                 if together:

@@ -59,7 +59,7 @@ class SingleImages(Observation):
         chosen = batch.chosen
         if isinstance(chosen, Tensor) or batch.processes is not None or not self._mean_over_views:
             return self._compared(model, images, batch)
-        groups = in_groups(len(chosen), len(chosen), model.parameters, images.grid, batch.rays)
+        groups = in_groups(len(chosen), len(chosen), model.parameters, images.grid, batch.rays, model.scenes_rendered)
         return compared_in_groups(
             lambda some: self._compared(model, images, replace(batch, chosen=chosen[some])),
             groups,
