@@ -30,7 +30,7 @@ from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS
 from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
-from sarsplat.renderer import channel_of
+from sarsplat.renderer import GroundBounce, channel_of
 from sarsplat.renderer.covariances import stacks_of
 from sarsplat.renderer.steps import attenuate, project
 from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, Config
@@ -276,7 +276,12 @@ class GaussianReconstruction(Reconstruction):
         if ground.exponent is not None:
             sines = [view.look.sine for view in self.snapshot.views]
             gamma0 += float(ground.exponent.detach()) * float(np.log(sines).mean())
-        return {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
+        facts = {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
+        for echo in self.model.echoes():
+            if isinstance(echo, GroundBounce):
+                share = float(echo.reflectivity.detach())
+                facts["second bounce"] = f"by way of the ground, which reflects {share:.3g} of the power"
+        return facts
 
 
 def lengths(config: Config, grid: ImageGrid) -> str:

@@ -218,6 +218,21 @@ class FlatGround(Record):
 
 
 @dataclass(frozen=True)
+class Bounce(Record):
+    """Second bounce by way of the ground, which is level and reflects like a mirror, from target to ground and reverse.
+
+    Parameters
+    ----------
+    reflectivity : float
+        Share of the power that the ground reflects like a mirror, 0 to 1, at the start: it is learned.
+    """
+
+    _section: ClassVar[str] = "bounce."
+
+    reflectivity: Share = 0.3
+
+
+@dataclass(frozen=True)
 class Surroundings(Record):
     """What else is modelled in measured images of a target on the ground (docs/concepts/measured-chips.md).
 

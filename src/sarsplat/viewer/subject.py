@@ -282,7 +282,8 @@ class OfScene(Subject):
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
         """See `Subject`: by power."""
-        return self._shares(self.scene, len(self.target), view, pixel)
+        bounces = [echo for echo in self._model.echoes() if isinstance(echo, GroundBounce)]
+        return self._shares(self.scene, len(self.target), view, pixel, bounces[0] if bounces else None)
 
 
 class SceneAlone(OfScene):
