@@ -48,11 +48,10 @@ def told_apart(headers: Sequence[Header], with_method: bool = True) -> list[str]
         words += [header.config["preset"]] if len(presets) > 1 and "preset" in header.config else []
         settings = ((name, value) for name, value in _dotted(header.config) if name not in ("preset", "seed"))
         for setting, value in settings:
-            known = values[_kind(header)][setting]
-            section, dot, _ = setting.partition(".")
-            if len({*known}) > 1 or (len(known) < alike[_kind(header)] and not dot):
+            given, (section, dot, _) = values[_kind(header)][setting], setting.partition(".")
+            if len({*given}) > 1 or (len(given) < alike[_kind(header)] and not dot):
                 words.append(f"{setting} {value}")
-            elif len(known) < alike[_kind(header)] and section not in words:
+            elif len(given) < alike[_kind(header)] and section not in words:
                 words.append(section)
         words += [f"seed {header.config['seed']}"] if "seed" in header.config else []
         names.append(", ".join(words))
