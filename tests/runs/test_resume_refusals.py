@@ -161,7 +161,8 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset, change: 
     assert newest is not None
     tensors, state = load_checkpoint(newest)
     save_checkpoint(newest, {name: t for name, t in (tensors | change).items() if t is not None}, state)
-    refused(begun, dataset, CONFIG, "does not match this version")
+    for iterations in (2, 4):
+        refused(begun, dataset, replace(CONFIG, iterations=iterations), "does not match this version")
 
 
 @pytest.mark.parametrize(
