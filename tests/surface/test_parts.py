@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+import torch
 
 from sarsplat import Gaussians, ImageGrid, View
 from sarsplat.scenes import surface_gaussians
 from sarsplat.scenes.village import village
+from sarsplat.surface import cells
+from sarsplat.surface.cells import by_cubes
 from sarsplat.surface.neighbours import spacing_m
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.parts import parts_of
@@ -55,3 +58,15 @@ def test_normals_and_brightness_of_parts_are_those_of_the_whole() -> None:
         assert (normals[own] == expected[some[own]]).all(1).mean() > 0.999
         np.testing.assert_allclose(normals[own], expected[some[own]], atol=1e-6)
         assert found.tobytes() == gamma0[some].tobytes()
+
+
+def test_places_of_a_cube_have_its_middle(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cells, "_AT_ONCE", 100)
+    places = torch.from_numpy(np.random.default_rng(0).uniform(-3, 3, (1000, 3)))
+    found = list(by_cubes(places, 1.5))
+    assert torch.cat([rows for rows, _, _ in found]).sort().values.tolist() == list(range(1000))
+    for rows, middles, cube in found:
+        assert len(rows) == 100
+        assert (places[rows] - middles[cube]).abs().max() <= 0.75
+        assert len(middles) < 40
+    assert [len(rows) for rows, _, _ in by_cubes(places[:0], 1.5)] == [0]
