@@ -9,6 +9,7 @@ from datasets import FEW_POINTS, dataset_of
 from reports import make_metrics
 from sarsplat import ImageGrid, Run, View, preset, reconstruct, write_dataset
 from sarsplat.geometry.responses import TAYLOR
+from sarsplat.names import RadarSide
 from sarsplat.settings import Config
 
 GRID = ImageGrid(32, 36, (0.2, 0.2), (0.32, 0.3), response=TAYLOR)
@@ -19,8 +20,10 @@ def settings() -> Config:
     return replace(preset("measured"), **few, points=FEW_POINTS)
 
 
-def made_up(target: str, out: Path | None = None, grid: ImageGrid = GRID) -> Run:
-    views = [(View(azimuth, 16.0 + azimuth / 180), "train") for azimuth in range(0, 360, 60)]
+def made_up(target: str, out: Path | None = None, grid: ImageGrid = GRID, tilt_deg: float = 0.0) -> Run:
+    """Of images of a level radar that looks to the right, or of a tilted one that looks to the left."""
+    side: RadarSide = "left" if tilt_deg else "right"
+    views = [(View(azimuth, 16.0 + azimuth / 180, tilt_deg, side), "train") for azimuth in range(0, 360, 60)]
     power = np.random.default_rng(0).exponential(size=(6, grid.rows, grid.columns)).astype(np.float32)
     power[:, 10:16, 12:22] *= 30
     power[:, 16:24, 12:22] *= 0.05

@@ -1,6 +1,7 @@
 """A mesh as the radar sees it: closed forms, ray casting, invariances, finite differences."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -204,3 +205,18 @@ def test_vertices_that_are_not_finite_are_refused():
     points[3, 1] = np.nan
     with pytest.raises(SarsplatError, match="nan m away"):
         layers(SOFT, (points, faces))
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 15.0])
+def test_from_the_left_it_is_right_mirrored(tilt_deg: float) -> None:
+    vertices, faces = box((2.0, 1.5, 1.0))
+    points = torch.from_numpy(vertices)
+    gamma0 = torch.linspace(0.1, 1.0, len(faces), dtype=points.dtype)
+    grid = replace(GRID, center_m=(0.0, GRID.center_m[1]))
+    renderer = MeshRenderer(grid, 0.05, 0.03)
+    left = renderer.layers(points, torch.from_numpy(faces), gamma0, View(20, 30, tilt_deg, "left"))
+    right = renderer.layers(points, torch.from_numpy(faces), gamma0, View(20, 30, -tilt_deg))
+    for name in ("target", "lit", "hidden"):
+        expected = getattr(right, name).flip(1)
+        assert float(expected.max()) > 0.05
+        torch.testing.assert_close(getattr(left, name), expected, rtol=1e-9, atol=1e-12)

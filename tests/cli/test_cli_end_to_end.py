@@ -27,7 +27,7 @@ from sarsplat.exports import FORMATS
 from sarsplat.learning import Trainer
 from sarsplat.runs import Run, own_gaussians
 from sarsplat.settings import Config
-from sarsplat.surface import normals, points, visibility
+from sarsplat.surface import first_returns, normals, visibility
 from upright import upright
 
 
@@ -152,10 +152,10 @@ def test_ctrl_c_says_how_to_continue(tmp_path: Path, monkeypatch, capsys, said) 
 @pytest.mark.parametrize(
     ("where", "number"),
     [
-        ((points, "render", 3), signal.SIGINT),
-        ((points, "render", 3), signal.SIGTERM),
+        ((first_returns, "render", 3), signal.SIGINT),
+        ((first_returns, "render", 3), signal.SIGTERM),
         ((visibility, "render", 2), signal.SIGINT),
-        ((normals, "csr_array", 1), signal.SIGINT),
+        ((normals, "neighbours_of", 1), signal.SIGINT),
     ],
 )
 def test_one_signal_ends_the_extraction_and_the_run_resumes(

@@ -91,7 +91,7 @@ WORDS = {
     "simulate --target t72 --oout x": "--oout is not an option of sarsplat simulate; did you mean --out?",
     "simulate --target t27 --out new": "--target 't27' is unknown; did you mean t72?",
     "simulate --target T-72 --out new": "--target 'T-72' is unknown; did you mean t72?",
-    "simulate --target=zeppelin --out new": "--target 'zeppelin' is unknown; choose one of 2s1, btr70, building-a, ",
+    "simulate --target=zeppelin --out new": "--target 'zeppelin' is unknown; choose one of 2s1, aircraft, btr70, ",
     "simulate --target t72 --azimuth 0:360:-10 --out new": "--azimuth '0:360:-10' has no angles: steps of -10° do not ",
     "simulate --target t72 --azimuth 0,30,60 --out new": "neither --grazing nor --incidence was given; add one, such",
     "simulate --target t72 --out new --source magic": "--source 'magic' is unknown; choose one of raycast, splat",

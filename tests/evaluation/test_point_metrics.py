@@ -59,6 +59,10 @@ def test_normals_are_compared_with_the_nearest_triangle_whatever_their_signs() -
     assert (without.normals_deg, without.normals_off) == (None, None)
     with pytest.raises(SarsplatError, match="101 points have 3 normals"):
         point_metrics(points, surface, lattice(10), YARDSTICK, normals[:3])
+    longer = point_metrics(points, surface, lattice(10), YARDSTICK, 3 * normals)
+    assert longer.normals_deg == pytest.approx(10) and longer.normals_off == scores.normals_off
+    with pytest.raises(SarsplatError, match="normals of the points hold values that are not finite"):
+        point_metrics(points, surface, lattice(10), YARDSTICK, np.where(normals > 0.9, np.nan, normals))
 
 
 def test_half_the_surface_and_a_floater():

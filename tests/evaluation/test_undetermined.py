@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from datasets import dataset_of
 from sarsplat import Gaussians, Harmonics, ImageGrid, Run, View, render
 from sarsplat.evaluation.images import UndefinedScore
 from sarsplat.evaluation.undetermined import places, undetermined
+from sarsplat.learning import few_at_once
+from sarsplat.learning.model import SceneModel
 
 GRID = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
 VIEWS = [View(azimuth, grazing) for grazing in (35.0, 50.0) for azimuth in range(0, 360, 60)]
@@ -56,6 +60,20 @@ def test_the_inside_of_a_uniform_roof_is_open_and_its_edges_are_not() -> None:
 def test_texture_determines_unless_noise_hides_it() -> None:
     assert shares(texture=100.0)[0] < 0.2
     assert shares(texture=100.0, noise=2.0)[0] > 0.8
+
+
+def test_large_views_are_looked_at_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    run, render, views = run_of(plate(1.0), 0.02), SceneModel.render, list[int]()
+    usual = places(run)[1]
+
+    def counted(model: SceneModel, some: Sequence[View], *given: Any, **named: Any) -> Any:
+        views.append(len(some))
+        return render(model, some, *given, **named)
+
+    monkeypatch.setattr(SceneModel, "render", counted)
+    monkeypatch.setattr(few_at_once, "_STEP_GIB", 1e-9)
+    assert np.mean(places(run)[1] == usual) > 0.99
+    assert {*views} == {1}
 
 
 def test_without_images_it_is_not_known() -> None:

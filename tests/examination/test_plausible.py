@@ -240,3 +240,18 @@ def test_more_grazing_angles_determine_better() -> None:
     sets = [ring(8, 15), ring(8, 15, 30), ring(8, 15, 30, 60)]
     found = [weakest_direction(views).conditioning for views in sets]
     assert found == sorted(found, reverse=True)
+
+
+FLAT = [View.isar((math.cos(k), math.sin(k), 0.01), (0, 0, 1)) for k in range(6)]
+INCLINED = [View.isar((math.cos(k), 1.0, math.sin(k)), (0, 1, 0.0)) for k in range(6)]
+
+
+def test_aloft_angles_follow_from_vectors_and_no_azimuth_is_a_side() -> None:
+    below = [View(0.9 * k, -30.1, aloft=True) for k in range(6)]  # of which all are below π/2
+    assert suspicious_angles(below) == []
+    assert suspicions(make([*FLAT, *INCLINED])) == []
+
+
+def test_aloft_another_axis_is_advised_not_another_grazing_angle() -> None:
+    (told,) = suspicions(make([View.isar((1, 0.1 * k, 0), (0, 0, 1)) for k in range(6)]))
+    assert "add frames of a rotation about another axis" in told and "grazing" not in told

@@ -9,6 +9,7 @@ import pytest
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
+from sarsplat.geometry.view import seen_alike
 
 CHANCE = np.random.default_rng(0)
 VIEWS = [View(azimuth, grazing) for azimuth in range(-720, 721, 90) for grazing in (0.01, 45.0, 89.99)]
@@ -177,3 +178,23 @@ def test_a_turntable_is_seen_as_a_radar_that_flies_around_it():
 def test_views_that_cannot_be(make, message):
     with pytest.raises(SarsplatError, match=message):
         make()
+
+
+def test_a_direction_is_looked_from_as_all_known_views_look() -> None:
+    left = [View(10, 30, 12.2, "left"), View(80, 40, 12.0, "left"), View(90, 40, 12.4, "left")]
+    assert seen_alike(left, 50, 60) == View(50, 60, 12.2, "left")
+    assert seen_alike([*left, View(10, 30, 12.2)], 50, 60) == View(50, 60)
+    assert seen_alike([View(10, 30), View(10, 30, 5)], 50, 60) == View(50, 60)
+    assert seen_alike([View(10, -30, 60, aloft=True), View(20, 0, -20, aloft=True)], 5, -8) == View(5, -8, aloft=True)
+
+
+@pytest.mark.parametrize(("azimuth", "grazing"), [(0, 30), (35, 40), (123.4, 10), (271, 70)])
+def test_a_turntable_about_z_is_a_level_view(azimuth: float, grazing: float) -> None:
+    view = View.isar(View(azimuth, grazing).direction, (0, 0, 1))
+    assert (view.tilt_deg, view.side, view.unusual) == (0.0, "right", "")
+    assert View.isar((1e-300, 0, 1e-300), (0, 1e300, 1e300)) == View.isar((1, 0, 1), (0, 1, 1))
+
+
+def test_aloft_is_yes_or_no() -> None:
+    with pytest.raises(SarsplatError, match="aloft is 'no'; give True or False"):
+        View(0, 30, aloft="no")

@@ -280,3 +280,13 @@ def test_too_many_files_are_not_cut(tmp_path, monkeypatch, capsys):
         import_pictures(folder)
     assert main(["info", str(folder)]) == 2
     assert "more than 5 files; give a folder that holds only images to import" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("column", "options"), [(["left"], {}), ([], {"mirrored": True})])
+def test_the_tilt_is_that_of_the_flight_however_a_left_look_is_said(tmp_path, column, options):
+    rows = [[f"{k}.npy", azimuth, 30, 12, *column] for k, azimuth in enumerate(AZIMUTHS)]
+    names = "file,azimuth,grazing,tilt,look" if column else "file,azimuth,grazing,tilt"
+    folder = write_pictures(tmp_path / "in", POWER[..., ::-1], rows, names)
+    made = import_pictures(folder, **options)
+    np.testing.assert_array_equal(made.power, POWER)
+    assert {(view.tilt_deg, view.side) for view in made.views} == {(-12.0, "right")}

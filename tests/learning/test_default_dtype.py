@@ -9,6 +9,7 @@ import torch
 from datasets import small_dataset
 from sample_runs import made_up
 from sarsplat import Run, preset, reconstruct
+from sarsplat.learning.dropout import dropped
 from sarsplat.runs.methods import method_named
 
 
@@ -25,6 +26,14 @@ def of_preset() -> Run:
 def of_grid() -> Run:
     config = replace(method_named("sar-nerf-grid").settings(), iterations=2)
     return reconstruct(small_dataset(), config, method="sar-nerf-grid", quiet=True)
+
+
+@pytest.mark.parametrize("share", [1e-3, 0.15, 0.4, 0.9])
+def test_the_same_are_dropped(share: float, doubles: None) -> None:
+    usual = dropped(200_000, share, 3, 7, torch.device("cpu"))
+    torch.set_default_dtype(torch.bfloat16)
+    assert torch.equal(dropped(200_000, share, 3, 7, torch.device("cpu")), usual)
+    assert float(usual.sum()) == pytest.approx(share * len(usual), rel=0.2)
 
 
 @pytest.mark.filterwarnings("ignore:.*cannot determine the shape", "ignore:.*are constant")

@@ -20,7 +20,7 @@ from sarsplat.learning import Trainer, levels
 from sarsplat.learning.strategies.relocation import Relocating
 from sarsplat.renderer.engines import bounds, choice, cuda, cuda_arrays
 from sarsplat.settings import Config
-from sarsplat.settings.sections import Densification, FlatGround, Relocation, Smoothing, Surroundings
+from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
 from terrains import hill
 
 STEPS = 30
@@ -119,6 +119,20 @@ def test_scenes_that_are_too_large_are_learned_launch_by_launch(
     for _ in range(2):
         assert torch.equal(asked.step(), launched.step())
     assert not asked.records
+
+
+def test_steps_with_a_second_bounce_are_made_launch_by_launch(
+    dataset: Dataset, recorder: EmulatedRecorder, caplog: pytest.LogCaptureFixture
+) -> None:
+    """And by the same engine without limits, beyond which mirror images lie."""
+    caplog.set_level("INFO")
+    asked, launched = (Trainer(dataset, replace(CONFIGS["ground"], bounce=Bounce())) for _ in range(2))
+    launched.records = False
+    for _ in range(3):
+        assert torch.equal(asked.step(), launched.step())
+    assert not asked.records
+    assert "cannot be recorded: has an echo from beyond its bounds" in caplog.text
+    asked.check()
 
 
 def test_steps_in_which_a_strategy_acts_before_gradients_are_not_recorded(

@@ -62,6 +62,13 @@ def test_a_wall_does_not_bend_the_roof() -> None:
     assert np.abs(moves[: len(roof), 2]).max() < 0.05
 
 
+def test_a_cell_without_neighbours_is_not_wide_by_what_numbers_are_rounded() -> None:
+    chance = np.random.default_rng(0)
+    means = np.arange(2000)[:, None] * np.array([5.0, 0, 0]) + chance.uniform(100, 100.3, (2000, 3))
+    lit = chance.uniform(0.5e-3, 1.5e-3, len(means))
+    assert not towards_planes(means, upright(means), lit, 0.3, 0.9)[2].any()
+
+
 def test_what_goes_on_to_all_sides_is_wide_and_a_rail_is_not() -> None:
     means = sheet(0.01)
     rail = means * (1, 0.05, 1) + (0, 20, 0)

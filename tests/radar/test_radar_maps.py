@@ -144,3 +144,14 @@ def test_every_gaussian_needs_a_normal():
     one = upright(torch.zeros(1, 3))
     with pytest.raises(SarsplatError, match=r"normals has shape \(2, 3\); for 1 Gaussians it must be \(1, 3\)"):
         Surface(one, np.zeros((2, 3)))
+
+
+def test_aloft_there_is_no_shadow_and_the_target_is_seen_from_below() -> None:
+    mesh = box()
+    mesh.apply_translation((0, 0, -1))  # around the origin: above and below are alike
+    above, below = (maps_of(mesh, View(20.0, grazing, aloft=True)) for grazing in (40.0, -40.0))
+    assert not above.shadow.any() and not below.shadow.any()
+    shown = np.isfinite(below.height_m)
+    assert 0 < shown.mean() < 0.3
+    assert shown.sum() == pytest.approx(np.isfinite(above.height_m).sum(), rel=0.05)
+    assert np.nanmean(below.height_m) == pytest.approx(-np.nanmean(above.height_m), abs=0.02)

@@ -20,9 +20,8 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer import GroundBounce, Rendering, render
-from sarsplat.renderer.echoes.bounce import feet, lit_both_ways
+from sarsplat.renderer.echoes.bounce import _Steps, feet, lit_both_ways
 from sarsplat.renderer.engines.choice import passes_for
-from sarsplat.renderer.one_by_one import Steps
 from sarsplat.renderer.reference import render_reference
 
 HEIGHT = -0.55
@@ -62,10 +61,26 @@ def test_real_ones_hide_and_are_not_hidden_by_their_images() -> None:
     scene, ground = cloud(60, 41, kappa=(4.0, 12.0)), level()
     rendering, rays = render(scene, VIEWS, GRID, ground=ground), RayGrid.for_image(GRID)
     direct, below = lit_both_ways(
-        Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
+        _Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
     )
     torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-5, atol=1e-7)
     assert float(below.sum()) < 0.9 * float(rendering.lit_area.sum())
+
+
+@pytest.mark.parametrize("scales", [(1.0, 1e-3, 1e-3), (0.5, 0.4, 1e-3), (0.3, 0.2, 0.1)])
+@pytest.mark.parametrize("view", [View(40.0, 30.0), View(-70.0, 55.0, tilt_deg=12.0, side="left")])
+def test_feet_of_engines_are_those_of_the_reference(view: View, scales: tuple[float, float, float]) -> None:
+    scene, shift = with_scales(cloud(20, 3), scales), torch.tensor([[0.3, -0.2]])
+    found = []
+    for new_pass in (None, passes_for("auto", scene.tensors(), GRID)):
+        leaves = [t.detach().clone().requires_grad_() for t in (scene.means, scene.quaternions, scene.scales, shift)]
+        pressed = replace(scene, means=leaves[0], quaternions=leaves[1], scales=leaves[2])
+        flat = _Steps(new_pass, cuts=True).feet(pressed, [view], GRID, HEIGHT, leaves[3])
+        weights = torch.linspace(0.5, 2.0, flat.roots.numel()).view_as(flat.roots)
+        ((flat.roots * weights).sum() + (flat.centers * weights[..., :2]).sum()).backward()
+        found.append([flat.centers, flat.roots, *(leaf.grad for leaf in leaves)])
+    for expected, given in zip(*found, strict=True):
+        torch.testing.assert_close(given, expected, rtol=1e-4, atol=1e-4 * float(expected.detach().abs().max()))
 
 
 def test_feet_are_pressed_flat() -> None:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
+from datasets import dataset_of
+from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply, write_points_ply
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.learning import Trainer
@@ -239,3 +240,13 @@ def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:
         reconstruct(tmp_path / "nowhere")
     with pytest.raises(SarsplatError, match="does not exist; make one"):
         read_dataset(str(tmp_path / "nowhere"))
+
+
+@pytest.mark.parametrize(("name", "words"), [("measured", "ground is on"), ("texture", "texture_looks")])
+def test_no_ground_is_learned_of_what_is_aloft(name: str, words: str) -> None:
+    views = [(View.isar((1, 0.2 * k, -0.4), (0, 0.3, 1)), "train") for k in range(4)]
+    power = np.random.default_rng(0).exponential(size=(4, 16, 16)).astype(np.float32)
+    aloft = dataset_of(ImageGrid(16, 16, (0.3, 0.3), (0.3, 0.3)), views, power, looks=1.0)
+    config = preset("measured") if name == "measured" else replace(preset("measured"), ground=None)
+    with pytest.raises(SarsplatError, match=f"target aloft, where there is no ground, but {words}"):
+        reconstruct(aloft, config, quiet=True)

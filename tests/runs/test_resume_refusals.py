@@ -68,13 +68,17 @@ def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
 
 
 def test_one_of_before_there_was_smoothing(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its settings do not say that it has none, and it goes on without."""
+    """Its settings do not say that it has none, and it goes on without; nor does it say how often it has grown."""
     monkeypatch.setattr(levels, "_ACROSS", 2)
     unsmoothed = replace(CONFIG, coarsest=2, smoothing=Smoothing(rounds=0))
     whole = reconstruct(dataset, unsmoothed, tmp_path / "run")
     tensors, _ = load_checkpoint(whole.files.checkpoint_path)
     assert "strategy/relocation" in tensors and "strategy/smoothing" not in tensors
     whole.files.checkpoint_path.unlink()
+    newest = whole.files.checkpoint_path
+    tensors, state = load_checkpoint(newest)
+    del tensors["strategy/growth/times"]
+    save_checkpoint(newest, tensors, state)
     header = json.loads((tmp_path / "run" / "config.json").read_text())
     del header["config"]["smoothing"]
     (tmp_path / "run" / "config.json").write_text(json.dumps(header))
@@ -157,7 +161,8 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset, change: 
     assert newest is not None
     tensors, state = load_checkpoint(newest)
     save_checkpoint(newest, {name: t for name, t in (tensors | change).items() if t is not None}, state)
-    refused(begun, dataset, CONFIG, "does not match this version")
+    for iterations in (2, 4):
+        refused(begun, dataset, replace(CONFIG, iterations=iterations), "does not match this version")
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -172,8 +173,14 @@ def here(jobs: Sequence[TileJob], out: Path, means: Means) -> Ends:
 
 
 def test_processes_that_learn_tiles_make_the_same_bits(
-    finished: Run, stored: Dataset, config: Config, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished: Run,
+    stored: Dataset,
+    config: Config,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("sarsplat.progress._SECONDS_BETWEEN_LINES", 0.0)
     run = reconstruct(stored, config, tmp_path / "run", executor="local", means=Means(processes=2))
     assert_same(run, finished)
     np.testing.assert_array_equal(run.points, finished.points)
@@ -185,12 +192,17 @@ def test_processes_that_learn_tiles_make_the_same_bits(
 def test_a_cluster_that_learns_tiles_makes_the_same_bits(
     finished: Run, stored: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By a stand-in for Ray, which does everything in this process."""
+    """By a stand-in for Ray, which does everything in this process, but in another folder."""
+    monkeypatch.chdir(tmp_path)
+    near, elsewhere = read_dataset(stored.path.relative_to(tmp_path)), tmp_path / "elsewhere"
+    elsewhere.mkdir()
 
     class Task:
         def __init__(self, *arguments: Any) -> None:
             threads = torch.get_num_threads()
+            os.chdir(elsewhere)
             self.result = executor_ray._do(*arguments)
+            os.chdir(tmp_path)
             torch.set_num_threads(threads)
 
     ray: Any = ModuleType("ray")
@@ -199,7 +211,7 @@ def test_a_cluster_that_learns_tiles_makes_the_same_bits(
     ray.wait, ray.get = lambda tasks, num_returns: (tasks[:1], tasks[1:]), lambda task: task.result
     ray.cancel = lambda task, force: None
     monkeypatch.setitem(sys.modules, "ray", ray)
-    assert_same(reconstruct(stored, config, tmp_path / "run", executor="ray", quiet=True), finished)
+    assert_same(reconstruct(near, config, "run", executor="ray", quiet=True), finished)
 
 
 def test_whoever_learned_a_tile_the_others_go_on(

@@ -24,3 +24,20 @@ def test_settings_are_named_where_they_differ_between_runs_alike() -> None:
         "/b/T72, sar-gs, default, seed 0",
     ]
     assert told_apart([header(None)]) == ["images in memory"]
+
+
+def test_sections_that_some_do_not_have_are_named() -> None:
+    dense, none = {"start": 5, "stop": 9}, header("/a/T72", preset="quick", densification=None, seed=0)
+    runs = [header("/a/T72", preset="quick", densification=dense, seed=0), none]
+    assert told_apart(runs) == ["T72, densification, seed 0", "T72, densification None, seed 0"]
+    other = header("/a/T72", preset="quick", densification={**dense, "stop": 8}, seed=0)
+    assert told_apart([*runs, other]) == [
+        "T72, densification, densification.stop 9, seed 0",
+        "T72, densification None, seed 0",
+        "T72, densification, densification.stop 8, seed 0",
+    ]
+    earlier = header("/a/T72", preset="quick", seed=0)
+    assert told_apart([earlier, header("/a/T72", preset="quick", smoothing={"rounds": 40}, dropout=0.1, seed=0)]) == [
+        "T72, seed 0",
+        "T72, smoothing, dropout 0.1, seed 0",
+    ]

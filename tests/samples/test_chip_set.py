@@ -12,7 +12,7 @@ import torch
 from reports import make_metrics
 from sample_runs import GRID, made_up
 from sarsplat import ImageGrid, Run, SarsplatError, SarsplatWarning, chips
-from sarsplat.samples import Chips
+from sarsplat.samples import Chips, write, write_chips
 from sarsplat.samples.chip_set import _warn_of_poor_runs
 
 
@@ -128,3 +128,12 @@ def test_angles_that_no_training_image_has_seen_are_warned_of(run: Run) -> None:
     with pytest.warns(SarsplatWarning, match=r"grazing 16:40 is up to 22° from what .* has seen \(16° to 17.67°\)"):
         chips([run], count=1, grazing_deg=(16.0, 40.0))
     chips([run], count=1, grazing_deg=(14.5, 20.0))
+
+
+def test_chips_look_as_the_images_of_their_run_do(tmp_path: Path) -> None:
+    made = chips([made_up("box", tilt_deg=12.0)], count=3)
+    assert {(made.label(k).view.tilt_deg, made.label(k).view.side) for k in range(3)} == {(12.0, "left")}
+    write_chips(made, tmp_path / "set")
+    lines = (tmp_path / "set" / "labels.csv").read_text().splitlines()
+    assert lines[0].endswith(",tilt_deg,look") and all(line.endswith(",12.0,left") for line in lines[1:])
+    assert "tilt" not in ",".join(write._columns(chips([made_up("box")], count=1)))

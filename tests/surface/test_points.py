@@ -195,6 +195,13 @@ def test_points_are_the_same_bits_whatever_the_bricks(
     assert 2 <= cut[0] < cut[1]
 
 
+def test_a_voxel_that_takes_too_many_rays_is_a_brick_anyway(ball_with_a_hole: Gaussians) -> None:
+    rays = RayGrid.for_image(GRID, 10)
+    bricks = [*Scene(ball_with_a_hole, rays).bricks(VIEWS, rays, 40 * rays.spacing_m[0], 1)]
+    assert all(np.subtract(brick.end, brick.first).max() == 1 for brick in bricks)
+    assert len(bricks) > 8
+
+
 def test_rays_of_a_window_are_cut_from_what_was_traced() -> None:
     rays, ranges = RayGrid((0.5, 2.0)), torch.tensor([[1.0, 2.0, torch.nan], [4.0, 5.0, 6.0]])
     traced = RayMap(torch.ones(2, 3), ranges, (-0.25, 3.0))

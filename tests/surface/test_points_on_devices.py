@@ -76,10 +76,10 @@ def scenes() -> dict[str, Scene]:
 
 @pytest.fixture
 def village() -> Scene:
-    """38 m of it."""
-    gaussians = surface_gaussians(made_village(38.0, edge_m=4.0), 1.0)[0]
-    how = PointExtraction(rays_per_pixel=1.5, voxel=0.6)
-    return Scene(with_haze(gaussians, 1000, 18.0), ImageGrid(128, 128, (0.3, 0.3), (0.3, 0.3)), how)
+    """20 m of it."""
+    gaussians = surface_gaussians(made_village(20.0, edge_m=4.0), 1.0)[0]
+    how = PointExtraction(rays_per_pixel=1.0, voxel=0.6)
+    return Scene(with_haze(gaussians, 200, 7.0), ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)), how)
 
 
 @pytest.fixture

@@ -99,3 +99,12 @@ def test_what_lies_around_the_points_is_not_the_target() -> None:
 def test_without_points_there_is_no_target(ground: bool) -> None:
     masks = masks_of(scene(box()), GROUND if ground else None, np.empty((0, 3)), VIEWS[:1])
     assert not masks[:, 4:-4, 4:-4].any()
+
+
+@pytest.mark.parametrize("view", [View(30.0, -40.0, aloft=True), View(30.0, 35.0, 80.0, "left", aloft=True)])
+def test_aloft_there_is_target_and_nothing_else(view: View) -> None:
+    mesh = box(3.0)
+    mesh.apply_translation((0, 0, -1.5))  # around the origin
+    (mask,), true = scene_masks(scene(mesh), None, [view], GRID, RAYS), raycast_mask(mesh, view, GRID)
+    assert overlap(mask, true, TARGET) > 0.9
+    assert set(np.unique(mask)) == set(np.unique(true)) == {CLUTTER, TARGET}

@@ -51,3 +51,32 @@ def test_lines_of_the_ground_leave_out_the_image_while_it_is_shown(viewer):
         starts, ends = np.swapaxes(viewer._stage.grid.points, 0, 1)
         lengths.append(np.linalg.norm(ends - starts, axis=1).sum())
     assert lengths[0] < 0.95 * lengths[1]
+
+
+@pytest.mark.parametrize("view", [View(50.0, 40.0, 10.0, "left"), View(50.0, -40.0, 80.0, "left", aloft=True)])
+def test_the_image_of_a_radar_that_looks_left_lies_where_its_pixels_are(viewer, view):
+    from scipy.spatial.transform import Rotation
+
+    viewer.look_from(view)
+    assert viewer.wait(60)
+    stage, part = viewer._stage, viewer._part
+    picture = np.zeros((part.rows, part.columns, 3), np.uint8)
+    picture[0, 0] = 200  # near range, at the end of the azimuths
+    stage.lay_image(picture, view, part, visible=True)
+    plane = stage._plane[0]
+    row, column = np.argwhere(np.asarray(plane.image)[..., 0] == 200)[0] if plane.image is not None else (0, 0)
+    across = (column - (part.columns - 1) / 2) * part.spacing_m[0]
+    down = (row - (part.rows - 1) / 2) * part.spacing_m[1]
+    turn = Rotation.from_quat(plane.wxyz, scalar_first=True).as_matrix()
+    place = np.asarray(plane.position) + turn @ (across, down, 0.0)
+    azimuth, _, slant_range = radar_frame(view) @ place
+    assert (azimuth, slant_range) == pytest.approx((part.azimuth_m[0], part.range_m[0]), abs=1e-6)
+
+
+def test_dragged_on_the_radar_looks_as_it_did(viewer):
+    stage = viewer._stage
+    stage.aim(View(50.0, -40.0, 30.0, "left", aloft=True))
+    low = stage.view_under(np.array([30.0, 5.0, -30.0]), stage._foot)
+    assert low.grazing_deg < -10 and (low.tilt_deg, low.side, low.aloft) == (30.0, "left", True)
+    stage.aim(View(50.0, 40.0))
+    assert stage.view_under(np.array([30.0, 5.0, -30.0]), stage._foot).grazing_deg == 1.0

@@ -134,3 +134,14 @@ def test_a_copied_scene_stays_when_the_original_is_trained_on(finished):
     assert torch.equal(copied.parameters["means"], before)
     with torch.no_grad():
         model.parameters["means"].copy_(before)
+
+
+def test_of_views_from_one_direction_the_nearest_is_turned_alike(dataset):
+    view = dataset.views[2]
+    other = replace(view, tilt_deg=40.0)
+    entries = (*dataset.entries, replace(dataset.entries[2], view=other, name="other"))
+    subject = dataset_subject(
+        replace(dataset, entries=entries, power=np.concatenate([dataset.power, dataset.power[2:3]]))
+    )
+    assert subject.nearest(other) == (len(dataset), 0.0)
+    assert subject.nearest(view) == (2, 0.0)

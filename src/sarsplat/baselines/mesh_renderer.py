@@ -70,7 +70,8 @@ class MeshRenderer:
         seen = points @ frame.T
         across, up, away = seen.unbind(1)
         normals = face_normals(seen, faces)
-        areas = -normals[:, 2] / 2  # projected along the line of sight, m²; negative where turned away
+        turned = 1 if view.side == "left" else -1  # the frame of a radar that looks to the left is mirrored
+        areas = turned * normals[:, 2] / 2  # projected along the line of sight, m²; negative where turned away
         facing = torch.nonzero(areas.detach() > 0).reshape(-1)
         with torch.no_grad():  # its slope is mostly noise from faces smaller than pixels (baselines-dsr.md in docs)
             visible = self._visible(seen, faces[facing])

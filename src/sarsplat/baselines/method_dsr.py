@@ -145,6 +145,8 @@ class Dsr(Baseline):
 
     def _points(self) -> Float[Tensor, "n 3"]:
         points = self.moved.new_tensor(self._center_m) + self._longest_m * (self.start + self.moved)
+        if self.scene.views[0].aloft:
+            return points
         return torch.cat([points[:, :2], points[:, 2:].clamp(min=0)], dim=1)  # the radar sees nothing below the ground
 
     def _whole(self, layers: Layers, view: View) -> Float[Tensor, "rows columns"]:

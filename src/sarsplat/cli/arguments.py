@@ -129,11 +129,19 @@ def numbers(text: str, name: str, counts: tuple[int, ...], example: str) -> tupl
 
 
 def views_from(
-    azimuth: Sequence[str], grazing: Sequence[str], incidence: Sequence[str], prefix: str = ""
+    azimuth: Sequence[str],
+    grazing: Sequence[str],
+    incidence: Sequence[str],
+    prefix: str = "",
+    like: Sequence[View] = (),
 ) -> list[View]:
-    """Every azimuth at every grazing (or incidence) angle, without repetition; `prefix` names the options in errors."""
+    """Every azimuth at every grazing (or incidence) angle, without repetition; `prefix` names the options in errors.
+
+    They look as the views `like` do (`seen_alike`).
+    """
     from sarsplat.examination.plausible import suspicious_angles, warn
     from sarsplat.geometry import View
+    from sarsplat.geometry.view import seen_alike
 
     azimuths = angles(azimuth, f"{prefix}azimuth") if azimuth else []
     if grazing and incidence:
@@ -151,7 +159,8 @@ def views_from(
         elevations = [90.0 - angle for angle in angles(incidence, f"{prefix}incidence")]
     else:
         elevations = angles(grazing, f"{prefix}grazing")
-    views = list(dict.fromkeys(View(a, e) for e in elevations for a in azimuths))
+    like = like or (View(0.0, 45.0),)
+    views = list(dict.fromkeys(seen_alike(like, a, e) for e in elevations for a in azimuths))
     warn(suspicious_angles(views))
     return views
 

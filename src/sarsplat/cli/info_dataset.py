@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from sarsplat.data import Dataset
     from sarsplat.data.coverage import ViewGroup
-    from sarsplat.geometry import ImageGrid, Stack
+    from sarsplat.geometry import ImageGrid, Stack, View
 
 _CALIBRATIONS = {"absolute": "absolute", "relative": "relative: β⁰ up to one common factor"}
 
@@ -51,7 +51,7 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
     train = dataset.select("train").views
     tests = [entry.view for entry in dataset.entries if entry.split != "train"]
     console.show(sky_chart(train, tests, terminal.width, symbols))
-    console.say(legend([split for split in dataset.splits() if split != "train"], symbols))
+    console.say(legend([split for split in dataset.splits() if split != "train"], symbols, train[0].aloft))
     if plot is not None and kind is not None:
         from sarsplat.data import write_bytes
         from sarsplat.report.sky import sky_picture
@@ -76,6 +76,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
     from sarsplat.examination.plausible import weakest_direction
 
     train = dataset.select("train").views
+    gap = largest_gap(view.azimuth_deg for view in train)
     return {
         "target": dataset.target,
         "calibration": _CALIBRATIONS[dataset.calibration],
@@ -83,8 +84,9 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         "ground": "shown" if dataset.ground else "not shown",
         **({} if dataset.terrain is None else {"terrain": str(dataset.terrain)}),
         **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
+        **_looks(dataset.views),
         **_bistatic([view.apart_deg for view in dataset.views]),
-        "largest gap": f"{largest_gap(view.azimuth_deg for view in train)} (azimuths of the training views)",
+        **({} if train[0].aloft else {"largest gap": f"{gap} (azimuths of the training views)"}),
         **(_passes(dataset.stacks[0]) if dataset.passes else {"weakest direction": str(weakest_direction(train))}),
         "protocol": dataset.protocol or "none",
         "quantity": f"{_QUANTITIES[dataset.signal is not None]}; row 0 near range",
@@ -94,6 +96,18 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         "masks": "masks/" if (path / "masks").is_dir() else "none",
         **_source(dataset.source),
     }
+
+
+def _looks(views: Sequence[View]) -> dict[str, str]:
+    """How views differ from those of level radars above ground that look to the right; nothing if they do not."""
+    low, high = (bound(round(view.tilt_deg, 1) for view in views) for bound in (min, max))
+    left = sum(view.side == "left" for view in views)
+    said = ["of a target aloft (inverse SAR)"] * views[0].aloft
+    if low or high:
+        said.append(f"azimuth axis tilted by {low:g}°" + ("" if low == high else f" to {high:g}°"))
+    if left:
+        said.append("looking left" if left == len(views) else f"{left} of {len(views)} looking left")
+    return {"views": ", ".join(said)} if said else {}
 
 
 def _bistatic(apart_deg: Sequence[float]) -> dict[str, str]:

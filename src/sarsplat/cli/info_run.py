@@ -30,7 +30,7 @@ _DATASET, _RUN = "dataset.json", "config.json"
 
 def describe_run(path: Path) -> None:
     """Print what a run's folder says of it: of a finished run without loading torch, of another without its model."""
-    from sarsplat.runs.run_folder import RunFolder
+    from sarsplat.runs.run_folder import RunFolder, left_open
     from sarsplat.settings.config import OWN_LOOP
 
     files = RunFolder(path)
@@ -45,7 +45,7 @@ def describe_run(path: Path) -> None:
         **about,
         "points": "none yet" if stored is None else extent(stored[0]),
         "scores": f"{_scores(files.metrics)} (metrics.json)" if files.metrics else "none yet; run sarsplat evaluate",
-        **_left_open(files.metrics),
+        **left_open(files.metrics or {}),
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
     whole = path.absolute().parents[1] if len(path.absolute().parents) > 1 else path
@@ -57,12 +57,6 @@ def describe_run(path: Path) -> None:
     if not state.finished and (state.done or not state.has_results) and header.config.get("preset") != OWN_LOOP:
         dataset = "DATASET" if where is None or not where.exists() else shlex.quote(str(where))
         console.say(f"go on with: sarsplat reconstruct {dataset} --out {shlex.quote(str(path))} --resume")
-
-
-def _left_open(metrics: Mapping[str, Any] | None) -> dict[str, str]:
-    from sarsplat.evaluation.tables import left_open
-
-    return {} if metrics is None else left_open(metrics)
 
 
 def _about(files: RunFolder) -> dict[str, str]:

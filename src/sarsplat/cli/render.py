@@ -68,7 +68,8 @@ def render(
         Azimuths: degrees or start:stop:step (stop excluded), e.g. 30 or 0:360:15; each is combined with every grazing
         angle.
     grazing
-        Grazing angles, degrees, between 0 and 90.
+        Grazing angles, degrees, between 0 and 90; of a target aloft from −90. Images are tilted, and look to the side,
+        as all those of the training; if these differ, they are level and look to the right.
     incidence
         Incidence angles (90° − grazing), instead of grazing angles.
     sweep
@@ -102,7 +103,7 @@ def render(
     from sarsplat.tiles import tiles_kept_in
 
     done = run_at(run)
-    views = None if sweep else views_from(azimuth, grazing, incidence)
+    views = None if sweep else views_from(azimuth, grazing, incidence, like=done.snapshot.views)
     require_output(out, frames if views is None else len(views))
     recognises = FILES.get(out.suffix.lower())
     if views is not None and recognises is None:
@@ -133,9 +134,11 @@ def render(
         False: "β⁰ up to an unknown factor",
         None: f"{to_db(look.peak):.1f} dB in the unit of its dataset, which is not there to ask",
     }[_absolute(done)]
+    unusual = views[0].unusual.removeprefix(", ")
+    like = f"; views are {unusual}, as those of the training" if unusual else ""
     console.say(
         f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the "
-        f"{brightest}, {level}; row 0 is near range"
+        f"{brightest}, {level}; row 0 is near range{like}"
     )
     console.finish(f"{out}: {wrote}", f"look at {out if recognises else out / SHEET}")
 

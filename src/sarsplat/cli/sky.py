@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _WIDEST, _NARROWEST = 48, 24  # columns
 _RINGS_DEG = (0.0, 30.0, 60.0)
+_RINGS_ALOFT_DEG = (-30.0, 0.0, 30.0)
 _DOTS_ACROSS, _DOTS_DOWN = 2, 4  # of a braille character
 _BRAILLE = 0x2800
 _BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
@@ -52,7 +53,8 @@ def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: 
     rows = columns * _DOTS_ACROSS // _DOTS_DOWN + 1
     middle = (columns * _DOTS_ACROSS // 2, rows * _DOTS_DOWN // 2)
     radius = min(middle) - 1
-    farthest = 180 if any(view.aloft for view in train) else 90  # the nadir around, or the horizon
+    aloft = any(view.aloft for view in train)
+    farthest, rings = (180, _RINGS_ALOFT_DEG) if aloft else (90, _RINGS_DEG)  # the nadir around, or the horizon
 
     def place(azimuth_deg: float, grazing_deg: float) -> tuple[int, int]:
         """Dot of a direction."""
@@ -61,7 +63,7 @@ def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: 
         return round(middle[0] + distance * math.sin(angle)), round(middle[1] - distance * math.cos(angle))
 
     cells = [[" "] * columns for _ in range(rows)]
-    for ring in _RINGS_DEG:
+    for ring in rings:
         count = max(24, round(radius * (90 - ring) / farthest * 1.6))
         for x, y in {place(360 * k / count, ring) for k in range(count)}:
             row, column = y // _DOTS_DOWN, x // _DOTS_ACROSS
@@ -92,8 +94,9 @@ def _labelled(cells: Sequence[Sequence[str]], styles: dict[tuple[int, int], str]
     return text
 
 
-def legend(tests: Iterable[str], symbols: Symbols) -> str:
+def legend(tests: Iterable[str], symbols: Symbols, aloft: bool = False) -> str:
     """What the symbols and rings mean, with the names of the test sets that there are."""
     named = ", ".join(tests)
     points = f"{symbols.train} train" + (f"  {symbols.test} {named}" if named else "")
-    return f"{points}; middle: straight from above; rings: grazing 60°, 30° and 0°"
+    around = "; around: from below; rings: grazing 30°, 0° and −30°" if aloft else "; rings: grazing 60°, 30° and 0°"
+    return f"{points}; middle: straight from above{around}"

@@ -107,13 +107,13 @@ def point_metrics(
     yardstick : Yardstick
         Thresholds and voxels; `Yardstick.of(grid)` for images on that grid.
     normals : numpy.ndarray, float [P, 3], optional
-        Unit normals of the points, which are scored as well if given.
+        Normals of the points, of any length, which are scored as well if given.
 
     Raises
     ------
     SarsplatError
-        If there is no point or no sample, or one is not finite, or no triangle has an area, or there are not as many
-        normals as points.
+        If there is no point or no sample, or one or a normal is not finite, or no triangle has an area, or there are
+        not as many normals as points.
     """
     cloud = Cloud(points, yardstick, normals)
     _check("samples of the true surface", samples)
@@ -132,6 +132,8 @@ class Cloud:
         _check("reconstructed points", points)
         if normals is not None and len(normals) != len(points):
             raise SarsplatError(f"{len(points)} points have {len(normals)} normals; give one for each, or none")
+        if normals is not None:
+            _check("normals of the points", normals)
         first = _first_of_voxels(points, yardstick.voxel_m)
         first = first[order_in_space(points[first].astype(np.float64))]
         self._kept = points[first].astype(np.float64)
@@ -152,7 +154,8 @@ class Cloud:
         to_surface, across = on_surface(self._kept, triangles)
         normals_deg, normals_off = None, None
         if self._normals is not None:
-            cosine = np.abs(np.einsum("pc,pc->p", self._normals, across))
+            lengths = np.maximum(np.linalg.norm(self._normals, axis=1), np.finfo(float).tiny)
+            cosine = np.abs(np.einsum("pc,pc->p", self._normals, across)) / lengths
             angle_deg = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
             normals_deg, normals_off = float(np.median(angle_deg)), float(np.mean(angle_deg > NORMALS_OFF_DEG))
         to_points = np.empty(len(samples))

@@ -131,11 +131,3 @@ def metrics_table(scores: list[Scores], yardstick: Yardstick, caption: str | Non
     for method in scores:
         table.add_row(method.name, *(metric.text(method.values.get(metric.key)) for metric in shown))
     return table
-
-
-def left_open(metrics: Mapping[str, Any]) -> dict[str, str]:
-    """What the images do not determine of a surface, in words, by a title; empty if that is not known."""
-    share = metrics.get("undetermined")
-    if not isinstance(share, float):
-        return {}
-    return {"left open": f"heights of {share:.0%} of the surface, inside of what looks the same everywhere"}

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from sarsplat.evaluation.images import UndefinedScore
 from sarsplat.geometry import RayGrid
+from sarsplat.learning.few_at_once import in_groups
 from sarsplat.renderer import channel_of
 
 if TYPE_CHECKING:
@@ -86,8 +87,7 @@ def _information(
         images, _ = model.render(model.frame.views[few], grid, degree, rays=rays, numbers=numbers)
         return channel_of(images, model.power_channel).clamp(min=1e-12 * float(power.max())).sqrt()
 
-    for first in range(0, len(power), _AT_ONCE):
-        few = slice(first, first + _AT_ONCE)
+    for few in in_groups(len(power), _AT_ONCE, model.parameters, grid, rays):
         true = torch.from_numpy(np.sqrt(power[few])).to(here)
         with torch.no_grad():
             change = (amplitudes(few, here + step) - amplitudes(few, here - step)) / (2 * _MOVED)

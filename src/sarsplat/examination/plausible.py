@@ -33,7 +33,7 @@ _BLIND = 100.0  # resolutions in elevation, of what images show: phases change b
 _LOUDER = 1.2  # noise, of power that it is a part of: nothing but noise is not odd
 _FROM_ABOVE_DEG = 80.0  # and above: a view that favours no side
 
-_SIDES = 72
+_SIDES, _RINGS = 72, 24
 _HARDLY, _WEAKLY = 10.0, 3.0
 """Conditioning above which a shape cannot be determined, and above which it is uncertain; see the calibration in
 docs/reference/checks.md."""
@@ -75,7 +75,12 @@ def suspicious_terrain(dataset: Dataset) -> list[str]:
 
 
 def suspicious_angles(views: Sequence[View]) -> list[str]:
-    """Whether angles that should be degrees look like radians; a list of one sentence, or empty."""
+    """Whether angles that should be degrees look like radians; a list of one sentence, or empty.
+
+    A target aloft may be seen from any height, and from angles that followed from vectors.
+    """
+    if views[0].aloft:
+        return []
     azimuths = np.unique([view.azimuth_deg for view in views])
     grazings = np.unique([view.grazing_deg for view in views])
     incidences = 90 - grazings[::-1]
@@ -194,7 +199,9 @@ def _ambiguity(train: Dataset) -> list[str]:
 
 
 def _gap(views: Sequence[View]) -> list[str]:
-    """Sides that no training view shows."""
+    """Sides that no training view shows; a target aloft turns about any axis, and azimuths say little of its sides."""
+    if views[0].aloft:
+        return []
     given = np.array([view.azimuth_deg for view in views if view.grazing_deg < _FROM_ABOVE_DEG])
     if len(given) == 0:
         return []
@@ -281,10 +288,17 @@ class WeakestDirection:
 
 
 def weakest_direction(views: Sequence[View]) -> WeakestDirection:
-    """The direction along which positions are determined least, for sides of a target that face all azimuths."""
+    """The direction along which positions are determined least, for sides of a target that face all azimuths.
+
+    Of a target aloft, sides face all directions.
+    """
     frames = np.array([view.look.frame for view in views])
     azimuths = np.arange(_SIDES) * (2 * math.pi / _SIDES)
     normals = np.stack([np.cos(azimuths), -np.sin(azimuths), np.zeros(_SIDES)], axis=1)
+    if views[0].aloft:
+        rings = np.arcsin(np.linspace(-1, 1, _RINGS + 1)[1:] - 1 / _RINGS)  # of equal areas
+        level, upright = np.cos(rings)[:, None, None] * normals, np.sin(rings)[:, None] * np.ones(_SIDES)
+        normals = np.concatenate(level + upright[..., None] * np.array([0.0, 0.0, 1.0]))
     seen = np.maximum(normals @ -frames[:, 2].T, 0.0)  # [sides, views]
     seen[seen < 1e-6] = 0.0  # rounding, of views along a side
     seen = seen[seen.any(axis=1)]
@@ -301,12 +315,18 @@ def weak_directions(views: Sequence[View]) -> list[str]:
     weakest = weakest_direction(views)
     if not weakest.uncertain:
         return []
-    lifted = {grazing: [*views, *(replace(view, grazing_deg=grazing) for view in views)] for grazing in _GRAZINGS}
-    best = min(_GRAZINGS, key=lambda grazing: weakest_direction(lifted[grazing]).conditioning)
+    aloft = views[0].aloft
+    lifted = (
+        {}
+        if aloft
+        else {grazing: [*views, *(replace(view, grazing_deg=grazing) for view in views)] for grazing in _GRAZINGS}
+    )
+    best = 0.0 if aloft else min(_GRAZINGS, key=lambda grazing: weakest_direction(lifted[grazing]).conditioning)
     where = f"along directions {weakest.above_horizon_deg:.0f}° above the horizon"
     if weakest.undetermined:
         verdict = f"do not determine positions {where}, and so not the shape"
     else:
         less = f"{weakest.conditioning:.1f} times less well {where} than within an image"
         verdict = f"determine positions {less}, so the shape is uncertain"
-    return [f"the {len(views)} training views {verdict}; add views at other grazing angles, such as {best:g}°"]
+    add = "frames of a rotation about another axis" if aloft else f"views at other grazing angles, such as {best:g}°"
+    return [f"the {len(views)} training views {verdict}; add {add}"]

@@ -179,7 +179,8 @@ class Stack:
     def elevation_numbers(self, view: View) -> Float64[np.ndarray, " p"]:
         """Phase per elevation of each pass, rad/m; elevation is across the line of sight, upwards (`Look.frame`).
 
-        Of a pair, the difference κ is 2π per ambiguous elevation, and k_z = κ / cos(grazing) the phase per height.
+        Of a pair, the difference κ is 2π per ambiguous elevation, and k_z = κ / (cos(grazing) cos(tilt)) the phase
+        per height.
         """
         numbers: Float64[np.ndarray, " p"] = self.phase_vectors(view) @ view.look.frame[1]
         return numbers

@@ -19,6 +19,9 @@ from sarsplat.names import RadarSide
 _MAX_AZIMUTH = 3600  # degrees: ten turns
 _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
 _MAX_TILT = 89.0  # degrees: at 90 the image shows level ground edge-on, as a line
+_ALOFT_BETA0 = 0.5  # in masks of boxes best of 0.2 to 1
+_LEVEL_DEG = 1e-9  # an axis that vectors tilt by less is level: rounding
+_ALIKE_DEG = 1.0  # tilts of one radar: those of measured images scatter
 _LEAST_TURN = 1e-3  # sine of the angle between a line of sight and an axis: along it, nothing has a Doppler frequency
 
 _MOST_APART = 170.0  # degrees between transmitter and receiver: beyond, slant range tells next to nothing
@@ -94,6 +97,8 @@ class View:
                 f"azimuth {self.azimuth_deg} is not a number of degrees between ±{_MAX_AZIMUTH}; "
                 "give degrees, such as 0 to 360"
             )
+        if not isinstance(self.aloft, bool):
+            raise SarsplatError(f"aloft is {described(self.aloft)}; give True or False")
         lowest = -90.0 if self.aloft else 0.0
         if not lowest < self.grazing_deg < 90.0:  # also catches NaN
             raise SarsplatError(
@@ -137,9 +142,14 @@ class View:
     @property
     def unusual(self) -> str:
         """What follows its angles where they are said: ", tilted by 5°, looking left"; empty for most views."""
-        tilt = f", tilted by {round(self.tilt_deg, 1):g}°" if self.tilt_deg else ""
+        tilt = f", tilted by {tenths:g}°" if (tenths := round(self.tilt_deg, 1)) else ""
         side = ", looking left" if self.side == "left" else ""
         return tilt + side + (f", bistatic by {round(self.apart_deg, 1):g}°" if self.apart_deg else "")
+
+    @property
+    def open_beta0(self) -> float:
+        """β⁰ for γ⁰ = 1 of open ground, which masks measure by; aloft, of a plane seen at 27°."""
+        return _ALOFT_BETA0 if self.aloft else self.look.beta0_of_gamma0(1.0)
 
     @classmethod
     @checks_arguments
@@ -178,6 +188,7 @@ class View:
             if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
                 raise SarsplatError(f"the {name} {vector.tolist()} has no direction; give three numbers, not all 0")
         level = cls.towards(sight, aloft=True)
+        axis = axis / np.abs(axis).max()  # of any length: no square overflows
         along = np.cross(level.direction, axis / np.linalg.norm(axis))  # as the radar moves, seen from the target
         if not np.linalg.norm(along) > _LEAST_TURN:
             raise SarsplatError(
@@ -186,6 +197,8 @@ class View:
             )
         across, elevation = level.look.frame[:2] @ along
         tilt = math.degrees(math.atan2(elevation, abs(across)))
+        if abs(tilt) < _LEVEL_DEG:
+            tilt = 0.0
         return replace(level, tilt_deg=tilt, side="left" if across < 0 else "right")
 
     @classmethod
@@ -272,6 +285,26 @@ def check_monostatic(views: Sequence[View], remedy: str) -> None:
     """Refuse views of a transmitter and a receiver apart, where one radar is meant."""
     if any(view.apart_deg for view in views):
         raise SarsplatError(f"a view is bistatic; {remedy}")
+
+
+def seen_alike(views: Sequence[View], azimuth_deg: float, grazing_deg: float) -> View:
+    """The view from a direction by a radar like that of known views, of which there must be one.
+
+    It is tilted, looks to the side and is bistatic as all of them are: by the median of angles that differ by a degree
+    at most. Where they differ by more, it is level and looks to the right, or is of one radar. Both ends of bistatic
+    ones are at the same height, so that none is below the horizon.
+    """
+
+    def common(angles: list[float]) -> float | None:
+        angles = sorted(angles)
+        return angles[len(angles) // 2] if angles[-1] - angles[0] <= _ALIKE_DEG else None
+
+    tilt, apart = (common([getattr(view, name) for view in views]) for name in ("tilt_deg", "apart_deg"))
+    usual = View(azimuth_deg, grazing_deg, aloft=views[0].aloft)
+    usual = replace(usual, apart_deg=apart or 0.0)
+    if tilt is None or len({view.side for view in views}) > 1:
+        return usual
+    return replace(usual, tilt_deg=tilt, side=views[0].side)
 
 
 @checks_arguments

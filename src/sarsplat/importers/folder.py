@@ -155,7 +155,8 @@ def import_folder(
             pixels, guessed, str(picture.path), _either(picture.scale, scale), _either(picture.offset, offset)
         )
         turn = -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
-        view = _view(listed.path, picture, azimuth_offset_deg + turn, grazing_deg)
+        left = mirrored if picture.looks_left is None else picture.looks_left
+        view = _view(listed.path, picture, azimuth_offset_deg + turn, grazing_deg, left)
         slant = view.look.slant_range(1.0) if ground_range else 1.0
         spacing = _lengths(listed.path, picture, "spacing", spacing_m, slant)
         stated = resolution_m is not None or any(picture.resolution_m)
@@ -231,17 +232,16 @@ def _either(own: float | None, common: float) -> float:
     return common if own is None else own
 
 
-def _view(table: Path, picture: ListedPicture, azimuth_deg: float, grazing_deg: float | None) -> View:
+def _view(table: Path, picture: ListedPicture, azimuth_deg: float, grazing_deg: float | None, left: bool) -> View:
+    """The view of a picture, which is mirrored if the radar looks to the left: then it is one that looks right."""
     grazing = grazing_deg if picture.grazing_deg is None else picture.grazing_deg
     if grazing is None:
         raise SarsplatError(
             f"{table} does not say from what grazing angle {picture.name} is; name the column with "
             "--columns grazing=NAME (or incidence=NAME), or give one angle for all with --grazing"
         )
-    tilt = (
-        picture.tilt_deg or 0.0
-    )  # mirrored, an image of a radar that looks to the left is one that looks to the right
-    return view_of(f"{table}: {picture.name}", azimuth_deg, grazing, -tilt if picture.looks_left else tilt)
+    tilt = picture.tilt_deg or 0.0
+    return view_of(f"{table}: {picture.name}", azimuth_deg, grazing, -tilt if left else tilt)
 
 
 def _lengths(table: Path, picture: ListedPicture, what: str, common: Pair | None, slant: float) -> Pair:

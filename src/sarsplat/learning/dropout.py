@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
@@ -39,7 +42,8 @@ def dropped(
         mixed = _rows(count, device) + _signed(seed * _SEED + step * _STEP)
     for factor, shift in zip(_MIX, (30, 27), strict=True):
         mixed.bitwise_xor_(mixed >> shift).mul_(_signed(factor))
-    return (mixed >> 32).bitwise_and_(2**_BITS - 1) < share * 2**_BITS
+    first_kept = math.ceil(np.float32(share * 2**_BITS))  # an integer: others are rounded to torch's default dtype
+    return (mixed >> 32).bitwise_and_(2**_BITS - 1) < first_kept
 
 
 @kept_on_device(maxsize=4)

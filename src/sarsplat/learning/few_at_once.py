@@ -22,16 +22,18 @@ Compared = Callable[[slice], tuple[Tensor, Rendering]]
 """Renders some of the views of a step: their mean loss, and what was rendered."""
 
 
-def in_groups(views: int, most: int, parameters: Mapping[str, Tensor], grid: ImageGrid, rays: RayGrid) -> list[slice]:
+def in_groups(
+    views: int, most: int, parameters: Mapping[str, Tensor], grid: ImageGrid, rays: RayGrid, scenes: int = 1
+) -> list[slice]:
     """So many views in their order, at most so many at once; decided by sizes alone, so alike on every machine.
 
-    Of the `parameters` of a model, the means say how many Gaussians there are.
+    Of the `parameters` of a model, the means say how many Gaussians there are; a rendering takes as much as `scenes`.
     """
     count = len(parameters["means"])
     numbers = sum(tensor[0].numel() for tensor in parameters.values() if len(tensor) == count)
     pixels = grid.rows * grid.columns
     crossing = pixels * grid.spacing_m[0] * grid.spacing_m[1] / rays.cell_area
-    together = min(most, max(1, int(_STEP_GIB * 2**30 / memory_bytes(count, numbers, crossing, pixels))))
+    together = min(most, max(1, int(_STEP_GIB * 2**30 / (scenes * memory_bytes(count, numbers, crossing, pixels)))))
     return [slice(first, min(first + together, views)) for first in range(0, views, together)]
 
 

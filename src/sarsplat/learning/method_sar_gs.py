@@ -30,7 +30,7 @@ from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS
 from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
-from sarsplat.renderer import channel_of
+from sarsplat.renderer import GroundBounce, channel_of
 from sarsplat.renderer.covariances import stacks_of
 from sarsplat.renderer.steps import attenuate, project
 from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, Config
@@ -38,6 +38,7 @@ from sarsplat.settings.presets import preset
 from sarsplat.settings.sections import FlatGround
 from sarsplat.surface.masks import scene_masks, without_imitated_ground
 from sarsplat.surface.mesh import surface_mesh
+from sarsplat.surface.neighbours import spacing_m
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.parts import parts_of
 from sarsplat.surface.points import extract_points
@@ -84,6 +85,12 @@ class SarGs(Method):
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)
+        if dataset.views[0].aloft and (config.ground or (config.surroundings and config.surroundings.texture_looks)):
+            asked = "ground is on" if config.ground else "texture_looks, of ground, is not 0"
+            raise SarsplatError(
+                f"{dataset} is of a target aloft, where there is no ground, but {asked} (preset {config.preset}); "
+                "leave that off, as the presets default and speckled do"
+            )
         for observation in observations_of(config):
             observation.refuse(config, dataset, inputs)
         return Trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
@@ -162,7 +169,7 @@ class GaussianReconstruction(Reconstruction):
             )
         if not all(low <= high for low, high in zip(*box, strict=True)):  # also catches NaN
             raise SarsplatError(f"the box is {box[0]} to {box[1]} m; give its lower corner (x, y, z) first")
-        corners = [torch.tensor(corner).to(gaussians.means) for corner in box]
+        corners = [torch.tensor(corner, dtype=torch.float64).to(gaussians.means) for corner in box]
         inside = ((gaussians.means >= corners[0]) & (gaussians.means <= corners[1])).all(dim=1)
         if not bool(inside.any()):
             raise SarsplatError(
@@ -231,10 +238,11 @@ class GaussianReconstruction(Reconstruction):
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
         """What Gaussians and points around agree on (`surface_normals`), some points at a time."""
-        cell_m, normals = self.grid.cell_m, np.empty((len(points), 3), np.float32)
+        cell_m, normals, apart_m = self.grid.cell_m, np.empty((len(points), 3), np.float32), spacing_m(points)
         for some, own in parts_of(points, _NORMAL_REACH * cell_m):
             near = points[some]
-            normals[some[own]] = surface_normals(near, self._seen.around(near)[1], self.gaussians, cell_m)[own]
+            towards = self._seen.around(near)[1]
+            normals[some[own]] = surface_normals(near, towards, self.gaussians, cell_m, apart_m)[own]
         return normals
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
@@ -268,7 +276,12 @@ class GaussianReconstruction(Reconstruction):
         if ground.exponent is not None:
             sines = [view.look.sine for view in self.snapshot.views]
             gamma0 += float(ground.exponent.detach()) * float(np.log(sines).mean())
-        return {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
+        facts = {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
+        for echo in self.model.echoes():
+            if isinstance(echo, GroundBounce):
+                share = float(echo.reflectivity.detach())
+                facts["second bounce"] = f"by way of the ground, which reflects {share:.3g} of the power"
+        return facts
 
 
 def lengths(config: Config, grid: ImageGrid) -> str:

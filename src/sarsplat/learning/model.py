@@ -171,6 +171,11 @@ class SceneModel:
         """Returns besides the direct one and the ground's."""
         return [echo for part in self.parts for echo in part.echoes(self.parameters)]
 
+    @property
+    def scenes_rendered(self) -> int:
+        """How many of its size a rendering holds at a time: an echo has the scene and its mirror image."""
+        return 1 + 2 * len(self.echoes())
+
     def _refuse_echoes(self, where: str) -> None:
         """What would be left out in silence."""
         if self.echoes():
@@ -223,6 +228,22 @@ class SceneModel:
             rendering = self.windows.render(scene, views, shot.grid, numbers.tolist(), **how)
         return self.developed(rendering.images, shot, estimated), rendering
 
+    @torch.no_grad()
+    def power_by_echo(self, degree: int) -> dict[str, float]:
+        """Shares of the power that the training views show of the scene: directly, and by each way besides."""
+        ground, echoes = self.ground(), self.echoes()
+        ways = ([] if ground is None else ["ground"]) + [echo.way for echo in echoes]
+        scene, powers = self.scene(degree), dict.fromkeys(["target", *ways], 0.0)
+        for view in self.frame.views:  # one at a time: memory stays small
+            rendering = render(scene, [view], self.frame.grid, ground=ground, echoes=echoes)
+            powers["target"] += float(rendering.channel(self.power_channel).double().sum())
+            for way, returned in zip(ways, rendering.echoes, strict=True):
+                power = float(returned.double().sum())
+                powers[way] += power
+                powers["target"] -= power
+        total = sum(powers.values())
+        return {way: power / total for way, power in powers.items()} if total else {}
+
     def covariances(
         self,
         views: Sequence[View],
@@ -254,7 +275,7 @@ class SceneModel:
         """Images of unseen views, some at a time and without gradients: one, by tiles, where they are too large."""
         with torch.no_grad():
             scene, ground = self.scene(degree), self.ground()
-            together = min(at_once(scene, views, grid, rays), _AT_A_TIME)
+            together = -(-min(at_once(scene, views, grid, rays), _AT_A_TIME) // self.scenes_rendered)
             for first in range(0, len(views), max(together, 1)):
                 some = views[first : first + max(together, 1)]
                 if together:

@@ -70,7 +70,7 @@ class Sampler:
         self._rays = RayGrid.for_image(grid, model.config.rays_per_pixel)  # as in training: .01 dB, far below speckle
         self._backdrop: Tensor | None = None
         with torch.no_grad():
-            self._scene, self._ground = model.scene(degree), model.ground()
+            self._scene, self._ground, self._echoes = model.scene(degree), model.ground(), model.echoes()
         self._parts = _divided(grid, self._scene) if speckle == "response" else 1
         self._grid = _finer(grid, self._parts)
         self._margins, wider = _widened(self._grid)
@@ -136,7 +136,15 @@ class Sampler:
         of all that is around bright scatterers: without them, though the response has its own, samples were told from
         measured chips more easily.
         """
-        rendering = render(self._scene, shot.views, grid, rays=self._rays, shift=shot.shift, ground=self._ground)
+        rendering = render(
+            self._scene,
+            shot.views,
+            grid,
+            rays=self._rays,
+            shift=shot.shift,
+            ground=self._ground,
+            echoes=self._echoes,
+        )
         images, channel = rendering.images, shot.power_channel
         without = torch.zeros_like(images)
         if rendering.ground is not None:

@@ -64,7 +64,7 @@ class RadarMaps:
 @torch.no_grad()
 @checks_arguments
 def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid | None = None) -> RadarMaps:
-    """Maps of what a radar sees of a surface that stands on flat ground at z = 0.
+    """Maps of what a radar sees of a surface that stands on flat ground at z = 0, or is aloft and throws no shadow.
 
     The maps are as sharp as the pixels, whatever the resolution of the images is.
 
@@ -97,12 +97,13 @@ def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid |
     weighted = lit[:, None] * torch.from_numpy(_columns(surface, view)).to(lit)
     sums = splat(projection.pixels, weighted[None], sharp)[0].double().numpy()
     area = sums[_AREA]
-    shown = (area >= view.look.beta0_of_gamma0(_SHARE)) | (sums[_COVER] >= _SHARE)
+    shown = (area >= _SHARE * view.open_beta0) | (sums[_COVER] >= _SHARE)
     means = np.divide(sums, area, out=np.full_like(sums, np.nan), where=shown)
     spread = 2 * np.sqrt(_unexplained(means, grid))
     with np.errstate(invalid="ignore"):
         layover = spread > grid.cell_m
-    shadow = _hidden_ground(above_ground(gaussians), view, grid, rays) & ~shown
+    standing = gaussians[:0] if view.aloft else above_ground(gaussians)
+    shadow = _hidden_ground(standing, view, grid, rays) & ~shown
     return RadarMaps(
         means[_HEIGHT].astype(np.float32),
         means[_INCIDENCE].astype(np.float32),

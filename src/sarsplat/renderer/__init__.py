@@ -25,6 +25,7 @@ from sarsplat.renderer.echoes.echo import all_visible, check_echoes
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.choice import ENGINES, chosen_engine, passes_for
 from sarsplat.renderer.engines.chosen_views import ChosenViews, candidates
+from sarsplat.renderer.engines.on_device import NotRecordable
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.one_by_one import Steps
 from sarsplat.renderer.operations import render_with
@@ -108,7 +109,8 @@ def render(
     bounds : Bounds, optional
         Limits that the Gaussians keep. With them the CUDA engine waits for nothing, and reports a value out of range,
         and a Gaussian that breaks them, not here but in `bounds.check()`; its arrays are as large as the limits ask
-        for, so narrow ones are faster. The other engines need none, and check as ever.
+        for, so narrow ones are faster. The other engines need none, and check as ever; so does it with
+        `GroundBounce`, whose mirror image is beyond them.
     processes : Processes, optional
         Who shares the views, on the CPU engine: all call this with the same arguments, and get the same as one alone.
     engine : {"auto", "cpu", "cuda", "reference"}
@@ -171,7 +173,10 @@ def render(
             return render_bistatic(
                 Steps(new_pass, cuts=True), gaussians, views, grid, **options, plane_gradients=plane_gradients
             )
-        if bounds is not None and ENGINES[engine].takes_bounds:
+        holding = all(echo.within_bounds for echo in echoes)
+        if not holding and isinstance(views, ChosenViews):
+            raise NotRecordable("has an echo from beyond its bounds")
+        if bounds is not None and holding and ENGINES[engine].takes_bounds:
             if bounds.broken.device != gaussians.means.device:
                 raise SarsplatError(
                     f"bounds are on {bounds.broken.device} but means is on {gaussians.means.device}; make them there"

@@ -17,7 +17,14 @@ from sarsplat.renderer.engines.problem import directions_to
 
 def amplitudes_towards(new_pass: NewPass | None, gaussians: Gaussians, views: Sequence[View]) -> Float[Tensor, "v n c"]:
     """`Gaussians.amplitudes` towards the radar of each view, by an engine's passes; None for the reference."""
-    law, directions = gaussians.scattering, directions_to(views, gaussians.means)
+    return amplitudes_along(new_pass, gaussians, directions_to(views, gaussians.means))
+
+
+def amplitudes_along(
+    new_pass: NewPass | None, gaussians: Gaussians, directions: Float[Tensor, "v 3"]
+) -> Float[Tensor, "v n c"]:
+    """`Gaussians.amplitudes` along unit vectors, likewise."""
+    law = gaussians.scattering
     if type(law) is not NormalLobes:
         return gaussians.amplitudes(directions)
     inputs = directions, gaussians.quaternions, gaussians.scales, law.parameters

@@ -17,7 +17,7 @@ from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.operation import Tensors
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.problem import ARRAYS
-from sarsplat.renderer.engines.stages import Attenuate, Project, Render, Splat
+from sarsplat.renderer.engines.stages import Attenuate, PressedFlat, Project, Render, Splat
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.lobes import amplitudes_towards
 from sarsplat.renderer.rendering import RayMap, Rendering
@@ -120,6 +120,15 @@ def project_with(
     return Projection(
         Footprints(ray_centers, ray_roots), depth, range_m, tilt, Footprints(pixel_centers, pixel_roots), amplitudes
     )
+
+
+def pressed_flat_with(
+    new_pass: NewPass, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, *, shift: Float[Tensor, "v 2"]
+) -> Footprints:
+    """On the imaging plane, of Gaussians pressed flat onto the plane z = 0."""
+    g = gaussians
+    flat = PressedFlat(new_pass(), views, grid, RayGrid.for_image(grid), 0.0)
+    return Footprints(*flat.of(g.means, g.quaternions, g.scales, g.optical_depth, None, None, shift)[5:7])
 
 
 def attenuate_with(

@@ -24,10 +24,11 @@ from sarsplat.evaluation import (
     metrics_of_points,
     paper_beside,
 )
-from sarsplat.evaluation.tables import baselines, left_open, whose
+from sarsplat.evaluation.tables import baselines, whose
 from sarsplat.examination.plausible import weakest_direction
 from sarsplat.report.figure import Figure
 from sarsplat.runs import Run
+from sarsplat.runs.run_folder import left_open
 from sarsplat.version import program_version
 
 if TYPE_CHECKING:
@@ -253,11 +254,20 @@ def _run_facts(run: Run) -> dict[str, str]:
         "folder": "in memory" if run.path is None else str(run.path),
         "method": run.method,
         **run.facts,
+        **_power_by_echo(run),
         "training time": _duration(run.time_s),
         **({} if run.metrics is None else left_open(run.metrics)),
         "seed": str(run.seed),
         "report by": f"sarsplat {program_version()}",
     }
+
+
+def _power_by_echo(run: Run) -> dict[str, str]:
+    """Of runs that have learned more than target and ground."""
+    if run.model is None or not run.model.echoes():
+        return {}
+    shares = run.model.power_by_echo(run.model.degree(run.iteration))
+    return {"power": ", ".join(f"{way} {share:.0%}" for way, share in shares.items())}
 
 
 def _duration(seconds: float) -> str:

@@ -15,6 +15,7 @@ from sarsplat.data import new_folder, write_bytes, write_tiff
 from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry.view import seen_alike
 from sarsplat.names import Swept
 from sarsplat.report.animation import ANIMATIONS, frame, write_animation
 from sarsplat.report.images import target_window
@@ -140,7 +141,7 @@ def sweep_views(
     `ends_deg` are the angles between which the sweep goes, there and back, slower at its ends; without them, azimuths
     make a whole turn, and grazing angles go between the lowest and the highest training view. `other_deg` is the angle
     that stays: by default, the middle one of the training views' grazing angles, or the azimuth of the first of them.
-    Tilt and side are those of the first of them.
+    Tilt and side are as theirs (`seen_alike`).
     """
     if frames < 2:
         raise SarsplatError(f"a sweep of {frames} frames does not move; give at least 2")
@@ -162,6 +163,6 @@ def sweep_views(
     moving = [round(angle, 6) for angle in moving]  # the way back has the same angles
     if swept == "azimuth":
         stays = grazing[len(grazing) // 2] if other_deg is None else other_deg
-        return [replace(training[0], azimuth_deg=angle, grazing_deg=stays) for angle in moving]
+        return [seen_alike(training, angle, stays) for angle in moving]
     stays = training[0].azimuth_deg if other_deg is None else other_deg
-    return [replace(training[0], azimuth_deg=stays, grazing_deg=angle) for angle in moving]
+    return [seen_alike(training, stays, angle) for angle in moving]

@@ -17,7 +17,7 @@ _SIZE = (5.6, 6.0)  # inches
 def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: str = "png") -> bytes:
     """The sky from above, a point for every view: overhead in the middle, the horizon, or aloft the nadir, around.
 
-    Shades the largest gap in azimuth between training views, of which there must be one.
+    Shades the largest gap in azimuth between training views, of which there must be one, unless they are aloft.
     """
     figure = new_figure(*_SIZE)
     axes: Any = figure.add_axes((0.1, 0.12, 0.8, 0.72), projection="polar")  # PolarAxes
@@ -33,9 +33,12 @@ def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: s
     axes.set_xticks([math.radians(angle) for angle in range(0, 360, 45)])
     axes.set_xticklabels(["0° (nose)", *(f"{angle}°" for angle in range(45, 360, 45))])
     axes.grid(color=DARK.line, linewidth=0.8)
-    gap = largest_gap(view.azimuth_deg for view in train)
-    start, width = math.radians(gap.first_deg), math.radians(gap.width_deg)
-    axes.bar(start, farthest, width=width, align="edge", color=DARK.test, alpha=0.16, linewidth=0, zorder=0)
+    below = ""
+    if not aloft:  # where no azimuth is a side of its own
+        gap = largest_gap(view.azimuth_deg for view in train)
+        start, width = math.radians(gap.first_deg), math.radians(gap.width_deg)
+        axes.bar(start, farthest, width=width, align="edge", color=DARK.test, alpha=0.16, linewidth=0, zorder=0)
+        below = f"\nlargest gap of the training views: {gap}"
     for views, marks in (
         (test, {"facecolors": "none", "edgecolors": DARK.test, "s": 26, "linewidths": 1.2, "label": "test"}),
         (train, {"color": DARK.train, "s": 30, "linewidths": 0, "label": "train"}),
@@ -43,7 +46,7 @@ def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: s
         if views:
             angles = [math.radians(view.azimuth_deg) for view in views]
             axes.scatter(angles, [90 - view.grazing_deg for view in views], zorder=3, **marks)
-    axes.set_title(f"{title}\nlargest gap of the training views: {gap}", color=DARK.ink, size=10, pad=16)
+    axes.set_title(f"{title}{below}", color=DARK.ink, size=10, pad=16)
     legend = figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     for text in legend.get_texts():
         text.set_color(DARK.ink)

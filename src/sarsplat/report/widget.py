@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, HEIGHT, POWER, POW
 from sarsplat.data import Dataset
 from sarsplat.data.coverage import largest_gap
 from sarsplat.geometry import View
+from sarsplat.geometry.view import seen_alike
 from sarsplat.progress import stage
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
 from sarsplat.report.figure import colour_bar
@@ -159,7 +159,7 @@ def _count(shown: Real[np.ndarray, "v rows columns"], peak: float, each: int) ->
 
 
 def _raster(views: Sequence[View], count: int) -> list[View]:
-    """At most `count` directions: evenly over the azimuths and grazing angles that these views span, tilted as one."""
+    """At most `count` directions: evenly over the azimuths and grazing angles that these views span; alike else."""
     if count < 1:
         return []
     gap = largest_gap(view.azimuth_deg for view in views)
@@ -173,8 +173,7 @@ def _raster(views: Sequence[View], count: int) -> list[View]:
     steps = max(1, min(finest, count // levels))
     grazing = np.linspace(lowest, highest, levels) if levels > 1 else [(lowest + highest) / 2]
     around = first + np.linspace(0, span, steps, endpoint=not all_around)
-    level = replace(views[0], apart_towards_deg=0.0)  # of bistatic ones, neither end gets below the horizon
-    return [replace(level, azimuth_deg=float(a), grazing_deg=float(g)) for g in grazing for a in around]
+    return [seen_alike(views, float(a), float(g)) for g in grazing for a in around]
 
 
 def _sheet(images: UInt8[np.ndarray, "v rows columns"]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
@@ -76,6 +76,14 @@ class Metrics(TypedDict):
     parameters: dict[str, int | float]
     definitions: dict[str, str]
     reasons: dict[str, str]
+
+
+def left_open(metrics: Mapping[str, Any]) -> dict[str, str]:
+    """What the images do not determine of a surface, in words, by a title; empty if that is not known."""
+    share = metrics.get("undetermined")
+    if not isinstance(share, float):
+        return {}
+    return {"left open": f"heights of {share:.0%} of the surface, inside of what looks the same everywhere"}
 
 
 class Header(msgspec.Struct, forbid_unknown_fields=True):

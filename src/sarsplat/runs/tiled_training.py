@@ -115,10 +115,11 @@ class TiledTraining(Training[Trainer]):
 
     def _by_others(self, others: Others, count: int, begun: int, iterations: int) -> None:
         """Have all tiles finished by other processes, each in its folder."""
-        folder = self._folder_of(0).parent
+        folder = self._folder_of(0).parent.resolve()  # others work in another folder
         with plain_os_errors("write", folder):
             folder.mkdir(parents=True, exist_ok=True)
-        device, where = self.trainer.device.type, str(self._dataset.path)
+        assert self._dataset.path is not None
+        device, where = self.trainer.device.type, str(self._dataset.path.resolve())
         finished = [RunFolder(self._folder_of(k)).checkpoint_path for k in range(count)]
         left = [k for k, path in enumerate(finished) if path is None or int(path.stem) < iterations]
         jobs = [TileJob(k, where, iterations, device) for k in left]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,17 +27,19 @@ def names_of(folders: Sequence[Path]) -> list[str]:
 def told_apart(headers: Sequence[Header], with_method: bool = True) -> list[str]:
     """A name for each run: its dataset, its seed, and what of method, preset and settings is not that of all.
 
-    Settings are told of runs of one dataset, method and preset: others differ in most of them.
+    Settings are told of runs of one dataset, method and preset: others differ in most of them. Of a section that others
+    do not have, the name is told.
     """
     methods = {header.method for header in headers}
     presets = {header.config["preset"] for header in headers if "preset" in header.config}  # other methods have none
     datasets: dict[str, set[str]] = {}  # by their folders' names
-    values: dict[tuple[str, str, str], dict[str, set[str]]] = {}  # of each setting, of runs that differ in little
+    values: dict[tuple[str, str, str], dict[str, list[str]]] = {}  # of each setting, of runs that differ in little
     for header in headers:
         datasets.setdefault(Path(_dataset(header)).name, set()).add(_dataset(header))
         known = values.setdefault(_kind(header), {})
         for name, value in _dotted(header.config):
-            known.setdefault(name, set()).add(str(value))
+            known.setdefault(name, []).append(str(value))
+    alike = Counter(map(_kind, headers))
     names = []
     for header in headers:
         name = Path(_dataset(header)).name if len(datasets[Path(_dataset(header)).name]) == 1 else _dataset(header)
@@ -44,7 +47,12 @@ def told_apart(headers: Sequence[Header], with_method: bool = True) -> list[str]
         words += [header.method] if with_method and len(methods) > 1 else []
         words += [header.config["preset"]] if len(presets) > 1 and "preset" in header.config else []
         settings = ((name, value) for name, value in _dotted(header.config) if name not in ("preset", "seed"))
-        words += [f"{name} {value}" for name, value in settings if len(values[_kind(header)][name]) > 1]
+        for setting, value in settings:
+            given, (section, dot, _) = values[_kind(header)][setting], setting.partition(".")
+            if len({*given}) > 1 or (len(given) < alike[_kind(header)] and not dot):
+                words.append(f"{setting} {value}")
+            elif len(given) < alike[_kind(header)] and section not in words:
+                words.append(section)
         words += [f"seed {header.config['seed']}"] if "seed" in header.config else []
         names.append(", ".join(words))
     return names

@@ -113,8 +113,6 @@ class Training(Generic[T]):
         other_results = any(name not in AnyConfig.may_change for name, _, _ in run.config.changes(config))
         where = None if dataset.path is None else dataset.path.resolve()
         self.run = resumed = replace(run, dataset_path=where, config=config)
-        if resumed != run:
-            resumed.write_header()
         snapshot = run.snapshot if begun else None
         if self._processes is not None:
             self._processes.shared(snapshot)
@@ -128,6 +126,8 @@ class Training(Generic[T]):
             self._begun -= snapshot.seconds
             self.history = [line for line in run.history if line.iteration <= snapshot.iteration]  # a killed one's end
             self.shown.start_at(snapshot.iteration)
+        if resumed != run:
+            resumed.write_header()
         if other_results or self.trainer.iteration < config.iterations:
             if files.state.has_results:
                 self.shown.note(f"points, scores and report of the first {files.state.done:,} iterations are removed")

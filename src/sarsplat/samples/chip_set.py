@@ -19,6 +19,7 @@ from torch import Tensor
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry.view import seen_alike
 from sarsplat.learning.method import DrawsSamples
 from sarsplat.learning.sampler import seed_of
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
@@ -122,8 +123,10 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         seed_of(seed, 0)  # refuses negative ones
         self.azimuths_deg = tuple(View(azimuth, 45.0).azimuth_deg % 360 for azimuth in azimuths_deg)
         self.grazing_deg = [_grazing(run) if grazing_deg is None else grazing_deg for run in self.runs]
-        for low, high in self.grazing_deg:
-            if View(0.0, low).grazing_deg > View(0.0, high).grazing_deg:
+        self._usual = [seen_alike(run.snapshot.views, 0.0, _grazing(run)[0]) for run in self.runs]
+        for usual, ends in zip(self._usual, self.grazing_deg, strict=True):
+            low, high = (replace(usual, grazing_deg=end).grazing_deg for end in ends)
+            if low > high:
                 raise SarsplatError(f"grazing {low:g}:{high:g} goes down; give the lower angle first")
         if grazing_deg is not None:
             _warn_of_far_angles(self.runs, *grazing_deg)
@@ -189,7 +192,8 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         seed = seed_of(self.seed, place, number)
         drawn = np.random.default_rng([seed, 1]).uniform(low, high)  # `Run.sample` begins with [seed]
         grazing = min(max(round(float(drawn), _DECIMALS), low), high)
-        return Label(self.targets[place], View(azimuth, grazing), seed, place)
+        view = replace(self._usual[place], azimuth_deg=azimuth, grazing_deg=grazing)
+        return Label(self.targets[place], view, seed, place)
 
     def sample(self, index: int) -> Complex64[np.ndarray, "rows columns"]:
         """A chip before it is encoded: complex amplitudes √β⁰·e^jψ on the run's grid, row 0 near."""

@@ -38,6 +38,9 @@ _COLUMNS = (
     *("azimuth_spacing_m", "range_spacing_m", "azimuth_resolution_m", "range_resolution_m"),  # and `import folder`
 )
 
+_TILTED = ("tilt_deg", "look")
+"""More columns, if the radar of a run squints, climbs, dives or looks to its left."""
+
 MARKER = "chips.json"
 """The file that marks a folder of chips."""
 
@@ -162,12 +165,17 @@ def _shard(number: int) -> str:
 
 def _table(chips: Chips, shard: int | None) -> bytes:
     text = io.StringIO(newline="")
-    table = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    table = csv.DictWriter(text, _columns(chips), lineterminator="\n")
     table.writeheader()
     for index in range(len(chips)):
         path = _file(chips, index) if shard is None else _shard(index // shard)
         table.writerow(_row(chips, index, path))
     return text.getvalue().encode()
+
+
+def _columns(chips: Chips) -> tuple[str, ...]:
+    tilted = any(chips.label(place).view.unusual for place in range(len(chips.runs)))
+    return (*_COLUMNS, *(_TILTED * tilted))
 
 
 def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
@@ -176,7 +184,8 @@ def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
     angles = (round(view.grazing_deg), view.grazing_deg, round(-view.azimuth_deg % 360, 6))
     lengths = (*grid.spacing_m, *grid.resolution_m)
     named = (path, label.target, view.azimuth_deg, view.grazing_deg, label.seed, str(chips.runs[label.run].path))
-    return dict(zip(_COLUMNS, (*named, label.run, *angles, *lengths), strict=True))
+    every = (*named, label.run, *angles, *lengths, view.tilt_deg, view.side)
+    return dict(zip(_columns(chips), every, strict=False))
 
 
 def _there(path: Path) -> bool:

@@ -332,14 +332,15 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     A pixel is target if visible surfaces cover at least half of it, or if their area across the line of sight is at
     least half that of flat ground: what faces the radar covers little of the image. Layover counts; neither brightness
     nor resolution nor the orientation of the triangles matters. Otherwise it is shadow if the mesh hides at least half
-    of its ground. Nothing below the ground is seen. Raises `SarsplatError` if the mesh has no faces, is not finite or
+    of its ground. Nothing below the ground is seen. Aloft, there is no shadow, and instead of flat ground it is a plane
+    seen at a grazing angle of 27°. Raises `SarsplatError` if the mesh has no faces, is not finite or
     needs too many rays, or embreex is missing.
     """
     spacing = min(grid.spacing_m) / _PARTS / _RAYS
     check_rays(mesh, None, spacing, _OFFSET)
     check_monostatic([view], "masks are of what one radar sees and shades; leave them out")
     look = view.look
-    slope_of_ground = 1 / look.slope
+    slope_of_ground = 1 / view.open_beta0
     width, depth = grid.spacing_m
     left, near = grid.azimuth_m[0] - width / 2, grid.range_m[0] - depth / 2
     rows, columns = grid.rows * _PARTS, grid.columns * _PARTS
@@ -350,6 +351,8 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
         x, y = position.T
         z, z_ground = facets.depth(face, position), y * slope_of_ground + x * look.range_on_ground(1.0, 0.0)
         column = np.floor((x - left) / width * _PARTS)
+        if view.aloft:
+            z_ground = np.full(z.shape, np.inf)
         seen = (z < z_ground + 1e-6) & (column >= 0) & (column < columns)
         z, z_ground, face, column = z[seen], z_ground[seen], face[seen], column[seen].astype(np.int64)
         # one ray represents a square, which on a steep surface spans several parts in range

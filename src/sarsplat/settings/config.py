@@ -27,6 +27,7 @@ from sarsplat.settings.kinds import (
 )
 from sarsplat.settings.record import Record
 from sarsplat.settings.sections import (
+    Bounce,
     Densification,
     FlatGround,
     Passes,
@@ -171,6 +172,8 @@ class Config(AnyConfig):
         Moves of neighbours into common planes.
     ground : FlatGround or None
         Ground below the target; None: nothing.
+    bounce : Bounce or None
+        Second bounce by way of level ground; None: nothing returns that way.
     surroundings : Surroundings or None
         What measured images show besides target and ground; None: nothing.
     passes : Passes or None
@@ -230,6 +233,7 @@ class Config(AnyConfig):
     relocation: Relocation = Relocation()
     smoothing: Smoothing = Smoothing()
     ground: FlatGround | None = None
+    bounce: Bounce | None = None
     surroundings: Surroundings | None = None
     passes: Passes | None = None
     checkpoint_every: Count = 500
@@ -247,6 +251,10 @@ class Config(AnyConfig):
         if self.box_m is not None and not all(low < high for low, high in zip(*self.box_m, strict=True)):
             raise SarsplatError(
                 f"target_box is {shown(self.target_box)}; give the lower corner (x, y, z) and then the upper one, m"
+            )
+        if self.bounce is not None and self.ground is None:
+            raise SarsplatError(
+                "bounce is on, but ground is off, by way of which it returns; give ground on, or bounce off"
             )
         if self.scale_bounds[0] > self.scale_bounds[1]:
             raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")

@@ -45,7 +45,7 @@ PRESETS: dict[str, Config] = {
         scale_bounds=(0.2, 0.83),
         fine_from=1.0,
         rates=Rates(means=0.33),
-        points=PointExtraction(optical_depth=0.5, behind=0.25),
+        points=PointExtraction(optical_depth=0.5, voxel=0.067, behind=0.25),
     ),
     # the paper's training, as far as it is stated (docs/concepts/paper-map.md)
     "paper": Config(

@@ -184,7 +184,7 @@ class PointExtraction(Record):
     method: Literal["rays", "centres"] = "rays"
     optical_depth: Annotated[float, Meta(ge=0, le=40)] = 0.7
     power_share: Share = 1.0
-    voxel: Positive = 0.067
+    voxel: Positive = 0.05
     min_height: Number = 0.0
     rays_per_pixel: RaysPerPixel = 10.0
     seen_through: Share = 0.17
@@ -215,6 +215,21 @@ class FlatGround(Record):
 
     pitch: NotNegative = 3.0
     std: Positive = 1.0
+
+
+@dataclass(frozen=True)
+class Bounce(Record):
+    """Second bounce by way of the ground, which is level and reflects like a mirror, from target to ground and reverse.
+
+    Parameters
+    ----------
+    reflectivity : float
+        Share of the power that the ground reflects like a mirror, 0 to 1, at the start: it is learned.
+    """
+
+    _section: ClassVar[str] = "bounce."
+
+    reflectivity: Share = 0.3
 
 
 @dataclass(frozen=True)

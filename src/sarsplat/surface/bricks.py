@@ -165,9 +165,8 @@ class Scene:
         if not len(some):
             return
         windows = (brick.window(view, rays) for view in views)
-        if (
-            sum(window.rows * window.columns for window in windows) <= most_rays
-            or max(high - low) <= _SMALLEST * self._step_m
+        if sum(window.rows * window.columns for window in windows) <= most_rays or max(high - low) <= max(
+            _SMALLEST * self._step_m, brick.side_m
         ):
             yield brick
             return

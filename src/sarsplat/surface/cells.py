@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
 import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
+
+_AT_ONCE, _AT_ONCE_ELSEWHERE = 8192, 1 << 16  # places: on the CPU, what is calculated of them stays in its caches
 
 
 def on_cpu(tensor: Tensor) -> bool:
@@ -65,3 +68,18 @@ def sums_of(rows: Float64[Tensor, "p c"], counts: Int64[Tensor, " g"]) -> Float6
     if not len(rows):
         return rows.new_zeros(len(counts), rows.shape[1])
     return torch.segment_reduce(rows, "sum", lengths=counts, axis=0, unsafe=True)  # unchecked: nobody waits
+
+
+def by_cubes(
+    places: Float64[Tensor, "p 3"], side_m: float
+) -> Iterator[tuple[Int64[Tensor, " k"], Float64[Tensor, "c 3"], Int64[Tensor, " k"]]]:
+    """Some places at a time: their rows, the middles, m, of the cubes of space in which they lie, and the cube of each.
+
+    What is asked of a cube's middle instead of each place in it is asked less often, and does not depend on which
+    other places there are.
+    """
+    cubes = (places / side_m).floor()
+    numbers = numbered(cubes.long())
+    for rows in numbers.argsort(stable=True).split(_AT_ONCE if on_cpu(places) else _AT_ONCE_ELSEWHERE):
+        _, cube, counts = torch.unique_consecutive(numbers[rows], return_inverse=True, return_counts=True)
+        yield rows, (cubes[rows[counts.cumsum(0) - counts]] + 0.5) * side_m, cube

@@ -16,7 +16,7 @@ from sarsplat.surface.planes import Planes, some_at_a_time
 
 ROUNDS = 2
 _STEPS = 40
-_KEPT = 1.0  # weight of a vertex's old place, beside that of an edge
+_KEPT = 0.5  # weight of a vertex's old place, beside that of an edge
 _LEAST = 0.2  # 1 + cosine of the turn, at least: nothing is turned over
 
 

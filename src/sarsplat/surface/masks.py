@@ -35,8 +35,8 @@ def scene_masks(
     - clutter otherwise.
 
     Without ground there is no shadow, and target are the pixels in which the radar sees at least half as much of it as
-    it would of flat ground, by area across the line of sight. What pixels show is as sharp as they are, whatever the
-    resolution, and as exact as the rays are close.
+    it would of flat ground, or aloft of a plane seen at a grazing angle of 27°, by area across the line of sight. What
+    pixels show is as sharp as they are, whatever the resolution, and as exact as the rays are close.
 
     The labels of SARBake, which predictions for measured chips are compared with, are the same of a CAD model, with
     geometry in place of power: its lit surface projected on the slant plane, layover included, however dark it is; then
@@ -50,7 +50,7 @@ def scene_masks(
         rendering = render(target, [view], sharp, rays=rays, amplitudes=uniform, ground=ground)
         images = rendering.channel(channel)
         if ground is None or rendering.ground is None:
-            free = torch.full_like(images, view.look.beta0_of_gamma0(1.0))
+            free = torch.full_like(images, view.open_beta0)
         else:
             free = render(target[:0], [view], sharp, rays=rays, ground=ground).channel(channel)
             images = images - rendering.ground

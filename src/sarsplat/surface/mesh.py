@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 # Lengths in units of the planes.
 _VOXEL = 0.25
-_REACH = 0.2  # of the mesh from the nearest point
+_REACH = 0.15  # of the mesh from the nearest point
 
 # A part that is smaller, of the whole area and in square units, floats.
 _SMALLEST_PART, _SMALLEST_UNITS = 0.01, 1.5
@@ -45,8 +45,8 @@ def surface_mesh(
 ) -> trimesh.Trimesh:
     """The surface through points [P, 3], m, with unit normals that point outwards; vertices have what the radar saw.
 
-    Voxels are a quarter of a resolution cell, and no vertex is farther than a fifth from a point; where points are
-    sparse, of 7.5 times their spacing. World frame, m; faces are counter-clockwise seen from outside. Vertices have the
+    Voxels are 0.25 resolution cells, and no vertex is farther than 0.15 from a point; where points are sparse, of 7.5
+    times their spacing. World frame, m; faces are counter-clockwise seen from outside. Vertices have the
     attribute `gamma0` (γ⁰, linear) and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of
     less than 1 % of the area and 1.5 squares of such sides are left out, and faces that the radar would have seen from
     behind. Without faces where the points make no surface.

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64, Int64, Real
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -21,6 +21,9 @@ from sarsplat.uninterruptible import uninterruptible
 
 _PAIRS = 1 << 22
 """Pairs of a place and a point that are looked at at once: memory."""
+
+_MEASURED = 10_000
+"""Points, at most, how far the next one is."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,15 @@ class Tree:
 def neighbours_of(points: Float64[Tensor, "n 3"]) -> Tree | Neighbours:
     """Ready to be asked, where the points are."""
     return Tree(points) if cells.on_cpu(points) else Neighbours(points)
+
+
+def spacing_m(points: Real[np.ndarray, "p 3"]) -> float:
+    """How far apart points are, m: from the next one, in the median of some; none or one are 0 apart."""
+    there = torch.from_numpy(np.asarray(points, np.float64))
+    if len(there) < 2:
+        return 0.0
+    some = there[:: math.ceil(len(there) / _MEASURED)]
+    return math.sqrt(float(Tree(there).nearest(some, 2)[0][:, 1].median()))
 
 
 class Neighbours:

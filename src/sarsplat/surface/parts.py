@@ -35,7 +35,10 @@ def _halved(
     if len(mine) <= most or sides[axis] <= 2 * reach_m:
         yield some, own
         return
-    middle, place = float(np.median(mine[:, axis])), points[some, axis]
+    middle, place, lowest = np.median(mine[:, axis]), points[some, axis], mine[:, axis].min()
+    if middle == lowest:  # most of them: what is beyond is the other half
+        middle = mine[mine[:, axis] > lowest, axis].min()
+    middle = float(middle)
     del mine
     for side, near in ((place < middle, place < middle + reach_m), (place >= middle, place >= middle - reach_m)):
         yield from _halved(points, some[near], (own & side)[near], reach_m, most)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float64, Int64, Real
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
@@ -16,18 +16,17 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import along_ways
 from sarsplat.progress import stage
 from sarsplat.renderer import Rendering, render
-from sarsplat.surface import cells
 from sarsplat.surface.bricks import Scene, ray_count
+from sarsplat.surface.cells import by_cubes
 from sarsplat.surface.first_returns import some_at_once
-from sarsplat.surface.neighbours import Neighbours
+from sarsplat.surface.neighbours import Neighbours, Tree, neighbours_of
 from sarsplat.tiles.plan import memory_bytes
-from sarsplat.uninterruptible import uninterruptible
 
 _RAYS_PER_PIXEL = 4.0
 _MOST_BYTES = 1 << 29  # of a view that is rendered at once
-_AT_ONCE = 1 << 18  # places
 _RADIUS = 0.25  # standard deviation of the weights around a place, resolution cells
-_NEIGHBOURS = 16  # Gaussians that count around a place; those farther away weigh next to nothing
+_NEIGHBOURS = 24  # Gaussians that count around a place; those farther away weigh next to nothing
+_ASKED = 2.0  # side of the cubes of places whose neighbours are looked for together, in these standard deviations
 
 
 def _rendered(
@@ -94,37 +93,22 @@ class Seen:
         γ⁰ is the sum of the cross-sections of the Gaussians there over that of the areas they are seen across: a view
         counts as much as it sees of them.
         """
-        gamma0, towards = np.zeros(len(points)), np.zeros((len(points), 3))
+        places = torch.from_numpy(np.asarray(points)).to(self.means)
+        seen = self.means.new_zeros(len(places), 4)
         count = min(_NEIGHBOURS, len(self.means))
-        if not count or not len(points):
-            return gamma0, towards
-        if not cells.on_cpu(self.means):
-            return self._around(torch.from_numpy(points).to(self.means), count)
-        means, lit_area, cross_sections, ways = (
-            tensor.numpy() for tensor in (self.means, self.lit_area, self.cross_section, self.towards)
-        )
-        tree = cKDTree(means)
-        for first in range(0, len(points), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
-            distance, index = uninterruptible(tree.query, points[part], k=np.arange(1, count + 1), workers=-1)
+        for some, middles, cube in by_cubes(places, _ASKED * self.radius_m) if count else ():
+            index = self._near.nearest(middles, count)[1][cube]
+            offsets = ((each[index] - there[:, None]) for each, there in zip(self.means.T, places[some].T, strict=True))
+            square = sum(each.square() for each in offsets)
             # relative to the nearest: far from every Gaussian, the nearest still speaks
-            weight = np.exp(-0.5 * (distance**2 - distance[:, :1] ** 2) / self.radius_m**2)
-            area = (weight * lit_area[index]).sum(1)
-            cross_section = (weight * cross_sections[index]).sum(1)
-            np.divide(cross_section, area, out=gamma0[part], where=area > 0)
-            towards[part] = np.einsum("pk,pkc->pc", weight, ways[index])
-        return gamma0, towards
+            weight = torch.exp((square.amin(1, keepdim=True) - square) / (2 * self.radius_m**2))
+            area, section, *towards = (
+                (weight * each[index]).sum(1) for each in (self.lit_area, self.cross_section, *self.towards.T)
+            )
+            seen[some] = torch.stack([(section / area).where(area > 0, 0.0), *towards], dim=1)
+        found = seen.cpu().numpy()
+        return found[:, 0], found[:, 1:]
 
-    def _around(
-        self, places: Float64[Tensor, "p 3"], count: int
-    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:
-        """The same where the Gaussians are."""
-        found, near = [], Neighbours(self.means)
-        for some in places.split(_AT_ONCE):
-            square, index = near.nearest(some, count)
-            weight = torch.exp(-0.5 * (square - square[:, :1]) / self.radius_m**2)
-            area, section = ((weight * each[index]).sum(1) for each in (self.lit_area, self.cross_section))
-            gamma0 = (section / area).where(area > 0, 0.0)
-            found.append(torch.cat([gamma0[:, None], (weight[..., None] * self.towards[index]).sum(1)], dim=1))
-        seen = torch.cat(found).cpu().numpy()
-        return seen[:, 0], seen[:, 1:]
+    @cached_property
+    def _near(self) -> Tree | Neighbours:
+        return neighbours_of(self.means)

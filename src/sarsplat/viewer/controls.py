@@ -15,6 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB
 from sarsplat.viewer.pictures import MAPS, PHASES
+from sarsplat.viewer.stage import HIGHEST_DEG, lowest_deg
 from sarsplat.viewer.subject import Subject
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class Controls:
         gui.main_panel.dock_left()
         gui.main_panel.set_width(280)
         self.title = gui.add_markdown("")
-        self._radar(subject.views, view)
+        self._radar(subject, view)
         self._target()
         self._image()
         self.offer(subject)
@@ -111,13 +112,13 @@ class Controls:
         handle.on_update(lambda _: self._on_change())
         self._set[name] = handle
 
-    def _radar(self, views: list[tuple[View, str]], view: View) -> None:
-        gui = self._gui
+    def _radar(self, subject: Subject, view: View) -> None:
+        gui, views, self._view = self._gui, subject.views, view
         with gui.add_folder("Radar"):
             self._azimuth = gui.add_slider("azimuth, °", 0.0, 360.0, 0.1, round(view.azimuth_deg % 360, 1))
-            lowest = -89.0 if view.aloft else 1.0
-            first = round(min(max(view.grazing_deg, lowest), 89), 1)
-            self._grazing = gui.add_slider("grazing, °", lowest, 89.0, 0.1, first)
+            lowest = lowest_deg(view)
+            first = round(min(max(view.grazing_deg, lowest), HIGHEST_DEG), 1)
+            self._grazing = gui.add_slider("grazing, °", lowest, HIGHEST_DEG, 0.1, first)
             gui.add_html(_HINT)
             steps = gui.add_button_group("known views", ("◀ previous", "next ▶"))
 
@@ -125,7 +126,7 @@ class Controls:
             if event.client is None:  # the page itself, which follows the radar
                 return
             try:
-                aimed = replace(view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value)
+                aimed = replace(self._view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value)
             except SarsplatError:  # the transmitter or the receiver would be below the horizon
                 return
             self._on_aim(aimed)
@@ -135,8 +136,7 @@ class Controls:
 
         @steps.on_click
         def stepped(event: Any) -> None:
-            here = View(self._azimuth.value, self._grazing.value).direction
-            index = int(np.argmax([view.direction @ here for view, _ in views]))
+            index, _ = subject.nearest(self._view)
             self._on_aim(views[(index + (1 if event.target.value == "next ▶" else -1)) % len(views)][0])
 
     def _target(self) -> None:
@@ -183,6 +183,7 @@ class Controls:
 
     def follow(self, view: View) -> None:
         """Set the sliders to the radar's view."""
+        self._view = view
         slider: Any
         for slider, angle in ((self._azimuth, view.azimuth_deg % 360), (self._grazing, view.grazing_deg)):
             if slider.value != round(angle, 1):

@@ -30,7 +30,9 @@ _ROOM = 1.15  # half of what is seen, in radii of the dome
 _PHONE, _BETWEEN_PANELS = 0.55, 0.62  # width over height of what is free on a phone, at most, and on a small laptop
 _THIN = 0.0015  # width of a line, in radii of the dome
 _STEPS = 72  # of a circle of latitude
-_LOWEST_DEG, _HIGHEST_DEG = 1.0, 89.0
+HIGHEST_DEG = 89.0
+"""Of a radar that is dragged, above the horizon."""
+
 _LEAST_SHARE = 0.01  # of a pixel: Gaussians that add less are not lit
 
 
@@ -195,12 +197,13 @@ class Stage:
         flat = float(np.hypot(place[0], place[1]))
         grazing = np.degrees(np.arctan2(place[2], flat))
         azimuth = float(np.degrees(np.arctan2(-place[1], place[0]))) % 360.0
-        grazing = float(np.clip(grazing, _LOWEST_DEG, _HIGHEST_DEG))
+        grazing = float(np.clip(grazing, lowest_deg(self._known), HIGHEST_DEG))
         return replace(self._known, azimuth_deg=azimuth, grazing_deg=grazing)  # tilted as it is
 
     # ---- what changes ------------------------------------------------------------------------------------------------
     def aim(self, view: View) -> None:
-        """Move the radar to a view."""
+        """Move the radar to a view; dragged on, it looks alike."""
+        self._known = view
         place = self._at(view)
         self._handle.position = place
         self._arrow.points = np.stack([place, self._foot + 0.45 * (place - self._foot)])[None].astype(np.float32)
@@ -253,7 +256,10 @@ class Stage:
         """Lay an image on its plane, azimuth × slant range, which the lines of one range cross at right angles."""
         frame, longer = view.look.frame, 1 / view.look.shortening
         place = np.array([part.center_m[0], self.plane_depth(view), longer * part.center_m[1]]) @ frame
-        turn = Rotation.from_matrix(np.stack([frame[0], frame[2], -frame[1]], axis=1)).as_quat(scalar_first=True)
+        across = frame[0]
+        if view.side == "left":  # its frame is mirrored, and planes are turned only
+            rgb, across = rgb[:, ::-1], -across
+        turn = Rotation.from_matrix(np.stack([across, frame[2], -frame[1]], axis=1)).as_quat(scalar_first=True)
         size = part.columns * part.spacing_m[0], longer * part.rows * part.spacing_m[1]
         if self._plane is not None and self._plane[1] == size:
             plane = self._plane[0]
@@ -284,6 +290,11 @@ class Stage:
             shown = lit.shares >= min(_LEAST_SHARE, lit.shares[0])
             self._lit.points = lit.places_m[shown].astype(np.float32)
             self._lit.colors = np.tile(np.array(_LIT, np.uint8), (int(shown.sum()), 1))
+
+
+def lowest_deg(view: View) -> float:
+    """How low a radar like that of a view can be dragged, degrees above the horizon."""
+    return -HIGHEST_DEG if view.aloft else 1.0
 
 
 def _linear(colour: str) -> tuple[int, int, int]:

@@ -37,6 +37,7 @@ TRUTH = "true surface"
 MAX_POINTS = 60_000
 """Largest number of points drawn; more would only look denser."""
 
+_ONE_DIRECTION = 1e-12  # of cosines
 _FAINT = 0.05
 """Optical depth below which a Gaussian is not drawn."""
 
@@ -103,9 +104,13 @@ class Subject:
         return [(entry.view, entry.split) for entry in self.dataset.entries]
 
     def nearest(self, view: View) -> tuple[int, float]:
-        """The known view nearest to one: its index in `views`, and the angle between the two, degrees."""
+        """The known view nearest to one: its index in `views`, and the angle between the two, degrees.
+
+        Of those from one direction, it is the one whose image is turned about that most alike.
+        """
         cosines = self._directions @ view.direction
-        index = int(cosines.argmax())
+        alike = np.flatnonzero(cosines >= cosines.max() - _ONE_DIRECTION)
+        index = int(max(alike, key=lambda k: float((self.views[k][0].look.frame * view.look.frame).sum())))
         apart = math.dist(self._directions[index], view.direction)  # arccos loses the digits of small angles
         return index, math.degrees(2 * math.asin(min(apart / 2, 1.0)))
 
@@ -277,7 +282,8 @@ class OfScene(Subject):
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
         """See `Subject`: by power."""
-        return self._shares(self.scene, len(self.target), view, pixel)
+        bounces = [echo for echo in self._model.echoes() if isinstance(echo, GroundBounce)]
+        return self._shares(self.scene, len(self.target), view, pixel, bounces[0] if bounces else None)
 
 
 class SceneAlone(OfScene):

@@ -231,7 +231,8 @@ class Viewer:
             index, apart_deg = subject.nearest(view)
             entry, power = subject.dataset.entries[index], subject.dataset.power[index]
             kind = "training" if entry.split == "train" else entry.split
-            away = "the same view" if apart_deg < _SAME_DEG else f"{apart_deg:.1f}° away: {_name(entry.view)}"
+            same = apart_deg < _SAME_DEG and entry.view.unusual == view.unusual
+            away = "the same view" if same else f"{apart_deg:.1f}° away: {_name(entry.view)}"
             panels.append((power_panel(f"nearest {kind} image", power, *style), away))
             if rendered is not None:
                 levels = subject.peak, choices.limits_db[0]
@@ -332,7 +333,7 @@ def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator
 def _first_view(subject: Subject) -> View:
     """A known view from the front left, at an elevation that is usual among them."""
     usual = float(np.median([view.grazing_deg for view, _ in subject.views]))
-    return subject.views[subject.nearest(View(_FIRST_AZIMUTH_DEG, usual))[0]][0]
+    return subject.views[subject.nearest(View(_FIRST_AZIMUTH_DEG, usual, aloft=subject.views[0][0].aloft))[0]][0]
 
 
 def _who(lit: Contributors, gaussians: bool) -> str:

@@ -44,7 +44,7 @@ class PartsOfImages(SingleImages):
 
     order = 3
     switch = "tiles 1"
-    goes_with: ClassVar = {"surroundings": None, "densification": None}
+    goes_with: ClassVar = {"bounce": None, "surroundings": None, "densification": None}
     takes = frozenset()
     recordable = False  # images have windows of their own
 

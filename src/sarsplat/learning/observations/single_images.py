@@ -42,6 +42,10 @@ class SingleImages(Observation):
                 f"scattering is {config.scattering}, which is learned from stacks of several polarisations with passes "
                 f"on, and {dataset} is learned from without them; choose harmonics"
             )
+        if config.bounce is not None and dataset.terrain is not None:
+            raise SarsplatError(f"bounce is on, which is off level ground, but {dataset} has terrain; give bounce off")
+        if config.bounce is not None and inputs.processes is not None:
+            raise SarsplatError(f"{inputs.processes} cannot be combined with bounce on; omit them, or give bounce off")
         super().refuse(config, dataset, inputs)
 
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
@@ -55,7 +59,7 @@ class SingleImages(Observation):
         chosen = batch.chosen
         if isinstance(chosen, Tensor) or batch.processes is not None or not self._mean_over_views:
             return self._compared(model, images, batch)
-        groups = in_groups(len(chosen), len(chosen), model.parameters, images.grid, batch.rays)
+        groups = in_groups(len(chosen), len(chosen), model.parameters, images.grid, batch.rays, model.scenes_rendered)
         return compared_in_groups(
             lambda some: self._compared(model, images, replace(batch, chosen=chosen[some])),
             groups,

@@ -134,6 +134,11 @@ def _refuse_stacks(config: Config, train: Dataset, dataset: Dataset) -> None:
     """Refuse training stacks that cannot be learned from together, or not with these settings."""
     grid, first = train.grid, train.entries[0]
     assert config.passes is not None and first.stack is not None  # or nothing is learned from stacks
+    if first.view.aloft:
+        raise SarsplatError(
+            f"{dataset} has stacks of a target aloft, whose heights phases do not bound; choose another preset, which "
+            "learns from the power"
+        )
     for entry in train.entries:
         if entry.stack is not None and entry.stack.of_channels != first.stack.of_channels:
             of = (", ".join(one.of_channels) for one in (first.stack, entry.stack))

@@ -34,7 +34,7 @@ class Growing(Configured):
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
         """How often it has split."""
-        return State(whole={"times": torch.zeros((), dtype=torch.int64, device="cpu")})
+        return State(whole={"times": torch.zeros((), dtype=torch.int64, device="cpu")}, added=("times",))
 
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info

@@ -34,6 +34,9 @@ _WIDE = (0.1, 0.4)
 """Ratio of a plane's two mean squared widths from which on what lies in it moves, and moves all of the share: narrow
 parts are all edges. It is 1 inside of a roof, 0.4 at its edge, and at most 0.15 for what is two cells wide."""
 
+_NARROWEST = 1e-4
+"""Of the larger of these, square cells: less is how numbers are rounded, around a cell that has no neighbours."""
+
 _FITS = 2
 """How often planes are fitted; each time, what lay far from the last one weighs less."""
 
@@ -137,7 +140,7 @@ def towards_planes(
         above = ((centre - mean) * plane).sum(1)
     moves, normals, wide = np.zeros((len(area), 3)), np.zeros((len(area), 3)), np.zeros(len(area))
     moves[seen], normals[seen] = above[:, None] * plane, plane
-    wide[seen] = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=1e-30), _WIDE, (0, 1))
+    wide[seen] = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_NARROWEST * cell_m**2), _WIDE, (0, 1))
     return moves[owner], normals[owner], wide[owner]
 
 

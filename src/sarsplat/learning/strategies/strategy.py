@@ -34,6 +34,8 @@ class State:
     """Tensors with a row for each Gaussian: rows follow where Gaussians come and go, and are 0 for a new one."""
     whole: dict[str, Tensor] = field(default_factory=dict)
     """Tensors of any other shape, which stays."""
+    added: tuple[str, ...] = ()
+    """Those that checkpoints of earlier versions do not have: they are then as at the beginning."""
 
     def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
         """Re-index per-Gaussian state: row k takes that of row `source`[k], or zeros unless `kept`[k] (it is new)."""
@@ -47,6 +49,8 @@ class State:
         """Undo `tensors`; raises KeyError or ValueError if they are not those."""
         for of in (self.rows, self.whole):
             for name, like in of.items():
+                if name in self.added and name not in tensors:
+                    continue
                 saved = tensors[name]
                 if saved.shape != like.shape or saved.dtype != like.dtype:
                     raise ValueError(f"{name} is {saved.dtype} {list(saved.shape)}")

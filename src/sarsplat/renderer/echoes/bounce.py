@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -28,10 +29,10 @@ from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.view import check_monostatic
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
-from sarsplat.renderer.engines.chosen_views import ChosenViews
-from sarsplat.renderer.engines.on_device import NotRecordable
 from sarsplat.renderer.footprints import Footprints, footprints_of
+from sarsplat.renderer.lobes import amplitudes_along
 from sarsplat.renderer.one_by_one import Steps
+from sarsplat.renderer.operations import pressed_flat_with
 
 _COHERENT = 4.0
 """Power of two equal amplitudes over that of one."""
@@ -60,6 +61,9 @@ class GroundBounce(Echo):
     ground: Ground
     reflectivity: Float[Tensor, ""]
     amplitudes: Float[Tensor, "v n"] | None = None
+
+    way: ClassVar[str] = "by way of the ground"
+    within_bounds: ClassVar[bool] = False  # the mirror image is below
 
     def __post_init__(self) -> None:
         if isinstance(self.ground.height_m, Terrain):
@@ -94,7 +98,7 @@ class GroundBounce(Echo):
     def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
         """As if the ground reflected everything."""
         s = sighting
-        steps = Steps(s.new_pass, s.cuts)
+        steps = _Steps(s.new_pass, s.cuts)
         sections, places = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift, by_view)
         return steps.splat(places, sections[..., None], s.grid)[:, 0]
 
@@ -112,12 +116,12 @@ class GroundBounce(Echo):
         self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
         """What each Gaussian returns by way of a ground that reflects everything, m², and where images show it."""
-        steps = Steps(passes_for("auto", gaussians.tensors(), grid), cuts=True)
+        steps = _Steps(passes_for("auto", gaussians.tensors(), grid), cuts=True)
         return self._parts(steps, gaussians, views, grid, rays, None, self.amplitudes)
 
     def _parts(
         self,
-        steps: Steps,
+        steps: _Steps,
         gaussians: Gaussians,
         views: Sequence[View],
         grid: ImageGrid,
@@ -125,21 +129,58 @@ class GroundBounce(Echo):
         shift: Float[Tensor, "v 2"] | None,
         amplitudes: Float[Tensor, "v n"] | None,
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
-        if isinstance(views, ChosenViews):
-            raise NotRecordable("has a bounce off the ground")
         check_monostatic(views, "the bounce off the ground is that of one radar")
         if amplitudes is None:
-            amplitudes = gaussians.gamma0(_middles(views, gaussians.means))
+            amplitudes = steps.gamma0(gaussians, _middles(views, gaussians.means))
         direct, below = lit_both_ways(steps, gaussians, views, grid, rays, self._height)
-        both = direct * below
-        some = both > 0  # the slope of the root is infinite where nothing is lit, and of no use
-        sections = _COHERENT * amplitudes * both.where(some, 1.0).sqrt() * some
-        return sections, feet(gaussians, views, grid, self._height, shift)
+        sections = _Sections.apply(amplitudes, direct, below)
+        return sections, steps.feet(gaussians, views, grid, self._height, shift)
 
     @property
     def _height(self) -> float:
         assert not isinstance(self.ground.height_m, Terrain)  # refused
         return self.ground.height_m
+
+
+class _Steps(Steps):
+    """Those of a bounce, too."""
+
+    def gamma0(self, gaussians: Gaussians, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n"]:
+        amplitudes = amplitudes_along(self.new_pass, gaussians, directions)
+        return amplitudes[..., gaussians.scattering.power_channel]
+
+    def feet(
+        self,
+        gaussians: Gaussians,
+        views: Sequence[View],
+        grid: ImageGrid,
+        height_m: float,
+        shift: Float[Tensor, "v 2"] | None,
+    ) -> Footprints:
+        if self.new_pass is None:
+            return feet(gaussians, views, grid, height_m, shift)
+        of_height = np.array([height_m * view.look.gradients[:, 2] for view in views])
+        moved = torch.from_numpy(of_height).to(gaussians.means)
+        moved = moved if shift is None else moved + shift
+        return pressed_flat_with(self.new_pass, gaussians, views, grid, shift=moved)
+
+
+class _Sections(torch.autograd.Function):
+    """4 γ √(lit · lit below); its slope is infinite where something is not lit, and taken as 0."""
+
+    @staticmethod
+    def forward(ctx: Any, amplitudes: Tensor, direct: Tensor, below: Tensor) -> Tensor:
+        ctx.save_for_backward(amplitudes, direct, below)
+        return (direct * below).sqrt_().mul_(amplitudes).mul_(_COHERENT)
+
+    @staticmethod
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        amplitudes, direct, below = ctx.saved_tensors
+        both = direct * below
+        root = both.where(both > 0, 1.0).sqrt() * (both > 0)  # itself differentiable, for the reference
+        of_amplitudes = slope * root * _COHERENT
+        half, least = of_amplitudes * amplitudes / 2, torch.finfo(slope.dtype).tiny
+        return of_amplitudes, half / direct.clamp(min=least), half / below.clamp(min=least)
 
 
 def lit_both_ways(

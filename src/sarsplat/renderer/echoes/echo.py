@@ -92,8 +92,14 @@ class Sighting:
 class Echo(ABC):
     """Base of the echoes: one return of a scene, differentiable with respect to its own tensors and the scene's."""
 
+    way: ClassVar[str] = "echo"
+    """How it returns, in words."""
+
     wants_ray_ends: ClassVar[bool] = False
     """Whether it is told where rays end."""
+
+    within_bounds: ClassVar[bool] = True
+    """Whether it renders nothing beyond the scene's `Bounds`."""
 
     shareable: ClassVar[bool] = False
     """Whether its tensors enter by `by_view` and `returned` alone, so that processes can share the views."""

@@ -6,6 +6,7 @@ import ctypes
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -49,6 +50,13 @@ def _direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Te
 @kept_on_device(maxsize=4096)
 def _frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
     return torch.from_numpy(view.look.frame).float().to(device)
+
+
+@kept_on_device(maxsize=4096)
+def flat_frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
+    """A frame in which a place has the azimuth and the range of its foot at z = 0, and between them its height."""
+    along, away = view.look.gradients * (1.0, 1.0, 0.0)
+    return torch.from_numpy(np.stack([along, np.cross(along, away), away])).float().to(device)
 
 
 @kept_on_device(maxsize=4096)

@@ -13,10 +13,11 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import complaint, complaint_by_view
 from sarsplat.renderer.engines.abi import api
+from sarsplat.renderer.engines.chosen_views import by_view
 from sarsplat.renderer.engines.cpu import FAULTS
 from sarsplat.renderer.engines.operation import Call, Tensors
 from sarsplat.renderer.engines.passes import Pass
-from sarsplat.renderer.engines.problem import ARRAYS, new_problem, point_at, pointer, problem_of
+from sarsplat.renderer.engines.problem import ARRAYS, flat_frame, new_problem, point_at, pointer, problem_of
 from sarsplat.renderer.footprints import deviations
 
 _WIDTHS = (2, 3, None, None, 2, 2, 3, None)  # of the tensors [V, N, …] of a projection, as in csrc/api.h
@@ -124,6 +125,18 @@ class Project(_OfGaussians):
         point_at(self.problem, saved)
         self.kernel.backward("project", self.problem, api.projection(*map(pointer, seeds)), gradients)
         return results
+
+
+class PressedFlat(Project):
+    """The same of Gaussians pressed flat onto the plane z = 0, where the imaging plane shows them; the rest is void."""
+
+    def pose(self, inputs: Tensors) -> Any:
+        problem, means = super().pose(inputs), inputs[0]
+        assert means is not None
+        frames = by_view(flat_frame, self.views, means.device)
+        self.constants = (*self.constants, frames)
+        problem.frames = pointer(frames)
+        return problem
 
 
 class Attenuate(Stage):
