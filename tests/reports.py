@@ -26,6 +26,7 @@ class MadeUpRun(SimpleNamespace):
 
     __class__ = Run  # to `isinstance`
     state = TrainingState(1, 1, has_results=True)
+    model = None
 
 
 def make_dataset(

@@ -24,7 +24,7 @@ def of_preset() -> Run:
 
 
 def of_grid() -> Run:
-    config = replace(method_named("sar-nerf-grid").settings(), iterations=2)
+    config = method_named("sar-nerf-grid").settings.from_dict({"iterations": 2}, "the test")
     return reconstruct(small_dataset(), config, method="sar-nerf-grid", quiet=True)
 
 
