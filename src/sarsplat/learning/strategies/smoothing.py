@@ -7,6 +7,7 @@ of Adam bring it back to there.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
 import numpy as np
@@ -36,6 +37,9 @@ parts are all edges. It is 1 inside of a roof, 0.4 at its edge, and at most 0.15
 
 _NARROWEST = 1e-4
 """Of the larger of these, square cells: less is how numbers are rounded, around a cell that has no neighbours."""
+
+_AT_ONCE = 1 << 13
+"""Places whose planes are fitted at once: a few megabytes of pairs."""
 
 _FITS = 2
 """How often planes are fitted; each time, what lay far from the last one weighs less."""
@@ -121,35 +125,43 @@ def towards_planes(
     mean = _sums(owner, lit[:, None] * means)[seen] / area[seen, None]
     squares = np.stack([lit * normals[:, i] * normals[:, j] for i in range(3) for j in range(i, 3)], axis=1)
     own = np.linalg.eigh(_symmetric(_sums(owner, squares)[seen]))[1][:, :, 2]  # of all normals in a cube
-    near = _neighbours(mean, radius_m)
-    here, there = np.repeat(np.arange(len(mean)), np.diff(near.indptr)), near.indices
-    apart = mean[there] - mean[here]
-    alike = np.einsum("pi,pi->p", own[here], own[there]) ** _ALIKE
-    nearness = area[seen][there] * alike * np.exp(-2 / radius_m**2 * np.einsum("pi,pi->p", apart, apart))
-    plane, above = own, np.zeros(len(mean))
+    everywhere, around = cKDTree(mean), area[seen]
     x, y, z = mean.T
     moments = np.column_stack([np.ones(len(mean)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
-    for _ in range(_FITS):
-        offset = np.einsum("pi,pi->p", apart, plane[here]) - above[here]
-        near.data = nearness * (1 - (offset / cell_m) ** 2).clip(min=0) ** 2  # Tukey's
-        sums = near @ moments
-        centre = sums[:, 1:4] / sums[:, :1]
-        spread = _symmetric(sums[:, 4:] / sums[:, :1]) - centre[:, :, None] * centre[:, None, :]
-        spreads, axes = np.linalg.eigh(spread)
-        plane = axes[:, :, 0]
-        above = ((centre - mean) * plane).sum(1)
+    plane, above, spreads = own.copy(), np.zeros(len(mean)), np.zeros((len(mean), 3))
+
+    def fit(first: int) -> None:
+        """The planes of some places, whose neighbours a cache holds: the same however many are fitted at once."""
+        some = slice(first, first + _AT_ONCE)
+        places = mean[some]
+        weights = _neighbours(places, everywhere, radius_m)
+        here, there = np.repeat(np.arange(len(places)), np.diff(weights.indptr)), weights.indices
+        apart = mean[there] - places[here]
+        alike = np.einsum("pi,pi->p", own[some][here], own[there]) ** _ALIKE
+        nearness = around[there] * alike * np.exp(-2 / radius_m**2 * np.einsum("pi,pi->p", apart, apart))
+        for _ in range(_FITS):
+            offset = np.einsum("pi,pi->p", apart, plane[some][here]) - above[some][here]
+            weights.data = nearness * (1 - (offset / cell_m) ** 2).clip(min=0) ** 2  # Tukey's
+            sums = weights @ moments
+            centre = sums[:, 1:4] / sums[:, :1]
+            spread = _symmetric(sums[:, 4:] / sums[:, :1]) - centre[:, :, None] * centre[:, None, :]
+            spreads[some], axes = np.linalg.eigh(spread)
+            plane[some] = axes[:, :, 0]
+            above[some] = ((centre - places) * plane[some]).sum(1)
+
+    with ThreadPoolExecutor(torch.get_num_threads()) as threads:
+        for _ in threads.map(fit, range(0, len(mean), _AT_ONCE)):
+            pass
     moves, normals, wide = np.zeros((len(area), 3)), np.zeros((len(area), 3)), np.zeros(len(area))
     moves[seen], normals[seen] = above[:, None] * plane, plane
     wide[seen] = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_NARROWEST * cell_m**2), _WIDE, (0, 1))
     return moves[owner], normals[owner], wide[owner]
 
 
-def _neighbours(places: Float64[np.ndarray, "m 3"], radius_m: float) -> csr_matrix:
-    """A row for each place, with an entry for each that is no farther away, itself included."""
-    pairs = cKDTree(places).query_pairs(radius_m, output_type="ndarray")
-    alone = np.arange(len(places))
-    here, there = (np.concatenate([*each, alone]) for each in (pairs.T, pairs.T[::-1]))
-    return csr_matrix((np.ones(len(here)), (here, there)), (len(places), len(places)))
+def _neighbours(places: Float64[np.ndarray, "k 3"], everywhere: cKDTree, radius_m: float) -> csr_matrix:
+    """A row for each of some places, with an entry for each of all that is no farther away, itself included."""
+    pairs = cKDTree(places).sparse_distance_matrix(everywhere, radius_m, output_type="ndarray")
+    return csr_matrix((np.ones(len(pairs)), (pairs["i"], pairs["j"])), (len(places), everywhere.n))
 
 
 def _sums(owner: np.ndarray, rows: Float[np.ndarray, "n k"]) -> Float64[np.ndarray, "m k"]:
