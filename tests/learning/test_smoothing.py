@@ -131,3 +131,22 @@ def test_a_training_that_stops_between_rounds_goes_on_with_the_same_bits(
         assert whole.step() == resumed.step()
     one, other = whole.snapshot(0.0).tensors, resumed.snapshot(0.0).tensors
     assert all(torch.equal(tensor, other[name]) for name, tensor in one.items())
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_planes_are_the_same_however_many_are_fitted_at_once(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    chance = np.random.default_rng(0)
+    means = np.column_stack([chance.uniform(-6, 6, (2000, 2)), chance.normal(0, 0.15, 2000)])
+    normals = UP + chance.normal(0, 0.3, (2000, 3))
+    given = means, normals / np.linalg.norm(normals, axis=1, keepdims=True), chance.random(2000), 0.3, 0.9
+    expected = towards_planes(*given)
+    before = torch.get_num_threads()
+    monkeypatch.setattr("sarsplat.learning.strategies.smoothing._AT_ONCE", 37)
+    try:
+        torch.set_num_threads(threads)
+        found = towards_planes(*given)
+    finally:
+        torch.set_num_threads(before)
+    assert np.ptp(expected[2]) > 0  # narrow and wide ones
+    for one, other in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(one, other)
