@@ -30,7 +30,7 @@ def export(
         Folder written by `sarsplat reconstruct`, or a PLY file of Gaussians.
     file
         File to write. Its ending decides the format: .ply (Gaussians, unless --format says otherwise); .splat
-        (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .geojson (the outline of the points on a
+        (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .geojson (their outline on a
         map); .npz (all arrays, for numpy).
     format
         What a .ply file holds. gaussians: in the layout of 3D Gaussian splatting; points: of the surface, metres, with

@@ -42,8 +42,8 @@ class Format:
     recognises : callable (bytes, int) -> bool
         Whether a file that begins with these bytes, and has that many, is of this kind: no other is replaced.
     coordinates : {"scene", "map", "degrees"}
-        What its coordinates are: the scene's, and a file beside it says where on earth they are, if the run knows; those
-        of a map, if the run knows, or else the scene's; or longitudes and latitudes.
+        What its coordinates are: the scene's, and a file beside it says where on earth they are, if the run knows;
+        those of a map, if the run knows, or else the scene's; or longitudes and latitudes.
     """
 
     writers: Mapping[Content, Write]
