@@ -75,17 +75,16 @@ def read_terrain(path: str | Path) -> Terrain:
             f"{path} holds {shown(page.dtype)} of shape {shown(shape)}; give heights in rows and columns"
         )
     (dx, dy), upwards = _pitch(path, tags)
-    where = _where(path, tags, (heights.shape[0], heights.shape[1]))
-    if where is not None:
-        dx, dy = dx * where.metres[0], dy * where.metres[1]
     _check_unknown(path, heights, tags.get(_NO_DATA))
     table = heights.astype(np.float64)
     try:
-        return Terrain(
-            np.ascontiguousarray(table if upwards else table[::-1]), (dx, dy), where.place if where else None
-        )
+        terrain = Terrain(np.ascontiguousarray(table if upwards else table[::-1]), (dx, dy))
     except SarsplatError as error:
         raise SarsplatError(f"{path}: {error}") from error
+    where = _where(path, tags, (heights.shape[0], heights.shape[1]))
+    if where is None:
+        return terrain
+    return Terrain(terrain.heights_m, (dx * where.metres[0], dy * where.metres[1]), where.place)
 
 
 def terrain_bytes(terrain: Terrain) -> bytes:
