@@ -94,7 +94,7 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
             raise SarsplatError(
                 f"{path} is a picture without units; give its folder, and info reports whether it can be imported"
             )
-        case ".json" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
+        case ".json" | ".geojson" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
             _refuse_part(path)
             raise SarsplatError(f"{path} is not a file that this command recognises; give {_UNDERSTOOD}")
     return _mesh(path)
