@@ -33,12 +33,22 @@ HEIGHT = float(sarkit.wgs84.cartesian_to_geodetic(ecef(CORNER))[2])
 TRACKS = [Track(20.0, 35.0, "R"), Track(140.0, 45.0, "L"), Track(260.0, 40.0, "R")]
 
 
-def imported(folder: Path, recording: Recording) -> tuple[Dataset, np.ndarray]:
+def imported(folder: Path, squint_deg: float = 0.0) -> tuple[Dataset, np.ndarray]:
     """A dataset of three directions, x towards north-east, and where on earth the files say that the reflector is."""
-    files = [write_sicd(folder / f"{k}.nitf", track, [CORNER], recording) for k, track in enumerate(TRACKS)]
+    tracks = [replace(track, squint=squint_deg) for track in TRACKS]
+    files = [write_sicd(folder / f"{k}.nitf", track, [CORNER], Recording()) for k, track in enumerate(tracks)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SarsplatWarning)
-        made = import_sicd(files, folder / "set", size_m=24.0, around=SPOT, heading_deg=45.0, looks=None, ground=False)
+        made = import_sicd(
+            files,
+            folder / "set",
+            size_m=24.0,
+            around=SPOT,
+            heading_deg=45.0,
+            tilted=squint_deg > 0,
+            looks=None,
+            ground=False,
+        )
     return made, np.array([projected(path) for path in files])
 
 
@@ -77,9 +87,11 @@ def las_of(run: Run, path: Path) -> tuple[np.ndarray, np.ndarray]:
     return sarkit.wgs84.geodetic_to_cartesian(np.column_stack([latitude, longitude, read.z])), read["gamma0"]
 
 
-def test_a_reflector_found_in_the_images(tmp_path: Path) -> None:
+@pytest.mark.parametrize("squint_deg", [0.0, 12.0], ids=["level", "tilted"])
+def test_a_reflector_found_in_the_images(tmp_path: Path, squint_deg: float) -> None:
     """By the frames of the views alone: least squares of its azimuths and ranges."""
-    dataset, truth = imported(tmp_path, Recording())
+    dataset, truth = imported(tmp_path, squint_deg)
+    assert any(view.tilt_deg for view in dataset.views) == (squint_deg > 0)
     grid, rows, seen = dataset.grid, [], []
     for image, view in zip(dataset.power, dataset.views, strict=True):
         row, column = peak(np.sqrt(image))
@@ -99,7 +111,7 @@ def test_a_reflector_found_in_the_images(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_reflector_that_was_reconstructed(tmp_path: Path) -> None:
     """From three directions much is left open, but what is bright is at its place."""
-    dataset, truth = imported(tmp_path, Recording())
+    dataset, truth = imported(tmp_path)
     found, gamma0 = las_of(reconstruct(dataset, preset("quick"), quiet=True), tmp_path / "a.las")
     bright = found[gamma0 >= np.percentile(gamma0, 90)]
     east, north, _ = np.median((bright - truth.mean(axis=0)) @ axes().T, axis=0)
