@@ -121,7 +121,7 @@ def test_what_heights_are_above(tmp_path, code, above):
 
 def test_a_map_that_is_nowhere_is_told(tmp_path, monkeypatch):
     pytest.importorskip("pyproj")
-    for epsg, east, why in ((1500, 5e5, "does not know that system"), (32632, 5e30, "is nowhere in that system")):
+    for epsg, east, why in ((1500, 5e5, "does not know that system"), (32632, 5e11, "is nowhere in that system")):
         with pytest.warns(SarsplatWarning, match=why):
             assert read_terrain(on_map(tmp_path / "a.tif", epsg, east, 5e6)).place is None
     monkeypatch.setitem(sys.modules, "pyproj", None)
