@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float64, Int64, Real
-from scipy.ndimage import map_coordinates
+from jaxtyping import Bool, Float64, Int64, Real
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import along_ways
 from sarsplat.progress import stage
 from sarsplat.renderer import attenuate, project
@@ -69,3 +69,42 @@ def uppermost(
     with np.errstate(invalid="ignore"):
         means = [np.bincount(flat, weight * of, rows * columns) / total for of in (heights, gamma0)]
     return Uppermost(*(mean.reshape(shape) for mean in means))
+
+
+def without_holes(above: Uppermost, reach: float) -> Uppermost:
+    """Pixels between others, not farther than `reach` pixels from them on all sides, take what the nearest one has."""
+    known = np.isfinite(above.height_m)
+    margin = math.ceil(reach) + 1  # outside of the map nothing is known
+    apart = distance_transform_edt(~np.pad(known, margin))
+    within = distance_transform_edt(apart <= reach) > reach
+    holes = within[margin:-margin, margin:-margin] & ~known
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    source = tuple(index[holes] for index in nearest)
+    height, gamma0 = above.height_m.copy(), above.gamma0.copy()
+    height[holes], gamma0[holes] = height[source], gamma0[source]
+    return Uppermost(height, gamma0)
+
+
+@torch.no_grad()
+def ground_seen(
+    target: Gaussians, places: Float64[np.ndarray, "p 3"], views: Sequence[View], grid: ImageGrid
+) -> Bool[np.ndarray, " p"]:
+    """Which places on the ground, m, lie in an image of a view from which the target hides no more than half of them.
+
+    Views are at most 96, chosen evenly; one is looked at after the other.
+    """
+    seen, rays = np.zeros(len(places), bool), RayGrid.for_image(grid)
+    chosen = along_ways(spread(views, _MOST_VIEWS))
+    with stage("surface: ground", len(chosen)) as shown:
+        for view in chosen:
+            asked = np.flatnonzero(~seen & imaged(places, view, grid))
+            across, elevation, _ = view.look.frame @ places[asked].T
+            (ray_map,) = (
+                attenuate(project(target, [view], grid, rays=rays), rays, first_return_depth=1.0).ray_maps or ()
+            )
+            row = (elevation - ray_map.origin[1]) / rays.spacing_m[1]
+            column = (across - ray_map.origin[0]) / rays.spacing_m[0]
+            through = ray_map.transmittance.double().cpu().numpy()
+            seen[asked] = map_coordinates(through, [row, column], order=1, cval=1.0) > 1 - _HIDDEN
+            shown.advance(1)
+    return seen

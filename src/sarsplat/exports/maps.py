@@ -1,0 +1,177 @@
+"""Maps of a run: the height and the γ⁰ of its surface from above, and where a view has layover and shadow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.data.raster import MapSystem, Raster
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import Terrain, View
+from sarsplat.radar.layover_shadow import layover_shadow
+from sarsplat.runs import Run
+from sarsplat.surface.from_above import ground_seen, uppermost, without_holes
+from sarsplat.surface.neighbours import spacing_m
+
+_MOST_PIXELS = 16384
+"""Along a side."""
+
+_APART = 5.0
+"""Holes between points no farther apart than this many of their median distances are chance: of points strewn at
+random, one pixel in ten million is farther from all others."""
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Where on a map places of the scene are.
+
+    Attributes
+    ----------
+    of : callable
+        Map coordinates (x, y, height), m, float64 [N, 3], of points of the scene's world frame, m.
+    back : callable
+        World x and y, m, float64 [N, 2], of places (x, y) near the ground on the map, m.
+    system : MapSystem
+        What they are.
+    """
+
+    of: Callable[[Float64[np.ndarray, "n 3"]], Float64[np.ndarray, "n 3"]]
+    back: Callable[[Float64[np.ndarray, "n 2"]], Float64[np.ndarray, "n 2"]]
+    system: MapSystem
+
+    def view(self, view: View) -> View:
+        """The same view on the map, whose y axis need not be the scene's."""
+        ahead = self.of(np.array([[0.0, 0.0, 0.0], [*view.look.ahead, 0.0]]))
+        x, y, _ = ahead[1] - ahead[0]
+        return replace(view, azimuth_deg=math.degrees(math.atan2(y, -x)))
+
+
+LOCAL = Coordinates(lambda points: points, lambda places: places, MapSystem.local())
+"""The scene's own axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunMaps:
+    """A run's surface from above, float32; NaN where no view saw it.
+
+    Attributes
+    ----------
+    height_m, gamma0 : Raster
+        Mean height in the map's coordinates, m, and mean γ⁰, linear, of the uppermost layer.
+    """
+
+    height_m: Raster
+    gamma0: Raster
+
+
+def maps_of(run: Run, pixel_m: float | None = None, coordinates: Coordinates = LOCAL) -> RunMaps:
+    """Maps of a run: of its points, and of the ground, if it learned one, where a view saw it.
+
+    Refused if it has no points, pixels are too many, or finer than points are apart.
+    """
+    points, cell = np.asarray(run.points, np.float64), run.grid.cell_m
+    if not len(points):
+        raise SarsplatError(f"{_name(run)} has no points of a surface yet; train it longer, or look at its report")
+    pixel, apart = cell if pixel_m is None else pixel_m, spacing_m(points)
+    if not pixel >= apart:
+        raise SarsplatError(
+            f"pixels of {pixel:g} m are finer than the points of the surface are apart ({apart:.2g} m); give --pixel "
+            f"{float(f'{max(cell, 2 * apart):.2g}'):g} or more"
+        )
+    unknown = np.full(len(points), np.nan)
+    parts = [
+        (coordinates.of(points), run.normals[:, 2], unknown if run.points_gamma0 is None else run.points_gamma0),
+        *_ground(run, pixel, coordinates),
+    ]
+    places, upward, gamma0 = (np.concatenate(column) for column in zip(*parts, strict=True))
+    first, last = np.floor(places[:, :2].min(axis=0) / pixel), np.floor(places[:, :2].max(axis=0) / pixel)
+    columns, rows = (_counted(count, pixel) for count in last - first + 1)
+    at = np.stack([last[1] - np.floor(places[:, 1] / pixel), np.floor(places[:, 0] / pixel) - first[0]], axis=1)
+    above = uppermost(at.astype(np.int64), (rows, columns), places[:, 2], upward, gamma0, cell)
+    above = without_holes(above, max(cell, _APART * apart) / pixel)
+    corner = float(first[0] * pixel), float((last[1] + 1) * pixel)
+    height_m, gamma0 = (
+        Raster(of.astype(np.float32), corner, (pixel, pixel), coordinates.system)
+        for of in (above.height_m, above.gamma0)
+    )
+    return RunMaps(height_m, gamma0)
+
+
+def classes_of(run: Run, view: View, pixel_m: float | None = None, coordinates: Coordinates = LOCAL) -> Raster:
+    """Layover and shadow of a run's surface on its ground: the terrain that it was learned on, or else level at z = 0.
+
+    Refused as `maps_of` is, and if the target is aloft or the view does not suit.
+    """
+    if view.aloft:
+        raise SarsplatError(
+            f"{_name(run)} shows a target aloft: without ground there is no map of layover and shadow; export its mesh"
+        )
+    seen = maps_of(run, pixel_m, coordinates).height_m
+    pixel, lift = seen.pitch_m[0], seen.values - _ground_heights(run, seen, coordinates)
+    # as far as shadows fall, or slopes lie over what is before them
+    reach_m = max(0.0, float(np.nanmax(lift))) * max(view.look.slope, 1 / view.look.slope)
+    wide = _padded(seen, math.ceil(reach_m / pixel) + 1)
+    heights = np.where(np.isnan(wide.values), _ground_heights(run, wide, coordinates), wide.values)
+    return replace(wide, values=layover_shadow(heights, wide.pitch_m, coordinates.view(view)))
+
+
+def _ground(
+    run: Run, pixel: float, coordinates: Coordinates
+) -> Iterator[tuple[Float64[np.ndarray, "g 3"], Float64[np.ndarray, " g"], Float64[np.ndarray, " g"]]]:
+    """Where a view saw learned ground: places on the map, one in each pixel, upward parts of normals, and γ⁰."""
+    model, grid, views = run.model, run.grid, run.snapshot.views
+    if model is None or (ground := model.ground()) is None:
+        return
+    half = grid.columns * grid.spacing_m[0] / 2, grid.rows * grid.spacing_m[1] / 2
+    reach = max(view.look.corner_m(*half) for view in views)
+    corners = coordinates.of(np.array([[x * reach, y * reach, 0.0] for x in (-1, 1) for y in (-1, 1)]))
+    first, last = np.floor(corners[:, :2].min(axis=0) / pixel), np.floor(corners[:, :2].max(axis=0) / pixel)
+    x, y = ((low + np.arange(_counted(high - low + 1, pixel)) + 0.5) * pixel for low, high in zip(first, last))
+    around = coordinates.back(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    around = np.column_stack([around, _ground_z(run, around)])
+    target = model.target(model.degree(run.iteration)).detach()
+    around = around[ground_seen(target, around, views, grid)]
+    table = ground.gamma0.detach().double().cpu().numpy() * model.unit
+    if table.ndim:
+        table = Terrain(table, (ground.pitch_m, ground.pitch_m)).height_m(around[:, 0], around[:, 1])
+    if ground.exponent is not None:
+        table = table * np.mean([view.look.sine ** float(ground.exponent.detach()) for view in views])
+    yield coordinates.of(around), np.ones(len(around)), np.broadcast_to(table, len(around))
+
+
+def _ground_z(run: Run, places: Float64[np.ndarray, "p 2"]) -> Float64[np.ndarray, " p"]:
+    """Height z of the ground at places (x, y) of the scene, m."""
+    terrain = None if run.model is None else run.model.frame.terrain
+    return np.zeros(len(places)) if terrain is None else terrain.height_m(places[:, 0], places[:, 1])
+
+
+def _ground_heights(run: Run, raster: Raster, coordinates: Coordinates) -> Float64[np.ndarray, "rows columns"]:
+    """Heights of the ground in the pixels of a map, in the map's coordinates, m."""
+    places = coordinates.back(np.stack(raster.centres, axis=-1).reshape(-1, 2))
+    heights = coordinates.of(np.column_stack([places, _ground_z(run, places)]))[:, 2]
+    return heights.reshape(raster.values.shape)
+
+
+def _padded(raster: Raster, margin: int) -> Raster:
+    """The same with so many pixels without data around it."""
+    values = np.pad(raster.values, margin, constant_values=np.nan)
+    (left, top), (dx, dy) = raster.corner_m, raster.pitch_m
+    return replace(raster, values=values, corner_m=(left - margin * dx, top + margin * dy))
+
+
+def _counted(count: float, pixel: float) -> int:
+    """The number of pixels along a side; refused if they are too many."""
+    if count > _MOST_PIXELS:
+        raise SarsplatError(
+            f"a map with a side of {count:.0f} pixels of {pixel:g} m is too large; give a larger --pixel, such as "
+            f"{2 * count * pixel / _MOST_PIXELS:.2g}"
+        )
+    return int(count)
+
+
+def _name(run: Run) -> str:
+    return str(run.path or "the run in memory")
