@@ -94,11 +94,11 @@ def maps_of(run: Run, pixel_m: float | None = None, coordinates: Coordinates = L
     above = uppermost(at.astype(np.int64), (rows, columns), places[:, 2], upward, gamma0, cell)
     above = without_holes(above, max(cell, _APART * apart) / pixel)
     corner = float(first[0] * pixel), float((last[1] + 1) * pixel)
-    height_m, gamma0 = (
+    heights, brightness = (
         Raster(of.astype(np.float32), corner, (pixel, pixel), coordinates.system)
         for of in (above.height_m, above.gamma0)
     )
-    return RunMaps(height_m, gamma0)
+    return RunMaps(heights, brightness)
 
 
 def classes_of(run: Run, view: View, pixel_m: float | None = None, coordinates: Coordinates = LOCAL) -> Raster:
