@@ -138,6 +138,11 @@ class PlaceHeader(Strict, frozen=True):
         return Place(self.latitude_deg, self.longitude_deg, self.height_m, self.x_towards_deg, self.height_above)
 
 
+def place_header(place: Place | None) -> PlaceHeader | msgspec.UnsetType:
+    """A place as headers hold it."""
+    return msgspec.UNSET if place is None else msgspec.convert(place.as_dict(), PlaceHeader)
+
+
 class DatasetHeader(Strict, frozen=True, omit_defaults=True):
     """A dataset without its pixels. What came later has a default, which the fingerprint leaves out."""
 
