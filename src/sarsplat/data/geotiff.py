@@ -13,11 +13,14 @@ import tifffile
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
+from sarsplat.data.raster import Raster, RasterSystem
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Terrain
 
-_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _NO_DATA = 33550, 33922, 34264, 34735, 42113
+_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _NO_DATA = 33550, 33922, 34264, 42113
+_KEYS, _DOUBLES, _TEXTS = 34735, 34736, 34737
 _MODEL, _PROJECTED, _GEOGRAPHIC = 1024, 1, 2
+_RASTER, _POINTS = 1025, 2
 _UNITS = {3076: "lengths", 4099: "heights"}
 _METRE, _DEFINED_ELSEWHERE = 9001, 32767
 _TWICE = 64
@@ -44,6 +47,24 @@ def read_terrain(path: str | Path) -> Terrain:
         If it cannot be read, has several bands, is in degrees or feet, is turned, says nowhere how far its pixels are
         apart, has fewer than 2 × 2 heights, or there are some that are not known.
     """
+    path, heights = Path(path), read_heights(path)
+    unknown = int(np.isnan(heights.values).sum())
+    if unknown:
+        raise SarsplatError(
+            f"{path} has {counted(unknown, 'height')} of {heights.values.size} that {'is' if unknown == 1 else 'are'} "
+            "not known; fill them in, as by gdal_fillnodata, or cut them off"
+        )
+    try:
+        return Terrain(np.ascontiguousarray(heights.values[::-1]), heights.pitch_m)
+    except SarsplatError as error:
+        raise SarsplatError(f"{path}: {error}") from error
+
+
+def read_heights(path: str | Path) -> Raster:
+    """Heights of a GeoTIFF of one band, float64, as a map: NaN where they are not known.
+
+    Refused as in `read_terrain`, but for unknown heights.
+    """
     path = Path(path)
     with open_file(path) as file:
         data = file.read()
@@ -64,13 +85,16 @@ def read_terrain(path: str | Path) -> Terrain:
         raise SarsplatError(
             f"{path} holds {shown(page.dtype)} of shape {shown(shape)}; give heights in rows and columns"
         )
-    (dx, dy), upwards = _pitch(path, tags)
-    _check_unknown(path, heights, tags.get(_NO_DATA))
+    pitch, upwards = _pitch(path, tags)
     table = heights.astype(np.float64)
+    table[~np.isfinite(heights)] = np.nan
+    with suppress(TypeError, ValueError):  # it names none
+        table[heights == float(tags[_NO_DATA])] = np.nan
     try:
-        return Terrain(np.ascontiguousarray(table if upwards else table[::-1]), (dx, dy))
-    except SarsplatError as error:
-        raise SarsplatError(f"{path}: {error}") from error
+        corner = _corner(tags, pitch, len(table) if upwards else 0)
+    except (TypeError, ValueError) as error:
+        raise SarsplatError(f"{path} does not say where it is; write it again with gdal_translate") from error
+    return Raster(table[::-1] if upwards else table, corner, pitch, _system(tags))
 
 
 def terrain_bytes(terrain: Terrain) -> bytes:
@@ -102,8 +126,7 @@ def write_terrain(path: str | Path, terrain: Terrain) -> None:
 
 def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]:
     """Distances of pixels along x and y, m, and whether rows go upwards (north)."""
-    numbers = [int(number) for number in tags.get(_KEYS, ())]
-    keys = {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}
+    keys = _keys(tags)
     if keys.get(_MODEL) == _GEOGRAPHIC:
         raise SarsplatError(
             f"{path} is in degrees of latitude and longitude; bring it into metres, as by "
@@ -130,13 +153,37 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
     return pitch, upwards
 
 
-def _check_unknown(path: Path, heights: np.ndarray, no_data: Any) -> None:
-    """Refuse heights that are not known."""
-    unknown = ~np.isfinite(heights)
-    with suppress(TypeError, ValueError):  # it names none
-        unknown |= heights == float(no_data)
-    if unknown.any():
-        raise SarsplatError(
-            f"{path} has {counted(int(unknown.sum()), 'height')} of {heights.size} that "
-            f"{'is' if unknown.sum() == 1 else 'are'} not known; fill them in, as by gdal_fillnodata, or cut them off"
-        )
+def _corner(tags: dict[int, Any], pitch_m: tuple[float, float], row: int) -> tuple[float, float]:
+    """Where the outer corner of the first column is, in this row; where heights are of points, half a pixel outside."""
+    keys = _keys(tags)
+    if _TRANSFORMATION in tags:
+        _, _, _, x, _, e, _, y, *_ = map(float, tags[_TRANSFORMATION])
+        x, y = x, y + e * row
+    else:
+        column_0, row_0, _, x, y, *_ = map(float, tags.get(_TIEPOINT, (0,) * 6))
+        x, y = x - column_0 * pitch_m[0], y + row_0 * pitch_m[1]
+    if keys.get(_RASTER) == _POINTS:
+        x, y = x - pitch_m[0] / 2, y + pitch_m[1] / 2
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ValueError("not finite")
+    return x, y
+
+
+def _system(tags: dict[int, Any]) -> RasterSystem:
+    """What the file says of its coordinates, as it says it; that its heights are of areas, as rasters of ours are."""
+    numbers = [int(number) for number in tags.get(_KEYS, ())]
+    for k in range(4, len(numbers) - 3, 4):
+        if numbers[k] == _RASTER:
+            numbers[k + 3] = 1
+    doubles = tags.get(_DOUBLES, ())
+    return RasterSystem(
+        tuple(numbers),
+        tuple(map(float, doubles if isinstance(doubles, tuple) else (doubles,))),
+        str(tags.get(_TEXTS, "")),
+    )
+
+
+def _keys(tags: dict[int, Any]) -> dict[int, int]:
+    """GeoTIFF's keys that are numbers."""
+    numbers = [int(number) for number in tags.get(_KEYS, ())]
+    return {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}

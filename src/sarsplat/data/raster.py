@@ -20,20 +20,20 @@ _TILE = (256, 256)
 
 
 @dataclass(frozen=True)
-class MapSystem:
-    """The coordinates of a map, as a GeoTIFF says it: values of its tags of keys, doubles and texts."""
+class RasterSystem:
+    """What a GeoTIFF says of its coordinates: values of its tags of keys, doubles and texts."""
 
     keys: tuple[int, ...]
     doubles: tuple[float, ...] = ()
     texts: str = ""
 
     @classmethod
-    def epsg(cls, code: int) -> MapSystem:
+    def epsg(cls, code: int) -> RasterSystem:
         """A projected system in metres of the EPSG registry."""
         return cls((1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, code))
 
     @classmethod
-    def local(cls) -> MapSystem:
+    def local(cls) -> RasterSystem:
         """The scene's own axes, x to the right and y upwards, in metres."""
         return cls((1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 32767, 3076, 0, 1, 9001))
 
@@ -44,20 +44,20 @@ class Raster:
 
     Parameters
     ----------
-    values : numpy.ndarray, float32 or uint8 [rows, columns]
+    values : numpy.ndarray, float or uint8 [rows, columns]
         Row 0 has the largest y (north); NaN of floats means unknown.
     corner_m : (float, float)
         Least x and largest y of the map: the outer corner of its first pixel.
     pitch_m : (float, float)
         Size of a pixel along x and y.
-    system : MapSystem
+    system : RasterSystem
         What x and y are.
     """
 
     values: Shaped[np.ndarray, "rows columns"]
     corner_m: tuple[float, float]
     pitch_m: tuple[float, float]
-    system: MapSystem
+    system: RasterSystem
 
     @property
     def centres(self) -> tuple[Float64[np.ndarray, "rows columns"], Float64[np.ndarray, "rows columns"]]:

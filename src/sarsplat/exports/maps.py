@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.data.raster import MapSystem, Raster
+from sarsplat.data.raster import Raster, RasterSystem
 from sarsplat.errors import SarsplatError
+from sarsplat.exports.map_system import MapSystem, usual_system
 from sarsplat.geometry import Terrain, View
 from sarsplat.radar.layover_shadow import layover_shadow
 from sarsplat.runs import Run
@@ -27,21 +28,20 @@ random, one pixel in ten million is farther from all others."""
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Where on a map places of the scene are.
+    """Where on a map places of the scene are: in a system of the earth, or, without one, in the scene's own axes."""
 
-    Attributes
-    ----------
-    of : callable
-        Map coordinates (x, y, height), m, float64 [N, 3], of points of the scene's world frame, m.
-    back : callable
-        World x and y, m, float64 [N, 2], of places (x, y) near the ground on the map, m.
-    system : MapSystem
-        What they are.
-    """
+    system: MapSystem | None = None
 
-    of: Callable[[Float64[np.ndarray, "n 3"]], Float64[np.ndarray, "n 3"]]
-    back: Callable[[Float64[np.ndarray, "n 2"]], Float64[np.ndarray, "n 2"]]
-    system: MapSystem
+    def of(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Map coordinates x, y and height, m, of points of the scene."""
+        return points if self.system is None else self.system.to_map(points)
+
+    def back(self, places: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+        """X and y in the scene, m, of places near its ground on the map."""
+        if self.system is None:
+            return places
+        level = np.full(len(places), self.system.place.height_m)
+        return self.system.to_scene(np.column_stack([places, level]))[:, :2]
 
     def view(self, view: View) -> View:
         """The same view on the map, whose y axis need not be the scene's."""
@@ -49,9 +49,17 @@ class Coordinates:
         x, y, _ = ahead[1] - ahead[0]
         return replace(view, azimuth_deg=math.degrees(math.atan2(y, -x)))
 
-
-LOCAL = Coordinates(lambda points: points, lambda places: places, MapSystem.local())
-"""The scene's own axes."""
+    @property
+    def raster_system(self) -> RasterSystem:
+        """What a GeoTIFF says of them; refused if it cannot, because they have no number."""
+        if self.system is None:
+            return RasterSystem.local()
+        if self.system.epsg is None:
+            raise SarsplatError(
+                f"--crs {self.system.crs.name} has no EPSG number, by which a GeoTIFF names it; give another, such as "
+                f"{usual_system(self.system.place)}"
+            )
+        return RasterSystem.epsg(self.system.epsg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +76,7 @@ class RunMaps:
     gamma0: Raster
 
 
-def maps_of(run: Run, pixel_m: float | None = None, coordinates: Coordinates = LOCAL) -> RunMaps:
+def maps_of(run: Run, pixel_m: float | None, coordinates: Coordinates) -> RunMaps:
     """Maps of a run: of its points, and of the ground, if it learned one, where a view saw it.
 
     Refused if it has no points, pixels are too many, or finer than points are apart.
@@ -95,13 +103,13 @@ def maps_of(run: Run, pixel_m: float | None = None, coordinates: Coordinates = L
     above = without_holes(above, max(cell, _APART * apart) / pixel)
     corner = float(first[0] * pixel), float((last[1] + 1) * pixel)
     heights, brightness = (
-        Raster(of.astype(np.float32), corner, (pixel, pixel), coordinates.system)
+        Raster(of.astype(np.float32), corner, (pixel, pixel), coordinates.raster_system)
         for of in (above.height_m, above.gamma0)
     )
     return RunMaps(heights, brightness)
 
 
-def classes_of(run: Run, view: View, pixel_m: float | None = None, coordinates: Coordinates = LOCAL) -> Raster:
+def classes_of(run: Run, view: View, pixel_m: float | None, coordinates: Coordinates) -> Raster:
     """Layover and shadow of a run's surface on its ground: the terrain that it was learned on, or else level at z = 0.
 
     Refused as `maps_of` is, and if the target is aloft or the view does not suit.
