@@ -23,8 +23,8 @@ _MODEL, _PROJECTED, _GEOGRAPHIC = 1024, 1, 2
 _RASTER, _POINTS = 1025, 2
 _UNITS = {3076: "lengths", 4099: "heights"}
 _METRE, _DEFINED_ELSEWHERE = 9001, 32767
-_TWICE = 64
-"""Heights that unpack to more than this many times the file's size are no heights."""
+_TIMES, _HARMLESS = 64, 1 << 30
+"""Heights that unpack to more than this many times the file's size, and to more bytes than that, are no heights."""
 
 
 @checks_arguments
@@ -74,7 +74,7 @@ def read_heights(path: str | Path) -> Raster:
             tags = {tag.code: tag.value for tag in page.tags.values()}
             bands, shape = page.samplesperpixel, page.shape
             size = math.prod(shape) * np.dtype(page.dtype).itemsize
-            heights = page.asarray(maxworkers=1) if bands == 1 and size <= _TWICE * len(data) else None
+            heights = page.asarray(maxworkers=1) if bands == 1 and size <= max(_TIMES * len(data), _HARMLESS) else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(
             f"{path} is not a readable TIFF ({shown(str(error))}); write it again with gdal_translate -co COMPRESS=NONE"
@@ -89,7 +89,7 @@ def read_heights(path: str | Path) -> Raster:
     table = heights.astype(np.float64)
     table[~np.isfinite(heights)] = np.nan
     with suppress(TypeError, ValueError):  # it names none
-        table[heights == float(tags[_NO_DATA])] = np.nan
+        table[heights == float(tags.get(_NO_DATA, "nan"))] = np.nan
     try:
         corner = _corner(tags, pitch, len(table) if upwards else 0)
     except (TypeError, ValueError) as error:

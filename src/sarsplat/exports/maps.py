@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float64
 
+from sarsplat.data.geotiff import read_heights
 from sarsplat.data.raster import Raster, RasterSystem
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.map_system import MapSystem, usual_system
 from sarsplat.geometry import Terrain, View
-from sarsplat.radar.layover_shadow import layover_shadow
+from sarsplat.names import Map
+from sarsplat.radar.layover_shadow import LAYOVER, SHADOW, UNKNOWN, layover_shadow
 from sarsplat.runs import Run
 from sarsplat.surface.from_above import ground_seen, uppermost, without_holes
 from sarsplat.surface.neighbours import spacing_m
@@ -23,7 +27,7 @@ _MOST_PIXELS = 16384
 
 _APART = 5.0
 """Holes between points no farther apart than this many of their median distances are chance: of points strewn at
-random, one pixel in ten million is farther from all others."""
+random, one place in ten million is farther from all others."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,10 @@ class Coordinates:
         x, y, _ = ahead[1] - ahead[0]
         return replace(view, azimuth_deg=math.degrees(math.atan2(y, -x)))
 
+    def bearing_deg(self, view: View) -> float:
+        """Direction of the radar on the map, degrees clockwise from its top."""
+        return (self.view(view).azimuth_deg + 90) % 360
+
     @property
     def raster_system(self) -> RasterSystem:
         """What a GeoTIFF says of them; refused if it cannot, because they have no number."""
@@ -62,26 +70,73 @@ class Coordinates:
         return RasterSystem.epsg(self.system.epsg)
 
 
-@dataclass(frozen=True, eq=False)
-class RunMaps:
-    """A run's surface from above, float32; NaN where no view saw it.
+def require_fit(path: Path, holds: str, pixel_m: float | None, view: View | None) -> None:
+    """Refuse a pixel size for what is no map, and a view for what is the same from everywhere, or its absence."""
+    if holds not in get_args(Map):
+        if pixel_m is not None or view is not None:
+            given = "pixel" if pixel_m is not None else "direction"
+            raise SarsplatError(f"{path} will hold {holds}, which has no {given}; leave it out, or export a .tif map")
+        return
+    if pixel_m is not None and not 0 < pixel_m < math.inf:
+        raise SarsplatError(f"a pixel of {pixel_m:g} m is not possible; give a positive number of metres")
+    if holds == "layover-shadow" and view is None:
+        raise SarsplatError(
+            f"{path} will hold layover and shadow, which depend on where the radar is; give one direction, such as "
+            "--azimuth 30 --grazing 35"
+        )
+    if holds != "layover-shadow" and view is not None:
+        raise SarsplatError(f"{path} will hold what is the same from every direction ({holds}); leave the angles out")
 
-    Attributes
-    ----------
-    height_m, gamma0 : Raster
-        Mean height in the map's coordinates, m, and mean γ⁰, linear, of the uppermost layer.
+
+def map_of(
+    run: Run, what: str, coordinates: Coordinates, pixel_m: float | None, view: View | None
+) -> tuple[Raster, str]:
+    """A map of a run ("dsm", "gamma0" or "layover-shadow"), and what it is in words.
+
+    Heights and γ⁰ are those of its points and, where it learned one, of the ground: means over what is uppermost in a
+    pixel, float32, NaN where no view saw anything. Refused if the run has no points or lacks what is asked for, pixels
+    are too many, or finer than points are apart, and of layover and shadow if the target is aloft.
     """
+    if what == "layover-shadow":
+        assert view is not None  # `require_fit`
+        raster = _layover_shadow(run, view, coordinates, pixel_m)
+        said = _classes_in_words(raster, coordinates.bearing_deg(view))
+    else:
+        raster = _uppermost(run, coordinates, pixel_m, brightness=what == "gamma0")
+        named = "γ⁰, linear" if what == "gamma0" else "heights"
+        said = f"{named}; {np.isfinite(raster.values).mean():.0%} of the map were seen, the rest has no data"
+    where = "metres, in the target's own frame" if coordinates.system is None else str(coordinates.system)
+    rows, columns = raster.values.shape
+    return raster, f"{rows} × {columns} pixels of {raster.pitch_m[0]:g} m: {said}; {where}"
 
-    height_m: Raster
-    gamma0: Raster
 
+def of_terrain(path: Path, view: View) -> tuple[Raster, str]:
+    """Layover and shadow on the terrain of a GeoTIFF, alone, in its own coordinates, and what that is in words.
 
-def maps_of(run: Run, pixel_m: float | None, coordinates: Coordinates) -> RunMaps:
-    """Maps of a run: of its points, and of the ground, if it learned one, where a view saw it.
-
-    Refused if it has no points, pixels are too many, or finer than points are apart.
+    +x of the view is the file's east. Refused if the file cannot be read.
     """
-    points, cell = np.asarray(run.points, np.float64), run.grid.cell_m
+    heights = read_heights(path)
+    raster = replace(heights, values=layover_shadow(heights.values, heights.pitch_m, view))
+    rows, columns = raster.values.shape
+    said = _classes_in_words(raster, Coordinates().bearing_deg(view))
+    return raster, f"{rows} × {columns} pixels: {said}; coordinates as in {path}"
+
+
+def _classes_in_words(raster: Raster, bearing_deg: float) -> str:
+    """Shares of layover and shadow on a map, and where the radar is."""
+    known = raster.values[raster.values != UNKNOWN]
+    if not len(known):
+        return "no height is known"
+    layover, shadow = (float(((known & bit) > 0).mean()) for bit in (LAYOVER, SHADOW))
+    return (
+        f"layover on {layover:.1%} and shadow on {shadow:.1%} of it, seen by a radar in the direction "
+        f"{bearing_deg:.0f}° (clockwise from the top of the map)"
+    )
+
+
+def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, brightness: bool = False) -> Raster:
+    """Height or γ⁰ of the run's surface, and of learned ground, from above."""
+    points, cell, system = np.asarray(run.points, np.float64), run.grid.cell_m, coordinates.raster_system
     if not len(points):
         raise SarsplatError(f"{_name(run)} has no points of a surface yet; train it longer, or look at its report")
     pixel, apart = cell if pixel_m is None else pixel_m, spacing_m(points)
@@ -90,39 +145,30 @@ def maps_of(run: Run, pixel_m: float | None, coordinates: Coordinates) -> RunMap
             f"pixels of {pixel:g} m are finer than the points of the surface are apart ({apart:.2g} m); give --pixel "
             f"{float(f'{max(cell, 2 * apart):.2g}'):g} or more"
         )
-    unknown = np.full(len(points), np.nan)
-    parts = [
-        (coordinates.of(points), run.normals[:, 2], unknown if run.points_gamma0 is None else run.points_gamma0),
-        *_ground(run, pixel, coordinates),
-    ]
+    gamma0 = run.points_gamma0 if brightness else np.zeros(len(points))
+    if gamma0 is None:
+        raise SarsplatError(f"{_name(run)} was made by {run.method}, which learns no γ⁰; export its heights (dsm)")
+    parts = [(coordinates.of(points), run.normals[:, 2], gamma0), *_ground(run, pixel, coordinates)]
     places, upward, gamma0 = (np.concatenate(column) for column in zip(*parts, strict=True))
     first, last = np.floor(places[:, :2].min(axis=0) / pixel), np.floor(places[:, :2].max(axis=0) / pixel)
     columns, rows = (_counted(count, pixel) for count in last - first + 1)
     at = np.stack([last[1] - np.floor(places[:, 1] / pixel), np.floor(places[:, 0] / pixel) - first[0]], axis=1)
-    above = uppermost(at.astype(np.int64), (rows, columns), places[:, 2], upward, gamma0, cell)
-    above = without_holes(above, max(cell, _APART * apart) / pixel)
-    corner = float(first[0] * pixel), float((last[1] + 1) * pixel)
-    heights, brightness = (
-        Raster(of.astype(np.float32), corner, (pixel, pixel), coordinates.raster_system)
-        for of in (above.height_m, above.gamma0)
-    )
-    return RunMaps(heights, brightness)
+    shown = uppermost(at.astype(np.int64), (rows, columns), places[:, 2], upward, gamma0 if brightness else None, cell)
+    values = without_holes(shown, max(cell, _APART * apart) / pixel).astype(np.float32)
+    return Raster(values, (float(first[0] * pixel), float((last[1] + 1) * pixel)), (pixel, pixel), system)
 
 
-def classes_of(run: Run, view: View, pixel_m: float | None, coordinates: Coordinates) -> Raster:
-    """Layover and shadow of a run's surface on its ground: the terrain that it was learned on, or else level at z = 0.
-
-    Refused as `maps_of` is, and if the target is aloft or the view does not suit.
-    """
+def _layover_shadow(run: Run, view: View, coordinates: Coordinates, pixel_m: float | None) -> Raster:
+    """Classes on the run's surface and its ground: the terrain that it was learned on, or else level at z = 0."""
     if view.aloft:
         raise SarsplatError(
             f"{_name(run)} shows a target aloft: without ground there is no map of layover and shadow; export its mesh"
         )
-    seen = maps_of(run, pixel_m, coordinates).height_m
-    pixel, lift = seen.pitch_m[0], seen.values - _ground_heights(run, seen, coordinates)
+    seen = _uppermost(run, coordinates, pixel_m)
+    lift = seen.values - _ground_heights(run, seen, coordinates)
     # as far as shadows fall, or slopes lie over what is before them
     reach_m = max(0.0, float(np.nanmax(lift))) * max(view.look.slope, 1 / view.look.slope)
-    wide = _padded(seen, math.ceil(reach_m / pixel) + 1)
+    wide = _padded(seen, math.ceil(reach_m / seen.pitch_m[0]) + 1)
     heights = np.where(np.isnan(wide.values), _ground_heights(run, wide, coordinates), wide.values)
     return replace(wide, values=layover_shadow(heights, wide.pitch_m, coordinates.view(view)))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -27,62 +26,49 @@ _HIDDEN = 0.5
 """Ground is not seen from a view in which this share of its light is taken, on the way to it and back."""
 
 
-@dataclass(frozen=True)
-class Uppermost:
-    """Means over the uppermost layer in each pixel, by the area seen from above.
-
-    Both are float64 [rows, columns], NaN where there is none; γ⁰ is linear.
-    """
-
-    height_m: Float64[np.ndarray, "rows columns"]
-    gamma0: Float64[np.ndarray, "rows columns"]
-
-
 def uppermost(
     pixel: Int64[np.ndarray, "p 2"],
     shape: tuple[int, int],
     heights: Real[np.ndarray, " p"],
     upward: Real[np.ndarray, " p"],
-    gamma0: Real[np.ndarray, " p"],
+    values: Real[np.ndarray, " p"] | None,
     gap_m: float,
-) -> Uppermost:
-    """What of points in pixels (row, column) is seen from above.
+) -> Float64[np.ndarray, "rows columns"]:
+    """Mean height, or mean of other values, of those points in each pixel (row, column) that are seen from above.
 
     The uppermost layer of a pixel ends where there is nothing for `gap_m` below. Points count by the upward part of
-    their normals, and those of walls not at all, unless there are no others.
+    their normals, and those of walls not at all, unless there are no others. NaN where there is none.
     """
     rows, columns = shape
     inside = ((pixel >= 0) & (pixel < shape)).all(axis=1)
     flat = pixel[inside, 0] * columns + pixel[inside, 1]
-    heights, upward, gamma0 = heights[inside], upward[inside], gamma0[inside]
+    heights, upward = heights[inside], upward[inside]
+    values = heights if values is None else values[inside]
     order = np.lexsort((-heights, flat))
     flat, heights = flat[order], heights[order]
     first = np.append(True, flat[1:] != flat[:-1])[: len(flat)]
     falls = np.append(False, heights[:-1] - heights[1:] > gap_m)[: len(flat)] & ~first
     falls = np.cumsum(falls)
     top = falls == np.maximum.accumulate(np.where(first, falls, 0))
-    flat, heights, upward, gamma0 = flat[top], heights[top], upward[order][top], gamma0[order][top]
+    flat, upward, values = flat[top], upward[order][top], values[order][top]
     weight = np.where(upward >= _STEEP, upward, 0)
     lone = np.bincount(flat, weight, rows * columns)[flat] == 0
     weight = np.where(lone, 1.0, weight)
     total = np.bincount(flat, weight, rows * columns)
     with np.errstate(invalid="ignore"):
-        means = [np.bincount(flat, weight * of, rows * columns) / total for of in (heights, gamma0)]
-    return Uppermost(*(mean.reshape(shape) for mean in means))
+        return (np.bincount(flat, weight * values, rows * columns) / total).reshape(shape)
 
 
-def without_holes(above: Uppermost, reach: float) -> Uppermost:
+def without_holes(values: Float64[np.ndarray, "rows columns"], reach: float) -> Float64[np.ndarray, "rows columns"]:
     """Pixels between others, not farther than `reach` pixels from them on all sides, take what the nearest one has."""
-    known = np.isfinite(above.height_m)
-    margin = math.ceil(reach) + 1  # outside of the map nothing is known
+    known, margin = np.isfinite(values), math.ceil(reach) + 1  # outside of the map nothing is known
     apart = distance_transform_edt(~np.pad(known, margin))
     within = distance_transform_edt(apart <= reach) > reach
     holes = within[margin:-margin, margin:-margin] & ~known
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    source = tuple(index[holes] for index in nearest)
-    height, gamma0 = above.height_m.copy(), above.gamma0.copy()
-    height[holes], gamma0[holes] = height[source], gamma0[source]
-    return Uppermost(height, gamma0)
+    filled = values.copy()
+    filled[holes] = values[tuple(index[holes] for index in nearest)]
+    return filled
 
 
 @torch.no_grad()
