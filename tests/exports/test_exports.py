@@ -11,7 +11,7 @@ import torch
 import trimesh
 
 from datasets import FEW_POINTS
-from sarsplat import Dataset
+from sarsplat import Dataset, Place, View
 from sarsplat.data import read_gaussians_ply
 from sarsplat.errors import SarsplatError
 from sarsplat.exports import FORMATS, export, format_of
@@ -167,9 +167,13 @@ def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", FORMATS)
 def test_empty_runs_are_not_exported(run: Run, tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Run, "gaussians", run.gaussians[:0])
+    empty = without_points(run)
+    if FORMATS[ending].coordinates == "degrees":
+        vars(empty)["place"] = Place(45.0, 9.0, 200.0)
     for content in FORMATS[ending].writers:
+        view = View(30, 35) if content == "layover-shadow" else None
         with pytest.raises(SarsplatError, match=r"the run in memory has (no|too few) "):
-            export(without_points(run), tmp_path / f"a.{ending}", content)
+            export(empty, tmp_path / f"a.{ending}", content, view=view)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -42,8 +42,8 @@ def export(
     file
         File to write. Its ending decides the format: .ply (Gaussians, unless --format says otherwise); .splat
         (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .tif (a map of the surface from above:
-        dsm.tif, gamma0.tif or layover-shadow.tif, or by any name with --format); .geojson (the outline of the points
-        on a map); .npz (all arrays, for numpy).
+        dsm.tif, gamma0.tif or layover-shadow.tif, or by any name with --format); .geojson (the outline of points on
+        a map); .npz (all arrays, for numpy).
     format
         What a .ply or .tif file holds. gaussians: in the layout of 3D Gaussian splatting; points: of the surface,
         metres, with normals and γ⁰; mesh: triangles through the points, with normals and γ⁰ at the vertices; dsm:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,18 @@ import tifffile
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
+from sarsplat.data.georeference import Georeference, georeference_of
+from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map
 from sarsplat.data.raster import Raster, RasterSystem
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import Terrain
+from sarsplat.geometry import Place, Terrain
 
 _PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _NO_DATA = 33550, 33922, 34264, 42113
 _KEYS, _DOUBLES, _TEXTS = 34735, 34736, 34737
+_RASTER, _AREA = 1025, 1
 _MODEL, _PROJECTED, _GEOGRAPHIC = 1024, 1, 2
-_RASTER, _POINTS = 1025, 2
 _UNITS = {3076: "lengths", 4099: "heights"}
+_VERTICAL = 4096
 _METRE, _DEFINED_ELSEWHERE = 9001, 32767
 _TIMES, _HARMLESS = 64, 1 << 30
 """Heights that unpack to more than this many times the file's size, and to more bytes than that, are no heights."""
@@ -39,32 +43,57 @@ def read_terrain(path: str | Path) -> Terrain:
     Returns
     -------
     Terrain
-        Heights as they are stored; `Terrain.centred` measures them from the origin.
+        Heights as they are stored; `Terrain.centred` measures them from the origin. If its system has a number in
+        EPSG's list, its `place` is that of the middle, x axis along the columns, and its pitch in metres on the ground,
+        not in those of the map.
 
     Raises
     ------
     SarsplatError
         If it cannot be read, has several bands, is in degrees or feet, is turned, says nowhere how far its pixels are
         apart, has fewer than 2 × 2 heights, or there are some that are not known.
+
+    Warns
+    -----
+    SarsplatWarning
+        If its system has a number, but where that is cannot be found out, for instance without pyproj.
     """
-    path, heights = Path(path), read_heights(path)
-    unknown = int(np.isnan(heights.values).sum())
+    path, found = Path(path), read_heights(path)
+    heights, pitch = found.raster.values, found.raster.pitch_m
+    unknown = int(np.isnan(heights).sum())
     if unknown:
         raise SarsplatError(
-            f"{path} has {counted(unknown, 'height')} of {heights.values.size} that {'is' if unknown == 1 else 'are'} "
-            "not known; fill them in, as by gdal_fillnodata, or cut them off"
+            f"{path} has {counted(unknown, 'height')} of {heights.size} that {'is' if unknown == 1 else 'are'} not "
+            "known; fill them in, as by gdal_fillnodata, or cut them off"
         )
+    on_ground = pitch[0] * found.metres[0], pitch[1] * found.metres[1]
     try:
-        return Terrain(np.ascontiguousarray(heights.values[::-1]), heights.pitch_m)
+        return Terrain(np.ascontiguousarray(heights[::-1]), on_ground, found.place)
     except SarsplatError as error:
         raise SarsplatError(f"{path}: {error}") from error
 
 
-def read_heights(path: str | Path) -> Raster:
-    """Heights of a GeoTIFF of one band, float64, as a map: NaN where they are not known.
+@dataclass(frozen=True, eq=False)
+class MapHeights:
+    """Heights on a map.
 
-    Refused as in `read_terrain`, but for unknown heights.
+    Attributes
+    ----------
+    raster : Raster
+        Heights, float64, m, NaN where they are not known, and where they lie in the file's own system.
+    place : Place or None
+        Where their middle is on earth, if that can be said.
+    metres : (float, float)
+        On the ground, for each metre of the map along its x and y; 1 if that is not known.
     """
+
+    raster: Raster
+    place: Place | None
+    metres: tuple[float, float]
+
+
+def read_heights(path: str | Path) -> MapHeights:
+    """Heights of a GeoTIFF of one band as they are; refused as in `read_terrain`, but if some are not known."""
     path = Path(path)
     with open_file(path) as file:
         data = file.read()
@@ -74,7 +103,8 @@ def read_heights(path: str | Path) -> Raster:
             tags = {tag.code: tag.value for tag in page.tags.values()}
             bands, shape = page.samplesperpixel, page.shape
             size = math.prod(shape) * np.dtype(page.dtype).itemsize
-            heights = page.asarray(maxworkers=1) if bands == 1 and size <= max(_TIMES * len(data), _HARMLESS) else None
+            allowed = max(_TIMES * len(data), _HARMLESS)
+            heights = page.asarray(maxworkers=1) if bands == 1 and size <= allowed else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(
             f"{path} is not a readable TIFF ({shown(str(error))}); write it again with gdal_translate -co COMPRESS=NONE"
@@ -86,15 +116,15 @@ def read_heights(path: str | Path) -> Raster:
             f"{path} holds {shown(page.dtype)} of shape {shown(shape)}; give heights in rows and columns"
         )
     pitch, upwards = _pitch(path, tags)
-    table = heights.astype(np.float64)
-    table[~np.isfinite(heights)] = np.nan
+    lies = georeference_of(tags, str(path))
+    where = _where(path, tags, lies, (heights.shape[0], heights.shape[1]))
+    table = np.where(np.isfinite(heights), heights, np.nan).astype(np.float64)
     with suppress(TypeError, ValueError):  # it names none
         table[heights == float(tags.get(_NO_DATA, "nan"))] = np.nan
-    try:
-        corner = _corner(tags, pitch, len(table) if upwards else 0)
-    except (TypeError, ValueError) as error:
-        raise SarsplatError(f"{path} does not say where it is; write it again with gdal_translate") from error
-    return Raster(table[::-1] if upwards else table, corner, pitch, _system(tags))
+    first = -0.5, len(table) - 0.5 if upwards else -0.5  # the outer corner, column and row
+    corner = (0.0, 0.0) if lies is None else tuple(map(float, lies.affine @ (*first, 1.0)))
+    raster = Raster(table[::-1] if upwards else table, (corner[0], corner[1]), pitch, _system(tags))
+    return MapHeights(raster, where.place if where else None, where.metres if where else (1.0, 1.0))
 
 
 def terrain_bytes(terrain: Terrain) -> bytes:
@@ -141,6 +171,8 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
         a, b, _, _, d, e, *_ = map(float, tags[_TRANSFORMATION])
         if b or d:
             raise SarsplatError(f"{path} is turned against its system's axes; straighten it, as by gdalwarp")
+        if a < 0:
+            raise SarsplatError(f"{path} has columns that run west; straighten it, as by gdalwarp")
         pitch, upwards = (abs(a), abs(e)), e > 0
     elif _PIXEL_SCALE in tags:
         scale = [float(number) for number in tags[_PIXEL_SCALE]]
@@ -153,37 +185,26 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
     return pitch, upwards
 
 
-def _corner(tags: dict[int, Any], pitch_m: tuple[float, float], row: int) -> tuple[float, float]:
-    """Where the outer corner of the first column is, in this row; where heights are of points, half a pixel outside."""
-    keys = _keys(tags)
-    if _TRANSFORMATION in tags:
-        _, _, _, x, _, e, _, y, *_ = map(float, tags[_TRANSFORMATION])
-        x, y = x, y + e * row
-    else:
-        column_0, row_0, _, x, y, *_ = map(float, tags.get(_TIEPOINT, (0,) * 6))
-        x, y = x - column_0 * pitch_m[0], y + row_0 * pitch_m[1]
-    if keys.get(_RASTER) == _POINTS:
-        x, y = x - pitch_m[0] / 2, y + pitch_m[1] / 2
-    if not (math.isfinite(x) and math.isfinite(y)):
-        raise ValueError("not finite")
-    return x, y
+def _where(path: Path, tags: dict[int, Any], lies: Georeference | None, shape: tuple[int, int]) -> MapPlace | None:
+    """Where its middle is on earth, if its system has a number."""
+    if lies is None or lies.kind != "projected" or lies.epsg is None:
+        return None
+    x, y = lies.affine @ ((shape[1] - 1) / 2, (shape[0] - 1) / 2, 1.0)
+    return place_on_map(lies.epsg, (float(x), float(y)), str(path), height_above_of(_keys(tags).get(_VERTICAL)))
 
 
 def _system(tags: dict[int, Any]) -> RasterSystem:
-    """What the file says of its coordinates, as it says it; that its heights are of areas, as rasters of ours are."""
+    """What the file says of its coordinates, as it says it, but for pixels, which are areas in rasters of ours."""
     numbers = [int(number) for number in tags.get(_KEYS, ())]
     for k in range(4, len(numbers) - 3, 4):
         if numbers[k] == _RASTER:
-            numbers[k + 3] = 1
+            numbers[k + 3] = _AREA
     doubles = tags.get(_DOUBLES, ())
-    return RasterSystem(
-        tuple(numbers),
-        tuple(map(float, doubles if isinstance(doubles, tuple) else (doubles,))),
-        str(tags.get(_TEXTS, "")),
-    )
+    values = doubles if isinstance(doubles, tuple) else (doubles,)
+    return RasterSystem(tuple(numbers), tuple(map(float, values)), str(tags.get(_TEXTS, "")))
 
 
 def _keys(tags: dict[int, Any]) -> dict[int, int]:
-    """GeoTIFF's keys that are numbers."""
+    """GeoKeys whose values are in the directory itself."""
     numbers = [int(number) for number in tags.get(_KEYS, ())]
     return {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}

@@ -113,10 +113,12 @@ def map_of(
 def of_terrain(path: Path, view: View) -> tuple[Raster, str]:
     """Layover and shadow on the terrain of a GeoTIFF, alone, in its own coordinates, and what that is in words.
 
-    +x of the view is the file's east. Refused if the file cannot be read.
+    +x of the view is the direction of the file's columns. Refused if the file cannot be read.
     """
-    heights = read_heights(path)
-    raster = replace(heights, values=layover_shadow(heights.values, heights.pitch_m, view))
+    found = read_heights(path)
+    heights, (x_m, y_m) = found.raster, found.metres
+    pitch = heights.pitch_m[0] * x_m, heights.pitch_m[1] * y_m
+    raster = replace(heights, values=layover_shadow(heights.values, pitch, view))
     rows, columns = raster.values.shape
     said = _classes_in_words(raster, Coordinates().bearing_deg(view))
     return raster, f"{rows} × {columns} pixels: {said}; coordinates as in {path}"
