@@ -182,6 +182,8 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
             f"{path} does not say how far its pixels are apart; write it as a GeoTIFF in metres, as by "
             "gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT BOTTOM"
         )
+    if not all(math.isfinite(length) and length > 0 for length in pitch):
+        raise SarsplatError(f"{path}: its pitch_m is {pitch}; give two positive, finite numbers of metres (x, y)")
     return pitch, upwards
 
 
