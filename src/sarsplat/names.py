@@ -50,7 +50,10 @@ ChipFormat = Literal["jpeg", "png", "npy"]
 SampleKind = Literal["real", "synthetic"]
 """Measured or simulated images of the SAMPLE set."""
 
-Content = Literal["gaussians", "points", "mesh"]
+Map = Literal["dsm", "gamma0", "layover-shadow"]
+"""What a map of a run shows: heights of the surface, its brightness, or layover and shadow of a view."""
+
+Content = Literal["gaussians", "points", "mesh", "dsm", "gamma0", "layover-shadow"]
 """Which result of a run a file contains."""
 
 Colour = Literal["db", "height"]

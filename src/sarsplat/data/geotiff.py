@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,21 @@ import tifffile
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
-from sarsplat.data.georeference import georeference_of
+from sarsplat.data.georeference import Georeference, georeference_of
 from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map
+from sarsplat.data.raster import Raster, RasterSystem
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import Terrain
+from sarsplat.geometry import Place, Terrain
 
-_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _NO_DATA = 33550, 33922, 34264, 34735, 42113
+_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _NO_DATA = 33550, 33922, 34264, 42113
+_KEYS, _DOUBLES, _TEXTS = 34735, 34736, 34737
+_RASTER, _AREA = 1025, 1
 _MODEL, _PROJECTED, _GEOGRAPHIC = 1024, 1, 2
 _UNITS = {3076: "lengths", 4099: "heights"}
 _VERTICAL = 4096
 _METRE, _DEFINED_ELSEWHERE = 9001, 32767
-_TWICE = 64
-"""Heights that unpack to more than this many times the file's size are no heights."""
+_TIMES, _HARMLESS = 64, 1 << 30
+"""Heights that unpack to more than this many times the file's size, and to more bytes than that, are no heights."""
 
 
 @checks_arguments
@@ -54,6 +58,42 @@ def read_terrain(path: str | Path) -> Terrain:
     SarsplatWarning
         If its system has a number, but where that is cannot be found out, for instance without pyproj.
     """
+    path, found = Path(path), read_heights(path)
+    heights, pitch = found.raster.values, found.raster.pitch_m
+    unknown = int(np.isnan(heights).sum())
+    if unknown:
+        raise SarsplatError(
+            f"{path} has {counted(unknown, 'height')} of {heights.size} that {'is' if unknown == 1 else 'are'} not "
+            "known; fill them in, as by gdal_fillnodata, or cut them off"
+        )
+    on_ground = pitch[0] * found.metres[0], pitch[1] * found.metres[1]
+    try:
+        return Terrain(np.ascontiguousarray(heights[::-1]), on_ground, found.place)
+    except SarsplatError as error:
+        raise SarsplatError(f"{path}: {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class MapHeights:
+    """Heights on a map.
+
+    Attributes
+    ----------
+    raster : Raster
+        Heights, float64, m, NaN where they are not known, and where they lie in the file's own system.
+    place : Place or None
+        Where their middle is on earth, if that can be said.
+    metres : (float, float)
+        On the ground, for each metre of the map along its x and y; 1 if that is not known.
+    """
+
+    raster: Raster
+    place: Place | None
+    metres: tuple[float, float]
+
+
+def read_heights(path: str | Path) -> MapHeights:
+    """Heights of a GeoTIFF of one band as they are; refused as in `read_terrain`, but if some are not known."""
     path = Path(path)
     with open_file(path) as file:
         data = file.read()
@@ -63,7 +103,8 @@ def read_terrain(path: str | Path) -> Terrain:
             tags = {tag.code: tag.value for tag in page.tags.values()}
             bands, shape = page.samplesperpixel, page.shape
             size = math.prod(shape) * np.dtype(page.dtype).itemsize
-            heights = page.asarray(maxworkers=1) if bands == 1 and size <= _TWICE * len(data) else None
+            allowed = max(_TIMES * len(data), _HARMLESS)
+            heights = page.asarray(maxworkers=1) if bands == 1 and size <= allowed else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(
             f"{path} is not a readable TIFF ({shown(str(error))}); write it again with gdal_translate -co COMPRESS=NONE"
@@ -74,17 +115,16 @@ def read_terrain(path: str | Path) -> Terrain:
         raise SarsplatError(
             f"{path} holds {shown(page.dtype)} of shape {shown(shape)}; give heights in rows and columns"
         )
-    (dx, dy), upwards = _pitch(path, tags)
-    _check_unknown(path, heights, tags.get(_NO_DATA))
-    table = heights.astype(np.float64)
-    try:
-        terrain = Terrain(np.ascontiguousarray(table if upwards else table[::-1]), (dx, dy))
-    except SarsplatError as error:
-        raise SarsplatError(f"{path}: {error}") from error
-    where = _where(path, tags, (heights.shape[0], heights.shape[1]))
-    if where is None:
-        return terrain
-    return Terrain(terrain.heights_m, (dx * where.metres[0], dy * where.metres[1]), where.place)
+    pitch, upwards = _pitch(path, tags)
+    lies = georeference_of(tags, str(path))
+    where = _where(path, tags, lies, (heights.shape[0], heights.shape[1]))
+    table = np.where(np.isfinite(heights), heights, np.nan).astype(np.float64)
+    with suppress(TypeError, ValueError):  # it names none
+        table[heights == float(tags.get(_NO_DATA, "nan"))] = np.nan
+    first = -0.5, len(table) - 0.5 if upwards else -0.5  # the outer corner, column and row
+    corner = (0.0, 0.0) if lies is None else tuple(map(float, lies.affine @ (*first, 1.0)))
+    raster = Raster(table[::-1] if upwards else table, (corner[0], corner[1]), pitch, _system(tags))
+    return MapHeights(raster, where.place if where else None, where.metres if where else (1.0, 1.0))
 
 
 def terrain_bytes(terrain: Terrain) -> bytes:
@@ -142,31 +182,31 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
             f"{path} does not say how far its pixels are apart; write it as a GeoTIFF in metres, as by "
             "gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT BOTTOM"
         )
+    if not all(math.isfinite(length) and length > 0 for length in pitch):
+        raise SarsplatError(f"{path}: its pitch_m is {pitch}; give two positive, finite numbers of metres (x, y)")
     return pitch, upwards
 
 
-def _where(path: Path, tags: dict[int, Any], shape: tuple[int, int]) -> MapPlace | None:
+def _where(path: Path, tags: dict[int, Any], lies: Georeference | None, shape: tuple[int, int]) -> MapPlace | None:
     """Where its middle is on earth, if its system has a number."""
-    lies = georeference_of(tags, str(path))
     if lies is None or lies.kind != "projected" or lies.epsg is None:
         return None
     x, y = lies.affine @ ((shape[1] - 1) / 2, (shape[0] - 1) / 2, 1.0)
     return place_on_map(lies.epsg, (float(x), float(y)), str(path), height_above_of(_keys(tags).get(_VERTICAL)))
 
 
+def _system(tags: dict[int, Any]) -> RasterSystem:
+    """What the file says of its coordinates, as it says it, but for pixels, which are areas in rasters of ours."""
+    numbers = [int(number) for number in tags.get(_KEYS, ())]
+    for k in range(4, len(numbers) - 3, 4):
+        if numbers[k] == _RASTER:
+            numbers[k + 3] = _AREA
+    doubles = tags.get(_DOUBLES, ())
+    values = doubles if isinstance(doubles, tuple) else (doubles,)
+    return RasterSystem(tuple(numbers), tuple(map(float, values)), str(tags.get(_TEXTS, "")))
+
+
 def _keys(tags: dict[int, Any]) -> dict[int, int]:
     """GeoKeys whose values are in the directory itself."""
     numbers = [int(number) for number in tags.get(_KEYS, ())]
     return {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}
-
-
-def _check_unknown(path: Path, heights: np.ndarray, no_data: Any) -> None:
-    """Refuse heights that are not known."""
-    unknown = ~np.isfinite(heights)
-    with suppress(TypeError, ValueError):  # it names none
-        unknown |= heights == float(no_data)
-    if unknown.any():
-        raise SarsplatError(
-            f"{path} has {counted(int(unknown.sum()), 'height')} of {heights.size} that "
-            f"{'is' if unknown.sum() == 1 else 'are'} not known; fill them in, as by gdal_fillnodata, or cut them off"
-        )

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, get_args
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.format import Content, Format, Points, content_of
 from sarsplat.exports.map_system import MapSystem
+from sarsplat.exports.maps import Coordinates, map_of, of_terrain, require_fit
 from sarsplat.exports.place_file import refuse_elsewhere, remove_place, write_place
+from sarsplat.geometry import View
 from sarsplat.geometry.place import DATUM
-from sarsplat.names import Colour
+from sarsplat.names import Colour, Map
 from sarsplat.plugins import discover
 from sarsplat.runs import Run
 
-__all__ = ["FORMATS", "Content", "Format", "MapSystem", "Points", "Written", "export", "format_of"]
+__all__ = ["FORMATS", "Content", "Format", "MapSystem", "Points", "Written", "export", "export_terrain", "format_of"]
 
 FORMATS = discover(__name__, "format_", "FORMAT", "sarsplat.exports")
 """Every `Format` by the ending of its files, without the dot; each is imported when it is asked for."""
@@ -43,6 +46,8 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
         what = {None: "an export", "mesh": "a mesh"}.get(content, content)
         endings = " or ".join(", ".join(fit).rsplit(", ", 1))
         raise SarsplatError(f"{path} is not a valid name for {what}; choose one that ends in {endings}")
+    if content is None and named.named_by_content:
+        content = next((holds for holds in named.writers if holds == path.stem.lower()), None)
     return named, next(iter(named.writers)) if content is None else content
 
 
@@ -54,6 +59,8 @@ def export(
     *,
     colour: Colour | None = None,
     crs: str | None = None,
+    pixel_m: float | None = None,
+    view: View | None = None,
 ) -> Written:
     """Write a run to one file, whole or not at all.
 
@@ -66,19 +73,23 @@ def export(
         What was reconstructed.
     path : str or Path
         File to write; its ending decides the format (`FORMATS`). An existing file is replaced.
-    content : "gaussians", "points", "mesh" or "everything", optional
-        What it holds, where a format can hold several.
+    content : "gaussians", "points", "mesh", "dsm", "gamma0", "layover-shadow" or "everything", optional
+        What it holds, where a format can hold several; a map that has the name of one of them holds that.
     colour : "db" or "height", optional
         What viewers show of Gaussians: γ⁰ in decibels (the default) or the height.
     crs : str, optional
         Coordinate system of the map, such as "EPSG:32632": projected, in metres; UTM unless given.
+    pixel_m : float, optional
+        Size of a map's pixels; a resolution cell unless given.
+    view : View, optional
+        From where there is layover and shadow; needed for that map, and for nothing else.
 
     Raises
     ------
     SarsplatError
         If the ending is unknown, the run or the format lacks the content, a package is missing, a colour is given for
-        anything other than Gaussians, a system for a format or a run that has no coordinates of maps, or the file
-        cannot be written.
+        anything other than Gaussians, a system for a format or a run that has no coordinates of maps, a pixel for what
+        is no map, a view is missing or of no use, or the file cannot be written.
     """
     path = Path(path)
     format, holds = format_of(path, content)
@@ -86,9 +97,14 @@ def export(
         raise SarsplatError(f"{path} will hold {holds}, whose colours are not chosen; omit the colour")
     name = "the run in memory" if run.path is None else str(run.path)
     refuse_elsewhere(path, format.coordinates, name, run.place, crs)
-    thing, summary = content_of(run, holds)
-    if format.coordinates == "map" and run.place is not None:
-        system = MapSystem.of(run.place, crs)
+    require_fit(path, holds, pixel_m, view)
+    system = None if format.coordinates != "map" or run.place is None else MapSystem.of(run.place, crs)
+    thing: Any
+    if holds in get_args(Map):
+        thing, summary = map_of(run, holds, Coordinates(system), pixel_m, view)
+    else:
+        thing, summary = content_of(run, holds)
+    if isinstance(thing, Points) and system is not None:
         thing, summary = replace(thing, system=system), f"{counted(len(thing.positions), 'point')}, {system}"
     elif format.coordinates == "degrees":
         summary = f"outline of {counted(len(thing.positions), 'point')}, longitude and latitude ({DATUM})"
@@ -96,3 +112,29 @@ def export(
     format.writers[holds](thing, path, colour or "db")
     beside = write_place(path, run.place) if run.place is not None and format.coordinates == "scene" else ""
     return Written(summary, format.opened_with[holds], beside)
+
+
+@checks_arguments
+def export_terrain(terrain: str | Path, path: str | Path, view: View) -> Written:
+    """Write where a radar has layover and shadow on a GeoTIFF of heights, without a run.
+
+    Parameters
+    ----------
+    terrain : str or Path
+        GeoTIFF of heights, m, in a projected system in metres; what has no data hides nothing.
+    path : str or Path
+        File to write, a .tif on the pixels and in the system of the terrain; an existing one is replaced.
+    view : View
+        From where; its azimuth is clockwise from the terrain's east.
+
+    Raises
+    ------
+    SarsplatError
+        If the terrain cannot be read, the path has another ending, the view is tilted or bistatic, or the file cannot
+        be written.
+    """
+    path = Path(path)
+    format, holds = format_of(path, "layover-shadow")
+    raster, summary = of_terrain(Path(terrain), view)
+    format.writers[holds](raster, path, "db")
+    return Written(summary, format.opened_with[holds])

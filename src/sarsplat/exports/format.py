@@ -26,7 +26,8 @@ Coordinates = Literal["scene", "map", "degrees"]
 """What the coordinates in a file are."""
 
 Write = Callable[[Any, Path, Colour], object]
-"""Writes `Gaussians`, `Points`, a trimesh or the `Run` to a file, whole or not at all; the colour is of Gaussians."""
+"""Writes `Gaussians`, `Points`, a trimesh, the `Run` or a `Raster` to a file, whole or not at all; the colour is of
+Gaussians."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +45,15 @@ class Format:
     coordinates : {"scene", "map", "degrees"}
         What its coordinates are: the scene's, and a file beside it says where on earth they are, if the run knows;
         those of a map, if the run knows, or else the scene's; or longitudes and latitudes.
+    named_by_content : bool
+        A file that has the name of what such files can hold, holds that unless asked otherwise, as gamma0.tif.
     """
 
     writers: Mapping[Content, Write]
     opened_with: Mapping[Content, str]
     recognises: Recognises
     coordinates: Coordinates = "scene"
+    named_by_content: bool = False
 
 
 def mesh_format(recognises: Recognises) -> Format:
@@ -115,3 +119,5 @@ def content_of(run: Run, content: Content) -> tuple[Any, str]:
             if len(run.points if run.gaussians is None else run.gaussians) == 0:
                 raise SarsplatError(f"{name} has no surface yet; train it longer, or look at its report")
             return run, "all that was learned, as arrays"
+        case _:
+            raise AssertionError(f"{content} is a map")

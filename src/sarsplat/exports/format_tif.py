@@ -1,0 +1,28 @@
+"""`.tif`: a map of the surface from above, for a GIS: heights, brightness, or layover and shadow."""
+
+from __future__ import annotations
+
+from sarsplat.data.raster import write_raster
+from sarsplat.exports.format import Format
+from sarsplat.radar.layover_shadow import BOTH, FREE, LAYOVER, LEGEND, SHADOW, UNKNOWN
+
+_COLOURS = {
+    FREE: (245, 245, 240),
+    SHADOW: (40, 50, 90),
+    LAYOVER: (230, 120, 30),
+    BOTH: (130, 40, 110),
+    UNKNOWN: (200, 200, 200),
+}
+_CLASSES = "; ".join(f"{value} {what}" for value, what in LEGEND.items())
+
+FORMAT = Format(
+    writers={
+        "dsm": lambda raster, path, _: write_raster(path, raster, "height of the surface, m"),
+        "gamma0": lambda raster, path, _: write_raster(path, raster, "gamma0 of the surface, linear"),
+        "layover-shadow": lambda raster, path, _: write_raster(path, raster, _CLASSES, colours=_COLOURS),
+    },
+    opened_with={name: "QGIS, GDAL or rasterio" for name in ("dsm", "gamma0", "layover-shadow")},
+    recognises=lambda head, _: head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
+    coordinates="map",
+    named_by_content=True,
+)

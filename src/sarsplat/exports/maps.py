@@ -1,0 +1,233 @@
+"""Maps of a run: the height and the γ⁰ of its surface from above, and where a view has layover and shadow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.data.geotiff import read_heights
+from sarsplat.data.raster import Raster, RasterSystem
+from sarsplat.errors import SarsplatError
+from sarsplat.exports.map_system import MapSystem, usual_system
+from sarsplat.geometry import Terrain, View
+from sarsplat.names import Map
+from sarsplat.radar.layover_shadow import LAYOVER, SHADOW, UNKNOWN, layover_shadow
+from sarsplat.runs import Run
+from sarsplat.surface.from_above import ground_seen, uppermost, without_holes
+from sarsplat.surface.neighbours import spacing_m
+
+_MOST_PIXELS = 16384
+"""Along a side."""
+
+_APART = 5.0
+"""Holes between points no farther apart than this many of their median distances are chance: of points strewn at
+random, one place in ten million is farther from all others."""
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Where on a map places of the scene are: in a system of the earth, or, without one, in the scene's own axes."""
+
+    system: MapSystem | None = None
+
+    def of(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Map coordinates x, y and height, m, of points of the scene."""
+        return points if self.system is None else self.system.to_map(points)
+
+    def back(self, places: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+        """X and y in the scene, m, of places near its ground on the map."""
+        if self.system is None:
+            return places
+        level = np.full(len(places), self.system.place.height_m)
+        return self.system.to_scene(np.column_stack([places, level]))[:, :2]
+
+    def view(self, view: View) -> View:
+        """The same view on the map, whose y axis need not be the scene's."""
+        ahead = self.of(np.array([[0.0, 0.0, 0.0], [*view.look.ahead, 0.0]]))
+        x, y, _ = ahead[1] - ahead[0]
+        return replace(view, azimuth_deg=math.degrees(math.atan2(y, -x)))
+
+    def bearing_deg(self, view: View) -> float:
+        """Direction of the radar on the map, degrees clockwise from its top."""
+        return (self.view(view).azimuth_deg + 90) % 360
+
+    @property
+    def raster_system(self) -> RasterSystem:
+        """What a GeoTIFF says of them; refused if it cannot, because they have no number."""
+        if self.system is None:
+            return RasterSystem.local()
+        if self.system.epsg is None:
+            raise SarsplatError(
+                f"--crs {self.system.crs.name} has no EPSG number, by which a GeoTIFF names it; give another, such as "
+                f"{usual_system(self.system.place)}"
+            )
+        return RasterSystem.epsg(self.system.epsg)
+
+
+def require_fit(path: Path, holds: str, pixel_m: float | None, view: View | None) -> None:
+    """Refuse a pixel size for what is no map, and a view for what is the same from everywhere, or its absence."""
+    if holds not in get_args(Map):
+        if pixel_m is not None or view is not None:
+            given = "pixel" if pixel_m is not None else "direction"
+            raise SarsplatError(f"{path} will hold {holds}, which has no {given}; leave it out, or export a .tif map")
+        return
+    if pixel_m is not None and not 0 < pixel_m < math.inf:
+        raise SarsplatError(f"a pixel of {pixel_m:g} m is not possible; give a positive number of metres")
+    if holds == "layover-shadow" and view is None:
+        raise SarsplatError(
+            f"{path} will hold layover and shadow, which depend on where the radar is; give one direction, such as "
+            "--azimuth 30 --grazing 35"
+        )
+    if holds != "layover-shadow" and view is not None:
+        raise SarsplatError(f"{path} will hold what is the same from every direction ({holds}); leave the angles out")
+
+
+def map_of(
+    run: Run, what: str, coordinates: Coordinates, pixel_m: float | None, view: View | None
+) -> tuple[Raster, str]:
+    """A map of a run ("dsm", "gamma0" or "layover-shadow"), and what it is in words.
+
+    Heights and γ⁰ are those of its points and, where it learned one, of the ground: means over what is uppermost in a
+    pixel, float32, NaN where no view saw anything. Refused if the run has no points or lacks what is asked for, pixels
+    are too many, or finer than points are apart, and of layover and shadow if the target is aloft.
+    """
+    if what == "layover-shadow":
+        assert view is not None  # `require_fit`
+        raster = _layover_shadow(run, view, coordinates, pixel_m)
+        said = _classes_in_words(raster, coordinates.bearing_deg(view))
+    else:
+        raster = _uppermost(run, coordinates, pixel_m, brightness=what == "gamma0")
+        named = "γ⁰, linear" if what == "gamma0" else "heights"
+        said = f"{named}; {np.isfinite(raster.values).mean():.0%} of the map were seen, the rest has no data"
+    where = "metres, in the target's own frame" if coordinates.system is None else str(coordinates.system)
+    rows, columns = raster.values.shape
+    return raster, f"{rows} × {columns} pixels of {raster.pitch_m[0]:g} m: {said}; {where}"
+
+
+def of_terrain(path: Path, view: View) -> tuple[Raster, str]:
+    """Layover and shadow on the terrain of a GeoTIFF, alone, in its own coordinates, and what that is in words.
+
+    +x of the view is the direction of the file's columns. Refused if the file cannot be read.
+    """
+    found = read_heights(path)
+    heights, (x_m, y_m) = found.raster, found.metres
+    pitch = heights.pitch_m[0] * x_m, heights.pitch_m[1] * y_m
+    raster = replace(heights, values=layover_shadow(heights.values, pitch, view))
+    rows, columns = raster.values.shape
+    said = _classes_in_words(raster, Coordinates().bearing_deg(view))
+    return raster, f"{rows} × {columns} pixels: {said}; coordinates as in {path}"
+
+
+def _classes_in_words(raster: Raster, bearing_deg: float) -> str:
+    """Shares of layover and shadow on a map, and where the radar is."""
+    known = raster.values[raster.values != UNKNOWN]
+    if not len(known):
+        return "no height is known"
+    layover, shadow = (float(((known & bit) > 0).mean()) for bit in (LAYOVER, SHADOW))
+    return (
+        f"layover on {layover:.1%} and shadow on {shadow:.1%} of it, seen by a radar in the direction "
+        f"{bearing_deg:.0f}° (clockwise from the top of the map)"
+    )
+
+
+def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, brightness: bool = False) -> Raster:
+    """Height or γ⁰ of the run's surface, and of learned ground, from above."""
+    points, cell, system = np.asarray(run.points, np.float64), run.grid.cell_m, coordinates.raster_system
+    if not len(points):
+        raise SarsplatError(f"{_name(run)} has no points of a surface yet; train it longer, or look at its report")
+    pixel, apart = cell if pixel_m is None else pixel_m, spacing_m(points)
+    if not pixel >= apart:
+        raise SarsplatError(
+            f"pixels of {pixel:g} m are finer than the points of the surface are apart ({apart:.2g} m); give --pixel "
+            f"{float(f'{max(cell, 2 * apart):.2g}'):g} or more"
+        )
+    gamma0 = run.points_gamma0 if brightness else np.zeros(len(points))
+    if gamma0 is None:
+        raise SarsplatError(f"{_name(run)} was made by {run.method}, which learns no γ⁰; export its heights (dsm)")
+    parts = [(coordinates.of(points), run.normals[:, 2], gamma0), *_ground(run, pixel, coordinates)]
+    places, upward, gamma0 = (np.concatenate(column) for column in zip(*parts, strict=True))
+    first, last = np.floor(places[:, :2].min(axis=0) / pixel), np.floor(places[:, :2].max(axis=0) / pixel)
+    columns, rows = (_counted(count, pixel) for count in last - first + 1)
+    at = np.stack([last[1] - np.floor(places[:, 1] / pixel), np.floor(places[:, 0] / pixel) - first[0]], axis=1)
+    shown = uppermost(at.astype(np.int64), (rows, columns), places[:, 2], upward, gamma0 if brightness else None, cell)
+    values = without_holes(shown, max(cell, _APART * apart) / pixel).astype(np.float32)
+    return Raster(values, (float(first[0] * pixel), float((last[1] + 1) * pixel)), (pixel, pixel), system)
+
+
+def _layover_shadow(run: Run, view: View, coordinates: Coordinates, pixel_m: float | None) -> Raster:
+    """Classes on the run's surface and its ground: the terrain that it was learned on, or else level at z = 0."""
+    if view.aloft:
+        raise SarsplatError(
+            f"{_name(run)} shows a target aloft: without ground there is no map of layover and shadow; export its mesh"
+        )
+    seen = _uppermost(run, coordinates, pixel_m)
+    lift = seen.values - _ground_heights(run, seen, coordinates)
+    # as far as shadows fall, or slopes lie over what is before them
+    reach_m = max(0.0, float(np.nanmax(lift))) * max(view.look.slope, 1 / view.look.slope)
+    wide = _padded(seen, math.ceil(reach_m / seen.pitch_m[0]) + 1)
+    heights = np.where(np.isnan(wide.values), _ground_heights(run, wide, coordinates), wide.values)
+    return replace(wide, values=layover_shadow(heights, wide.pitch_m, coordinates.view(view)))
+
+
+def _ground(
+    run: Run, pixel: float, coordinates: Coordinates
+) -> Iterator[tuple[Float64[np.ndarray, "g 3"], Float64[np.ndarray, " g"], Float64[np.ndarray, " g"]]]:
+    """Where a view saw learned ground: places on the map, one in each pixel, upward parts of normals, and γ⁰."""
+    model, grid, views = run.model, run.grid, run.snapshot.views
+    if model is None or (ground := model.ground()) is None:
+        return
+    half = grid.columns * grid.spacing_m[0] / 2, grid.rows * grid.spacing_m[1] / 2
+    reach = max(view.look.corner_m(*half) for view in views)
+    corners = coordinates.of(np.array([[x * reach, y * reach, 0.0] for x in (-1, 1) for y in (-1, 1)]))
+    first, last = np.floor(corners[:, :2].min(axis=0) / pixel), np.floor(corners[:, :2].max(axis=0) / pixel)
+    x, y = ((low + np.arange(_counted(high - low + 1, pixel)) + 0.5) * pixel for low, high in zip(first, last))
+    around = coordinates.back(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    around = np.column_stack([around, _ground_z(run, around)])
+    target = model.target(model.degree(run.iteration)).detach()
+    around = around[ground_seen(target, around, views, grid)]
+    table = ground.gamma0.detach().double().cpu().numpy() * model.unit
+    if table.ndim:
+        table = Terrain(table, (ground.pitch_m, ground.pitch_m)).height_m(around[:, 0], around[:, 1])
+    if ground.exponent is not None:
+        table = table * np.mean([view.look.sine ** float(ground.exponent.detach()) for view in views])
+    yield coordinates.of(around), np.ones(len(around)), np.broadcast_to(table, len(around))
+
+
+def _ground_z(run: Run, places: Float64[np.ndarray, "p 2"]) -> Float64[np.ndarray, " p"]:
+    """Height z of the ground at places (x, y) of the scene, m."""
+    terrain = None if run.model is None else run.model.frame.terrain
+    return np.zeros(len(places)) if terrain is None else terrain.height_m(places[:, 0], places[:, 1])
+
+
+def _ground_heights(run: Run, raster: Raster, coordinates: Coordinates) -> Float64[np.ndarray, "rows columns"]:
+    """Heights of the ground in the pixels of a map, in the map's coordinates, m."""
+    places = coordinates.back(np.stack(raster.centres, axis=-1).reshape(-1, 2))
+    heights = coordinates.of(np.column_stack([places, _ground_z(run, places)]))[:, 2]
+    return heights.reshape(raster.values.shape)
+
+
+def _padded(raster: Raster, margin: int) -> Raster:
+    """The same with so many pixels without data around it."""
+    values = np.pad(raster.values, margin, constant_values=np.nan)
+    (left, top), (dx, dy) = raster.corner_m, raster.pitch_m
+    return replace(raster, values=values, corner_m=(left - margin * dx, top + margin * dy))
+
+
+def _counted(count: float, pixel: float) -> int:
+    """The number of pixels along a side; refused if they are too many."""
+    if count > _MOST_PIXELS:
+        raise SarsplatError(
+            f"a map with a side of {count:.0f} pixels of {pixel:g} m is too large; give a larger --pixel, such as "
+            f"{2 * count * pixel / _MOST_PIXELS:.2g}"
+        )
+    return int(count)
+
+
+def _name(run: Run) -> str:
+    return str(run.path or "the run in memory")

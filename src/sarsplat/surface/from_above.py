@@ -1,0 +1,96 @@
+"""A surface seen from above: the height and γ⁰ of its uppermost layer in each pixel of a map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64, Int64, Real
+from scipy.ndimage import distance_transform_edt, map_coordinates
+
+from sarsplat.gaussians import Gaussians
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry.view import along_ways
+from sarsplat.progress import stage
+from sarsplat.renderer import attenuate, project
+from sarsplat.surface.points import imaged, spread
+
+_MOST_VIEWS = 96
+
+_STEEP = 0.3
+"""Upward part of a normal below which a point is of a wall: from above, walls have no area."""
+
+_HIDDEN = 0.5
+"""Ground is not seen from a view in which this share of its light is taken, on the way to it and back."""
+
+
+def uppermost(
+    pixel: Int64[np.ndarray, "p 2"],
+    shape: tuple[int, int],
+    heights: Real[np.ndarray, " p"],
+    upward: Real[np.ndarray, " p"],
+    values: Real[np.ndarray, " p"] | None,
+    gap_m: float,
+) -> Float64[np.ndarray, "rows columns"]:
+    """Mean height, or mean of other values, of those points in each pixel (row, column) that are seen from above.
+
+    The uppermost layer of a pixel ends where there is nothing for `gap_m` below. Points count by the upward part of
+    their normals, and those of walls not at all, unless there are no others. NaN where there is none.
+    """
+    rows, columns = shape
+    inside = ((pixel >= 0) & (pixel < shape)).all(axis=1)
+    flat = pixel[inside, 0] * columns + pixel[inside, 1]
+    heights, upward = heights[inside], upward[inside]
+    values = heights if values is None else values[inside]
+    order = np.lexsort((-heights, flat))
+    flat, heights = flat[order], heights[order]
+    first = np.append(True, flat[1:] != flat[:-1])[: len(flat)]
+    falls = np.append(False, heights[:-1] - heights[1:] > gap_m)[: len(flat)] & ~first
+    falls = np.cumsum(falls)
+    top = falls == np.maximum.accumulate(np.where(first, falls, 0))
+    flat, upward, values = flat[top], upward[order][top], values[order][top]
+    weight = np.where(upward >= _STEEP, upward, 0)
+    lone = np.bincount(flat, weight, rows * columns)[flat] == 0
+    weight = np.where(lone, 1.0, weight)
+    total = np.bincount(flat, weight, rows * columns)
+    with np.errstate(invalid="ignore"):
+        return (np.bincount(flat, weight * values, rows * columns) / total).reshape(shape)
+
+
+def without_holes(values: Float64[np.ndarray, "rows columns"], reach: float) -> Float64[np.ndarray, "rows columns"]:
+    """Pixels between others, not farther than `reach` pixels from them on all sides, take what the nearest one has."""
+    known, margin = np.isfinite(values), math.ceil(reach) + 1  # outside of the map nothing is known
+    apart = distance_transform_edt(~np.pad(known, margin))
+    within = distance_transform_edt(apart <= reach) > reach
+    holes = within[margin:-margin, margin:-margin] & ~known
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    filled = values.copy()
+    filled[holes] = values[tuple(index[holes] for index in nearest)]
+    return filled
+
+
+@torch.no_grad()
+def ground_seen(
+    target: Gaussians, places: Float64[np.ndarray, "p 3"], views: Sequence[View], grid: ImageGrid
+) -> Bool[np.ndarray, " p"]:
+    """Which places on the ground, m, lie in an image of a view from which the target hides no more than half of them.
+
+    Views are at most 96, chosen evenly; one is looked at after the other.
+    """
+    seen, rays = np.zeros(len(places), bool), RayGrid.for_image(grid)
+    chosen = along_ways(spread(views, _MOST_VIEWS))
+    with stage("surface: ground", len(chosen)) as shown:
+        for view in chosen:
+            asked = np.flatnonzero(~seen & imaged(places, view, grid))
+            across, elevation, _ = view.look.frame @ places[asked].T
+            (ray_map,) = (
+                attenuate(project(target, [view], grid, rays=rays), rays, first_return_depth=1.0).ray_maps or ()
+            )
+            row = (elevation - ray_map.origin[1]) / rays.spacing_m[1]
+            column = (across - ray_map.origin[0]) / rays.spacing_m[0]
+            through = ray_map.transmittance.double().cpu().numpy()
+            seen[asked] = map_coordinates(through, [row, column], order=1, cval=1.0) > 1 - _HIDDEN
+            shown.advance(1)
+    return seen

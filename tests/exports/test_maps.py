@@ -1,0 +1,170 @@
+"""Maps of a run, read back by GDAL through rasterio."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datasets import FEW_POINTS
+from sarsplat import Dataset, Place, Run, SarsplatError, View
+from sarsplat.cli import main
+from sarsplat.data.raster import Raster, RasterSystem, write_raster
+from sarsplat.exports import export, export_terrain, format_of
+from sarsplat.runs import reconstruct
+from sarsplat.settings import preset
+from sarsplat.settings.sections import FlatGround
+from upright import upright
+
+rasterio = pytest.importorskip("rasterio")
+
+HALF = np.array([6.0, 3.0, 2.5])
+"""Of a block on the ground, m: 12 × 6 m, 5 m high, its middle at (4, −2)."""
+MIDDLE = np.array([4.0, -2.0, 2.5])
+CELL = 0.3
+
+
+def points_of_block() -> tuple[np.ndarray, np.ndarray]:
+    """Points on the roof and on the walls of the block, 5 cm apart, and their normals."""
+    points, normals = [], []
+    for axis, side in ((2, 1), (0, 1), (0, -1), (1, 1), (1, -1)):
+        a, b = (np.arange(-HALF[k] + 0.025, HALF[k], 0.05) for k in range(3) if k != axis)
+        face = np.stack(np.meshgrid(a, b), axis=-1).reshape(-1, 2)
+        points.append(np.insert(face, axis, side * HALF[axis], axis=1))
+        normals.append(np.tile(side * np.eye(3)[axis], (len(face), 1)))
+    return np.concatenate(points) + MIDDLE, np.concatenate(normals)
+
+
+@pytest.fixture(scope="module")
+def block() -> Run:
+    run = Run.from_gaussians(upright(np.random.default_rng(0).normal(size=(40, 3))), views=[View(0.0, 40.0)])
+    return with_points(replace(run))
+
+
+def with_points(run: Run) -> Run:
+    points, normals = points_of_block()
+    gamma0 = np.where(normals[:, 2] > 0.5, 0.25, 4.0)
+    run.__dict__.update(
+        points=points.astype(np.float32), normals=normals.astype(np.float32), points_gamma0=gamma0.astype(np.float32)
+    )
+    return run
+
+
+def pixels_of(profile: Any, x: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows, not rounded, of places on the map."""
+    at = profile["transform"]
+    return (np.asarray(x) - at.c) / at.a, (np.asarray(y) - at.f) / at.e
+
+
+def read(path: Path) -> tuple[Any, np.ndarray]:
+    with rasterio.open(path) as file:
+        return file.profile, file.read(1, masked=True).filled(np.nan) if file.dtypes[0] == "float32" else file.read(1)
+
+
+def test_heights_and_brightness_are_of_the_roof_in_the_scenes_own_axes(block: Run, tmp_path: Path) -> None:
+    for name, roof in (("dsm", 5.0), ("gamma0", 0.25)):
+        said = export(block, tmp_path / f"{name}.tif", pixel_m=0.5)
+        profile, values = read(tmp_path / f"{name}.tif")
+        assert (profile["dtype"], profile["count"], math.isnan(profile["nodata"])) == ("float32", 1, True)
+        assert profile["transform"].a == 0.5
+        inside = values[2:-2, 2:-2]
+        np.testing.assert_allclose(inside, roof, atol=1e-5)
+        left, top = profile["transform"] @ (0, 0)
+        assert (left, top) == (pytest.approx(-2, abs=0.51), pytest.approx(1, abs=0.51))  # MIDDLE ∓ HALF
+        assert values.shape in ((13, 25), (12, 24), (12, 25), (13, 24))
+        assert "in the target's own frame" in said.summary
+
+
+@pytest.mark.parametrize("place", [Place(45.29, 7.5, 312.0), Place(-33.9, 151.2, -12.0, 17.0)])
+def test_on_earth_it_lies_where_pyproj_says(block: Run, tmp_path: Path, place: Place) -> None:
+    pyproj = pytest.importorskip("pyproj")
+    run = with_points(replace(block, place=place))
+    assert "EPSG:32" in export(run, tmp_path / "dsm.tif", pixel_m=0.25).summary
+    profile, values = read(tmp_path / "dsm.tif")
+    to_map = pyproj.Transformer.from_crs("EPSG:4978", profile["crs"].to_wkt(), always_xy=True)
+    corners = MIDDLE + HALF * np.array([[x, y, 1] for x in (-0.9, 0.9) for y in (-0.9, 0.9)])
+    east, north = to_map.transform(*place.to_ecef(corners).T)[:2]
+    columns, rows = pixels_of(profile, east, north)
+    found = values[np.floor(rows).astype(int), np.floor(columns).astype(int)]
+    np.testing.assert_allclose(found, place.height_m + 5, atol=0.01)
+    outside = MIDDLE + HALF * np.array([[1.25, 0, 1], [-1.25, 0, 1], [0, 1.5, 1], [0, -1.5, 1]])
+    east, north = to_map.transform(*place.to_ecef(outside).T)[:2]
+    columns, rows = (np.floor(one).astype(int) for one in pixels_of(profile, east, north))
+    there = (rows >= 0) & (columns >= 0) & (rows < values.shape[0]) & (columns < values.shape[1])
+    assert np.isnan(values[rows[there], columns[there]]).all()
+
+
+def test_layover_is_before_the_block_and_shadow_behind_it(block: Run, tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    place = Place(45.29, 7.5, 312.0, 17.0)  # x towards north-north-east
+    for run, turn in ((block, 0.0), (with_points(replace(block, place=place)), 90.0 - 17.0)):
+        path = tmp_path / "layover-shadow.tif"
+        said = export(run, path, view=View(40.0, 35.0), pixel_m=0.25).summary
+        stated = float(said.partition("in the direction ")[2].partition("°")[0])
+        assert stated == pytest.approx(130 - turn, abs=1.6)  # the north of the map is not the true one
+        profile, classes = read(path)
+        assert (profile["dtype"], profile["nodata"]) == ("uint8", 255)
+        with rasterio.open(path) as file:
+            assert file.colormap(1)[1] != file.colormap(1)[2]
+        rows, columns = np.nonzero(classes == 1)
+        shadow = np.array([columns.mean(), -rows.mean()])
+        rows, columns = np.nonzero(classes == 2)
+        layover = np.array([columns.mean(), -rows.mean()])
+        bearing = math.degrees(math.atan2(*(layover - shadow))) % 360
+        assert abs((bearing - (130 - turn) + 180) % 360 - 180) < 12
+
+
+def test_a_dsm_alone_gives_the_same_classes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    x = np.arange(80) * 0.5
+    heights = np.where((abs(x[:, None] - 20) < 5) & (abs(x - 15) < 4), 6.0, 0.0).astype(np.float32)
+    heights[:5] = np.nan
+    dsm = Raster(heights, (500000.0, 5e6), (0.5, 0.5), RasterSystem.epsg(32633))
+    write_raster(tmp_path / "heights.tif", dsm, "m")
+    assert "32% " not in export_terrain(tmp_path / "heights.tif", tmp_path / "a.tif", View(0, 30)).summary
+    profile, classes = read(tmp_path / "a.tif")
+    assert profile["crs"].to_epsg() == 32633
+    assert profile["transform"] == rasterio.Affine(0.5, 0, 500000, 0, -0.5, 5e6)
+    assert (classes[:5] == 255).all()
+    assert (classes == 1).sum() * 0.25 == pytest.approx(9.5 * 6 / math.tan(math.radians(30)), abs=9.5 * 0.5)
+    command = ["export", str(tmp_path / "heights.tif"), str(tmp_path / "layover-shadow.tif")]
+    assert main([*command, "--azimuth", "0", "--incidence", "60"]) == 0
+    np.testing.assert_array_equal(read(tmp_path / "layover-shadow.tif")[1], classes)
+    capsys.readouterr()
+    assert main([*command, "--overwrite"]) == 2
+    assert "from one direction alone" in capsys.readouterr().err
+
+
+def test_learned_ground_has_heights_where_it_was_seen(small_box: Dataset, tmp_path: Path) -> None:
+    few = replace(preset("quick"), iterations=25, gaussians=600, points=FEW_POINTS, ground=FlatGround())
+    run = reconstruct(small_box, few, quiet=True)
+    export(run, tmp_path / "dsm.tif")
+    _, values = read(tmp_path / "dsm.tif")
+    assert np.nanmedian(values) == 0.0
+    assert 0.3 < np.isfinite(values).mean() < 1
+    export(run, tmp_path / "gamma0.tif")
+    assert np.nanmin(read(tmp_path / "gamma0.tif")[1]) > 0
+
+
+def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: Run, tmp_path: Path) -> None:
+    assert format_of(Path("gamma0.tif"))[1] == "gamma0"
+    assert format_of(Path("Layover-Shadow.TIF"))[1] == "layover-shadow"
+    assert format_of(Path("a.tif"))[1] == "dsm"
+    assert format_of(Path("gamma0.tif"), "dsm")[1] == "dsm"
+    cases: list[tuple[str, dict[str, Any], str]] = [
+        ("layover-shadow.tif", {}, "where the radar is; give one direction"),
+        ("dsm.tif", {"view": View(0, 30)}, "the same from every direction"),
+        ("dsm.tif", {"pixel_m": 0.001}, "finer than the points of the surface are apart"),
+        ("dsm.tif", {"pixel_m": -1.0}, "positive number of metres"),
+        ("a.xyz", {"pixel_m": 1.0}, "has no pixel"),
+        ("dsm.tif", {"crs": "EPSG:32633"}, "does not know where on earth it is"),
+        ("layover-shadow.tif", {"view": View(0, 30, tilt_deg=9)}, "level, monostatic view"),
+        ("layover-shadow.tif", {"view": View(0, 30, aloft=True)}, "aloft"),
+    ]
+    for name, given, sentence in cases:
+        with pytest.raises(SarsplatError, match=sentence):
+            export(block, tmp_path / name, **given)
+    assert list(tmp_path.iterdir()) == []
