@@ -257,6 +257,13 @@ MSTAR: Refusals = [
         relabelled(lambda rows: [[*rows[0], "azimuth_std_deg"], [*rows[1], "much"], *rows[2:]]),
         "line 2: azimuth_std_deg is 'much'",
     ),
+    *(
+        (
+            relabelled(lambda rows, name=name, cell=cell: [[*rows[0], name], [*rows[1], cell], *rows[2:]]),
+            rf"line 2: {name} is '{cell}', but MSTAR's radar is one, flies level .* `sarsplat import folder`",
+        )
+        for name, cell in (("tilt_deg", "-3"), ("look", "left"), ("side", "L"), ("receive_azimuth_deg", "0"))
+    ),
     (chips(azimuth_std_deg=11), r"azimuth_std_deg 11 of the image .* is not a number between 0 and 10"),
     (scaled(""), "line 4: dn_per_magnitude of 'T72/chip002.jpeg' is empty, so this chip is not comparable with the"),
     *(

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sarsplat.data.csv_table import CsvTable, Row, read_table
+from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
@@ -86,6 +86,17 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
             if usual is not None:
                 chosen[meaning] = usual
     return chosen
+
+
+def unusual_look(table: CsvTable, row: Row) -> str | None:
+    """The column in which a row says that its radar is tilted, looks to its left or is bistatic; None if none does."""
+    for column in table.columns:
+        cell, name = row[1][column].lower(), _plain(column)
+        meanings = [one for one in ("look", "tilt", *WAYS) if name in (one.replace("-", ""), *MEANINGS[one])]
+        usual = {"look": _SIDES.get(cell) is False, "tilt": parsed(cell, table.decimal_comma) == 0}
+        if cell and meanings and not usual.get(meanings[0]):
+            return column
+    return None
 
 
 def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
