@@ -305,10 +305,10 @@ def two_ways(view: View) -> list[float]:
 def test_a_table_of_transmitters_and_receivers(tmp_path, counter_clockwise):
     """Both ways are where the table says, whichever way it counts, and whatever else is in it."""
     views = [View.bistatic(View(10 + k, 20).direction, View(50 + k, 40 + k / 9).direction) for k in AZIMUTHS]
-    rows = [[f"{k}.npy", *two_ways(view)] for k, view in enumerate(views)]
+    cells = [two_ways(view) for view in views]
     if counter_clockwise:
-        rows = [[file, 30 - t, tg, 30 - r, rg] for file, t, tg, r, rg in rows]
-    folder = write_pictures(tmp_path / "in", POWER, rows, WAYS)
+        cells = [[30 - transmit, low, 30 - receive, high] for transmit, low, receive, high in cells]
+    folder = write_pictures(tmp_path / "in", POWER, [[f"{k}.npy", *row] for k, row in enumerate(cells)], WAYS)
     turned = {"counter_clockwise": True, "azimuth_offset_deg": 30} if counter_clockwise else {}
     made = import_pictures(folder, **turned)
     np.testing.assert_array_equal(made.power, POWER)

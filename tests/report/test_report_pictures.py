@@ -145,7 +145,7 @@ def test_views_from_one_direction_are_told_apart(tmp_path: Path) -> None:
     assert names[0] == "az020_gr30"
     assert {"az020_gr30_tilt-7.5_left", "az020_gr30_apart40", "az020_gr30_apart40_towards180"} < set(names)
     with tifffile.TiffFile(tmp_path / "all" / "az020_gr30_tilt-7.5_left.tif") as file:
-        assert "grazing 30 deg, tilted by -7.5 deg, looking left" in file.pages[0].description
+        assert "grazing 30 deg, tilted by -7.5 deg, looking left" in file.pages.first.description
     heights = [
         [Image.open(io.BytesIO(png)).height for png in (contact_sheet(images[:1], [view], grid, look),)]
         for view in (TURNED[0], TURNED[1], TURNED[3])

@@ -202,7 +202,7 @@ class Aperture:
 
     @property
     def tilt_deg(self) -> float:
-        """Turn of the slant plane about the line of sight: by its tangent, what stands up is displaced on level axes."""
+        """Turn of the slant plane about the line of sight; on level axes, its tangent displaces what stands up."""
         level = replace(self.view, tilt_deg=0.0).look
         across, up, _ = level.frame @ (self._directions()[-1] - self._directions()[0])
         return math.degrees(math.atan2(math.copysign(1, across) * up, abs(across)))
