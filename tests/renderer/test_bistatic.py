@@ -377,9 +377,12 @@ def test_what_bistatic_images_cannot_have_is_refused() -> None:
     bounce, hill = GroundBounce(ground, torch.tensor(0.5)), slope(0.1)
     mesh, law = trimesh.creation.box((1.0, 1.0, 1.0)), ScatteringLaw()
     calls: list[tuple[str, Callable[[], object]]] = [
-        ("have no ground but level ground", lambda: render(scene, [view], GRID, ground=replace(ground, height_m=hill))),
-        ("have no ground but level ground", lambda: render(scene, [VIEWS[0], view], GRID, echoes=[bounce])),
-        ("ground but level", lambda: render(scene, [view], GRID, ground=ground, echoes=[GroundEcho(ground)])),
+        (
+            "no echoes but level ground, neither terrain",
+            lambda: render(scene, [view], GRID, ground=replace(ground, height_m=hill)),
+        ),
+        ("no echoes but level ground, neither terrain", lambda: render(scene, [VIEWS[0], view], GRID, echoes=[bounce])),
+        ("no echoes but level ground", lambda: render(scene, [view], GRID, ground=ground, echoes=[GroundEcho(ground)])),
         ("have no ray maps", lambda: render(scene, [view], GRID, first_return_depth=1.0)),
         ("view.legs, or use render", lambda: project(scene, [view], GRID)),
         ("view.legs, or use render", lambda: render_covariances(scene, [view], GRID, Stack(0.03, (0.0, 0.001)))),

@@ -211,7 +211,7 @@ def _only_ground(
     """The level ground of images of a transmitter and a receiver apart; refused is what they cannot have."""
     plane = [echo for echo in echoes if isinstance(echo, GroundEcho) and not isinstance(echo.ground.height_m, Terrain)]
     given = {
-        "ground but level ground, bounces or other echoes; leave them out": len(echoes) > len(plane[:1]),
+        "echoes but level ground, neither terrain nor bounces; leave them out": len(echoes) > len(plane[:1]),
         "ray maps; ask for those of the views along each way, view.legs": first_return_depth is not None,
         "processes that share them; omit these": processes is not None,
     }

@@ -376,5 +376,5 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     shares = covered.reshape(grid.rows, _PARTS, grid.columns, _PARTS).mean(axis=(1, 3))
     rays_on_open_ground = width * depth / slope_of_ground / spacing**2
     mask = np.where(hidden >= 0.5 * rays_on_open_ground, SHADOW, CLUTTER)
-    lit = (shares >= 0.5) | (appearing >= 0.5 * rays_on_open_ground)
+    lit = (shares >= 0.5) | (appearing >= 0.5 * view.yardstick * rays_on_open_ground)
     return np.where(lit, TARGET, mask).astype(np.uint8)
