@@ -389,6 +389,9 @@ def test_inverse_sar_that_cannot_be(words: list[str], message: str, tmp_path: Pa
     assert message in " ".join(capsys.readouterr().err.split())
 
 
+BOUNCES = ["--ground", "0.1", "--bounces", "2", "--ground-reflectivity", "0.5"]
+
+
 def test_bistatic_images_are_read_as_written_and_reconstructed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -416,7 +419,7 @@ def test_bistatic_images_are_read_as_written_and_reconstructed(
     ("words", "message"),
     [
         (["--bistatic", "0"], "--bistatic 0 must be degrees of azimuth"),
-        (["--bistatic", "30", "--ground", "0.1"], "--ground is for one radar"),
+        (["--bistatic", "30", *BOUNCES], "--bounces 2 is for one radar"),
         (["--bistatic", "30", "--masks"], "--masks is for one radar"),
         (["--bistatic", "30", "--passes", "3", "--baseline", "0.01"], "--passes is for one radar"),
         (["--bistatic", "180", "--grazing", "2", "--azimuth", "0"], "more than 170"),

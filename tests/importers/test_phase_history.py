@@ -1,5 +1,6 @@
 """Phase history: points are focused where the radar frame says, as sharp as theory says, and bad files are refused."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -186,12 +187,46 @@ def test_the_autofocus_is_applied(tmp_path):
     np.testing.assert_allclose(datasets[1].signal, datasets[0].signal, atol=1e-3 * np.abs(datasets[0].signal).max())
 
 
+def climbing(degrees: np.ndarray) -> np.ndarray:
+    """A flight that rises half as fast as it goes on."""
+    antenna = circle(degrees)
+    antenna[:, 2] += 0.5 * np.linalg.norm(antenna[0, :2]) * np.radians(degrees - degrees.mean())
+    return antenna
+
+
 def test_an_inclined_flight_is_told(tmp_path):
-    antenna = circle(np.linspace(-1, 1, 50))
-    antenna[:, 2] += np.linspace(-10, 10, 50)
-    write(tmp_path / "a.mat", record(antenna, [(0, 0, 0)]))
-    with pytest.warns(UserWarning, match=r"turned by up to \d+\.\d° about the line of sight"):
-        import_phase_history([tmp_path / "a.mat"], tmp_path / "out", size_m=4)
+    write(tmp_path / "a.mat", record(climbing(np.linspace(-1, 1, 50)), [(0, 0, 0)]))
+    with pytest.warns(UserWarning, match=r"turned by up to 23\.\d° about the line of sight; .* with --tilted"):
+        level = import_phase_history([tmp_path / "a.mat"], tmp_path / "out", size_m=4)
+    assert level.views[0].tilt_deg == 0
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_what_stands_up_is_where_a_tilted_view_says(tmp_path, turn):
+    """Of a flight that climbs, or that dives when flown the other way; beside its place if the axis is level."""
+    point = np.array([0.4, -0.3, 0.7])
+    write(tmp_path / "a.mat", record(climbing(np.linspace(-1, 1, 60))[::turn], [tuple(point)]))
+    with pytest.warns(UserWarning, match="the flight is inclined"):
+        level = import_phase_history([tmp_path / "a.mat"], tmp_path / "level", size_m=4, spacing_m=0.03)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "the flight is inclined")
+        tilted = import_phase_history([tmp_path / "a.mat"], tmp_path / "out", size_m=4, spacing_m=0.03, tilted=True)
+    off = []
+    for dataset in (level, tilted):
+        image = dataset[0]
+        place = radar_frame(image.view)[[0, 2]] @ point
+        off.append(np.abs(np.array(peak(image.signal, image.grid)) - place).max())
+    (view,) = tilted.views
+    assert abs(view.tilt_deg) == pytest.approx(np.degrees(np.arctan(0.5 * np.cos(np.radians(30)))), abs=0.5)
+    assert tilted.source["apertures"][0]["tilt_deg"] == view.tilt_deg
+    assert off[0] > 0.25
+    assert off[1] < 0.01
+    # the plane that the pulses span holds the azimuth axis
+    antenna = read_gotcha(tmp_path / "a.mat").antenna_m
+    across = antenna[-1] - antenna[0]
+    assert abs(radar_frame(view)[1] @ across) < 1e-3 * np.linalg.norm(across)
+    if turn == 1:  # sharper, for the way across is longer
+        assert tilted.grid.resolution_m[0] < 0.95 * level.grid.resolution_m[0]
 
 
 GOOD = record(circle(np.linspace(-1, 1, 20)), [(0, 0, 0)])

@@ -23,13 +23,16 @@ from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
 from sarsplat.radar.iso_range import Pixel, contributions
 from sarsplat.renderer import GroundBounce, Rendering, project, render, render_covariances
 from sarsplat.renderer.bistatic import render_bistatic
+from sarsplat.renderer.echoes import GroundEcho
 from sarsplat.renderer.engines import cuda
+from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.one_by_one import Steps
 from sarsplat.scenes import ScatteringLaw, simulate_raycast
 from sarsplat.scenes.raycast import raycast_mask
 from sarsplat.scenes.simulate import simulate_images
 from sarsplat.surface.points import extract_points
 from sarsplat.tiles import render_tiled
+from terrains import slope
 
 
 def apart(first: tuple[float, float], second: tuple[float, float], **how: object) -> View:
@@ -152,6 +155,84 @@ def test_the_transmitter_shades_what_the_receiver_sees() -> None:
     assert simulate_raycast(both, reverse, grid, law).sum() == pytest.approx(traced.sum(), rel=0.01)  # reciprocity
 
 
+# ---- level ground ----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("view", APART, ids=str)
+def test_open_ground_has_the_area_that_both_ways_light(view: View) -> None:
+    """γ⁰ √((n·u_t)(n·u_r)) over as much ground as a pixel shows: that is where its corners are, half both ways away."""
+    u_t, u_r = view.look.ways
+    gradients = np.stack([view.look.frame[0], -(u_t + u_r) / 2])[:, :2]
+    expected = 0.2 * math.sqrt(u_t[2] * u_r[2]) / abs(np.linalg.det(gradients))
+    away = replace(cloud(3, 0), means=cloud(3, 0).means + torch.tensor([300.0, 0.0, 5.0]))
+    for engine, dtype in (("cpu", torch.float32), ("reference", torch.float64)):
+        ground = Ground(torch.tensor(0.2, dtype=dtype))
+        for scene in (away.to(dtype), away.to(dtype)[:0]):
+            image = render(scene, [view], GRID, ground=ground, engine=engine).images
+            torch.testing.assert_close(image, torch.full_like(image, expected))
+
+
+def test_ground_of_equal_ways_is_one_radars() -> None:
+    """Step by step, whatever is before it, how it is shifted, its places and its law."""
+    scene = cloud(60, 41, kappa=(0.5, 12.0))
+    scene = replace(scene, means=scene.means + torch.tensor([0.0, 0.0, 1.0]))
+    table = torch.rand(5, 6, generator=torch.Generator().manual_seed(3))
+    ground = Ground(table, 0.7, -0.2, torch.tensor(0.8))
+    shift, rays = torch.tensor([[0.2, -0.1]] * len(UNUSUAL)), RayGrid.for_image(GRID)
+    expected = render(scene, UNUSUAL, GRID, ground=ground, shift=shift)
+    found = render_bistatic(
+        Steps(passes_for("cpu", scene.tensors(), GRID), cuts=True),
+        scene,
+        UNUSUAL,
+        GRID,
+        rays=rays,
+        shift=shift,
+        ground=GroundEcho(ground),
+    )
+    assert expected.ground is not None
+    assert float(expected.ground.min()) < 0.5 * float(expected.ground.max())
+    torch.testing.assert_close(found.echoes[0], expected.ground, rtol=2e-3, atol=1e-5)
+    mixed = render(scene, [UNUSUAL[0], APART[0]], GRID, ground=ground, shift=shift[:2])
+    assert mixed.ground is not None
+    torch.testing.assert_close(mixed.ground[0], expected.ground[0], rtol=2e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        apart((20.0, 35.0), (55.0, 35.0)),
+        apart((0.0, 12.0), (40.0, 25.0)),
+        apart((20.0, 35.0), (55.0, 30.0), tilt_deg=-10.0, side="left"),
+        apart((0.0, 40.0), (150.0, 50.0)),
+    ],
+    ids=str,
+)
+def test_the_ground_is_in_shadow_of_either_way_as_by_ray_casting(view: View) -> None:
+    pytest.importorskip("embreex")
+    box = trimesh.creation.box((2.0, 1.2, 0.8))
+    box.apply_translation((0.2, 0.1, 0.4))
+    grid, how = ImageGrid(64, 64, (0.15, 0.15), (0.25, 0.3)), {"law": ScatteringLaw(0.3, 0.7, 2.0)}
+    casting = partial(simulate_raycast, grid=grid, **how, ray_spacing=0.02)
+    splatting = partial(simulate_images, views=[view], grid=grid, source="splat", **how)
+    on_ground = casting(box, view, ground_gamma0=0.2), splatting(box, ground_gamma0=0.2)[0]
+    assert on_ground[0][0, 0] == pytest.approx(on_ground[1][0, 0], rel=1e-5)
+    assert np.corrcoef(*(image.ravel() for image in on_ground))[0, 1] > 0.9995
+    alone = casting(box, view), splatting(box)[0]
+    ground = [image - target for image, target in zip(on_ground, alone, strict=True)]
+    lacking = [(image - image[0, 0]).sum() for image in ground]
+    assert lacking[0] == pytest.approx(lacking[1], rel=0.03)
+    legs = [casting(box, leg, ground_gamma0=0.2) - casting(box, leg) for leg in view.legs]
+    dark = [  # m² of ground; either way darkens some that the other does not
+        (1 - image / image[0, 0]).sum() * abs(np.linalg.det(one.look.onto_ground))
+        for image, one in zip((ground[0], *legs), (view, *view.legs), strict=True)
+    ]
+    assert max(dark[1:]) < dark[0] < 1.02 * sum(dark[1:])
+    if view.apart_deg < 60:
+        deeper = trimesh.creation.box((2.0, 1.2, 2.0))
+        deeper.apply_translation((0.2, 0.1, -0.2))
+        np.testing.assert_allclose(
+            casting(deeper, view, ground_gamma0=0.2), on_ground[0], atol=0.01 * on_ground[0].max()
+        )
+
+
 # ---- gradients, engines ----------------------------------------------------------------------------------------------
 def _leaves(scene: Gaussians, views: int, dtype: torch.dtype) -> dict[str, Tensor]:
     generator = torch.Generator().manual_seed(1)
@@ -159,6 +240,25 @@ def _leaves(scene: Gaussians, views: int, dtype: torch.dtype) -> dict[str, Tenso
     leaves["shift"] = (0.1 * torch.randn(views, 2, generator=generator, dtype=torch.float64)).to(dtype)
     leaves["gain"] = (0.5 + torch.rand(views, generator=generator, dtype=torch.float64)).to(dtype)
     return {name: tensor.requires_grad_() for name, tensor in leaves.items()}
+
+
+def test_gradients_of_ground_are_finite_differences() -> None:
+    scene = cloud(3, 3, size=(0.6, 0.5, 0.3), scale=0.2, kappa=(0.7, 2.0))
+    scene = replace(scene, means=scene.means + torch.tensor([0.0, 0.0, 0.5])).to(torch.float64)
+    grid, rays = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45)), RayGrid((0.27, 0.31))
+    names = ("means", "scales", "optical_depth")
+    leaves = [getattr(scene, name).clone().requires_grad_() for name in names]
+    table = (0.5 + torch.rand(3, 4, generator=torch.Generator().manual_seed(1), dtype=torch.float64)).requires_grad_()
+    exponent = torch.tensor(0.7, dtype=torch.float64, requires_grad=True)
+    shift = torch.tensor([[0.03, -0.05], [0.02, 0.1]], dtype=torch.float64, requires_grad=True)
+
+    def outputs(*values: Tensor) -> list[Tensor]:
+        *tensors, places, power, moved = values
+        echo = GroundEcho(Ground(places, 0.4, -0.1, power))
+        there = scene.with_tensors(**dict(zip(names, tensors, strict=True)))
+        return [by_the_book(there, APART[:2], grid, rays=rays, shift=moved, ground=echo).echoes[0]]
+
+    check_gradients(outputs, (*leaves, table, exponent, shift))
 
 
 @pytest.mark.parametrize("given", [False, True])
@@ -196,7 +296,9 @@ SCENES = {
 def _everything(scene: Gaussians, dtype: torch.dtype, renderer: Callable[..., Rendering]) -> dict[str, Tensor]:
     leaves = _leaves(scene, 3, dtype)
     fields = {name: leaves[name] for name in scene.tensors()}
-    image = renderer(scene.with_tensors(**fields), APART, GRID, shift=leaves["shift"], gain=leaves["gain"]).images
+    leaves["gamma0"] = torch.full((3, 3), 0.1, dtype=dtype, requires_grad=True)
+    how = {"shift": leaves["shift"], "gain": leaves["gain"], "ground": Ground(leaves["gamma0"], 0.5, -1.0)}
+    image = renderer(scene.with_tensors(**fields), APART, GRID, **how).images
     cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
     found = torch.autograd.grad((image * cotangent.to(dtype)).sum(), list(leaves.values()))
     return {"image": image.detach(), **dict(zip(leaves, found, strict=True))}
@@ -214,9 +316,11 @@ def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
 
 
 def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:
-    def emulated(gaussians: Gaussians, views: tuple[View, ...], grid: ImageGrid, **how: Tensor) -> Rendering:
+    def emulated(gaussians: Gaussians, views: tuple[View, ...], grid: ImageGrid, ground: Ground, **how: Tensor):  # type: ignore[no-untyped-def]
         steps = Steps(partial(cuda.Pass, Emulator(library)), cuts=True)
-        return render_bistatic(steps, gaussians, views, grid, rays=RayGrid.for_image(grid), **how)
+        return render_bistatic(
+            steps, gaussians, views, grid, rays=RayGrid.for_image(grid), ground=GroundEcho(ground), **how
+        )
 
     scene = cloud(12, 0)
     expected = _everything(scene, torch.float64, partial(render, engine="reference"))
@@ -270,18 +374,25 @@ def test_points_lie_on_what_either_way_sees() -> None:
 def test_what_bistatic_images_cannot_have_is_refused() -> None:
     scene, view = cloud(3, 0), APART[0]
     ground = Ground(torch.tensor(0.2))
-    bounce = GroundBounce(ground, torch.tensor(0.5))
+    bounce, hill = GroundBounce(ground, torch.tensor(0.5)), slope(0.1)
     mesh, law = trimesh.creation.box((1.0, 1.0, 1.0)), ScatteringLaw()
     calls: list[tuple[str, Callable[[], object]]] = [
-        ("have no ground, bounces", lambda: render(scene, [view], GRID, ground=ground)),
-        ("have no ground, bounces", lambda: render(scene, [VIEWS[0], view], GRID, echoes=[bounce])),
+        (
+            "no echoes but level ground, neither terrain",
+            lambda: render(scene, [view], GRID, ground=replace(ground, height_m=hill)),
+        ),
+        ("no echoes but level ground, neither terrain", lambda: render(scene, [VIEWS[0], view], GRID, echoes=[bounce])),
+        ("no echoes but level ground", lambda: render(scene, [view], GRID, ground=ground, echoes=[GroundEcho(ground)])),
         ("have no ray maps", lambda: render(scene, [view], GRID, first_return_depth=1.0)),
         ("view.legs, or use render", lambda: project(scene, [view], GRID)),
         ("view.legs, or use render", lambda: render_covariances(scene, [view], GRID, Stack(0.03, (0.0, 0.001)))),
         ("by tiles only if one radar", lambda: render_tiled(scene, view, GRID)),
         ("the bounce off the ground", lambda: bounce.parts(scene, [view], GRID, RayGrid.for_image(GRID))),
-        ("neither ground nor second", lambda: simulate_raycast(mesh, view, GRID, law, ground_gamma0=0.1)),
-        ("neither ground nor second", lambda: simulate_raycast(mesh, view, GRID, law, bounces=2)),
+        (
+            "neither terrain nor second",
+            lambda: simulate_raycast(mesh, view, GRID, law, ground_gamma0=0.1, terrain=hill),
+        ),
+        ("neither terrain nor second", lambda: simulate_raycast(mesh, view, GRID, law, bounces=2)),
         ("masks are of what one radar", lambda: raycast_mask(mesh, view, GRID)),
     ]
     for said, call in calls:

@@ -43,6 +43,19 @@ def test_free_ground_is_flat_and_has_its_level(view):
     assert image[0].numpy() == pytest.approx(np.full((GRID.rows, GRID.columns), level), rel=1e-5)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_ground_of_level_views_is_the_same_beside_tilted_ones(dtype):
+    scene = replace(cloud(60, 0), means=cloud(60, 0).means + torch.tensor([0.0, 0.0, 1.0])).to(dtype)
+    ground = Ground(torch.tensor(0.2, dtype=dtype), height_m=-0.3)
+    views = [View(70.0, 40.0), *UNUSUAL]
+    together = render(scene, views, GRID, ground=ground).ground
+    assert together is not None
+    for image, view in zip(together, views, strict=True):
+        alone = render(scene, [view], GRID, ground=ground).ground
+        assert alone is not None
+        torch.testing.assert_close(image, alone[0], rtol=1e-5, atol=1e-6)
+
+
 def test_terrain_is_refused_under_a_tilt():
     terrain = GroundEcho(Ground(torch.tensor(0.2), height_m=slope(5.0)))
     with pytest.raises(SarsplatError, match="tilted by 25°, under which only level ground can be rendered"):

@@ -2,21 +2,25 @@
 
 import base64
 import io
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
 from datasets import dataset_of
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report import Look, contact_sheet, decibel_png, sheet
+from sarsplat.report.animation import frame
 from sarsplat.report.boards import SIDES, Raster, point_boards
 from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
 from sarsplat.report.images import target_window
+from sarsplat.report.rendered import Rendered, require_distinct
 from sarsplat.report.residual import Difference, window
 from sarsplat.report.views import evenly
 from sarsplat.runs.run_folder import LogLine
@@ -122,6 +126,40 @@ def test_a_contact_sheet_shows_the_target_large() -> None:
     views = [View(50.0 * k, 30.0) for k in range(7)]
     sheet = np.asarray(Image.open(io.BytesIO(contact_sheet(images, views, grid, Look(1.0)))).convert("L"))
     assert (sheet > 250).mean() > 0.07
+
+
+TURNED = [
+    *(View(20.0, 30.0, tilt, side) for tilt in (0.0, -7.5, 7.5) for side in ("right", "left")),
+    *(View(20.0, 30.0, apart_deg=40.0, apart_towards_deg=towards) for towards in (0.0, 180.0)),
+]
+
+
+def test_views_from_one_direction_are_told_apart(tmp_path: Path) -> None:
+    """In the names of files, in what files say, on sheets, and in animations, all frames of which are as high."""
+    grid, look = ImageGrid(24, 24, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3)), Look(1.0)
+    images = np.full((len(TURNED), 24, 24), 0.1, np.float32)
+    require_distinct(TURNED)
+    Rendered(images, TURNED, grid, look).write(tmp_path / "all", seconds=1, overwrite=False)
+    names = sorted(path.stem for path in (tmp_path / "all").glob("*.tif"))
+    assert len(names) == len(TURNED)
+    assert names[0] == "az020_gr30"
+    assert {"az020_gr30_tilt-7.5_left", "az020_gr30_apart40", "az020_gr30_apart40_towards180"} < set(names)
+    with tifffile.TiffFile(tmp_path / "all" / "az020_gr30_tilt-7.5_left.tif") as file:
+        assert "grazing 30 deg, tilted by -7.5 deg, looking left" in file.pages.first.description
+    heights = [
+        [Image.open(io.BytesIO(png)).height for png in (contact_sheet(images[:1], [view], grid, look),)]
+        for view in (TURNED[0], TURNED[1], TURNED[3])
+    ]
+    assert heights == sorted(heights)
+    assert heights[0] < heights[1] < heights[2]  # a line for each
+    told = [frame(images[0], view, grid, look, unusual=True) for view in TURNED]
+    assert len({one.shape for one in told}) == 1
+    line = [one[-20:].astype(int) for one in told]
+    assert not line[0].any()
+    assert all(np.abs(line[k] - line[j]).max() > 50 for k in range(1, 6) for j in range(k))
+    Rendered(images, TURNED, grid, look).write(tmp_path / "all.gif", seconds=1, overwrite=False)
+    with Image.open(tmp_path / "all.gif") as animation:
+        assert animation.height == len(told[0]) == len(frame(images[0], TURNED[0], grid, look)) + 20
 
 
 @pytest.mark.parametrize("spacing_m", [0.01, 0.3, 4.0])

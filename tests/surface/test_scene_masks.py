@@ -1,6 +1,7 @@
 """Masks of a scene against those of the mesh that it was made of, by ray casting."""
 
 from types import SimpleNamespace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -49,6 +50,28 @@ def test_masks_are_those_of_the_mesh(height: float) -> None:
         true = raycast_mask(box(height), view, GRID)
         assert overlap(mask, true, TARGET) > 0.9
         assert overlap(mask, true, SHADOW) > 0.9
+
+
+@pytest.mark.parametrize("tilt", [30.0, -60.0, 80.0, -87.0])
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_what_stands_on_tilted_ground_is_seen(tilt: float, side: Literal["right", "left"]) -> None:
+    """Though pixels show more ground, until it is edge-on; so it is with true masks, and without ground."""
+    view = View(20, 30, tilt, side)
+    true = raycast_mask(box(), view, GRID)
+    for ground in (GROUND, None):
+        (mask,) = scene_masks(scene(box()), ground, [view], GRID, RAYS)
+        assert overlap(mask, true, TARGET) > 0.8
+        assert (mask == SHADOW).any() == (ground is not None and abs(tilt) < 85)
+    level = raycast_mask(box(), VIEWS[0], GRID)
+    assert (true == TARGET).sum() > 0.75 * (level == TARGET).sum()
+
+
+def test_masks_of_bistatic_views_know_both_shadows() -> None:
+    view = View.bistatic(View(0, 30).direction, View(50, 30).direction)
+    (both,) = scene_masks(scene(box()), GROUND, [view], GRID, RAYS)
+    (one,) = scene_masks(scene(box()), GROUND, [View.towards(view.direction)], GRID, RAYS)
+    assert (both == SHADOW).sum() > 1.1 * (one == SHADOW).sum()
+    assert overlap(both, one, TARGET) > 0.8
 
 
 def test_without_ground_there_is_no_shadow() -> None:

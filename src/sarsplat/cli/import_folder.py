@@ -67,7 +67,7 @@ def recognise(contents: Contents) -> Recognised | None:
 def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     """Pictures and a table, which may lack columns or not be readable."""
     from sarsplat.data.csv_table import read_table
-    from sarsplat.importers.table import chosen_columns
+    from sarsplat.importers.table import WAYS, chosen_columns
 
     facts = {"pictures": str(pictures)}
     try:
@@ -79,7 +79,8 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     facts["table"] = f"{table.path} ({counted(len(table.rows), 'row')})"
     if columns:
         facts["columns"] = ", ".join(f"{meaning} = {name}" for meaning, name in columns.items())
-    lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
+    angles = WAYS if any(way in columns for way in WAYS) else ("azimuth",)
+    lacking = [meaning for meaning in ("file", *angles) if meaning not in columns]
     if lacking:
         facts["missing"] = f"which column is the {' and which the '.join(lacking)}; it has {', '.join(table.columns)}"
     classes = dict.fromkeys(row[columns["class"]] for _, row in table.rows) if "class" in columns else {}
@@ -100,7 +101,7 @@ def _command(folder: Path, columns: Columns, lacking: list[str], target_class: s
         words += ["--class", target_class]
     if lacking:
         words += ["--columns", ",".join(f"{meaning}=NAME" for meaning in lacking)]
-    if "grazing" not in columns and "incidence" not in columns:
+    if not columns.keys() & {"grazing", "incidence", "transmit-grazing"}:
         words += ["--grazing", "DEGREES"]
     if not any("spacing" in meaning for meaning in columns):
         words += ["--spacing", "METRES"]

@@ -68,8 +68,9 @@ def render(
         Azimuths: degrees or start:stop:step (stop excluded), e.g. 30 or 0:360:15; each is combined with every grazing
         angle.
     grazing
-        Grazing angles, degrees, between 0 and 90; of a target aloft from −90. Images are tilted, and look to the side,
-        as all those of the training; if these differ, they are level and look to the right.
+        Grazing angles, degrees, between 0 and 90; of a target aloft from −90. Images are tilted, look to the side and
+        are bistatic as all those of the training; if these differ, they are level, look to the right and are of one
+        radar.
     incidence
         Incidence angles (90° − grazing), instead of grazing angles.
     sweep
@@ -134,8 +135,11 @@ def render(
         False: "β⁰ up to an unknown factor",
         None: f"{to_db(look.peak):.1f} dB in the unit of its dataset, which is not there to ask",
     }[_absolute(done)]
-    unusual = views[0].unusual.removeprefix(", ")
-    like = f"; views are {unusual}, as those of the training" if unusual else ""
+    like = ""
+    if unusual := views[0].unusual.removeprefix(", "):
+        like = f"; views are {unusual}, as those of the training"
+    elif any(view.unusual for view in done.snapshot.views):
+        like = "; views are level, to the right and of one radar, for those of the training differ in that"
     console.say(
         f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the "
         f"{brightest}, {level}; row 0 is near range{like}"

@@ -227,7 +227,7 @@ def simulate(
     if bistatic is None:
         views = [(replace(view, tilt_deg=tilt, side=side), split) for view, split in views]
     else:
-        no_bistatic = {"ground": ground is not None, "masks": masks, "bounces 2": bounces == 2}
+        no_bistatic = {"terrain": relief is not None, "masks": masks, "bounces 2": bounces == 2}
         no_bistatic |= {"passes": passes is not None, "polarimetric": polarimetric, "isar": bool(isar)}
         if given := [name for name, there in no_bistatic.items() if there]:
             raise SarsplatError(f"--{given[0]} is for one radar; leave it out, or --bistatic")

@@ -86,12 +86,13 @@ def write_dataset(
         for name, png in pictures.items():
             write_bytes(folder / "masks" / name, png)
         for index, item in enumerate(header.views):
+            unusual = dataset.views[index].unusual.replace("°", " deg")
             what = "beta0 in linear power" if dataset.signal is None else "complex amplitude, root of beta0,"
             description = (
                 f"SAR image, {what} ({dataset.calibration} scale); row 0 is near range, columns grow "
-                f"along the flight direction; azimuth {item.azimuth_deg:.6g} deg, grazing {item.grazing_deg:.6g} deg; "
-                f"pixel spacing {dataset.grid.spacing_m[0]:.6g} m (azimuth) x {dataset.grid.spacing_m[1]:.6g} m "
-                f"(slant range); set {item.split}"
+                f"along the flight direction; azimuth {item.azimuth_deg:.6g} deg, grazing {item.grazing_deg:.6g} deg"
+                f"{unusual}; pixel spacing {dataset.grid.spacing_m[0]:.6g} m (azimuth) x "
+                f"{dataset.grid.spacing_m[1]:.6g} m (slant range); set {item.split}"
             ) + ("" if item.stack is None else "; one page for each pass")
             write_tiff(folder / item.file, pixels[index], description)
     return written

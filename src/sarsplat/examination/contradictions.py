@@ -18,7 +18,7 @@ from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.running_numbers import Counting, counting
 from sarsplat.examination.units import examine_units
-from sarsplat.geometry import View
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import Side
 from sarsplat.radiometry import bright_level
 
@@ -36,6 +36,11 @@ TWINS = (
     "which way the table counts azimuths decides."
 )
 """What the table of orientations does not show."""
+
+_SWAPPED = (
+    "cannot be told apart: transmitter and receiver in each other's place give the same images, and how far apart they "
+    "are is not examined"
+)
 
 _TABLE = ("import with", "shadow beyond", "bright edge", "layover", "neighbours match", "")
 
@@ -90,8 +95,12 @@ def _upright(
     if dataset.views[0].aloft:
         examined.checks["orientation"] = "cannot be determined: what is aloft turns about any axis and has no shadow"
         return dataset
-    if any(view.apart_deg for view in dataset.views):
-        examined.checks["orientation"] = "not examined: shadow and layover of bistatic images lie in two directions"
+    apart = any(view.apart_deg for view in dataset.views)
+    if apart:
+        examined.checks["two ways"] = _SWAPPED
+    if not all(_shaded_below(view, dataset.grid) for view in dataset.views):
+        why = "the two ways are too far apart" if apart else "the azimuth axes are tilted too much"
+        examined.checks["orientation"] = f"not examined: shadows fall to the sides of the images, for {why}"
         return dataset
     ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
     centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
@@ -116,7 +125,7 @@ def _upright(
     examined.checks["azimuths"] = _azimuths(seen)
     examined.checks["grazing angles"] = _grazing(seen)
     if near != "top" or seen.opposite:
-        examined.contradictions.append(_orientation(seen, near, layout))
+        examined.contradictions.append(_orientation(dataset, seen, near, layout))
     if seen.incidence:
         examined.contradictions.append(_incidence(dataset, seen))
     examined.orientations.extend(_table(seen, layout or Layout()))
@@ -127,6 +136,15 @@ def _upright(
         grid=turned_grid(dataset.grid, near),
         ground=ground,
     )
+
+
+def _shaded_below(view: View, grid: ImageGrid) -> bool:
+    """Whether an image shows shadows where they are looked for: rather below what casts them than beside it."""
+    for way in view.look.ways:
+        across, away = view.look.gradients[:, :2] @ -way[:2] / grid.spacing_m
+        if not abs(across) < away:
+            return False
+    return True
 
 
 def _counts(counts: Counting, seen: Orientation) -> str:
@@ -144,7 +162,7 @@ def _edges(power: np.ndarray) -> np.ndarray:
     return np.concatenate([power[:, [0, -1]].ravel(), power[:, :, [0, -1]].ravel()])
 
 
-def _orientation(seen: Orientation, near: Side, layout: Layout | None) -> str:
+def _orientation(dataset: Dataset, seen: Orientation, near: Side, layout: Layout | None) -> str:
     """Contradictions in orientation with their remedy, a half turn rather than a mirror where both would do."""
     opposite = seen.opposite is True
     wrong = []
@@ -157,14 +175,17 @@ def _orientation(seen: Orientation, near: Side, layout: Layout | None) -> str:
         higher = f"correlation higher by {-seen.sense.mean:.2f}"
         wrong.append(f"images of neighbouring azimuths match better if azimuths run the other way ({higher})")
     unsure = "" if seen.near else " (which side is near cannot be determined)"
-    return f"{', and '.join(wrong)}; {_mend(near, opposite, layout)}{unsure}"
+    tilted = any(view.tilt_deg for view in dataset.views)
+    return f"{', and '.join(wrong)}; {_mend(near, opposite, layout, tilted)}{unsure}"
 
 
-def _mend(near: Side, opposite: bool, layout: Layout | None) -> str:
+def _mend(near: Side, opposite: bool, layout: Layout | None, tilted: bool) -> str:
     if layout is None:
         remedies = [f"turn the images (np.rot90(power, {SIDES.index(near)}, axes=(1, 2)))"] * (near != "top")
         if opposite:
-            remedies.append("negate the azimuths, or flip the columns (power[:, :, ::-1]) if azimuths do run clockwise")
+            tilts = " and negate the tilts" * tilted  # the azimuth axis points the other way
+            flip = f"flip the columns (power[:, :, ::-1]){tilts}"
+            remedies.append(f"negate the azimuths, or {flip} if azimuths do run clockwise")
         return ", and ".join(remedies)
     mended = layout.corrected(near, opposite)
     if not opposite and not layout.mirrored:

@@ -151,6 +151,11 @@ class View:
         """β⁰ for γ⁰ = 1 of open ground, which masks measure by; aloft, of a plane seen at 27°."""
         return _ALOFT_BETA0 if self.aloft else self.look.beta0_of_gamma0(1.0)
 
+    @property
+    def yardstick(self) -> float:
+        """Share of open ground that masks measure by: a tilted pixel shows more of it, not of what stands on it."""
+        return 1.0 if self.aloft else math.cos(math.radians(self.tilt_deg))
+
     @classmethod
     @checks_arguments
     def towards(cls, direction: Float64[np.ndarray, " 3"] | Sequence[float], *, aloft: bool = False) -> Self:

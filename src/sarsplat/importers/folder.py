@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -20,6 +20,9 @@ from sarsplat.importers.table import ListedPicture, read_picture_table
 from sarsplat.names import Quantity, Side, Transmit
 
 Pair = tuple[float, float]
+
+_HALFWAY_DEG = 0.1
+"""Angles of one radar that are said beside those of two may be rounded."""
 
 
 @checks_arguments
@@ -66,7 +69,8 @@ def import_folder(
     columns : mapping of str to str, optional
         What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth, grazing or incidence,
         spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
-        tilt, scale and offset, and of stacks view, baseline and polarisation. Usual names are recognised without it.
+        tilt, scale and offset, of bistatic images transmit-azimuth, transmit-grazing, receive-azimuth and
+        receive-grazing, and of stacks view, baseline and polarisation. Usual names are recognised without it.
         What the table says of a picture precedes what is said of all.
     target_class : str, optional
         Take only the pictures of this class, if the table has a column of classes.
@@ -154,9 +158,8 @@ def import_folder(
         image = power_or_signal(
             pixels, guessed, str(picture.path), _either(picture.scale, scale), _either(picture.offset, offset)
         )
-        turn = -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
         left = mirrored if picture.looks_left is None else picture.looks_left
-        view = _view(listed.path, picture, azimuth_offset_deg + turn, grazing_deg, left)
+        view = _view(listed.path, picture, (azimuth_offset_deg, counter_clockwise), grazing_deg, left)
         slant = view.look.slant_range(1.0) if ground_range else 1.0
         spacing = _lengths(listed.path, picture, "spacing", spacing_m, slant)
         stated = resolution_m is not None or any(picture.resolution_m)
@@ -174,6 +177,7 @@ def import_folder(
         )
     if recording is not None:
         images = stacks_of(listed, images, recording)
+    apart = any(image.view.apart_deg for image in images)
     looks = {bool(picture.looks_left) for picture in listed.pictures}
     layout = {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))} if len(looks) == 1 else {}
     resolution_known = resolution_m is not None or any("resolution" in meaning for meaning in listed.columns)
@@ -192,6 +196,7 @@ def import_folder(
             f"the radar is at the {near} of the pictures, which are {'' if mirrored else 'not '}mirrored",
             f"azimuths are directions to the radar, {'counter-' if counter_clockwise else ''}clockwise; 0 is "
             f"{azimuth_offset_deg:g}° from the target's nose",
+            *(["slant ranges are half of the way from the transmitter to the receiver"] if apart else []),
             *([] if resolution_known else ["the resolution is the pixel spacing"]),
             *([] if recording is None else _said_of_phases(recording)),
         ],
@@ -232,16 +237,65 @@ def _either(own: float | None, common: float) -> float:
     return common if own is None else own
 
 
-def _view(table: Path, picture: ListedPicture, azimuth_deg: float, grazing_deg: float | None, left: bool) -> View:
-    """The view of a picture, which is mirrored if the radar looks to the left: then it is one that looks right."""
+def _view(
+    table: Path, picture: ListedPicture, azimuths: tuple[float, bool], grazing_deg: float | None, left: bool
+) -> View:
+    """The view of a picture, which is mirrored if the radar looks to the left: then it is one that looks right.
+
+    `azimuths` are the offset of the table's azimuths, degrees, and whether they run counter-clockwise.
+    """
+    name, (offset, counter_clockwise) = f"{table}: {picture.name}", azimuths
+
+    def clockwise(azimuth_deg: float) -> float:
+        return offset + (-azimuth_deg if counter_clockwise else azimuth_deg)
+
+    tilt = picture.tilt_deg or 0.0
+    tilt = -tilt if left else tilt
+    if picture.ways_deg is not None:
+        return _of_two_ways(name, picture, picture.ways_deg, clockwise, tilt)
     grazing = grazing_deg if picture.grazing_deg is None else picture.grazing_deg
     if grazing is None:
         raise SarsplatError(
             f"{table} does not say from what grazing angle {picture.name} is; name the column with "
             "--columns grazing=NAME (or incidence=NAME), or give one angle for all with --grazing"
         )
-    tilt = picture.tilt_deg or 0.0
-    return view_of(f"{table}: {picture.name}", azimuth_deg, grazing, -tilt if left else tilt)
+    assert picture.azimuth_deg is not None  # the table was refused
+    return view_of(name, clockwise(picture.azimuth_deg), grazing, tilt)
+
+
+def _of_two_ways(
+    name: str,
+    picture: ListedPicture,
+    ways_deg: tuple[float, float, float, float],
+    clockwise: Callable[[float], float],
+    tilt_deg: float,
+) -> View:
+    """The view of a picture whose transmitter and receiver the table names; that of one radar if they are the same.
+
+    Refused if the row also says where one radar would be, and that is not halfway between them.
+    """
+    ends = [
+        view_of(f"{name}, {whose}", clockwise(azimuth), grazing)
+        for whose, azimuth, grazing in zip(("transmitter", "receiver"), ways_deg[::2], ways_deg[1::2], strict=True)
+    ]
+    if ends[0] == ends[1]:
+        view = replace(ends[0], tilt_deg=tilt_deg)
+    else:
+        try:
+            view = View.bistatic(ends[0].direction, ends[1].direction, tilt_deg=tilt_deg)
+        except SarsplatError as error:
+            raise SarsplatError(f"{name}: {error}") from error
+    stated = None if picture.azimuth_deg is None else clockwise(picture.azimuth_deg)
+    for what, said, halfway in (
+        ("azimuth", stated, view.azimuth_deg),
+        ("grazing angle", picture.grazing_deg, view.grazing_deg),
+    ):
+        if said is not None and abs((said - halfway + 180) % 360 - 180) > _HALFWAY_DEG:
+            raise SarsplatError(
+                f"{name} has the {what} {said:g}°, but halfway between its transmitter and its receiver is "
+                f"{halfway:.5g}°; leave its cell empty, or correct one of them"
+            )
+    return view
 
 
 def _lengths(table: Path, picture: ListedPicture, what: str, common: Pair | None, slant: float) -> Pair:

@@ -17,6 +17,7 @@ from sarsplat.geometry.responses import TAYLOR, Response
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.phoenix import is_phoenix, read_phoenix
 from sarsplat.importers.pictures import read_pixels
+from sarsplat.importers.table import unusual_look
 
 _DESIRED, _MEASURED, _AZIMUTH = "desired_depression_deg", "measured_depression_deg", "target_az_deg"
 LABEL_COLUMNS = ("path", "class", "serial", _DESIRED, _MEASURED, _AZIMUTH)
@@ -158,6 +159,12 @@ def _jpeg_chips(folder: Path, jpegs: set[Path], labels: Path, target_class: str)
             f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add them if you need these chips"
         )
     chosen = _once(labels, _complete(labels, [row for row, _ in present]))
+    for row in chosen:
+        if column := unusual_look(table, row):
+            raise SarsplatError(
+                f"{labels}, line {row[0]}: {column} is {shown(row[1][column])}, but MSTAR's radar is one, flies level "
+                "and looks to its right; import these chips with `sarsplat import folder`"
+            )
     return [
         Chip(
             name=row[1]["path"],

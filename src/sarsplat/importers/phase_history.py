@@ -202,9 +202,14 @@ class Aperture:
 
     @property
     def tilt_deg(self) -> float:
-        """Turn of the slant plane about the line of sight: what stands up is displaced across by its tangent."""
-        across, up, _ = self.view.look.frame @ (self._directions()[-1] - self._directions()[0])
+        """Turn of the slant plane about the line of sight; on level axes, its tangent displaces what stands up."""
+        level = replace(self.view, tilt_deg=0.0).look
+        across, up, _ = level.frame @ (self._directions()[-1] - self._directions()[0])
         return math.degrees(math.atan2(math.copysign(1, across) * up, abs(across)))
+
+    def tilted(self) -> Self:
+        """With the azimuth axis of its image tilted as the slant plane is."""
+        return replace(self, view=replace(self.view, tilt_deg=self.tilt_deg))
 
     @property
     def extent(self) -> float:

@@ -47,6 +47,7 @@ def import_phase_history(
     aperture_deg: float | None = None,
     spacing_m: float | None = None,
     weighting: Literal["uniform", "taylor"] = "taylor",
+    tilted: bool = False,
     target: str = "unnamed",
     train_views: int | None = None,
     overwrite: bool = False,
@@ -73,6 +74,9 @@ def import_phase_history(
         Pixel spacing, m. Without it, two thirds of the narrower resolution.
     weighting : {"uniform", "taylor"}
         The narrowest response, or side lobes 35 dB down.
+    tilted : bool
+        Tilt the azimuth axis of each image as the slant plane is where the flight is inclined. Without it, axes are
+        level, and what stands up appears beside its place.
     target : str
         What the images show.
     train_views : int, optional
@@ -113,6 +117,8 @@ def import_phase_history(
         for flight in flights([read_phase_history(path) for path in each_once(files)])
         for aperture in apertures(flight, around, aperture_deg)
     ]
+    if tilted:
+        parts = [aperture.tilted() for aperture in parts]
     if train_views is not None and not 1 <= train_views <= len(parts):  # said before minutes of work
         raise SarsplatError(
             f"{counted(train_views, 'training view')} asked for, but the flight makes {counted(len(parts), 'image')}; "
@@ -159,11 +165,11 @@ def _source(
             f"{whose} looked to its left; columns run against its flight, as they would for one that looks right"
         )
     steepest = max(abs(aperture.tilt_deg) for aperture in parts)
-    if steepest > _TILT_DEG:
+    if steepest > _TILT_DEG and not any(aperture.view.tilt_deg for aperture in parts):
         assume(
             assumptions,
             f"the flight is inclined, so that the slant plane is turned by up to {steepest:.1f}° about the line of "
-            "sight; what stands up is displaced across by the tangent of it",
+            "sight; what stands up is displaced across by the tangent of it; with --tilted, planes stay as they are",
         )
     taper = "uniform" if weighting == UNIFORM else f"Taylor, {weighting.level_db:g} dB, nbar {weighting.sidelobes}"
     return {

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sarsplat.data.csv_table import CsvTable, Row, read_table
+from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
@@ -30,8 +30,12 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "split": ("set", "subset"),
     "azimuth-std": ("azstd", "azimuthuncertainty"),
     "class": (),
-    "look": ("lookside", "lookdirection"),
+    "look": ("lookside", "lookdirection", "side", "radarside"),
     "tilt": (),
+    "transmit-azimuth": ("transmitterazimuth", "txazimuth", "txaz"),
+    "transmit-grazing": ("transmittergrazing", "txgrazing", "txgraz", "transmitelevation", "txelevation", "txel"),
+    "receive-azimuth": ("receiverazimuth", "rxazimuth", "rxaz"),
+    "receive-grazing": ("receivergrazing", "rxgrazing", "rxgraz", "receiveelevation", "rxelevation", "rxel"),
     "scale": (),
     "offset": (),
     "view": ("viewname", "stack"),
@@ -47,6 +51,9 @@ _SHORT = {
 _UNITS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters", "angle"}
 _ONLY_IF_NAMED = ("scale", "offset")
 """Too many things are called that."""
+
+WAYS = ("transmit-azimuth", "transmit-grazing", "receive-azimuth", "receive-grazing")
+"""Of a transmitter and a receiver apart, all four or none."""
 
 Columns = dict[str, str]
 """Meaning → name of the column."""
@@ -81,6 +88,17 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
     return chosen
 
 
+def unusual_look(table: CsvTable, row: Row) -> str | None:
+    """The column in which a row says that its radar is tilted, looks to its left or is bistatic; None if none does."""
+    for column in table.columns:
+        cell, name = row[1][column].lower(), _plain(column)
+        meanings = [one for one in ("look", "tilt", *WAYS) if name in (one.replace("-", ""), *MEANINGS[one])]
+        usual = {"look": _SIDES.get(cell) is False, "tilt": parsed(cell, table.decimal_comma) == 0}
+        if cell and meanings and not usual.get(meanings[0]):
+            return column
+    return None
+
+
 def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
     """The one column that has a usual name."""
     usual = (meaning.replace("-", ""), *MEANINGS[meaning])
@@ -97,9 +115,10 @@ def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
 
 def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool) -> None:
     """Refuse a table that lacks columns, and name all of them; `grazing`, `spacing`: whether its cells are needed."""
-    lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
+    apart = any(way in columns for way in WAYS)
+    lacking = [meaning for meaning in ("file", *(WAYS if apart else ("azimuth",))) if meaning not in columns]
     also = []
-    if grazing and not columns.keys() & {"grazing", "incidence"}:
+    if grazing and not apart and not columns.keys() & {"grazing", "incidence"}:
         lacking.append("grazing")
         also.append("one grazing angle for all with --grazing")
     if spacing and not columns.keys() & {"spacing", "azimuth-spacing", "range-spacing"}:
@@ -142,9 +161,11 @@ class ListedPicture:
     name: str
     """As the table names it."""
     path: Path
-    azimuth_deg: float
+    azimuth_deg: float | None
     """As it stands in the table."""
     grazing_deg: float | None
+    ways_deg: tuple[float, float, float, float] | None
+    """Azimuth and grazing angle of the transmitter, then of the receiver, as they stand in the table."""
     spacing_m: tuple[float | None, float | None]
     """Azimuth, range."""
     resolution_m: tuple[float | None, float | None]
@@ -261,12 +282,18 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         azimuth, slant = number(f"azimuth-{meaning}"), number(f"range-{meaning}")
         return (both if azimuth is None else azimuth), (both if slant is None else slant)
 
+    ways = _ways(table, row, {way: number(way) for way in WAYS})
+    if ways is None and "azimuth" not in columns:
+        raise SarsplatError(
+            f"{table.path}, line {row[0]} says nothing of its angles; fill all four of {', '.join(WAYS)}"
+        )
     incidence = number("incidence")
     return ListedPicture(
         name=text("file"),
         path=path,
-        azimuth_deg=table.number(row, columns["azimuth"]),
+        azimuth_deg=number("azimuth") if ways is not None else table.number(row, columns["azimuth"]),
         grazing_deg=number("grazing") if incidence is None else 90 - incidence,
+        ways_deg=ways,
         spacing_m=pair("spacing"),
         resolution_m=pair("resolution"),
         azimuth_std_deg=number("azimuth-std"),
@@ -279,6 +306,18 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         baseline_rad=number("baseline"),
         polarisation=text("polarisation").upper() or None,
     )
+
+
+def _ways(table: CsvTable, row: Row, angles: Mapping[str, float | None]) -> tuple[float, float, float, float] | None:
+    """Angles of transmitter and receiver in the order of `WAYS`; None if the row says nothing of them."""
+    given = [angle for angle in angles.values() if angle is not None]
+    if 0 < len(given) < len(WAYS):
+        empty = " and ".join(way for way, angle in angles.items() if angle is None)
+        raise SarsplatError(
+            f"{table.path}, line {row[0]} says where the transmitter and the receiver are, but not {empty}; fill all "
+            f"four of {', '.join(WAYS)}, or none if one radar is both"
+        )
+    return (given[0], given[1], given[2], given[3]) if given else None
 
 
 def _split(table: CsvTable, row: Row, text: str) -> str | None:

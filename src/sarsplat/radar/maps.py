@@ -97,7 +97,7 @@ def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid |
     weighted = lit[:, None] * torch.from_numpy(_columns(surface, view)).to(lit)
     sums = splat(projection.pixels, weighted[None], sharp)[0].double().numpy()
     area = sums[_AREA]
-    shown = (area >= _SHARE * view.open_beta0) | (sums[_COVER] >= _SHARE)
+    shown = (area >= _SHARE * view.yardstick * view.open_beta0) | (sums[_COVER] >= _SHARE)
     means = np.divide(sums, area, out=np.full_like(sums, np.nan), where=shown)
     spread = 2 * np.sqrt(_unexplained(means, grid))
     with np.errstate(invalid="ignore"):

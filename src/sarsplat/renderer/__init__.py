@@ -14,7 +14,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.processes import Processes
 from sarsplat.renderer.bistatic import render_bistatic
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
@@ -83,7 +83,7 @@ def render(
     gaussians : Gaussians
         The scene, N Gaussians.
     views : sequence of View
-        V views, at least one. Bistatic ones are rendered step by step, and have no ground or other echoes, ray maps or
+        V views, at least one. Bistatic ones are rendered step by step, and have no terrain, other echoes, ray maps or
         processes; `bounds` are of no use to them.
     grid : ImageGrid
         Pixels and system response, the same for all views.
@@ -164,15 +164,17 @@ def render(
     options: dict[str, Any] = {**by_view, "rays": rays, "imaging_weight": imaging_weight}
     bistatic = any(view.apart_deg for view in candidates(views)[0])
     if bistatic:
-        _check_bistatic(echoes, first_return_depth, processes)
+        options["ground"] = _only_ground(echoes, first_return_depth, processes)
     else:
         options |= {"echoes": echoes, "first_return_depth": first_return_depth}
     if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
         if bistatic:
-            check_values(by_view)  # the rest is checked on the way in
-            return render_bistatic(
+            for values in (by_view, *(echo.values() for echo in echoes)):  # the rest is checked on the way in
+                check_values(values)
+            rendering = render_bistatic(
                 Steps(new_pass, cuts=True), gaussians, views, grid, **options, plane_gradients=plane_gradients
             )
+            return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
         holding = all(echo.within_bounds for echo in echoes)
         if not holding and isinstance(views, ChosenViews):
             raise NotRecordable("has an echo from beyond its bounds")
@@ -197,17 +199,22 @@ def render(
     for values in (tensors, *(echo.values() for echo in echoes)):
         check_values(values)
     if bistatic:
-        return render_bistatic(Steps(None, cuts=True), gaussians, views, grid, **options)
-    rendering = render_reference(gaussians, views, grid, **options)
+        rendering = render_bistatic(Steps(None, cuts=True), gaussians, views, grid, **options)
+    else:
+        rendering = render_reference(gaussians, views, grid, **options)
     return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
 
 
-def _check_bistatic(echoes: Sequence[Echo], first_return_depth: float | None, processes: Processes | None) -> None:
-    """Refuse what images of a transmitter and a receiver apart cannot have."""
+def _only_ground(
+    echoes: Sequence[Echo], first_return_depth: float | None, processes: Processes | None
+) -> GroundEcho | None:
+    """The level ground of images of a transmitter and a receiver apart; refused is what they cannot have."""
+    plane = [echo for echo in echoes if isinstance(echo, GroundEcho) and not isinstance(echo.ground.height_m, Terrain)]
     given = {
-        "ground, bounces or other echoes; leave them out": bool(echoes),
+        "echoes but level ground, neither terrain nor bounces; leave them out": len(echoes) > len(plane[:1]),
         "ray maps; ask for those of the views along each way, view.legs": first_return_depth is not None,
         "processes that share them; omit these": processes is not None,
     }
     if wrong := next((what for what, there in given.items() if there), None):
         raise SarsplatError(f"a view is bistatic, and such images have no {wrong}")
+    return plane[0] if plane else None

@@ -1,9 +1,8 @@
 """Images of a transmitter and a receiver apart, put together from the steps of a rendering.
 
 The way in is u_t and the way out u_r. A Gaussian is imaged where the look's gradients say, in slant range
-−½(u_t + u_r)·x, and lit both ways: over √(lit(u_t)·lit(u_r)), because what Gaussians of one surface take from each
-other is the same either way, and counts once. What it returns per lit area is what its law says of the direction
-halfway.
+−½(u_t + u_r)·x, and lit both ways: over √(lit(u_t)·lit(u_r)). What it returns per lit area is what its law says of the
+direction halfway.
 """
 
 from __future__ import annotations
@@ -19,12 +18,19 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.renderer.both_ways import both_ways
+from sarsplat.renderer.echoes.echo import Sighting, added
+from sarsplat.renderer.echoes.ground import GroundEcho
+from sarsplat.renderer.echoes.ground_two_ways import ground_two_ways
 from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.engines.on_device import NotRecordable
 from sarsplat.renderer.footprints import Footprints, footprints_of
 from sarsplat.renderer.lobes import amplitudes_towards
 from sarsplat.renderer.one_by_one import Steps
 from sarsplat.renderer.rendering import Rendering
+
+_ANY_DEPTH = 1.0
+"""Of first returns, which come with what is left of rays, and are not used."""
 
 
 def render_bistatic(
@@ -39,18 +45,20 @@ def render_bistatic(
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
     plane_gradients: bool = False,
+    ground: GroundEcho | None = None,
 ) -> Rendering:
-    """`sarsplat.render` of views some or all of which are bistatic; arguments are documented there."""
+    """`sarsplat.render` of views some or all of which are bistatic; arguments are documented there.
+
+    `ground` is a plane, which has hidden what is below it already.
+    """
     if isinstance(views, ChosenViews):
         raise NotRecordable("has a transmitter and a receiver apart")
     g = gaussians
     ways = [view.legs[end] for end in (0, -1) for view in views]
     unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # nobody asks what returns along either way
     projection = steps.project(unlit, ways, grid, rays)
-    there, back = steps.lit_area(projection, rays).split(len(views))
-    both = there * back
-    some = both > 0  # the slope of the root is infinite where nothing is lit, and of no use
-    lit_area = both.where(some, 1.0).sqrt() * some
+    attenuation = steps.attenuate(projection, rays, None if ground is None else _ANY_DEPTH)
+    lit_area = both_ways(*attenuation.lit_area.split(len(views)))
     if amplitudes is None:
         amplitudes = amplitudes_towards(steps.new_pass, g, views)
     cross_sections = amplitudes * lit_area[..., None]
@@ -60,10 +68,16 @@ def render_bistatic(
         planes = g.means.new_zeros(len(views), len(g), 4)
         _filled_later(planes, projection.rays.centers, places.centers)
     images = steps.splat(places, cross_sections, grid, imaging_weight)
+    returns: tuple[Tensor, ...] = ()
+    if ground is not None:
+        assert attenuation.ray_maps is not None  # asked for
+        sighting = Sighting(g, views, grid, rays, shift, lit_area, None, steps.new_pass)
+        returns = (ground_two_ways(ground, attenuation.ray_maps, sighting),)
+        images = added(images, returns[0], g.scattering.power_channel)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area.detach(), plane_gradients=planes)
+    return Rendering(images, cross_sections, lit_area.detach(), plane_gradients=planes, echoes=returns)
 
 
 def imaged(

@@ -30,7 +30,7 @@ Palette = UInt8[np.ndarray, "256 3"]
 # Pixels.
 _SIDE, _LARGEST = 480, 1920  # of the picture's longer side: small images grow to the one, large ones shrink
 _NARROWEST = 440  # what is written below needs that much
-_FOOT, _TEXT, _MARGIN = 30, 14, 10
+_FOOT, _LINE, _TEXT, _MARGIN = 30, 20, 14, 10
 _BAR = (64, 6)  # of the decibels
 
 _INK = 190  # shade of what is written: it is not to outshine the picture
@@ -38,10 +38,13 @@ _GIF_STEP = 4  # shades merged into one, invisibly, which halves the file
 _SHORTEST_MS = 20  # of a frame: browsers slow shorter ones down
 
 
-def frame(power: Real[np.ndarray, "rows columns"], view: View, grid: ImageGrid, look: Look) -> Frame:
+def frame(
+    power: Real[np.ndarray, "rows columns"], view: View, grid: ImageGrid, look: Look, *, unusual: bool = False
+) -> Frame:
     """An image of β⁰ (linear power) as indices into the palette of its look, near range on top, and its scales below.
 
-    Its sides are even; a metre is as long in azimuth as in slant range.
+    Its sides are even; a metre is as long in azimuth as in slant range. With `unusual` there is a line for what is
+    unusual about views (`View.unusual`), as in all frames of an animation if it is in one.
     """
     from PIL import Image, ImageDraw
 
@@ -50,15 +53,17 @@ def frame(power: Real[np.ndarray, "rows columns"], view: View, grid: ImageGrid, 
     width, height = (max(2, 2 * round(length * per_metre / 2)) for length in extent)
     shade = Image.fromarray(look.shade(power).astype(np.float32))
     picture = np.asarray(shade.resize((width, height), Image.Resampling.BICUBIC))
-    drawn = Image.new("L", (max(width, _NARROWEST), height + _FOOT))
+    drawn = Image.new("L", (max(width, _NARROWEST), height + _FOOT + _LINE * unusual))
     drawn.paste(Image.fromarray(np.uint8(np.round(255 * np.clip(picture, 0, 1)))), ((drawn.width - width) // 2, 0))
     draw, middle = ImageDraw.Draw(drawn), height + _FOOT // 2
 
-    def write(x: float, text: str, anchor: str) -> None:
-        draw.text((x, middle), text, fill=_INK, font=_font(), anchor=anchor)
+    def write(x: float, text: str, anchor: str, below: int = 0) -> None:
+        draw.text((x, middle + below), text, fill=_INK, font=_font(), anchor=anchor)
 
     write(_MARGIN, f"azimuth {view.azimuth_deg % 360:.0f}°", "lm")
     write(_MARGIN + 100, f"grazing {view.grazing_deg:.0f}°", "lm")
+    if unusual:
+        write(_MARGIN, view.unusual.removeprefix(", "), "lm", below=_LINE)
     length_m = nice(extent[0] / 5)
     right = drawn.width - _MARGIN
     left = right - round(length_m * width / extent[0])

@@ -53,18 +53,21 @@ def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[s
     columns = min(count, _MOST_COLUMNS)
     lines = math.ceil(count / columns)
     aspect = grid.rows * grid.spacing_m[1] / (grid.columns * grid.spacing_m[0])
+    above = _TITLE + _LINE * max(dataset.views[index].unusual.count(", ") for index in chosen)
     tall = min(max(_WIDTH * aspect, 0.8), 3 * _WIDTH)
     table = (len(orientations) + 1) * _LINE if orientations else 0.0
     foot = _FOOT + table
     width = max(columns * _WIDTH, _TABLE_WIDTH if orientations else 2 * _WIDTH)
-    height = lines * (tall + _TITLE) + foot
-    margins = {"left": 0.02, "right": 0.98, "top": 1 - _TITLE / height, "bottom": foot / height}
-    figure, panels = new_sheet((width, height), lines, columns, **margins, wspace=0.06, hspace=_TITLE / tall)
+    height = lines * (tall + above) + foot
+    margins = {"left": 0.02, "right": 0.98, "top": 1 - above / height, "bottom": foot / height}
+    figure, panels = new_sheet((width, height), lines, columns, **margins, wspace=0.06, hspace=above / tall)
     look = Look(bright_level(power))
     for axes, index, image, level in zip(panels, chosen, power, levels_db(power, grid, dataset.ground)):
         entry = dataset.entries[index]
-        angles = f"azimuth {entry.view.azimuth_deg:.1f}°, grazing {entry.view.grazing_deg:.1f}°{entry.view.unusual}"
-        draw_image(axes, image, grid, look, f"{angles} ({entry.split})", 8)
+        view = entry.view
+        unusual = view.unusual.replace(", ", "\n")  # a line for each
+        title = f"azimuth {view.azimuth_deg:.1f}°, grazing {view.grazing_deg:.1f}°{unusual}"
+        draw_image(axes, image, grid, look, f"{title} ({entry.split})", 8)
         outlined = outline(level)
         _contour(axes, outlined.target, grid, TARGET)
         if dataset.ground:

@@ -55,7 +55,8 @@ class Rendered:
         require_output(out, len(self.views))
         if ending in ANIMATIONS:
             taken = zip(self.images, self.views, strict=True)
-            frames = [frame(image, view, self.grid, self.look) for image, view in taken]
+            unusual = any(view.unusual for view in self.views)
+            frames = [frame(image, view, self.grid, self.look, unusual=unusual) for image, view in taken]
             write_animation(out, frames, self.look.palette(), seconds)
             return f"{counted(len(frames), 'frame')}, {seconds:g} s, {out.stat().st_size / 1e6:.1f} MB"
         if ending in IMAGES:
@@ -102,12 +103,15 @@ def _description(view: View) -> str:
 
 
 def _name(view: View) -> str:
-    """E.g. az030_gr17.5: sorts by azimuth."""
+    """E.g. az030_gr17.5: sorts by azimuth; what is unusual about the view follows, as _tilt-5_apart30_left."""
 
-    def digits(angle: float, width: int) -> str:
+    def digits(angle: float, width: int = 0) -> str:
         return f"{angle:0{width}.6f}".rstrip("0").rstrip(".")
 
-    return f"az{digits(view.azimuth_deg, 10)}_gr{digits(view.grazing_deg, 9)}"
+    name = f"az{digits(view.azimuth_deg, 10)}_gr{digits(view.grazing_deg, 9)}"
+    for word, angle in (("tilt", view.tilt_deg), ("apart", view.apart_deg), ("towards", view.apart_towards_deg)):
+        name += f"_{word}{digits(angle)}" if angle else ""
+    return name + ("_left" if view.side == "left" else "")
 
 
 def asked_grid(

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_SIDE = 1.6  # inches
+_SIDE, _LINE = 1.6, 0.13  # inches
 _MAX_COLUMNS = 8
 _MOST = 12 * _MAX_COLUMNS  # images: more would not fit on a screen
 _TEXT = 7.5  # points
@@ -70,11 +70,13 @@ def contact_sheet(
     window = target_window(images, bright_level(images))
     shown, grid = _reduced(images[(slice(None), *window)], grid.part(*window))
     aspect = (grid.rows * grid.spacing_m[1]) / (grid.columns * grid.spacing_m[0])
-    width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22) + 0.66
-    margins = {"left": 0.02, "right": 0.98, "top": 1 - 0.24 / height, "bottom": 0.6 / height}
-    figure, panels = new_sheet((width, height), lines, columns, **margins, wspace=0.05, hspace=0.2 / _SIDE)
+    more = _LINE * max(view.unusual.count(", ") for view in views)  # below the angles, a line for each
+    width, height = max(columns * _SIDE, 3.6), lines * (_SIDE * aspect + 0.22 + more) + 0.66
+    margins = {"left": 0.02, "right": 0.98, "top": 1 - (0.24 + more) / height, "bottom": 0.6 / height}
+    figure, panels = new_sheet((width, height), lines, columns, **margins, wspace=0.05, hspace=(0.2 + more) / _SIDE)
     for axes, image, view in zip(panels, shown, views):  # empty places stay dark
         title = f"{round(view.azimuth_deg, 1):g}°, grazing {round(view.grazing_deg, 1):g}°"
+        title += view.unusual.replace(", ", "\n")
         draw_image(axes, image, grid, look, title, _TEXT)
     bar = ((1 - 2.6 / width) / 2, 0.44 / height, 2.6 / width, 0.08 / height)
     decibel_bar(figure, bar, look, "power, dB; 0 dB as in the single pictures")

@@ -39,7 +39,10 @@ _COLUMNS = (
 )
 
 _TILTED = ("tilt_deg", "look")
-"""More columns, if the radar of a run squints, climbs, dives or looks to its left."""
+"""More columns, if the radar of a run squints, climbs, dives or looks to its left, or is bistatic."""
+
+_APART = ("transmit_azimuth_deg", "transmit_grazing_deg", "receive_azimuth_deg", "receive_grazing_deg")
+"""And if a run's is bistatic; clockwise, as `azimuth_deg`."""
 
 MARKER = "chips.json"
 """The file that marks a folder of chips."""
@@ -174,8 +177,9 @@ def _table(chips: Chips, shard: int | None) -> bytes:
 
 
 def _columns(chips: Chips) -> tuple[str, ...]:
-    tilted = any(chips.label(place).view.unusual for place in range(len(chips.runs)))
-    return (*_COLUMNS, *(_TILTED * tilted))
+    views = [chips.label(place).view for place in range(len(chips.runs))]
+    tilted, apart = any(view.unusual for view in views), any(view.apart_deg for view in views)
+    return (*_COLUMNS, *(_TILTED * tilted), *(_APART * apart))
 
 
 def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
@@ -184,7 +188,8 @@ def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
     angles = (round(view.grazing_deg), view.grazing_deg, round(-view.azimuth_deg % 360, 6))
     lengths = (*grid.spacing_m, *grid.resolution_m)
     named = (path, label.target, view.azimuth_deg, view.grazing_deg, label.seed, str(chips.runs[label.run].path))
-    every = (*named, label.run, *angles, *lengths, view.tilt_deg, view.side)
+    ways = [angle for leg in view.legs for angle in (leg.azimuth_deg, leg.grazing_deg)] if view.apart_deg else [""] * 4
+    every = (*named, label.run, *angles, *lengths, view.tilt_deg, view.side, *ways)
     return dict(zip(_columns(chips), every, strict=False))
 
 

@@ -25,7 +25,7 @@ from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, first_hits, sparse_hits, tracer
 from sarsplat.scenes._second_bounce import SecondBounce
-from sarsplat.scenes._two_ways import image_two_ways
+from sarsplat.scenes._two_ways import image_two_ways, lit_level, shadows_two_ways
 from sarsplat.scenes.scattering import (
     ScatteringLaw,
     check_bounces,
@@ -205,12 +205,16 @@ class RayCaster:
 
     def _two_ways(self, view: View, progress: Callable[[float], object]) -> Float[np.ndarray, "rows columns"]:
         """The image of a bistatic view."""
-        if self._ground_gamma0 is not None or len(self._terrain_gamma0) or self._second is not None:
+        if len(self._terrain_gamma0) or self._second is not None:
             raise SarsplatError(
-                "a view is bistatic, of which neither ground nor second bounces are simulated; leave them out"
+                "a view is bistatic, of which neither terrain nor second bounces are simulated; leave them out"
             )
-        scene = (self._mesh, view, self._law, self._reflectivity)
-        image = image_two_ways(*scene, self._nodes, self._spacing, self._offset, progress)
+        scene, ground = (self._mesh, view, self._law, self._reflectivity), self._ground_gamma0
+        if view.aloft and ground is not None:
+            raise SarsplatError("the view is of a target aloft, where there is no ground; leave out the ground")
+        image = image_two_ways(*scene, self._nodes, self._spacing, self._offset, progress, stands=ground is not None)
+        if ground is not None:
+            image += ground * (lit_level(view.look) + shadows_two_ways(self._mesh, view, self._nodes, self._spacing))
         return np.maximum(image, 0.0).astype(np.float32)
 
     def second_bounces(
@@ -372,5 +376,5 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     shares = covered.reshape(grid.rows, _PARTS, grid.columns, _PARTS).mean(axis=(1, 3))
     rays_on_open_ground = width * depth / slope_of_ground / spacing**2
     mask = np.where(hidden >= 0.5 * rays_on_open_ground, SHADOW, CLUTTER)
-    lit = (shares >= 0.5) | (appearing >= 0.5 * rays_on_open_ground)
+    lit = (shares >= 0.5) | (appearing >= 0.5 * view.yardstick * rays_on_open_ground)
     return np.where(lit, TARGET, mask).astype(np.uint8)

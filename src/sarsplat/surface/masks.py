@@ -30,7 +30,8 @@ def scene_masks(
     The yardstick is what the ground would return in a pixel without the target. A pixel is
 
     - target, if the target returns at least half of that there: wherever a surface that the radar sees appears, with
-      layover, unless it is much darker than the ground;
+      layover, unless it is much darker than the ground. Under a tilt it is half of what there would be without: pixels
+      show more of the ground then, but no more of what stands on it;
     - shadow, if it is not target, and the radar sees less than half of the ground there;
     - clutter otherwise.
 
@@ -55,7 +56,7 @@ def scene_masks(
             free = render(target[:0], [view], sharp, rays=rays, ground=ground).channel(channel)
             images = images - rendering.ground
             mask[(rendering.ground < _SHARE * free)[0].cpu().numpy()] = SHADOW
-        shown = (images >= _SHARE * free) & (images > 0)
+        shown = (images >= _SHARE * view.yardstick * free) & (images > 0)
         mask[shown[0].cpu().numpy()] = TARGET
     return masks
 

@@ -4,17 +4,16 @@ The way in is the line of sight u, the way out its mirror image M u at the groun
 the way to the foot (x, y, ground) and back, whatever the height: a Gaussian is imaged as if it were pressed flat onto
 the ground. The amplitudes of both orders add: four times the power of one.
 
-What returns is lit both ways. Along M u the scene is seen as its mirror image is along u, so the scene and its image
-are one scene of 2 N Gaussians, attenuated once: all real ones are before the ground, and so before all mirrored ones.
-The area of both ways is √(lit(u)·lit(M u)), because what Gaussians of one surface take from each other is the same
-either way, and counts once.
+What returns is lit both ways, over √(lit(u)·lit(M u)). Along M u the scene is seen as its mirror image is along u, so
+the scene and its image are one scene of 2 N Gaussians, attenuated once: all real ones are before the ground, and so
+before all mirrored ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -27,6 +26,7 @@ from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.view import check_monostatic
+from sarsplat.renderer.both_ways import both_ways
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.footprints import Footprints, footprints_of
@@ -132,9 +132,8 @@ class GroundBounce(Echo):
         check_monostatic(views, "the bounce off the ground is that of one radar")
         if amplitudes is None:
             amplitudes = steps.gamma0(gaussians, _middles(views, gaussians.means))
-        direct, below = lit_both_ways(steps, gaussians, views, grid, rays, self._height)
-        sections = _Sections.apply(amplitudes, direct, below)
-        return sections, steps.feet(gaussians, views, grid, self._height, shift)
+        lit = both_ways(*lit_both_ways(steps, gaussians, views, grid, rays, self._height))
+        return lit * amplitudes * _COHERENT, steps.feet(gaussians, views, grid, self._height, shift)
 
     @property
     def _height(self) -> float:
@@ -163,24 +162,6 @@ class _Steps(Steps):
         moved = torch.from_numpy(of_height).to(gaussians.means)
         moved = moved if shift is None else moved + shift
         return pressed_flat_with(self.new_pass, gaussians, views, grid, shift=moved)
-
-
-class _Sections(torch.autograd.Function):
-    """4 γ √(lit · lit below); its slope is infinite where something is not lit, and taken as 0."""
-
-    @staticmethod
-    def forward(ctx: Any, amplitudes: Tensor, direct: Tensor, below: Tensor) -> Tensor:
-        ctx.save_for_backward(amplitudes, direct, below)
-        return (direct * below).sqrt_().mul_(amplitudes).mul_(_COHERENT)
-
-    @staticmethod
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        amplitudes, direct, below = ctx.saved_tensors
-        both = direct * below
-        root = both.where(both > 0, 1.0).sqrt() * (both > 0)  # itself differentiable, for the reference
-        of_amplitudes = slope * root * _COHERENT
-        half, least = of_amplitudes * amplitudes / 2, torch.finfo(slope.dtype).tiny
-        return of_amplitudes, half / direct.clamp(min=least), half / below.clamp(min=least)
 
 
 def lit_both_ways(

@@ -203,7 +203,8 @@ def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid)
     if not isinstance(terrain, Terrain):
         x, y = ((start + np.arange(count)) * step for start, count, step in zip(first, (columns, rows + 1), (dx, dy)))
         ends = look.range_on_ground(x + dx / 2, y[:, None]) - terrain / look.sine
-        low_m, high_m = (torch.from_numpy(edge.astype(np.float32)) for edge in (ends[:-1], ends[1:]))
+        ends = np.broadcast_to(ends, (rows + 1, columns)).astype(np.float32)  # those of level axes differ by row alone
+        low_m, high_m = (torch.from_numpy(edge) for edge in (ends[:-1], ends[1:]))
         return Cells(first, low_m, high_m)
     if not look.level:
         raise SarsplatError(
