@@ -108,7 +108,9 @@ def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], lis
 
 def _refuse_with_split(given: dict[str, Any]) -> None:
     """A split says itself which vehicles at which depression angles train and test."""
-    if given["serial"] is not None or given["train_depression"] != (str(_USUAL_DEPRESSION),) or not given["test"]:
+    if (
+        given["serial"] is not None or given["train_depression"] != (str(_USUAL_DEPRESSION),) or given["test"]
+    ):  # which is typed as --no-test
         raise SarsplatError(
             f"--split {given['split']} says itself which vehicles at which depression angles there are; leave out "
             "--serial, --train-depression and --no-test"
