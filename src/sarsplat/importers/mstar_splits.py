@@ -27,7 +27,7 @@ class Part:
 
     def holds(self, chip: Chip) -> bool:
         """Whether a chip of the class belongs to it; one whose table names no serial does."""
-        named = plain_name(chip.serial)
+        named = plain_name(chip.serial).removeprefix("sn")  # as in SN_132
         return chip.depression in self.depressions and named in ("", plain_name(self.serial))
 
     def __str__(self) -> str:

@@ -184,7 +184,8 @@ def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
     tests = sorted({entry.split for entry in dataset.entries if entry.split != "train"})
     for one in dataset.source.get(_UNPLACED, ()):
         angle = round(one["grazing_deg"])
-        split = "train" if one["set"] == "train" else next((name for name in tests if name == f"test-{angle}"), "test")
+        left_out = f"test-{angle}"  # also of training chips, where only some of them are trained on
+        split = left_out if left_out in tests else one["set"]
         power = read_tiff(path / one["file"], (dataset.grid.rows, dataset.grid.columns))
         yield _Measured(split, one["name"], None, one["grazing_deg"], np.sqrt(power).astype(np.complex64))
 
