@@ -47,6 +47,9 @@ ChipScale = Literal["max", "fixed", "calibrated"]
 ChipFormat = Literal["jpeg", "png", "npy"]
 """Files of generated chips."""
 
+MstarSplit = Literal["soc", "eoc-depression", "eoc-configuration", "eoc-version"]
+"""Standard splits of MSTAR's chips into those that train and those that test a recogniser."""
+
 SampleKind = Literal["real", "synthetic"]
 """Measured or simulated images of the SAMPLE set."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -23,6 +23,7 @@ def chips(
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN …")],
     *,
     out: Folder,
+    measured: bool = False,
     count: OptionalCount = None,
     azimuth: Angles = (),
     grazing: Annotated[str | None, tyro.conf.arg(metavar="LO:HI", help_behavior_hint="(optional)")] = None,
@@ -49,6 +50,9 @@ def chips(
     out
         Folder to write: a folder of each class, and labels.csv, with which `import mstar` and `import folder` read the
         chips back. Stopped, the same command goes on from what is there.
+    measured
+        Instead of generating, write the measured chips of datasets (or of a folder of datasets), given in place of
+        runs, the same way: in OUT a folder of each set, in these one of each class.
     count
         Chips of each run (default: 360, or as many as there are azimuths).
     azimuth
@@ -89,6 +93,23 @@ def chips(
     from sarsplat.samples import write_chips
     from sarsplat.samples.write import LABELS, MARKER
 
+    encoding: dict[str, Any] = {
+        "quantity": quantity,
+        "scale": scale,
+        "format": format,
+        "jpeg_quality": jpeg_quality,
+        "crop": crop,
+        "near": near,
+    }
+    if measured:
+        drawn = (count, azimuth, grazing, seed, ground, speckle, scatterers, shard)
+        if drawn != (None, (), None, 0, "learned", "response", SCATTERERS, None):
+            raise SarsplatError(
+                "--measured writes chips as they were measured; leave out what says how chips are drawn (--count, "
+                "--azimuth, --grazing, --seed, --ground, --speckle, --scatterers, --shard)"
+            )
+        _write_measured(runs, out, encoding, overwrite)
+        return
     refuse_existing(out, overwrite, marker=MARKER)
     made = chips_of(
         runs,
@@ -96,19 +117,28 @@ def chips(
         azimuths_deg=angles(azimuth, "azimuth") if azimuth else (),
         grazing_deg=_between(grazing),
         seed=seed,
-        quantity=quantity,
-        scale=scale,
-        format=format,
-        jpeg_quality=jpeg_quality,
-        crop=crop,
-        near=near,
         ground=ground,
         speckle=speckle,
         scatterers=scatterers,
+        **encoding,
     )
     with keeping(lambda: "what is finished is kept, and the same command goes on from there"):
         write_chips(made, out, shard=shard, overwrite=overwrite, quiet=False)
     console.finish(f"{out}: {_summary(made)}; {LABELS} says what they show", _next(out, made, shard))
+
+
+def _write_measured(datasets: tuple[Path, ...], out: Path, encoding: dict[str, Any], overwrite: bool) -> None:
+    """Write measured chips, and say how to train on them."""
+    from sarsplat.samples.encoding import Encoding
+    from sarsplat.samples.measured import LABELS, MARKER, in_words, write_measured_chips
+
+    refuse_existing(out, overwrite, marker=MARKER)
+    written = write_measured_chips(datasets, out, Encoding(**encoding), overwrite=overwrite, quiet=False)
+    console.finish(
+        f"{out}: {in_words(written)}; {LABELS} says what they show",
+        f"train on {shlex.quote(str(out / 'train'))} (torchvision's ImageFolder), half and half with generated chips "
+        "(docs/how-to/chips.md)",
+    )
 
 
 def _between(grazing: str | None) -> tuple[float, float] | None:

@@ -23,6 +23,13 @@ _USUAL_DEPRESSION = 17
 _REFUSED = 2
 """Exit code if a class could not be imported."""
 
+_PLAN = "sweep.toml"
+_PLAN_TEXT = """# a reconstruction of each class; `sarsplat sweep sweep.toml --out RUNS` makes them
+datasets = ["*"]
+preset = "measured"
+seeds = [0]
+"""
+
 _MOST_READ = 500
 """Number of Phoenix files whose headers are read; the others are assumed to be of the same classes."""
 
@@ -51,7 +58,9 @@ _one = command_of(
     target_class=Option(
         Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")],
         name="class",
-        help="Vehicle class, e.g. T72. Several, or all that there are (all), become a dataset each in the folder OUT.",
+        default=(),
+        help="Vehicle class, e.g. T72. Several, or all that there are (all), become a dataset each in the folder OUT; "
+        "with --split, those that it trains, unless some are named.",
     ),
     train_views=Option(Annotated[str, tyro.conf.arg(metavar="N|all")], _all_or_number),
     train_depression=Option(Angles, _whole, default=(str(_USUAL_DEPRESSION),)),
@@ -61,29 +70,76 @@ _one = command_of(
 
 @wraps(_one)
 def command(**given: Any) -> int:
-    classes = given["target_class"]
+    classes, split = given["target_class"], given["split"]
+    if split is not None:
+        _refuse_with_split(given)
+        return _all_of_split(given)
+    if not classes:
+        raise SarsplatError("--class is missing; give a class of vehicles, such as T72, or a --split, such as soc")
     if classes == ("all",):
         from sarsplat.importers.mstar_chips import classes_in
 
         classes = classes_in(given["chips"], given["labels"])
     elif len(classes) == 1:
         return _one(**given | {"target_class": classes[0]})
+    return max(_each(given, classes)[0])
+
+
+def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], list[Path]]:
+    """Import a dataset of each class; exit codes, and the folders that were made."""
     outs = {name: given["out"] / re.sub(r"[^\w+-]", "_", name) for name in dict.fromkeys(classes)}
     for out in outs.values():
         refuse_existing(out, given["overwrite"], marker="dataset.json")
-    codes = []
+    codes, made = [], []
     with assumed_once():
         for name, out in outs.items():
             try:
                 codes.append(_one(**given | {"target_class": name, "out": out}))
+                made.append(out)
             except SarsplatError as error:  # as where a class has too few chips: the others are imported
                 console.complain(f"{name}: {error}")
                 codes.append(_REFUSED)
-    made = sum(code != _REFUSED for code in codes)
     console.finish(
-        f"{given['out']}: {made} of {len(codes)} classes, a dataset each",
+        f"{given['out']}: {len(made)} of {len(codes)} classes, a dataset each",
         f"sarsplat info {shlex.quote(str(given['out']))}",
     )
+    return codes, made
+
+
+def _refuse_with_split(given: dict[str, Any]) -> None:
+    """A split says itself which vehicles at which depression angles train and test."""
+    if (
+        given["serial"] is not None or given["train_depression"] != (str(_USUAL_DEPRESSION),) or given["test"]
+    ):  # which is typed as --no-test
+        raise SarsplatError(
+            f"--split {given['split']} says itself which vehicles at which depression angles there are; leave out "
+            "--serial, --train-depression and --no-test"
+        )
+
+
+def _all_of_split(given: dict[str, Any]) -> int:
+    """Import the classes of a split, say how many chips there are and should be, and put a plan of a sweep beside."""
+    from sarsplat.data.dataset_folder import read_header
+    from sarsplat.data.files import write_bytes
+    from sarsplat.importers.mstar_splits import SPLITS, in_words
+
+    codes, made = _each(given, given["target_class"] or SPLITS[given["split"]].classes)
+    totals = Counter[str]()
+    for out in made:
+        parts = read_header(out).source["split"]["parts"]
+        for said in in_words(parts):
+            console.say(said)
+        for part in parts:
+            totals[part["set"]] += part["found"]
+            totals[f"{part['set']} published"] += part["published"]
+    for name in ("train", "test"):
+        found, published = totals[name], totals[f"{name} published"]
+        (console.say if found == published else console.warn)(
+            f"{name}: {found:,} of {published:,} chips of {len(made)} classes"
+        )
+    plan = given["out"] / _PLAN
+    write_bytes(plan, _PLAN_TEXT.encode())
+    console.say(f"wrote {plan}; next: sarsplat sweep {shlex.quote(str(plan))} --out RUNS reconstructs each class")
     return max(codes)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import AS_THEY_ARE, TERRAIN, Dataset, DatasetEntry, passes_of
@@ -38,6 +38,7 @@ def write_dataset(
     *,
     truth_mesh: trimesh.Trimesh | None = None,
     masks: UInt8[np.ndarray, "v rows columns"] | None = None,
+    pictures: Mapping[str, Float32[np.ndarray, "rows columns"]] | None = None,
     overwrite: bool = False,
 ) -> Dataset:
     """Write a dataset, whole or not at all.
@@ -53,6 +54,8 @@ def write_dataset(
     masks : numpy.ndarray, uint8 [V, rows, columns], optional
         True masks of simulated images, row 0 near: 0 clutter, 1 target, 2 shadow. They are put in the folder `masks`,
         from where `read_masks` reads them.
+    pictures : mapping of str to numpy.ndarray, float32 [rows, columns], optional
+        Linear power of images that are kept beside those of the dataset, by FOLDER/FILE; nothing else reads them.
     overwrite : bool
         Whether an existing dataset may be replaced.
 
@@ -69,7 +72,7 @@ def write_dataset(
     path = Path(path)
     _require_training(dataset)
     mesh = _mesh_bytes(dataset, truth_mesh)
-    pictures = {} if masks is None else encode_masks(masks, dataset)
+    drawn = {} if masks is None else encode_masks(masks, dataset)
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
     header = written.header()
     pixels = dataset.power if dataset.signal is None else dataset.signal
@@ -81,9 +84,9 @@ def write_dataset(
             write_terrain(folder / TERRAIN, dataset.terrain)
         with plain_os_errors("write", folder):
             (folder / "images").mkdir()
-            if pictures:
+            if drawn:
                 (folder / "masks").mkdir()
-        for name, png in pictures.items():
+        for name, png in drawn.items():
             write_bytes(folder / "masks" / name, png)
         for index, item in enumerate(header.views):
             unusual = dataset.views[index].unusual.replace("°", " deg")
@@ -95,6 +98,10 @@ def write_dataset(
                 f"{dataset.grid.spacing_m[1]:.6g} m (slant range); set {item.split}"
             ) + ("" if item.stack is None else "; one page for each pass")
             write_tiff(folder / item.file, pixels[index], description)
+        for picture, power in (pictures or {}).items():
+            with plain_os_errors("write", folder):
+                (folder / picture).parent.mkdir(exist_ok=True)
+            write_tiff(folder / picture, power, "SAR image, beta0 in linear power; row 0 is near range")
     return written
 
 

@@ -20,7 +20,7 @@ from sarsplat.data.files import growing, locked, open_file, plain_os_errors, ref
 from sarsplat.errors import SarsplatError
 
 _LAYOUTS = {
-    "dataset.json": r"dataset\.json|truth\.ply|preview\.png|images/[^/]+\.tif|masks/[^/]+\.png",
+    "dataset.json": r"dataset\.json|truth\.ply|preview\.png|images/[^/]+\.tif|unplaced/\d+\.tif|masks/[^/]+\.png",
     "config.json": (
         r"config\.json|metrics\.jsonl?|about\.json|(gaussians|points|mesh)\.ply|checkpoints/\d+\.safetensors|"
         r"report/(index\.html|[^/]+\.png)|tensorboard/events\.out\.tfevents\.[^/]+|"
@@ -29,6 +29,7 @@ _LAYOUTS = {
     "comparison.html": r"comparison\.html",
     "contact-sheet.png": r"contact-sheet\.png|az[\d.]+_gr[\d.]+\.(tif|png)",
     "chips.json": r"chips\.json|labels\.csv|[\w+-]+/\d+\.(jpg|png|npy)|chips-\d+\.tar",
+    "measured-chips.json": r"measured-chips\.json|labels\.csv|[\w+-]+/[\w+-]+/\d+\.(jpg|png|npy)",
 }
 """The kinds of folder we make, by the file that marks them, and what may be in them."""
 

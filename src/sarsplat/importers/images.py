@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Num, Shaped
+from jaxtyping import Float32, Num, Shaped
 
 from sarsplat.arguments import checks_arguments, expect
 from sarsplat.data.coverage import evenly_chosen, largest_gap
@@ -277,10 +277,17 @@ def _on_earth(
     return place, terrain.around(place, reach).centred()
 
 
-def write_imported(out: str | Path, dataset: Dataset, *, overwrite: bool) -> Dataset:
+def write_imported(
+    out: str | Path,
+    dataset: Dataset,
+    *,
+    overwrite: bool,
+    pictures: Mapping[str, Float32[np.ndarray, "rows columns"]] | None = None,
+) -> Dataset:
     """Examine the dataset's images, write it, and warn of what they contradict and of what else looks like a mistake.
 
-    Its `source` holds the `contradictions`, if there are any.
+    Its `source` holds the `contradictions`, if there are any. `pictures` are images beside those of the dataset: power,
+    by the names of their files.
     """
     from sarsplat.examination.contradictions import examine  # here, for it needs scipy: see `sarsplat info`
 
@@ -288,7 +295,7 @@ def write_imported(out: str | Path, dataset: Dataset, *, overwrite: bool) -> Dat
     wrong = examined.contradictions
     if wrong:  # for `reconstruct`, which does not look again
         dataset = replace(dataset, source={**dataset.source, "contradictions": wrong})
-    dataset = write_dataset(out, dataset, overwrite=overwrite)
+    dataset = write_dataset(out, dataset, pictures=pictures, overwrite=overwrite)
     EXAMINATIONS[dataset] = examined
     warn([*wrong, *(odd for odd in suspicions(dataset) if odd not in wrong)], anew=True)
     return dataset

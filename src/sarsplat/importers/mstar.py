@@ -18,11 +18,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
 import numpy as np
-from jaxtyping import Num
+from jaxtyping import Float32, Num
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.coverage import nearest_to
@@ -31,8 +32,12 @@ from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.importers.files import warn_caller
 from sarsplat.importers.images import AboutScene, MeasuredImage, dataset_of, view_of, write_imported
-from sarsplat.importers.mstar_chips import Chip, read_chips
+from sarsplat.importers.mstar_chips import Chip, plain_name, read_chips
+from sarsplat.importers.mstar_splits import SPLITS, divide
+from sarsplat.names import MstarSplit
 
+UNPLACED = "unplaced"
+"""Folder in a dataset of chips without azimuth, and where its `source` lists them."""
 MIN_DN = 2.0
 """Digital numbers are raised to this: below it lies nothing but quantisation, and zero has no logarithm."""
 MIN_POWER = 1e-3
@@ -49,6 +54,7 @@ def import_mstar(
     train_views: int | Literal["all"],
     train_depression: int | Sequence[int] = 17,
     serial: str | None = None,
+    split: MstarSplit | None = None,
     azimuth_std_deg: float = 0.0,
     mirrored: bool = False,
     test: bool = True,
@@ -74,6 +80,11 @@ def import_mstar(
         Depression angles of the training chips, as planned, degrees; of several, each gets the next azimuth in turn.
     serial : str, optional
         Import only the vehicle with this serial number; without it, all of the class.
+    split : {"soc", "eoc-depression", "eoc-configuration", "eoc-version"}, optional
+        Take the chips of a standard split of MSTAR: standard operating conditions, or extended ones of another
+        depression angle, of other configurations or of other versions. Training chips are those that train there, test
+        chips those that test. Chips without azimuth are kept in the folder `unplaced`: they count for a recogniser, and
+        a reconstruction has no use for them.
     azimuth_std_deg : float
         Standard deviation of the azimuths, degrees, of chips for which the table has none; uncertain ones are refined
         in training.
@@ -105,9 +116,21 @@ def import_mstar(
     """
     depressions = [train_depression] if isinstance(train_depression, int) else list(train_depression)
     _check(train_views, depressions)  # before thousands of chips are read
-    every = read_chips(Path(chips), None if labels is None else Path(labels), target_class)
-    every = _one_vehicle(every, target_class, serial)
-    train = _training_chips(every, train_views, depressions)
+    table = None if labels is None else Path(labels)
+    unplaced: dict[str, list[Chip]] = {}
+    counts: list[dict[str, int | str]] = []
+    if split is None:
+        every = _one_vehicle(read_chips(Path(chips), table, target_class), target_class, serial)
+        train = _training_chips(every, train_views, depressions)
+    else:
+        names = SPLITS[split].names_of(target_class)
+        divided = divide(read_chips(Path(chips), table, names, unplaced=True), split, target_class)
+        counts, depressions = divided.counts, sorted({chip.depression for chip in divided.train})
+        placed = [chip for chip in divided.train if chip.placed]
+        train = _training_chips(placed, train_views, depressions)
+        every = [*placed, *(chip for chip in divided.test if chip.placed)]
+        for name, of in (("train", divided.train), ("test", divided.test)):
+            unplaced[name] = [chip for chip in of if not chip.placed]
     if not any(chip.magnitude.any() for chip in train):
         black = "the training chip is" if len(train) == 1 else f"all {len(train)} training chips are"
         raise SarsplatError(f"{black} black; choose others, or remove what is black from {chips}")
@@ -125,7 +148,7 @@ def import_mstar(
             chip.resolution_m,
             response=chip.response,
             azimuth_std_deg=azimuth_std_deg if chip.azimuth_std_deg is None else chip.azimuth_std_deg,
-            split="train" if index < len(train) else f"test-{chip.depression}",
+            split="train" if index < len(train) else _test_set(chip, split, every),
         )
         for index, (chip, pixels) in enumerate(zip(ordered, _pixels(ordered, len(train)), strict=True))
     ]
@@ -142,8 +165,45 @@ def import_mstar(
         "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
         "assumptions": _assumptions(ordered, images, mirrored),
     }
+    if split is not None:
+        source |= {"split": {"name": split, "parts": counts}}
     dataset = dataset_of(images, target=target_class, source=source, **about)
-    return write_imported(out, dataset, overwrite=overwrite)
+    dataset, pictures = _with_unplaced(dataset, unplaced, mirrored)
+    return write_imported(out, dataset, overwrite=overwrite, pictures=pictures)
+
+
+def _test_set(chip: Chip, split: MstarSplit | None, every: Sequence[Chip]) -> str:
+    """The set of a chip that is not trained on: by depression angle, and by vehicle where a split has several."""
+    name = f"test-{chip.depression}"
+    several = split is not None and len({plain_name(one.serial) for one in every}) > 1
+    return f"{name}-{plain_name(chip.serial) or 'unnamed'}" if several else name
+
+
+def _with_unplaced(
+    dataset: Dataset, unplaced: dict[str, list[Chip]], mirrored: bool
+) -> tuple[Dataset, dict[str, Float32[np.ndarray, "rows columns"]]]:
+    """The dataset, whose source lists chips without azimuth, and their power on its scale by the names of their files.
+
+    They are cut to the size of the others, around the middle; refused if one is smaller.
+    """
+    rows, columns = dataset.grid.rows, dataset.grid.columns
+    pictures: dict[str, Float32[np.ndarray, "rows columns"]] = {}
+    listed = []
+    for name, chips in unplaced.items():
+        for chip in chips:
+            file = f"{UNPLACED}/{len(pictures):04}.tif"
+            image = oriented(_pixels([chip], 1)[0], "bottom", mirrored)
+            power = abs(image) ** 2 if np.iscomplexobj(image) else image
+            top, left = (power.shape[0] - rows) // 2, (power.shape[1] - columns) // 2
+            if top < 0 or left < 0:
+                raise SarsplatError(
+                    f"{chip.name} has {power.shape[0]} × {power.shape[1]} pixels, fewer than the other chips of "
+                    f"{dataset.target} ({rows} × {columns}); take it away"
+                )
+            scaled = power[top : top + rows, left : left + columns] / dataset.source["mean_power"]
+            pictures[file] = scaled.astype(np.float32)
+            listed.append({"name": chip.name, "file": file, "set": name, "grazing_deg": chip.grazing_deg})
+    return (replace(dataset, source={**dataset.source, UNPLACED: listed}) if listed else dataset), pictures
 
 
 def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> list[Chip]:

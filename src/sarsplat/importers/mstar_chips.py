@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -42,7 +43,7 @@ class Chip:
     grazing_deg: float
     """Depression angle as flown."""
     target_az_deg: float
-    """TargetAz, in [0, 360): 0 = nose toward the radar."""
+    """TargetAz, in [0, 360): 0 = nose toward the radar; NaN if it is not known."""
     read: Callable[[], Float32[np.ndarray, "rows columns"]]
     """Reads its pixels: see `magnitude`."""
     step: float
@@ -63,24 +64,38 @@ class Chip:
         """Linear (not power), in whatever unit all chips have in common; a SarsplatError if the file is damaged."""
         return self.read()
 
+    @property
+    def placed(self) -> bool:
+        """Whether its azimuth is known."""
+        return math.isfinite(self.target_az_deg)
 
-def read_chips(folder: Path, labels: Path | None, target_class: str) -> list[Chip]:
-    """Every chip of one class in a folder and its subfolders, in the order of the table or of the files' names.
+    @property
+    def frame(self) -> str:
+        """Number of its frame, by which files are named: HB03787 of hb03787.jpeg."""
+        return Path(self.name).stem.upper()
+
+
+def read_chips(
+    folder: Path, labels: Path | None, target_class: str | tuple[str, ...], *, unplaced: bool = False
+) -> list[Chip]:
+    """Every chip of one class, by any of its names, in a folder and its subfolders, in the order of the table or files.
 
     `labels` is a table (CSV) of JPEGs, whose pixels are not read yet: path relative to `folder`, class, serial,
     desired_depression_deg, measured_depression_deg (where it is empty, the desired one counts), target_az_deg; where
     azimuths are uncertain, azimuth_std_deg; and if chips are scaled each in its own way, dn_per_magnitude: digital
     numbers per unit of magnitude, in any unit that all chips have in common (none for any chip: 1). None: read Phoenix
-    files, which carry all that in their headers. `T72` and a Phoenix header's `t72_tank` are the same class.
+    files, which carry all that in their headers. `T72` and a Phoenix header's `t72_tank` are the same class. Chips
+    whose azimuth the table does not state are among them only where `unplaced` ones are asked for.
 
     Refused if the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
     match no chip, the class is unknown, or a Phoenix file is damaged. What the table lacks otherwise is warned of.
     """
+    target_class = (target_class,) if isinstance(target_class, str) else target_class
     files = _files(folder)
     jpegs = {path for path in files if path.suffix.lower() in (".jpeg", ".jpg")}
     if labels is None:
         return _phoenix_chips(folder, files, bool(jpegs), target_class)
-    return _jpeg_chips(folder, jpegs, labels, target_class)
+    return _jpeg_chips(folder, jpegs, labels, target_class, unplaced)
 
 
 def classes_in(folder: Path, labels: Path | None) -> list[str]:
@@ -101,23 +116,31 @@ def _files(folder: Path) -> list[Path]:
     return files
 
 
-def _same_class(wanted: str, given: str) -> bool:
-    """Whether two names mean one class: `T-72` = `t72` = `t72_tank`."""
-
-    def plain(name: str) -> str:
-        return re.sub(r"[^a-z0-9]", "", name.lower())
-
-    return plain(wanted) in (plain(given), plain(given.split("_")[0]))
+def plain_name(name: str) -> str:
+    """A name without what people spell it with: `ZSU_23-4` = `zsu234`."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _refuse_class(target_class: str, where: Path, classes: set[str]) -> SarsplatError:
+def same_class(wanted: str | tuple[str, ...], given: str) -> bool:
+    """Whether two names, or one of several and another, mean one class: `T-72` = `t72` = `t72_tank`."""
+    plain = {plain_name(name) for name in ((wanted,) if isinstance(wanted, str) else wanted)}
+    return not plain.isdisjoint((plain_name(given), plain_name(given.split("_")[0])))
+
+
+def _refuse_class(target_class: tuple[str, ...], where: Path, classes: set[str]) -> SarsplatError:
     names = ", ".join(name if name.isprintable() else shown(name) for name in sorted(classes)[:20])
-    return SarsplatError(f"there is no class {target_class!r} in {where}; it has {names}")
+    return SarsplatError(f"there is no class {target_class[0]!r} in {where}; it has {names}")
 
 
-def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_class: str) -> list[Chip]:
-    originals = [read_phoenix(path) for path in files if is_phoenix(path)]
-    if not originals:
+def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_class: tuple[str, ...]) -> list[Chip]:
+    chosen, classes = [], set()
+    for path in files:  # of thousands, only those of the class stay in memory
+        if is_phoenix(path):
+            chip = read_phoenix(path)
+            classes.add(chip.target_type)
+            if same_class(target_class, chip.target_type):
+                chosen.append(chip)
+    if not classes:
         remedy = "name the table of its JPEGs with --labels" if has_jpegs else "give the folder of the MSTAR chips"
         raise SarsplatError(f"there is no Phoenix file in {folder}; {remedy}")
     if has_jpegs:
@@ -125,9 +148,8 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
             f"{folder} also contains JPEG chips, which are ignored; to use them instead of the Phoenix files, "
             "give the table of their labels with --labels"
         )
-    chosen = [chip for chip in originals if _same_class(target_class, chip.target_type)]
     if not chosen:
-        raise _refuse_class(target_class, folder, {chip.target_type for chip in originals})
+        raise _refuse_class(target_class, folder, classes)
     for chip in chosen:
         chip.require_radar_at_the_bottom()
     return [
@@ -148,9 +170,11 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
     ]
 
 
-def _jpeg_chips(folder: Path, jpegs: set[Path], labels: Path, target_class: str) -> list[Chip]:
+def _jpeg_chips(
+    folder: Path, jpegs: set[Path], labels: Path, target_class: tuple[str, ...], unplaced: bool
+) -> list[Chip]:
     table = read_labels(labels)
-    rows = [row for row in table.rows if _same_class(target_class, row[1]["class"])]
+    rows = [row for row in table.rows if same_class(target_class, row[1]["class"])]
     if not rows:
         raise _refuse_class(target_class, labels, {row["class"] for _, row in table.rows})
     present = listed_files(folder, table, rows, "path", of="chip")
@@ -158,7 +182,7 @@ def _jpeg_chips(folder: Path, jpegs: set[Path], labels: Path, target_class: str)
         warn_caller(
             f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add them if you need these chips"
         )
-    chosen = _once(labels, _complete(labels, [row for row, _ in present]))
+    chosen = _once(labels, _complete(labels, [row for row, _ in present], unplaced))
     for row in chosen:
         if column := unusual_look(table, row):
             raise SarsplatError(
@@ -171,7 +195,7 @@ def _jpeg_chips(folder: Path, jpegs: set[Path], labels: Path, target_class: str)
             serial=row[1]["serial"],
             depression=round(table.number(row, _DESIRED)),
             grazing_deg=table.number(row, _MEASURED),
-            target_az_deg=table.number(row, _AZIMUTH) % 360,
+            target_az_deg=table.number(row, _AZIMUTH) % 360 if row[1][_AZIMUTH] else math.nan,
             read=partial(_magnitude, folder / row[1]["path"], step),
             step=step,
             azimuth_std_deg=table.number(row, _AZIMUTH_STD) if row[1].get(_AZIMUTH_STD) else None,
@@ -180,12 +204,12 @@ def _jpeg_chips(folder: Path, jpegs: set[Path], labels: Path, target_class: str)
     ]
 
 
-def _complete(labels: Path, rows: Sequence[Row]) -> list[Row]:
+def _complete(labels: Path, rows: Sequence[Row], unplaced: bool) -> list[Row]:
     """The rows that have the angles they need; those with empty fields are counted.
 
     A measured depression that is empty is taken to be as planned: it differs from that by tenths of a degree.
     """
-    whole = [(line, row) for line, row in rows if row[_DESIRED] and row[_AZIMUTH]]
+    whole = [(line, row) for line, row in rows if row[_DESIRED] and (row[_AZIMUTH] or unplaced)]
     if len(whole) < len(rows):
         line, row = next(item for item in rows if item not in whole)
         missing = _AZIMUTH if row[_DESIRED] else _DESIRED

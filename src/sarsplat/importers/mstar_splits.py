@@ -1,0 +1,194 @@
+"""The standard splits of MSTAR: which vehicles at which depression angles train a recogniser, and which test it.
+
+Numbers of chips are those that papers compare themselves on: S. Chen, H. Wang, F. Xu and Y.-Q. Jin, "Target
+Classification Using the Deep Convolutional Networks for SAR Images", IEEE TGRS 54(8), 2016, tables I and IV to VI.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.importers.files import warn_caller
+from sarsplat.importers.mstar_chips import Chip, plain_name, same_class
+from sarsplat.names import MstarSplit
+
+
+@dataclass(frozen=True)
+class Part:
+    """Chips of one vehicle at some depression angles, degrees, and how many there are."""
+
+    target: str
+    serial: str
+    depressions: tuple[int, ...]
+    count: int
+
+    def holds(self, chip: Chip) -> bool:
+        """Whether a chip of the class belongs to it; one whose table names no serial does."""
+        named = plain_name(chip.serial).removeprefix("sn")  # as in SN_132
+        return chip.depression in self.depressions and named in ("", plain_name(self.serial))
+
+    def __str__(self) -> str:
+        return f"{self.target} ({self.serial}) at {' and '.join(f'{angle}°' for angle in self.depressions)}"
+
+
+@dataclass(frozen=True)
+class Split:
+    """A standard split: parts that train, and parts that test."""
+
+    train: tuple[Part, ...]
+    test: tuple[Part, ...]
+
+    def names_of(self, target: str) -> tuple[str, ...]:
+        """What tables may call a class, some of which name its vehicles as well: T72, T72-A64."""
+        parts = [part for part in (*self.train, *self.test) if same_class(target, part.target)]
+        return (target, *dict.fromkeys(f"{part.target}-{part.serial}" for part in parts))
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Classes that are trained, in their order."""
+        return tuple(dict.fromkeys(part.target for part in self.train))
+
+
+def _parts(depressions: tuple[int, ...], *parts: tuple[str, str, int]) -> tuple[Part, ...]:
+    return tuple(Part(target, serial, depressions, count) for target, serial, count in parts)
+
+
+_TRAIN_17 = _parts(
+    (17,),
+    ("2S1", "b01", 299),
+    ("BMP2", "9563", 233),
+    ("BRDM2", "E-71", 298),
+    ("BTR60", "k10yt7532", 256),
+    ("BTR70", "c71", 233),
+    ("D7", "92v13015", 299),
+    ("T62", "A51", 299),
+    ("T72", "132", 232),
+    ("ZIL131", "E12", 299),
+    ("ZSU234", "d08", 299),
+)
+
+
+def _trained(*targets: str) -> tuple[Part, ...]:
+    return tuple(part for part in _TRAIN_17 if part.target in targets)
+
+
+SPLITS: dict[MstarSplit, Split] = {
+    "soc": Split(
+        _TRAIN_17,
+        _parts(
+            (15,),
+            ("2S1", "b01", 274),
+            ("BMP2", "9563", 195),
+            ("BRDM2", "E-71", 274),
+            ("BTR60", "k10yt7532", 195),
+            ("BTR70", "c71", 196),
+            ("D7", "92v13015", 274),
+            ("T62", "A51", 273),
+            ("T72", "132", 196),
+            ("ZIL131", "E12", 274),
+            ("ZSU234", "d08", 274),
+        ),
+    ),
+    "eoc-depression": Split(
+        _trained("2S1", "BRDM2", "T72", "ZSU234"),
+        _parts((30,), ("2S1", "b01", 288), ("BRDM2", "E-71", 287), ("T72", "A64", 288), ("ZSU234", "d08", 288)),
+    ),
+    "eoc-configuration": Split(
+        _trained("BMP2", "BRDM2", "BTR70", "T72"),
+        _parts(
+            (15, 17), ("T72", "s7", 419), ("T72", "A32", 572), ("T72", "A62", 573), ("T72", "A63", 573),
+            ("T72", "A64", 573),
+        ),
+    ),
+    "eoc-version": Split(
+        _trained("BMP2", "BRDM2", "BTR70", "T72"),
+        _parts(
+            (15, 17), ("BMP2", "9566", 428), ("BMP2", "c21", 429), ("T72", "812", 426), ("T72", "A04", 573),
+            ("T72", "A05", 573), ("T72", "A07", 573), ("T72", "A10", 567),
+        ),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Divided:
+    """The chips of one class, as a split divides them.
+
+    Attributes
+    ----------
+    train, test : list of Chip
+        In the order in which they were found.
+    counts : list of dict
+        For each part: its "set" ("train" or "test"), "part" in words, the chips "found" and "published", and how many
+        of those found have no azimuth ("without_azimuth").
+    """
+
+    train: list[Chip]
+    test: list[Chip]
+    counts: list[dict[str, int | str]]
+
+
+def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
+    """The chips of a class in a split; a chip that is there twice counts once.
+
+    Refused if the split does not train that class, or there is no chip to train on. What is left out is warned of.
+    """
+    chosen = SPLITS[split]
+    if not any(same_class(target, one) for one in chosen.classes):
+        raise SarsplatError(f"the split {split} has no class {target}; it has {', '.join(chosen.classes)}")
+    chips = _once(chips, target)
+    found: dict[str, list[Chip]] = {"train": [], "test": []}
+    counts: list[dict[str, int | str]] = []
+    for name, parts in (("train", chosen.train), ("test", chosen.test)):
+        for part in parts:
+            if not same_class(target, part.target):
+                continue
+            held = [chip for chip in chips if part.holds(chip) and not any(chip is one for one in found["train"])]
+            found[name] += held
+            unplaced = sum(not chip.placed for chip in held)
+            counts.append(
+                {
+                    "set": name,
+                    "part": str(part),
+                    "found": len(held),
+                    "published": part.count,
+                    "without_azimuth": unplaced,
+                }
+            )
+    if not found["train"]:
+        raise SarsplatError(_nothing(chips, chosen, target))
+    chosen_ones = {id(chip) for chip in (*found["train"], *found["test"])}
+    if others := [chip for chip in chips if id(chip) not in chosen_ones]:
+        kinds = Counter(f"{chip.serial or 'an unnamed vehicle'} at {chip.depression}°" for chip in others)
+        said = ", ".join(f"{number} of {kind}" for kind, number in sorted(kinds.items()))
+        warn_caller(f"{target}: {counted(len(others), 'chip')} do not belong to the split {split} ({said}); left out")
+    return Divided(found["train"], found["test"], counts)
+
+
+def _nothing(chips: Sequence[Chip], split: Split, target: str) -> str:
+    there = sorted({f"{chip.serial or 'unnamed'} at {chip.depression}°" for chip in chips})
+    wanted = " and ".join(str(part) for part in split.train if same_class(target, part.target))
+    return f"there is no chip of {wanted}, but of {', '.join(there)}; get these chips, or leave the class out"
+
+
+def _once(chips: Sequence[Chip], target: str) -> list[Chip]:
+    """Each chip once: the same file name of one vehicle at one depression angle, in whichever folder."""
+    first: dict[tuple[str, int, str], Chip] = {}
+    for chip in chips:
+        first.setdefault((plain_name(chip.serial), chip.depression, chip.frame), chip)
+    if repeated := len(chips) - len(first):
+        warn_caller(f"{target}: {counted(repeated, 'chip')} are there twice, in several folders; each counts once")
+    return list(first.values())
+
+
+def in_words(counts: Sequence[dict[str, int | str]]) -> Iterator[str]:
+    """A sentence for each part of a split: how many chips were found, and how many there should be."""
+    for one in counts:
+        found, published, unplaced = (int(one[key]) for key in ("found", "published", "without_azimuth"))
+        said = f"{one['set']}: {one['part']}: {found} of {published} chips"
+        if found != published:
+            said += f", {published - found} are missing" if found < published else f", {found - published} too many"
+        yield said + (f"; {unplaced} have no azimuth" if unplaced else "")

@@ -1,0 +1,179 @@
+"""Standard splits of MSTAR: which chips they take, and what they say of those that are missing, doubled or unplaced."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from chip_files import COLUMNS, phoenix_bytes
+from sarsplat.cli import main
+from sarsplat.data import read_dataset
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.importers import import_mstar
+from sarsplat.importers.mstar_splits import SPLITS, in_words
+
+pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # those expected are named
+
+VEHICLES = [("T72", "132", (17, 15)), ("BMP2", "9563", (17, 15)), ("BMP2", "9566", (17, 15)), ("T-72", "A64", (30,))]
+"""Class as a table spells it, serial, depression angles: four chips of each."""
+SIZE = 16
+
+
+def picture(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(20, 255, (SIZE, SIZE)).astype(np.uint8)
+
+
+def chips_of() -> list[tuple[str, str, int, float | None, int]]:
+    """Class, serial, depression, azimuth and a number of its own; one training chip of BMP2 has no azimuth."""
+    rows, number = [], 0
+    for target, serial, depressions in VEHICLES:
+        for depression in depressions:
+            for k in range(4):
+                azimuth = None if (target, serial, depression, k) == ("BMP2", "9563", 17, 3) else 90.0 * k + number % 7
+                rows.append((target, serial, depression, azimuth, number))
+                number += 1
+    return rows
+
+
+def jpegs(folder: Path, nested: bool) -> Path:
+    """JPEGs by class and depression angle, or all in one folder, with their table."""
+    folder.mkdir(parents=True)
+    with (folder / "labels.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        for target, serial, depression, azimuth, number in chips_of():
+            path = Path(target, f"{depression}deg") if nested else Path()
+            path /= f"hb{number:05}.jpeg"
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(picture(number)).save(folder / path, quality=95)
+            angle = "" if azimuth is None else azimuth
+            table.writerow([path, target, serial, depression, depression + 0.1, angle])
+    return folder
+
+
+def phoenix(folder: Path, nested: bool) -> Path:
+    """Original files, whose headers have all but a table's spelling: those without azimuth are left out."""
+    for target, serial, depression, azimuth, number in chips_of():
+        if azimuth is None:
+            continue
+        kind = {"T72": "t72_tank", "T-72": "t72_tank", "BMP2": "bmp2_tank"}[target]
+        path = folder / (f"{depression}_DEG/{target}/SN_{serial}" if nested else "") / f"HB{number:05}.000"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        header = {
+            "TargetType": kind,
+            "TargetSerNum": serial,
+            "TargetAz": str(azimuth),
+            "DesiredDepression": str(depression),
+            "MeasuredDepression": str(depression + 0.1),
+        }
+        path.write_bytes(phoenix_bytes(picture(number).astype(np.float32) / 255, **header))
+    return folder
+
+
+@pytest.mark.parametrize("nested", [True, False], ids=["by folders", "flat"])
+@pytest.mark.parametrize("kind", ["jpeg", "phoenix"])
+def test_soc_takes_17_degrees_to_train_and_15_to_test_of_the_strict_vehicles(
+    tmp_path: Path, kind: str, nested: bool
+) -> None:
+    folder = (jpegs if kind == "jpeg" else phoenix)(tmp_path / "chips", nested)
+    labels = folder / "labels.csv" if kind == "jpeg" else None
+    with pytest.warns(SarsplatWarning, match=r"BMP2: 8 chips do not belong to the split soc \(4 of 9566 at 15°, 4 of"):
+        bmp2 = import_mstar(
+            folder, tmp_path / "bmp2", labels=labels, target_class="BMP2", train_views="all", split="soc"
+        )
+    assert bmp2.splits() == ("train", "test-15")
+    assert [len(bmp2.images(name)) for name in bmp2.splits()] == [3, 4]
+    train, test = bmp2.source["split"]["parts"]
+    missing = 4 if kind == "jpeg" else 3
+    assert (train["found"], train["published"], test["found"], test["published"]) == (missing, 233, 4, 195)
+    said = list(in_words(bmp2.source["split"]["parts"]))
+    assert said[1] == "test: BMP2 (9563) at 15°: 4 of 195 chips, 191 are missing"
+    assert said[0].endswith("1 have no azimuth") == (kind == "jpeg")
+    with pytest.warns(SarsplatWarning, match="4 of A64 at 30°"):
+        t72 = import_mstar(folder, tmp_path / "t72", labels=labels, target_class="T72", train_views=2, split="soc")
+    assert [len(t72.images(name)) for name in ("train", "test-17", "test-15")] == [2, 2, 4]
+
+
+def test_extended_conditions_test_on_other_vehicles(tmp_path: Path) -> None:
+    folder = jpegs(tmp_path / "chips", nested=True)
+    kept = {"labels": folder / "labels.csv", "train_views": "all"}
+    with pytest.warns(SarsplatWarning, match="left out"):
+        version = import_mstar(folder, tmp_path / "a", target_class="BMP2", split="eoc-version", **kept)
+    assert version.splits() == ("train", "test-17-9566", "test-15-9566")
+    with pytest.warns(SarsplatWarning, match="left out"):
+        depression = import_mstar(folder, tmp_path / "b", target_class="T72", split="eoc-depression", **kept)
+    assert depression.splits() == ("train", "test-30-a64")
+    with pytest.raises(
+        SarsplatError, match="the split eoc-depression has no class BMP2; it has 2S1, BRDM2, T72, ZSU234"
+    ):
+        import_mstar(folder, tmp_path / "c", target_class="BMP2", split="eoc-depression", **kept)
+
+
+def test_published_numbers_add_up() -> None:
+    totals = {name: [sum(part.count for part in parts) for parts in (s.train, s.test)] for name, s in SPLITS.items()}
+    assert totals["soc"] == [2747, 2425]
+    assert totals["eoc-depression"][1] == 1151
+    assert totals["eoc-configuration"][1] == 2710
+    assert totals["eoc-version"][1] == 3569
+
+
+def test_a_chip_that_is_there_twice_counts_once(tmp_path: Path) -> None:
+    folder = phoenix(tmp_path / "chips", nested=True)
+    shutil.copytree(folder / "17_DEG" / "T72", folder / "copies" / "T72")
+    with pytest.warns(SarsplatWarning, match="T72: 4 chips are there twice, in several folders; each counts once"):
+        t72 = import_mstar(folder, tmp_path / "t72", labels=None, target_class="T72", train_views="all", split="soc")
+    assert len(t72.images("train")) == 4
+
+
+def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Path) -> None:
+    folder = jpegs(tmp_path / "chips", nested=True)
+    for mirrored in (False, True):
+        with pytest.warns(SarsplatWarning):
+            bmp2 = import_mstar(
+                folder, tmp_path / f"{mirrored}", labels=folder / "labels.csv", target_class="BMP2", train_views="all",
+                split="soc", mirrored=mirrored,
+            )  # fmt: skip
+        (one,) = bmp2.source["unplaced"]
+        assert one == {
+            "name": "BMP2/17deg/hb00011.jpeg",
+            "file": "unplaced/0000.tif",
+            "set": "train",
+            "grazing_deg": 17.1,
+        }
+        import tifffile
+
+        published = np.asarray(Image.open(folder / one["name"]), np.float32)
+        turned = published[::-1, :] if mirrored else published[::-1, ::-1]
+        power = tifffile.imread(bmp2.path / one["file"]) * bmp2.source["mean_power"]
+        np.testing.assert_allclose(power, np.maximum(turned, 2) ** 2, rtol=1e-5)
+        assert read_dataset(bmp2.path).fingerprint() == bmp2.fingerprint()
+
+
+def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = jpegs(tmp_path / "chips", nested=False)
+    words = ["import", "mstar", str(folder), "--labels", str(folder / "labels.csv"), "--train-views", "all"]
+    words += ["--out", str(tmp_path / "soc")]
+    assert main([*words, "--split", "soc"]) == 2  # eight classes are not there
+    said = capsys.readouterr()
+    assert "2S1: there is no class '2S1'" in said.err
+    assert "train: 8 of 465 chips of 2 classes" in said.out + said.err
+    assert sorted(path.name for path in (tmp_path / "soc").iterdir()) == ["BMP2", "T72", "sweep.toml"]
+    assert main([*words, "--split", "soc", "--serial", "132"]) == 2
+    assert "leave out --serial" in capsys.readouterr().err
+    assert main(words) == 2
+    assert "--class is missing" in capsys.readouterr().err
+
+
+def test_the_plan_is_one(tmp_path: Path) -> None:
+    from sarsplat.cli.import_mstar import _PLAN_TEXT
+    from sarsplat.sweeps.plan import Plan
+
+    (tmp_path / "sweep.toml").write_text(_PLAN_TEXT)
+    assert Plan.read(tmp_path / "sweep.toml").datasets == ("*",)

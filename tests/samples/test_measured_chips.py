@@ -1,0 +1,100 @@
+"""Measured chips written as generated ones are."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from chip_files import write_chips
+from sarsplat.cli import main
+from sarsplat.data import read_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.importers import import_mstar
+from sarsplat.samples import write_measured_chips
+from sarsplat.samples.encoding import Encoding
+
+pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
+
+ROWS = [
+    (name, serial, 17, azimuth)
+    for name, serial in (("T72", "SN_132"), ("BMP2", "9563"))
+    for azimuth in (0, 90, 180, 270)
+]
+ROWS += [(name, serial, 15, azimuth) for name, serial in (("T72", "SN_132"), ("BMP2", "9563")) for azimuth in (5, 95)]
+
+
+@pytest.fixture
+def datasets(tmp_path: Path) -> list[Path]:
+    folder = tmp_path / "chips"
+    folder.mkdir()
+    labels = write_chips(folder, ROWS)
+    text = labels.read_text().replace("T72,SN_132,17,17.1,270", "T72,SN_132,17,17.1,")
+    labels.write_text(text)
+    made = []
+    for name in ("T72", "BMP2"):
+        out = tmp_path / "datasets" / name
+        import_mstar(folder, out, labels=labels, target_class=name, train_views="all", split="soc")
+        made.append(out)
+    return made
+
+
+def test_a_folder_of_each_set_and_class_and_one_table(datasets: list[Path], tmp_path: Path) -> None:
+    written = write_measured_chips(datasets, tmp_path / "out", Encoding(format="png"))
+    folders = sorted(path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").glob("*/*"))
+    assert folders == ["test-15/BMP2", "test-15/T72", "train/BMP2", "train/T72"]
+    assert written.counts == {("train", "T72"): 4, ("train", "BMP2"): 4, ("test-15", "T72"): 2, ("test-15", "BMP2"): 2}
+    with (tmp_path / "out" / "labels.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 12
+    assert all((tmp_path / "out" / row["path"]).is_file() for row in rows)
+    (unplaced,) = [row for row in rows if not row["azimuth_deg"]]
+    assert (unplaced["class"], unplaced["split"], unplaced["target_az_deg"]) == ("T72", "train", "")
+    assert [row["target_az_deg"] for row in rows if row["split"] == "test-15"] == ["5.0", "95.0"] * 2
+    assert json.loads((tmp_path / "out" / "measured-chips.json").read_text())["format"] == "png"
+
+
+def test_pixels_are_the_published_ones_scaled_and_cut_as_generated_ones_are(
+    datasets: list[Path], tmp_path: Path
+) -> None:
+    write_measured_chips(datasets, tmp_path / "out", Encoding(format="png", crop=10))
+    with (tmp_path / "out" / "labels.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            published = np.asarray(Image.open(tmp_path / "chips" / row["name"]), np.float64)
+            expected = np.maximum(published, 2)[3:13, 3:13]
+            stored = np.asarray(Image.open(tmp_path / "out" / row["path"]), np.float64)
+            np.testing.assert_allclose(stored, 255 * expected / expected.max(), atol=0.51)
+    npy = write_measured_chips(datasets, tmp_path / "npy", Encoding(format="npy", quantity="power", scale="calibrated"))
+    assert npy.size == (16, 16)
+    dataset = read_dataset(datasets[0])
+    np.testing.assert_allclose(
+        np.load(tmp_path / "npy" / "train" / "T72" / "00000000.npy"), np.rot90(dataset.power[0], 2), rtol=1e-5
+    )
+
+
+def test_what_does_not_fit_is_refused(datasets: list[Path], tmp_path: Path) -> None:
+    cases = [
+        (Encoding(format="npy", quantity="complex", scale="max"), datasets, "has no phases"),
+        (Encoding(crop=17), datasets, "crop is 17, but the images of .* have 16 × 16 pixels"),
+        (Encoding(), [tmp_path / "chips"], "is no dataset, and has none in it"),
+    ]
+    for encoding, given, sentence in cases:
+        with pytest.raises(SarsplatError, match=sentence):
+            write_measured_chips(given, tmp_path / "out", encoding)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_takes_a_folder_of_datasets_and_replaces_only_its_own(
+    datasets: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["chips", "--measured", str(tmp_path / "datasets"), "--out", str(tmp_path / "out"), "--crop", "12"]
+    assert main(words) == 0
+    assert "12 chips of 2 classes (8 train, 4 test-15), 12 × 12 pixels" in capsys.readouterr().out
+    assert main(words) == 2
+    assert main([*words, "--overwrite"]) == 0
+    assert main([*words, "--overwrite", "--count", "3"]) == 2
+    assert "leave out what says how chips are drawn" in capsys.readouterr().err
