@@ -4,6 +4,7 @@ from sarsplat.geometry.grids import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid
 from sarsplat.geometry.look import Look
 from sarsplat.geometry.stack import Stack
 from sarsplat.geometry.terrain import Terrain
+from sarsplat.geometry.turn import Turn
 from sarsplat.geometry.view import View, radar_frame
 
-__all__ = ["CLUTTER", "SHADOW", "TARGET", "ImageGrid", "Look", "RayGrid", "Stack", "Terrain", "View", "radar_frame"]
+__all__ = ["CLUTTER", "SHADOW", "TARGET", "ImageGrid", "Look", "RayGrid", "Stack", "Terrain", "Turn", "View", "radar_frame"]

@@ -16,7 +16,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
-from sarsplat.renderer.bistatic import render_bistatic
+from sarsplat.renderer.bistatic import render_by_steps
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances
 from sarsplat.renderer.echoes import Echo, GroundEcho
@@ -83,7 +83,7 @@ def render(
     gaussians : Gaussians
         The scene, N Gaussians.
     views : sequence of View
-        V views, at least one. Bistatic ones are rendered step by step, and have no ground or other echoes, ray maps or
+        V views, at least one. Bistatic and stretched ones are rendered step by step, and have no ground or other echoes, ray maps or
         processes; `bounds` are of no use to them.
     grid : ImageGrid
         Pixels and system response, the same for all views.
@@ -162,15 +162,15 @@ def render(
     by_view = {"amplitudes": amplitudes, "shift": shift, "gain": gain}
     tensors = {**gaussians.tensors(), **by_view}
     options: dict[str, Any] = {**by_view, "rays": rays, "imaging_weight": imaging_weight}
-    bistatic = any(view.apart_deg for view in candidates(views)[0])
-    if bistatic:
-        _check_bistatic(echoes, first_return_depth, processes)
+    by_steps = not all(view.plain for view in candidates(views)[0])
+    if by_steps:
+        _check_by_steps(echoes, first_return_depth, processes)
     else:
         options |= {"echoes": echoes, "first_return_depth": first_return_depth}
     if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
-        if bistatic:
+        if by_steps:
             check_values(by_view)  # the rest is checked on the way in
-            return render_bistatic(
+            return render_by_steps(
                 Steps(new_pass, cuts=True), gaussians, views, grid, **options, plane_gradients=plane_gradients
             )
         holding = all(echo.within_bounds for echo in echoes)
@@ -196,18 +196,18 @@ def render(
     check_for_reference("means", gaussians.means.dtype)
     for values in (tensors, *(echo.values() for echo in echoes)):
         check_values(values)
-    if bistatic:
-        return render_bistatic(Steps(None, cuts=True), gaussians, views, grid, **options)
+    if by_steps:
+        return render_by_steps(Steps(None, cuts=True), gaussians, views, grid, **options)
     rendering = render_reference(gaussians, views, grid, **options)
     return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
 
 
-def _check_bistatic(echoes: Sequence[Echo], first_return_depth: float | None, processes: Processes | None) -> None:
-    """Refuse what images of a transmitter and a receiver apart cannot have."""
+def _check_by_steps(echoes: Sequence[Echo], first_return_depth: float | None, processes: Processes | None) -> None:
+    """Refuse what images of a transmitter and a receiver apart, or that are stretched, cannot have."""
     given = {
         "ground, bounces or other echoes; leave them out": bool(echoes),
         "ray maps; ask for those of the views along each way, view.legs": first_return_depth is not None,
         "processes that share them; omit these": processes is not None,
     }
     if wrong := next((what for what, there in given.items() if there), None):
-        raise SarsplatError(f"a view is bistatic, and such images have no {wrong}")
+        raise SarsplatError(f"a view is bistatic or stretched, and such images have no {wrong}")

@@ -1,4 +1,4 @@
-"""Images of a transmitter and a receiver apart, put together from the steps of a rendering.
+"""Images of a transmitter and a receiver apart, or stretched, put together from the steps of a rendering.
 
 The way in is u_t and the way out u_r. A Gaussian is imaged where the look's gradients say, in slant range
 −½(u_t + u_r)·x, and lit both ways: over √(lit(u_t)·lit(u_r)), because what Gaussians of one surface take from each
@@ -27,7 +27,7 @@ from sarsplat.renderer.one_by_one import Steps
 from sarsplat.renderer.rendering import Rendering
 
 
-def render_bistatic(
+def render_by_steps(
     steps: Steps,
     gaussians: Gaussians,
     views: Sequence[View],
@@ -40,17 +40,19 @@ def render_bistatic(
     imaging_weight: str = "area",
     plane_gradients: bool = False,
 ) -> Rendering:
-    """`sarsplat.render` of views some or all of which are bistatic; arguments are documented there."""
+    """`sarsplat.render` of views some or all of which are not plain; arguments are documented there."""
     if isinstance(views, ChosenViews):
-        raise NotRecordable("has a transmitter and a receiver apart")
+        raise NotRecordable("has a transmitter and a receiver apart, or is stretched")
     g = gaussians
-    ways = [view.legs[end] for end in (0, -1) for view in views]
+    ends = (0, -1) if any(view.apart_deg for view in views) else (0,)
+    ways = [view.legs[end] for end in ends for view in views]
     unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # nobody asks what returns along either way
     projection = steps.project(unlit, ways, grid, rays)
-    there, back = steps.lit_area(projection, rays).split(len(views))
-    both = there * back
-    some = both > 0  # the slope of the root is infinite where nothing is lit, and of no use
-    lit_area = both.where(some, 1.0).sqrt() * some
+    lit_area, *back = steps.lit_area(projection, rays).split(len(views))
+    if back:
+        both = lit_area * back[0]
+        some = both > 0  # the slope of the root is infinite where nothing is lit, and of no use
+        lit_area = both.where(some, 1.0).sqrt() * some
     if amplitudes is None:
         amplitudes = amplitudes_towards(steps.new_pass, g, views)
     cross_sections = amplitudes * lit_area[..., None]
