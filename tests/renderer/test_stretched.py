@@ -27,7 +27,9 @@ VIEWS = tuple(replace(view, stretch=stretch) for view, stretch in zip(PLAIN, STR
 
 def narrower(grid: ImageGrid, stretch: float) -> ImageGrid:
     """The pixels that show the same without a stretch."""
-    widths = {name: (getattr(grid, name)[0] / stretch, getattr(grid, name)[1]) for name in ("spacing_m", "resolution_m")}
+    widths = {
+        name: (getattr(grid, name)[0] / stretch, getattr(grid, name)[1]) for name in ("spacing_m", "resolution_m")
+    }
     return replace(grid, **widths, center_m=(grid.center_m[0] / stretch, grid.center_m[1]))
 
 

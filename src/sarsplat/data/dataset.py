@@ -243,8 +243,8 @@ class Dataset:
         Raises
         ------
         SarsplatError
-            If there are no training images, there are more or fewer standard deviations or turns than images, grids differ,
-            only some images have their phase, or a field is out of range.
+            If there are no training images, there are more or fewer standard deviations or turns than images, grids
+            differ, only some images have their phase, or a field is out of range.
         """
         every = [*images, *test]
         if not images:
@@ -260,6 +260,7 @@ class Dataset:
             raise SarsplatError(f"azimuth_std_deg holds {len(stds)} numbers for {len(every)} images; give one for each")
         if turns is not None and len(turns) != len(every):
             raise SarsplatError(f"turns holds {len(turns)} for {len(every)} images; give one for each")
+        of_images: list[Turn | None] = [None] * len(every) if turns is None else list(turns)
         signals = [image.signal for image in every if image.signal is not None]
         if signals and len(signals) < len(every):
             raise SarsplatError(
@@ -269,7 +270,7 @@ class Dataset:
         digits = max(3, len(str(len(every) - 1)))
         entries = tuple(
             DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}", std, turn=turn)
-            for index, (image, std, turn) in enumerate(zip(every, stds, turns or [None] * len(every), strict=True))
+            for index, (image, std, turn) in enumerate(zip(every, stds, of_images, strict=True))
         )
         power = np.stack([image.power for image in every]).astype(np.float32, copy=False)
         return cls(grid, entries, power, signal=np.stack(signals) if signals else None, **fields)

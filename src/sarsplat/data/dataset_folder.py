@@ -135,10 +135,7 @@ def read_dataset(path: str | Path) -> Dataset:
     header = read_header(path)
     with _blamed_on(path / HEADER):
         grid = ImageGrid.of(**msgspec.structs.asdict(header.grid))
-        entries = tuple(
-            _entry(index, item)
-            for index, item in enumerate(header.views)
-        )
+        entries = tuple(_entry(index, item) for index, item in enumerate(header.views))
         files = [_inside(path, item.file) for item in header.views]
         if len({file.resolve() for file in files}) < len(files):
             raise SarsplatError("two views name the same image file; give each view its own")

@@ -193,7 +193,7 @@ def _evaluate(
     with progress(f"evaluate {run.path or dataset.target}", steps, quiet) as shown:
         for split in test_sets:
             tested = dataset.select(split)
-            pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
+            pair = ImagePair(tested.power, _rendered(run, run.views_of(tested), shown), **parameters, network=network)
             images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
             by_image[split] = _by_image(tested, pair)
             shown.advance(0, "scores of the test images")

@@ -59,8 +59,8 @@ def bounded_region(
     """The region that can hold the target if nothing else returns power: an intersection of half-spaces.
 
     In every view the target lies within the azimuths of the bright pixels and behind the nearest bright range; it
-    stands on the ground z = 0. Shadow hides nothing from these bounds, so nothing of the target is cut off. Aloft, there
-    is no ground, and all radars may be on one side: then what no image shows may be cut off on the other.
+    stands on the ground z = 0. Shadow hides nothing from these bounds, so nothing of the target is cut off. Aloft,
+    there is no ground, and all radars may be on one side: then what no image shows may be cut off on the other.
 
     Parameters
     ----------

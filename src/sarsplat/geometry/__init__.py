@@ -7,4 +7,16 @@ from sarsplat.geometry.terrain import Terrain
 from sarsplat.geometry.turn import Turn
 from sarsplat.geometry.view import View, radar_frame
 
-__all__ = ["CLUTTER", "SHADOW", "TARGET", "ImageGrid", "Look", "RayGrid", "Stack", "Terrain", "Turn", "View", "radar_frame"]
+__all__ = [
+    "CLUTTER",
+    "SHADOW",
+    "TARGET",
+    "ImageGrid",
+    "Look",
+    "RayGrid",
+    "Stack",
+    "Terrain",
+    "Turn",
+    "View",
+    "radar_frame",
+]

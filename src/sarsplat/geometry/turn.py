@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
 
 import numpy as np
 from jaxtyping import Float64
@@ -23,10 +22,9 @@ _MOST_OFF = 1e-3  # rad between a view's azimuth axis and what the axis of rotat
 class Turn:
     """The part of a target's rotation that lies between the beginning of a pass and a frame.
 
-    Frames of one pass have the same axis, the same name and the same uncertainty: the axis and the rate by which they
-    were made, from the attitude at its beginning on, are wrong by the same. A rate that is too high by a share makes all
-    angles too large by it and cross-range too short, and so does a wrong angle between axis and line of sight to
-    cross-range.
+    Frames of one pass have the same axis, name and standard deviations: the axis and the rate by which they were made,
+    from the attitude at its beginning on, are wrong by the same. A rate that was taken for higher than it is makes all
+    angles too large and cross-range too short; a wrong angle between axis and line of sight scales cross-range, too.
 
     Parameters
     ----------
@@ -66,7 +64,7 @@ class Turn:
         }
         for name, (low, high, give) in limits.items():
             value = getattr(self, name)
-            if not isinstance(value, Real) or not low <= value <= high:  # also catches NaN
+            if not isinstance(value, int | float | np.number) or not low <= value <= high:  # also catches NaN
                 raise SarsplatError(f"{name} {shown(value)} is not a number between {low:g} and {high:g}; give {give}")
             object.__setattr__(self, name, float(value))
         if not isinstance(self.name, str):

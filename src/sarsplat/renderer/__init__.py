@@ -83,8 +83,8 @@ def render(
     gaussians : Gaussians
         The scene, N Gaussians.
     views : sequence of View
-        V views, at least one. Bistatic and stretched ones are rendered step by step, and have no ground or other echoes, ray maps or
-        processes; `bounds` are of no use to them.
+        V views, at least one. Bistatic and stretched ones are rendered step by step, and have no ground or other
+        echoes, ray maps or processes; `bounds` are of no use to them.
     grid : ImageGrid
         Pixels and system response, the same for all views.
     rays : RayGrid, optional

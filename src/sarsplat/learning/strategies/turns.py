@@ -7,7 +7,9 @@ where the images' differences and the deviations are least likely to be chance t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -15,8 +17,8 @@ import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from sarsplat.data import Dataset
-from sarsplat.geometry import View
+from sarsplat.data import Dataset, DatasetEntry
+from sarsplat.geometry import Turn, View
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
 from sarsplat.settings.config import Config
@@ -46,22 +48,17 @@ class TurnRefinement(Configured):
     name = "turns"
 
     def __init__(self, train: Dataset, settings: Turns, iterations: int) -> None:
-        self._views, self._settings, self._iterations = train.views, settings, iterations
-        self._turns = [entry.turn for entry in train.entries]
-        passes = dict.fromkeys(turn.of_pass for turn in self._turns if turn is not None and turn.uncertain)
-        order = {of_pass: number for number, of_pass in enumerate(passes)}
-        self._pass = np.array([-1 if turn is None else order.get(turn.of_pass, -1) for turn in self._turns])
-        firsts = [self._turns[int(np.flatnonzero(self._pass == number)[0])] for number in range(len(order))]
-        self._std = np.array([(one.axis_std_deg, one.axis_std_deg, one.rate_std) for one in firsts if one is not None])
+        self._entries, self._settings, self._iterations = train.entries, settings, iterations
+        self._passes = uncertain_passes(train)
+        self._pass = np.array([-1 if (of := _number(self._passes, one)) is None else of for one in self._entries])
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        uncertain = any(entry.turn is not None and entry.turn.uncertain for entry in train.entries)
-        return cls(train, config.turns, config.iterations) if uncertain else None
+        return cls(train, config.turns, config.iterations) if uncertain_passes(train) else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
         """Corrections, zero at first: of each pass, of the axis in two directions, degrees, and of the rate."""
-        return State(whole={"correction": torch.zeros(self._std.shape, dtype=torch.float64, device="cpu")})
+        return State(whole={"correction": torch.zeros(len(self._passes), 3, dtype=torch.float64, device="cpu")})
 
     def due(self, step: int) -> bool:
         s = self._settings
@@ -75,7 +72,9 @@ class TurnRefinement(Configured):
         info.check()
 
         def differences(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, "n pixels"]:
-            each = [measured.sqrt() - rendered.clamp(min=0).sqrt() for measured, rendered in info.compared(views, numbers)]
+            each = [
+                measured.sqrt() - rendered.clamp(min=0).sqrt() for measured, rendered in info.compared(views, numbers)
+            ]
             return torch.cat(each).flatten(1).double().cpu().numpy()
 
         truth, grid = info.images.truth, info.images.grid
@@ -84,17 +83,7 @@ class TurnRefinement(Configured):
         radius_m = float(params["means"].detach().square().sum(1).max().sqrt())
         correction = self.stepped(state.whole["correction"].numpy(), differences, samples, grid.cell_m / radius_m)
         state.whole["correction"] = torch.from_numpy(correction)
-        info.images.views = self.views(correction)
-
-    def views(self, correction: Float64[np.ndarray, "passes 3"]) -> tuple[View, ...]:
-        """The training views with these corrections; those of passes that are known exactly stay as they are."""
-        return tuple(self._corrected(k, correction[of]) if of >= 0 else self._views[k] for k, of in enumerate(self._pass))
-
-    def _corrected(self, frame: int, correction: Float64[np.ndarray, " 3"]) -> View:
-        first, second, faster = correction.tolist()
-        turn = self._turns[frame]
-        assert turn is not None
-        return turn.corrected(self._views[frame], (first, second), faster)
+        info.images.views = corrected_views(self._entries, self._passes, correction)
 
     def stepped(
         self,
@@ -109,30 +98,80 @@ class TurnRefinement(Configured):
         middle of the target, at its edge.
         """
         changed = correction.copy()
-        for of, std in enumerate(self._std):
+        for of, turn in enumerate(self._passes):
             frames = np.flatnonzero(self._pass == of)
-            free, scale = std > 0, np.where(std > 0, std, 1.0)
-            here = correction[of] / scale
-            angles = np.array([abs(turn.angle_deg) for k in frames if (turn := self._turns[k]) is not None])
-            widest = max(np.radians(angles).max(), 1.0)
-            steps = np.minimum(_MOVED * cell_rad * np.array([np.degrees(1), np.degrees(1), 1 / widest]) / scale, 1.0)
-
-            def seen(places: list[Float64[np.ndarray, " 3"]]) -> Float64[np.ndarray, "places frames pixels"]:
-                views = [self._corrected(k, place * scale) for place in places for k in frames]
-                return differences(views, np.tile(frames, len(places))).reshape(len(places), len(frames), -1)
-
-            moved = [here + sign * steps[axis] * np.eye(3)[axis] for axis in np.flatnonzero(free) for sign in (1, -1)]
-            at, *around = seen([here, *moved])
-            slopes = np.zeros((3, *at.shape))
-            for axis, ahead, behind in zip(np.flatnonzero(free), around[::2], around[1::2], strict=True):
-                slopes[axis] = (ahead - behind) / (2 * steps[axis])
-            weights = samples[frames] / np.maximum((at**2).sum(1), np.finfo(float).tiny)
-            normal = np.einsum("ikp,jkp,k->ij", slopes, slopes, weights) + np.eye(3)
-            step = -np.linalg.solve(normal, np.einsum("ikp,kp,k->i", slopes, at, weights) + here)
-            tried = [here, *(here + fraction * step for fraction in _FRACTIONS)]
-            costs = [
-                float((samples[frames] * np.log(np.maximum((one**2).sum(1), np.finfo(float).tiny))).sum() + place @ place)
-                for place, one in zip(tried, seen(tried), strict=True)
-            ]
-            changed[of] = tried[int(np.argmin(costs))] * scale
+            own = Pass(turn, [self._entries[k] for k in frames], frames, differences, samples[frames])
+            changed[of] = own.stepped(correction[of], cell_rad)
         return changed
+
+
+@dataclass(frozen=True)
+class Pass:
+    """What frames of one pass say of its axis and its rate."""
+
+    turn: Turn
+    entries: Sequence[DatasetEntry]
+    numbers: Int64[np.ndarray, " frames"]
+    differences: Differences
+    samples: Float64[np.ndarray, " frames"]
+
+    def stepped(self, correction: Float64[np.ndarray, " 3"], cell_rad: float) -> Float64[np.ndarray, " 3"]:
+        """The correction after one step; see `TurnRefinement.stepped`."""
+        std = np.array([self.turn.axis_std_deg, self.turn.axis_std_deg, self.turn.rate_std])
+        free, scale = np.flatnonzero(std), np.where(std > 0, std, 1.0)
+        here = correction / scale
+        angles = [math.radians(abs(entry.turn.angle_deg)) for entry in self.entries if entry.turn is not None]
+        cell = cell_rad * np.array([math.degrees(1), math.degrees(1), 1 / max(1.0, *angles)])
+        moves = np.diag(np.minimum(_MOVED * cell / scale, 1.0))[free]
+        at, *around = self._seen([here, *(here + sign * move for move in moves for sign in (1, -1))], scale)
+        slopes = np.zeros((3, *at.shape))
+        for axis, ahead, behind in zip(free, around[::2], around[1::2], strict=True):
+            slopes[axis] = (ahead - behind) / (2 * moves.sum(0)[axis])
+        weights = self.samples / _squares(at)
+        normal = np.einsum("ikp,jkp,k->ij", slopes, slopes, weights) + np.eye(3)
+        step = -np.linalg.solve(normal, np.einsum("ikp,kp,k->i", slopes, at, weights) + here)
+        tried = [here, *(here + fraction * step for fraction in _FRACTIONS)]
+        costs = [
+            float(self.samples @ np.log(_squares(one)) + place @ place)
+            for place, one in zip(tried, self._seen(tried, scale), strict=True)
+        ]
+        found: Float64[np.ndarray, " 3"] = tried[int(np.argmin(costs))] * scale
+        return found
+
+    def _seen(
+        self, places: Sequence[Float64[np.ndarray, " 3"]], scale: Float64[np.ndarray, " 3"]
+    ) -> Float64[np.ndarray, "places frames pixels"]:
+        """How much the frames differ with each of these corrections, in standard deviations."""
+        views = [view for place in places for view in corrected_views(self.entries, [self.turn], (place * scale)[None])]
+        return self.differences(views, np.tile(self.numbers, len(places))).reshape(len(places), len(self.numbers), -1)
+
+
+def _squares(differences: Float64[np.ndarray, "frames pixels"]) -> Float64[np.ndarray, " frames"]:
+    return np.maximum((differences**2).sum(1), np.finfo(float).tiny)
+
+
+def uncertain_passes(train: Dataset) -> tuple[Turn, ...]:
+    """Of each pass whose axis or rate is uncertain, the turn of its first training frame."""
+    turns = [entry.turn for entry in train.entries if entry.turn is not None and entry.turn.uncertain]
+    return tuple({turn.of_pass: turn for turn in reversed(turns)}.values())[::-1]
+
+
+def corrected_views(
+    entries: Sequence[DatasetEntry], passes: Sequence[Turn], correction: Float64[np.ndarray, "passes 3"]
+) -> tuple[View, ...]:
+    """Views of any images, with the corrections of those that are of one of the passes; others stay as they are."""
+    views = []
+    for entry in entries:
+        of = _number(passes, entry)
+        if entry.turn is None or of is None:
+            views.append(entry.view)
+        else:
+            first, second, faster = correction[of].tolist()
+            views.append(entry.turn.corrected(entry.view, (first, second), faster))
+    return tuple(views)
+
+
+def _number(passes: Sequence[Turn], entry: DatasetEntry) -> int | None:
+    """Of which pass an image is."""
+    alike = (k for k, one in enumerate(passes) if entry.turn is not None and one.of_pass == entry.turn.of_pass)
+    return next(alike, None)
