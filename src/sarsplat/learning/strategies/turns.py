@@ -30,6 +30,10 @@ _MOVED = 0.25
 _FRACTIONS = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Of a step, until one makes what is minimised less."""
 
+_BEYOND = 1.7
+"""How far a step goes, of what it finds best: a scene that has learned to show frames from where they were taken to be
+stands up for that, and follows."""
+
 _FAINT = 1e-3
 """Of the brightest pixel of an image: fainter ones do not count as samples."""
 
@@ -135,7 +139,7 @@ class Pass:
             float(self.samples @ np.log(_squares(one)) + place @ place)
             for place, one in zip(tried, self._seen(tried, scale), strict=True)
         ]
-        found: Float64[np.ndarray, " 3"] = tried[int(np.argmin(costs))] * scale
+        found: Float64[np.ndarray, " 3"] = (here + _BEYOND * (tried[int(np.argmin(costs))] - here)) * scale
         return found
 
     def _seen(
