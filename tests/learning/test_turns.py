@@ -195,5 +195,5 @@ def test_corrections_of_another_training_are_refused(refined: Run, damaged: torc
     run = replace(refined)
     tensors = refined.snapshot.tensors | {TURN_CORRECTIONS: damaged.double()}
     run.__dict__["snapshot"] = replace(refined.snapshot, tensors=tensors)
-    with pytest.raises(SarsplatError, match="corrections of rotations|uncertain pass"):
+    with pytest.raises(SarsplatError, match=r"corrections of rotations|uncertain pass"):
         run.views_of(refined.dataset)
