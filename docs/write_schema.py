@@ -35,7 +35,10 @@ def field_table() -> str:
 def _fields(struct: str, prefix: str) -> Iterator[tuple[str, str, str]]:
     definition = schema()["$defs"][struct]
     for name, field in definition["properties"].items():
-        inner = next((part for part in ("GridHeader", "StackHeader", "TurnHeader", "ViewHeader") if part in json.dumps(field)), None)
+        inner = next(
+            (part for part in ("GridHeader", "StackHeader", "TurnHeader", "ViewHeader") if part in json.dumps(field)),
+            None,
+        )
         if inner is not None:
             yield from _fields(inner, f"{prefix}{name}[]." if field.get("type") == "array" else f"{prefix}{name}.")
             continue

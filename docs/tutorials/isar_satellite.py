@@ -157,15 +157,15 @@ plt.show()
 
 # %%
 faster = {"z": 0.03, "x": -0.03, "y": -0.03}
-recorded = []
+of_passes = []
 for name in axes:
     rate = 1 + faster[name]
     true_pixels = replace(
         grid, spacing_m=(0.3 / rate, 0.3), resolution_m=(0.3 / rate, 0.3)
     )
     of_pass = [view for view, turn in zip(views, turns) if turn.name == name]
-    recorded.append(simulate_images(mesh, of_pass, true_pixels) / rate)
-recorded = np.concatenate(recorded)
+    of_passes.append(simulate_images(mesh, of_pass, true_pixels) / rate)
+recorded = np.concatenate(of_passes)
 
 
 def assumed(turn, rate_std):
