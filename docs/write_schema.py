@@ -12,6 +12,7 @@ from fill_block import fill_block
 
 from sarsplat.data.header import DatasetHeader
 
+_PARTS = ("GridHeader", "StackHeader", "TurnHeader", "ViewHeader")
 FORMATS = Path(__file__).parent / "reference" / "formats"
 
 
@@ -35,10 +36,7 @@ def field_table() -> str:
 def _fields(struct: str, prefix: str) -> Iterator[tuple[str, str, str]]:
     definition = schema()["$defs"][struct]
     for name, field in definition["properties"].items():
-        inner = next(
-            (part for part in ("GridHeader", "StackHeader", "TurnHeader", "ViewHeader") if part in json.dumps(field)),
-            None,
-        )
+        inner = next((part for part in _PARTS if part in json.dumps(field)), None)
         if inner is not None:
             yield from _fields(inner, f"{prefix}{name}[]." if field.get("type") == "array" else f"{prefix}{name}.")
             continue

@@ -181,6 +181,17 @@ def test_what_is_known_exactly_of_an_uncertain_pass_stays() -> None:
         assert (found[0] != 0).tolist() == free
 
 
+def test_what_would_be_most_unlikely_is_not_believed() -> None:
+    turn = Turn((0, 0, 1), 70.0, 0.5, 0.01)
+    view = turn.seen_from(SIGHT)
+    dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, GRID)], turns=[turn])
+    differences = linear(np.eye(3), np.array([40.0, 0.1, 0.3]), np.ones(3), turn, view)
+    found = np.zeros((1, 3))
+    for _ in range(30):
+        found = TurnRefinement(dataset, Turns(), 100).stepped(found, differences, np.array([1e6]), 0.05)
+    assert found[0, 0] == 1.5 and abs(found[0, 2]) <= 0.03
+
+
 def test_rounds_are_evenly_spaced(refined: Run) -> None:
     def rounds(iterations: int, **how: float) -> list[int]:
         refinement = TurnRefinement(refined.dataset, Turns(**how), iterations)

@@ -28,11 +28,14 @@ _MOVED = 0.25
 """By how much places at the edge of the target move in images that are compared to find slopes, resolution cells."""
 
 _FRACTIONS = (1.0, 0.5, 0.25, 0.1, 0.03)
-"""Of a step, until one makes what is minimised less."""
+"""Of a step, until shorter ones make what is minimised no less."""
 
 _BEYOND = 1.7
 """How far a step goes, of what it finds best: a scene that has learned to show frames from where they were taken to be
 stands up for that, and follows."""
+
+_REACH = 3.0
+"""How far from what was assumed axis and rate are looked for, standard deviations."""
 
 _FAINT = 1e-3
 """Of the brightest pixel of an image: fainter ones do not count as samples."""
@@ -134,13 +137,20 @@ class Pass:
         weights = self.samples / _squares(at)
         normal = np.einsum("ikp,jkp,k->ij", slopes, slopes, weights) + np.eye(3)
         step = -np.linalg.solve(normal, np.einsum("ikp,kp,k->i", slopes, at, weights) + here)
-        tried = [here, *(here + fraction * step for fraction in _FRACTIONS)]
-        costs = [
-            float(self.samples @ np.log(_squares(one)) + place @ place)
-            for place, one in zip(tried, self._seen(tried, scale), strict=True)
-        ]
-        found: Float64[np.ndarray, " 3"] = (here + _BEYOND * (tried[int(np.argmin(costs))] - here)) * scale
+        best, lowest = here, self._cost(at, here)
+        for fraction in _FRACTIONS:
+            place = here + fraction * step
+            cost = self._cost(self._seen([place], scale)[0], place)
+            if cost < lowest:
+                best, lowest = place, cost
+            elif best is not here:
+                break
+        found: Float64[np.ndarray, " 3"] = (here + _BEYOND * (best - here)).clip(-_REACH, _REACH) * scale
         return found
+
+    def _cost(self, seen: Float64[np.ndarray, "frames pixels"], place: Float64[np.ndarray, " 3"]) -> float:
+        """Twice the negative logarithm of the probability of differences and corrections, but for a constant."""
+        return float(self.samples @ np.log(_squares(seen)) + place @ place)
 
     def _seen(
         self, places: Sequence[Float64[np.ndarray, " 3"]], scale: Float64[np.ndarray, " 3"]
