@@ -235,7 +235,7 @@ class GaussianReconstruction(Reconstruction):
         if corrections is None:
             return super().views_of(entries, train)
         if corrections.shape != (len(passes), 3):
-            raise SarsplatError(f"{train} has {counted(len(passes), 'uncertain pass')}, not those of the training")
+            raise SarsplatError(f"{train} does not have the {len(corrections)} uncertain passes of the training")
         return corrected_views(entries, passes, corrections)
 
     @property
