@@ -166,7 +166,7 @@ def _rotations(turns: list[Turn]) -> dict[str, str]:
     axis_std_deg, rate_std = (max(getattr(turn, name) for turn in turns) for name in ("axis_std_deg", "rate_std"))
     known = [f"axis ± {axis_std_deg:g}°"] * (axis_std_deg > 0) + [f"rate ± {rate_std:.2g}"] * (rate_std > 0)
     count = len({turn.of_pass for turn in turns})
-    return {"rotations": ", ".join([f"{count} pass{'es' * (count > 1)}", *known or ["known exactly"]])}
+    return {"rotations": ", ".join([f"{count} pass{'es' * (count > 1)}", *(known or ["known exactly"])])}
 
 
 def _set(images: np.ndarray) -> str:
