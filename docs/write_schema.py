@@ -12,6 +12,7 @@ from fill_block import fill_block
 
 from sarsplat.data.header import DatasetHeader
 
+_PARTS = ("GridHeader", "StackHeader", "TurnHeader", "ViewHeader")
 FORMATS = Path(__file__).parent / "reference" / "formats"
 _PARTS = ("GridHeader", "PlaceHeader", "StackHeader", "ViewHeader")
 

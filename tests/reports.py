@@ -64,6 +64,7 @@ def make_run(folder: Path, dataset: Dataset, metrics: dict[str, Any] | None, **c
         "azimuth_offset_deg": np.zeros(2),
         "history": [LogLine(k, float(k), 1 / k, 1234) for k in (1, 10, 20)],
         "render": lambda views: np.full((len(views), 32, 32), 0.5, dtype=np.float32),
+        "views_of": lambda images: images.views,
     }
     return MadeUpRun(**{**fields, **changes})
 

@@ -36,6 +36,7 @@ from .geometry import (
     RayGrid as RayGrid,
     Stack as Stack,
     Terrain as Terrain,
+    Turn as Turn,
     View as View,
     radar_frame as radar_frame,
 )

@@ -14,8 +14,8 @@ from rich.console import Console
 from datasets import dataset_of
 from sarsplat.cli import main
 from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
-from sarsplat.data import Dataset, read_dataset, write_dataset
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.data import Dataset, SarImage, read_dataset, write_dataset
+from sarsplat.geometry import ImageGrid, Turn, View
 from sarsplat.runs import Run
 from sarsplat.runs.told_apart import names_of
 from sarsplat.sweeps import Plan
@@ -49,6 +49,18 @@ def test_images_with_phase_say_so(dataset: Path, tmp_path: Path, said) -> None:
     write_dataset(tmp_path / "complex", Dataset.of_complex(GRID, power.entries, power.power.astype(np.complex64)))
     for path, told in ((dataset, "linear power, float32"), (tmp_path / "complex", "is β⁰, complex64")):
         assert told in said(f"info {path}")
+
+
+@pytest.mark.parametrize(
+    ("deviations", "told"), [((3.0, 0.03), "2 passes, axis ± 3°, rate ± 0.03"), ((0.0, 0.0), "2 passes, known exactly")]
+)
+def test_rotations_and_how_well_they_are_known(
+    tmp_path: Path, said, deviations: tuple[float, float], told: str
+) -> None:
+    turns = [Turn((0, 0, 1), 40.0 * k, *deviations, name=str(k % 2)) for k in range(4)]
+    frames = [SarImage(np.ones((8, 8), np.float32), turn.seen_from((1, 0.5, 0.3)), GRID) for turn in turns]
+    write_dataset(tmp_path / "data", Dataset.from_images(frames, turns=turns))
+    assert f"rotations {told}" in " ".join(said(f"info {tmp_path}/data").split())
 
 
 def test_where_images_come_from_is_said_in_words(tmp_path: Path, said) -> None:

@@ -17,7 +17,7 @@ from PIL import Image
 
 from datasets import NOISE, SIGNALS, TINY, VIEWS, small_dataset, small_mask, tiny_dataset
 from refusals import Do, Refusals, check_refused, stored
-from sarsplat import Terrain, read_terrain
+from sarsplat import Terrain, Turn, read_terrain
 from sarsplat.data import (
     Dataset,
     SarImage,
@@ -159,6 +159,8 @@ SETS: Refusals = [
         )
         for wrong in (-1, 11, float("nan"))
     ),
+    (lambda _: Dataset.from_images([_FIRST] * 4, turns=[Turn((0, 0, 1), 0.0)]), "turns holds 1 for 4 images"),
+    (lambda _: Dataset.from_images([_FIRST], turns=[Turn((0, 0, 1), 0.0)]), "is not of a target that turns about"),
     *((lambda _, ask=ask: ask(tiny_dataset(), "test-15"), "no set 'test-15'; it has train, test-17, test")
       for ask in (Dataset.images, Dataset.select)),
     (lambda _: tiny_dataset(terrain=hill()), "terrain is the ground that images show, but ground is False"),
@@ -267,6 +269,13 @@ HEADERS: Refusals = [
         "azimuth_std_deg -1.0 of the image '001' is not a number between 0 and 10",
     ),
     (header("views.1.split", "TEST"), "split"),
+    (header("views.1.stretch", 1.1), r"views\[1\]: only images that one radar takes of a target aloft"),
+    (
+        header("views.1.turn", {"axis": [0, 0, 0], "angle_deg": 3}),
+        r"views\[1\]\.turn: the rotation axis .* no direction",
+    ),
+    (header("views.1.turn", {"axis": [0, 0, 1], "angle_deg": 3}), r"views\[1\]\.turn: View.* is not of a target that"),
+    (header("views.1.turn", {"axis": [0, 0, 1]}), "angle_deg"),
     *(
         (header("views.1.file", file), "is not inside")
         for file in ("../images/001.tif", "/etc/passwd", "images/a\0b.tif", "", "images/\x1b[2J.tif")

@@ -15,7 +15,7 @@ from chip_files import phoenix_bytes
 from datasets import NOISE, SIGNALS, TINY, VIEWS, tiny_dataset
 from sarsplat.data import Dataset, SarImage, read_dataset, read_tiff, write_dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid
+from sarsplat.geometry import ImageGrid, Turn
 from sarsplat.geometry.responses import Taylor
 from sarsplat.importers import import_mstar
 
@@ -123,6 +123,24 @@ def test_azimuths_may_be_uncertain(tmp_path):
     assert [entry.azimuth_std_deg for entry in read.entries] == [0, 1.5, 2.0, 0]
     assert len({known.fingerprint(), alike.fingerprint(), each.fingerprint()}) == 3
     assert written.fingerprint() == read.fingerprint()
+
+
+def test_rotations_are_kept_with_how_well_they_are_known(tmp_path):
+    axis, sight = (0.1, -0.2, 1.0), (1.0, 0.5, 0.3)
+    turns = [Turn(axis, 30.0 * k, *((3, np.float32(0.03)) if k else ()), name=f"pass {k // 2}") for k in range(4)]
+    views = [turn.seen_from(sight) for turn in turns]
+    views[3] = replace(views[3], stretch=1.02)
+    images = [SarImage(power, view, TINY) for power, view in zip(NOISE, views)]
+    plain, turning = (Dataset.from_images(images[:3], test=images[3:], turns=given) for given in (None, turns))
+    written = write_dataset(tmp_path / "set", turning)
+    read = read_dataset(tmp_path / "set")
+    assert [entry.turn for entry in read.entries] == turns
+    assert read.views == turning.views and read.views[3].stretch == 1.02
+    assert written.fingerprint() == read.fingerprint() != plain.fingerprint()
+    header = (tmp_path / "set" / "dataset.json").read_text(encoding="utf-8")
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = Path(__file__).parents[2] / "docs" / "reference" / "formats" / "dataset.schema.json"
+    jsonschema.validate(json.loads(header), json.loads(schema.read_text(encoding="utf-8")))
 
 
 def test_each_image_is_read_once(dataset, monkeypatch):

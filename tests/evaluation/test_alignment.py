@@ -48,3 +48,19 @@ def test_strays_do_not_pull() -> None:
     strays = np.random.default_rng(0).uniform(3, 6, (600, 3))
     motion = align(np.concatenate([surface(0), strays]), surface(1), 0.3)
     np.testing.assert_allclose(motion.shift_m, 0, atol=0.03)
+
+
+def test_what_is_aloft_is_turned_about_all_axes() -> None:
+    rotation = pytest.importorskip("scipy.spatial.transform").Rotation
+    for axis, name in enumerate("xyz"):
+        about = rotation.from_euler(name, 4.0, degrees=True).apply(surface(0))
+        turns = np.zeros(3)
+        turns[axis] = 4.0
+        np.testing.assert_allclose(Alignment((0, 0, 0), turns[2], tilts_deg=tuple(turns[:2])).moved(surface(0)), about)
+    turned = rotation.from_rotvec([2.5, -3.0, 2.0], degrees=True).apply(surface(0)) + np.array([0.1, 0.2, -0.1])
+    motion, level = (align(turned, surface(1), 0.3, aloft=aloft) for aloft in (True, False))
+    assert level.tilts_deg == (0.0, 0.0)
+    left = rotation.from_euler("xyz", [*motion.tilts_deg, motion.heading_deg], degrees=True)
+    assert np.degrees((left * rotation.from_rotvec([2.5, -3.0, 2.0], degrees=True)).magnitude()) < 1.0
+    assert "about x and y by" in str(motion) and "about x and y by" not in str(level)
+    assert Alignment((0, 0, 0), 0.0, 0.9, (0.0, 5.0)).at_limit

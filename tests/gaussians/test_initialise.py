@@ -1,5 +1,8 @@
 """Where Gaussians start: the space that images bound, and the paper's hemisphere."""
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import torch
@@ -21,10 +24,10 @@ def box_points(count: int = 4000) -> np.ndarray:
     return LOW + (HIGH - LOW) * torch.rand(count, 3, generator=seeded(5), dtype=torch.float64).numpy()
 
 
-def masks(points: np.ndarray) -> np.ndarray:
+def masks(points: np.ndarray, views: Sequence[View] = VIEWS) -> np.ndarray:
     """One bright pixel for every point, as if nothing were in shadow."""
-    images = np.zeros((len(VIEWS), GRID.rows, GRID.columns), np.float32)
-    for image, view in zip(images, VIEWS):
+    images = np.zeros((len(views), GRID.rows, GRID.columns), np.float32)
+    for image, view in zip(images, views):
         x, _, r = radar_frame(view) @ points.T
         rows = np.rint((r - GRID.range_m[0]) / GRID.spacing_m[1]).astype(int)
         image[rows, np.rint((x - GRID.azimuth_m[0]) / GRID.spacing_m[0]).astype(int)] = 1.0
@@ -48,6 +51,28 @@ def test_region_holds_the_target_and_little_more():
     bright = box_points()
     bright[:, 0] += 1.0  # another target, another place
     assert bounded_region(masks(bright), VIEWS, GRID).high[0] == pytest.approx(region.high[0] + 1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("grazing", [45.0, -20.0])
+def test_aloft_the_region_ends_behind_what_frames_show(grazing: float) -> None:
+    """All radars are on one side, and nothing else says how far away from them the target reaches."""
+    points = box_points() - np.array([0.5, 0.1, 0.75])
+    views = [View.isar(View(azimuth, grazing, aloft=True).direction, (0, 0, 1)) for azimuth in range(0, 360, 30)]
+    region = bounded_region(masks(points, views), views, GRID)
+    assert inside(region, points).all()
+    behind, slope = (region.low[2] if grazing > 0 else region.high[2]), math.radians(abs(grazing))
+    # as far as a place at the edge of the plan may lie that one view shows as its farthest
+    farthest = (2 * np.hypot(2.5 + 0.3, 1.1 + 0.3) * math.cos(slope) + 0.75 * math.sin(slope) + 0.3) / math.sin(slope)
+    assert points[:, 2].max() <= abs(behind) <= farthest
+
+
+def test_aloft_views_from_all_sides_bound_the_region_by_themselves() -> None:
+    points = box_points() - np.array([0.5, 0.1, 0.75])
+    sights = [sign * axis for axis in np.eye(3) + 0.01 for sign in (1, -1)]
+    views = [View.isar(sight, np.roll(sight, 1) + 0.1) for sight in sights]
+    region = bounded_region(masks(points, views), views, GRID)
+    assert len(region.normals) == 3 * len(views)
+    assert inside(region, points).all()
 
 
 def test_dim_pixels_do_not_count():

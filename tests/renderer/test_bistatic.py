@@ -22,7 +22,7 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
 from sarsplat.radar.iso_range import Pixel, contributions
 from sarsplat.renderer import GroundBounce, Rendering, project, render, render_covariances
-from sarsplat.renderer.bistatic import render_bistatic
+from sarsplat.renderer.bistatic import render_by_steps
 from sarsplat.renderer.echoes import GroundEcho
 from sarsplat.renderer.engines import cuda
 from sarsplat.renderer.engines.choice import passes_for
@@ -47,7 +47,7 @@ APART = (
 
 
 def by_the_book(gaussians: Gaussians, views: tuple[View, ...], grid: ImageGrid, **how: object) -> Rendering:
-    return render_bistatic(Steps(None, cuts=False), gaussians, views, grid, **how)  # type: ignore[arg-type]
+    return render_by_steps(Steps(None, cuts=False), gaussians, views, grid, **how)  # type: ignore[arg-type]
 
 
 # ---- closed forms ----------------------------------------------------------------------------------------------------
@@ -64,7 +64,7 @@ def test_equal_ways_are_one_radar_bit_for_bit() -> None:
 def test_step_by_step_one_radar_sees_what_render_shows(views: tuple[View, ...]) -> None:
     scene, rays = cloud(60, 41, kappa=(4.0, 12.0)), RayGrid.for_image(GRID)
     expected = render(scene, views, GRID, engine="reference")
-    found = render_bistatic(Steps(None, cuts=True), scene, views, GRID, rays=rays)
+    found = render_by_steps(Steps(None, cuts=True), scene, views, GRID, rays=rays)
     torch.testing.assert_close(found.images, expected.images, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(found.cross_sections, expected.cross_sections, rtol=1e-4, atol=1e-6)
 
@@ -178,7 +178,7 @@ def test_ground_of_equal_ways_is_one_radars() -> None:
     ground = Ground(table, 0.7, -0.2, torch.tensor(0.8))
     shift, rays = torch.tensor([[0.2, -0.1]] * len(UNUSUAL)), RayGrid.for_image(GRID)
     expected = render(scene, UNUSUAL, GRID, ground=ground, shift=shift)
-    found = render_bistatic(
+    found = render_by_steps(
         Steps(passes_for("cpu", scene.tensors(), GRID), cuts=True),
         scene,
         UNUSUAL,
@@ -318,7 +318,7 @@ def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
 def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:
     def emulated(gaussians: Gaussians, views: tuple[View, ...], grid: ImageGrid, ground: Ground, **how: Tensor):  # type: ignore[no-untyped-def]
         steps = Steps(partial(cuda.Pass, Emulator(library)), cuts=True)
-        return render_bistatic(
+        return render_by_steps(
             steps, gaussians, views, grid, rays=RayGrid.for_image(grid), ground=GroundEcho(ground), **how
         )
 

@@ -39,7 +39,8 @@ def evaluate(
         ground at z = 0); without it, the dataset's true mesh, if it has one.
     align
         rigid: bring the points onto the visible surface first, by at most three resolution cells and 5° about the
-        vertical. Where a measured target stands in its images says nothing about its reconstruction.
+        vertical; of a target aloft, about all axes. Where a measured target stands in its images, and how an assumed
+        rotation turned it, says nothing about its reconstruction.
     masks
         Folder of true masks, grey PNGs with the names of the images (T72/17deg/hb03333.png): 0 clutter, 1 target,
         2 shadow; of MSTAR chips in the orientation as published, of others in that of the images.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from sarsplat.data import Dataset
     from sarsplat.data.coverage import ViewGroup
-    from sarsplat.geometry import ImageGrid, Stack, View
+    from sarsplat.geometry import ImageGrid, Stack, Turn, View
 
 _CALIBRATIONS = {"absolute": "absolute", "relative": "relative: β⁰ up to one common factor"}
 
@@ -85,6 +85,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         **({} if dataset.terrain is None else {"terrain": str(dataset.terrain)}),
         **({} if dataset.place is None else {"place": str(dataset.place)}),
         **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
+        **_rotations([entry.turn for entry in dataset.entries if entry.turn is not None]),
         **_looks(dataset.views),
         **_bistatic([view.apart_deg for view in dataset.views]),
         **({} if train[0].aloft else {"largest gap": f"{gap} (azimuths of the training views)"}),
@@ -157,6 +158,16 @@ def _uncertainty(std_deg: list[float]) -> dict[str, str]:
     if not high:
         return {}
     return {"azimuth": f"± {low:g}°" if low == high else f"± {low:g}° to {high:g}°"}
+
+
+def _rotations(turns: list[Turn]) -> dict[str, str]:
+    """Passes of a target aloft, and how well the least certain of them is known."""
+    if not turns:
+        return {}
+    axis_std_deg, rate_std = (max(getattr(turn, name) for turn in turns) for name in ("axis_std_deg", "rate_std"))
+    known = [f"axis ± {axis_std_deg:g}°"] * (axis_std_deg > 0) + [f"rate ± {rate_std:.2g}"] * (rate_std > 0)
+    count = len({turn.of_pass for turn in turns})
+    return {"rotations": ", ".join([f"{count} pass{'es' * (count > 1)}", *(known or ["known exactly"])])}
 
 
 def _set(images: np.ndarray) -> str:

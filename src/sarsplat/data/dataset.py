@@ -20,7 +20,7 @@ from sarsplat.arguments import checks_arguments, expect
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration, DatasetHeader
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of_passes
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, View
+from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, Turn, View
 
 _FARTHEST_M = 1e6
 _LEAST_CERTAIN_DEG = 10.0
@@ -49,6 +49,8 @@ class DatasetEntry:
         Standard deviation of the view's azimuth, degrees, at most 10; 0 if it is known exactly.
     stack : Stack, optional
         The passes of an interferometric stack, of which `view` is the direction and the grid the pixels.
+    turn : Turn, optional
+        Of a target aloft, the rotation by which the frame was made, and how well it is known.
     """
 
     view: View
@@ -56,11 +58,15 @@ class DatasetEntry:
     name: str
     azimuth_std_deg: float = 0.0
     stack: Stack | None = None
+    turn: Turn | None = None
 
     def __post_init__(self) -> None:
         expect(View, view=self.view)
         expect(str, split=self.split, name=self.name)
         expect(Stack | None, stack=self.stack)
+        expect(Turn | None, turn=self.turn)
+        if self.turn is not None:
+            self.turn.check(self.view)
         std = self.azimuth_std_deg
         if not isinstance(std, RealNumber) or not 0 <= std <= _LEAST_CERTAIN_DEG:  # also catches NaN
             raise SarsplatError(
@@ -222,6 +228,7 @@ class Dataset:
         *,
         test: Sequence[SarImage] = (),
         azimuth_std_deg: float | Sequence[float] = 0.0,
+        turns: Sequence[Turn] | None = None,
         **fields: Any,
     ) -> Dataset:
         """A dataset in memory: `images` to train on, and those of `test` to score with.
@@ -232,14 +239,16 @@ class Dataset:
             All on the same grid; either all with their phase (`SarImage.of_complex`) or all without.
         azimuth_std_deg : float or sequence of float
             Standard deviation of the azimuths, degrees: of all images, or of each, those of `test` last.
+        turns : sequence of Turn, optional
+            Of a target aloft, the rotation of each image, those of `test` last.
         **fields
             What is known of them: `target`, `calibration`, `looks`, `ground` and the others of `Dataset`.
 
         Raises
         ------
         SarsplatError
-            If there are no training images, there are more or fewer standard deviations than images, grids differ,
-            only some images have their phase, or a field is out of range.
+            If there are no training images, there are more or fewer standard deviations or turns than images, grids
+            differ, only some images have their phase, or a field is out of range.
         """
         every = [*images, *test]
         if not images:
@@ -253,6 +262,9 @@ class Dataset:
         stds = list(azimuth_std_deg) if isinstance(azimuth_std_deg, Iterable) else [azimuth_std_deg] * len(every)
         if len(stds) != len(every):
             raise SarsplatError(f"azimuth_std_deg holds {len(stds)} numbers for {len(every)} images; give one for each")
+        if turns is not None and len(turns) != len(every):
+            raise SarsplatError(f"turns holds {len(turns)} for {len(every)} images; give one for each")
+        of_images: list[Turn | None] = [None] * len(every) if turns is None else list(turns)
         signals = [image.signal for image in every if image.signal is not None]
         if signals and len(signals) < len(every):
             raise SarsplatError(
@@ -261,8 +273,8 @@ class Dataset:
             )
         digits = max(3, len(str(len(every) - 1)))
         entries = tuple(
-            DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}", std)
-            for index, (image, std) in enumerate(zip(every, stds, strict=True))
+            DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}", std, turn=turn)
+            for index, (image, std, turn) in enumerate(zip(every, stds, of_images, strict=True))
         )
         power = np.stack([image.power for image in every]).astype(np.float32, copy=False)
         return cls(grid, entries, power, signal=np.stack(signals) if signals else None, **fields)
@@ -385,6 +397,7 @@ class Dataset:
                 {"file": f"images/{index:0{digits}d}.tif", **entry.view.as_dict()}
                 | {"split": entry.split, "name": entry.name, "azimuth_std_deg": entry.azimuth_std_deg or None}
                 | ({} if entry.stack is None else {"stack": vars(entry.stack)})
+                | ({} if entry.turn is None else {"turn": vars(entry.turn)})
                 for index, entry in enumerate(self.entries)
             ],
         }

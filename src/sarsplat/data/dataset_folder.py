@@ -21,7 +21,7 @@ from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHead
 from sarsplat.data.masks import encode_masks
 from sarsplat.data.tiff import read_tiff, write_tiff
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid, Stack, View
+from sarsplat.geometry import ImageGrid, Stack, Turn, View
 
 if TYPE_CHECKING:
     import trimesh
@@ -143,10 +143,7 @@ def read_dataset(path: str | Path) -> Dataset:
     header = read_header(path)
     with _blamed_on(path / HEADER):
         grid = ImageGrid.of(**msgspec.structs.asdict(header.grid))
-        entries = tuple(
-            DatasetEntry(_view(index, item), item.split, item.name, item.azimuth_std_deg or 0.0, _stack(index, item))
-            for index, item in enumerate(header.views)
-        )
+        entries = tuple(_entry(index, item) for index, item in enumerate(header.views))
         files = [_inside(path, item.file) for item in header.views]
         if len({file.resolve() for file in files}) < len(files):
             raise SarsplatError("two views name the same image file; give each view its own")
@@ -210,10 +207,24 @@ def _blamed_on(place: object) -> Iterator[None]:
         raise SarsplatError(f"{place}: {error}") from error
 
 
+def _entry(index: int, item: ViewHeader) -> DatasetEntry:
+    view, stack, turn = _view(index, item), _stack(index, item), _turn(index, item)
+    std_deg = item.azimuth_std_deg or 0.0
+    if turn is None:
+        return DatasetEntry(view, item.split, item.name, std_deg, stack)
+    with _blamed_on(f"views[{index}].turn"):
+        return DatasetEntry(view, item.split, item.name, std_deg, stack, turn)
+
+
+def _turn(index: int, item: ViewHeader) -> Turn | None:
+    with _blamed_on(f"views[{index}].turn"):
+        return None if item.turn is None else Turn(**msgspec.structs.asdict(item.turn))
+
+
 def _view(index: int, item: ViewHeader) -> View:
     with _blamed_on(f"views[{index}]"):
         angles = item.azimuth_deg, item.grazing_deg, item.tilt_deg
-        return View(*angles, item.side, item.aloft, item.apart_deg, item.apart_towards_deg)
+        return View(*angles, item.side, item.aloft, item.apart_deg, item.apart_towards_deg, item.stretch)
 
 
 def _stack(index: int, item: ViewHeader) -> Stack | None:

@@ -65,6 +65,23 @@ class StackHeader(Strict, frozen=True, omit_defaults=True):
     ] = None
 
 
+class TurnHeader(Strict, frozen=True, omit_defaults=True):
+    """The rotation of a target aloft by which a frame was made."""
+
+    axis: Annotated[Point, about("about which it turns, counter-clockwise seen from its tip, target's frame")]
+    angle_deg: Annotated[
+        float,
+        about("by how much it has turned since the beginning of the pass, degrees", minimum=-36000, maximum=36000),
+    ]
+    axis_std_deg: Annotated[
+        float, about("standard deviation of the axis in either direction across it, degrees", minimum=0, maximum=10)
+    ] = 0.0
+    rate_std: Annotated[
+        float, about("standard deviation of the rate of rotation, as a share of it", minimum=0, maximum=0.2)
+    ] = 0.0
+    name: Annotated[str, about("of the pass: its frames have the same axis, deviations and name")] = ""
+
+
 class ViewHeader(Strict, frozen=True, omit_defaults=True):
     """One image: its file and its view."""
 
@@ -114,6 +131,13 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
             maximum=180,
         ),
     ] = 0.0
+    stretch: Annotated[
+        float,
+        about("length along azimuth in the image for each metre of a target aloft", minimum=0.5, maximum=2),
+    ] = 1.0
+    turn: Annotated[
+        TurnHeader | None, about("rotation of a target aloft by which the frame was made; null if none is stated")
+    ] = None
     stack: Annotated[
         StackHeader | None,
         about("passes of a stack, one page of the TIFF each, in this order; null if it is a single image"),

@@ -1,8 +1,8 @@
 """Rigid alignment of reconstructed points with a known surface, by a small motion.
 
-A measured target stands somewhere near the middle of its chips, with a heading as accurate as its label. That
-offset says nothing about the reconstruction, so points may be moved before they are scored, but only a little, so that
-no other error is hidden.
+A measured target stands somewhere near the middle of its chips, with a heading as accurate as its label; one that is
+aloft is turned any way by what was assumed of its rotation. That offset says nothing about the reconstruction, so
+points may be moved before they are scored, but only a little, so that no other error is hidden.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _COUNT = 4000  # of the points, and of the surface's samples
 
 @dataclass(frozen=True)
 class Alignment:
-    """A turn about the vertical through the origin, then a shift."""
+    """Turns about the origin, about x, y and then the vertical, and then a shift."""
 
     shift_m: tuple[float, float, float]
     """World frame, m."""
@@ -31,23 +31,30 @@ class Alignment:
     """Counter-clockwise seen from above, degrees."""
     farthest_m: float = math.inf
     """Largest shift allowed along each axis, m."""
+    tilts_deg: tuple[float, float] = (0.0, 0.0)
+    """About x and y, degrees: 0 unless the target is aloft."""
 
     def moved(self, points: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
         """Return the points rotated and shifted, m."""
-        return points @ _turn(self.heading_deg).T + np.array(self.shift_m)
+        return points @ _turn(self.heading_deg, *self.tilts_deg).T + np.array(self.shift_m)
 
     @property
     def at_limit(self) -> bool:
         """Whether the shift or the rotation ended at its limit."""
-        parts = [*(abs(part) / self.farthest_m for part in self.shift_m), abs(self.heading_deg) / MOST_TURNED_DEG]
-        return max(parts) > 0.98
+        turns = self.heading_deg, *self.tilts_deg
+        parts = (abs(part) / self.farthest_m for part in self.shift_m)
+        return max(*parts, *(abs(turn) / MOST_TURNED_DEG for turn in turns)) > 0.98
 
     def __str__(self) -> str:
         x, y, z = self.shift_m
-        return f"moved by {x:.2f}, {y:.2f}, {z:.2f} m and turned by {self.heading_deg:.1f}°"
+        tilts = " and ".join(f"{tilt:.1f}°" for tilt in self.tilts_deg)
+        aloft = f", about x and y by {tilts}" if any(self.tilts_deg) else ""
+        return f"moved by {x:.2f}, {y:.2f}, {z:.2f} m and turned by {self.heading_deg:.1f}°{aloft}"
 
 
-def align(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], cell: float) -> Alignment:
+def align(
+    points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], cell: float, *, aloft: bool = False
+) -> Alignment:
     """The motion after which points and surface are nearest to each other, on average over both.
 
     Parameters
@@ -58,6 +65,8 @@ def align(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], c
         Samples of the known surface, m, spread by area.
     cell : float
         Side of a resolution cell, m. Points are moved by at most three cells, and distances are capped there.
+    aloft : bool
+        Turn about all axes, not only about the vertical.
     """
     from scipy.optimize import minimize  # here, because it takes half a second to import, and few ask for it
 
@@ -66,19 +75,26 @@ def align(points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], c
     farthest = _FARTHEST * cell
     to_own, to_true = cKDTree(own), cKDTree(true)
 
-    def apart(motion: Float64[np.ndarray, " 4"]) -> float:
-        shift, turn = motion[:3] * farthest, _turn(motion[3] * MOST_TURNED_DEG)
+    def apart(motion: Float64[np.ndarray, " n"]) -> float:
+        shift, turn = motion[:3] * farthest, _turn(*(motion[3:] * MOST_TURNED_DEG))
         distances = (
             to_true.query(own @ turn.T + shift, distance_upper_bound=farthest)[0],
             to_own.query((true - shift) @ turn, distance_upper_bound=farthest)[0],
         )
         return sum(float(np.minimum(each, farthest).mean()) for each in distances)
 
-    best = minimize(apart, np.zeros(4), method="Powell", bounds=[(-1, 1)] * 4, options={"xtol": 1e-3, "ftol": 1e-5}).x
+    free, options = 6 if aloft else 4, {"xtol": 1e-3, "ftol": 1e-5}
+    best = minimize(apart, np.zeros(free), method="Powell", bounds=[(-1, 1)] * free, options=options).x
     x, y, z = (float(part) for part in best[:3] * farthest)
-    return Alignment((x, y, z), float(best[3]) * MOST_TURNED_DEG, farthest)
+    heading_deg, tilt_x, tilt_y = (float(turn) * MOST_TURNED_DEG for turn in (*best[3:], 0.0, 0.0)[:3])
+    return Alignment((x, y, z), heading_deg, farthest, (tilt_x, tilt_y))
 
 
-def _turn(heading_deg: float) -> Float64[np.ndarray, "3 3"]:
-    cosine, sine = math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+def _turn(heading_deg: float, tilt_x_deg: float = 0.0, tilt_y_deg: float = 0.0) -> Float64[np.ndarray, "3 3"]:
+    turn = np.eye(3)
+    for axis, angle_deg in enumerate((tilt_x_deg, tilt_y_deg, heading_deg)):
+        if angle_deg or axis == 2:
+            cosine, sine = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+            around = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+            turn = np.roll(around, axis - 2, axis=(0, 1)) @ turn
+    return turn

@@ -193,7 +193,7 @@ def _evaluate(
     with progress(f"evaluate {run.path or dataset.target}", steps, quiet) as shown:
         for split in test_sets:
             tested = dataset.select(split)
-            pair = ImagePair(tested.power, _rendered(run, tested.views, shown), **parameters, network=network)
+            pair = ImagePair(tested.power, _rendered(run, run.views_of(tested), shown), **parameters, network=network)
             images[split] = compute_all(IMAGE_METRICS, tested, pair, f"images.{split}.", reasons)
             by_image[split] = _by_image(tested, pair)
             shown.advance(0, "scores of the test images")
@@ -299,7 +299,7 @@ def _surfaces(
             name = run.path or "the run"
             warn([f"{name} was made from views that cannot determine the shape, so its CD and F1 mean nothing"])
         if aligned:
-            motion = align(clouds["points"], surface.samples, yardstick.cell_m)
+            motion = align(clouds["points"], surface.samples, yardstick.cell_m, aloft=views[0].aloft)
             limits = f"at most {motion.farthest_m:.2g} m along each axis and {MOST_TURNED_DEG:g}°"
             shown.note(f"to align them with {dataset.truth_mesh}, points were {motion} ({limits})")
             if motion.at_limit:
@@ -308,6 +308,8 @@ def _surfaces(
                 normals[kind] = motion.moved(clouds[kind] + some) - motion.moved(clouds[kind])
             clouds = {kind: motion.moved(points) for kind, points in clouds.items()}
             truth |= {"shift_m": motion.shift_m, "heading_deg": motion.heading_deg}
+            if views[0].aloft:
+                truth["tilts_deg"] = motion.tilts_deg
         parts["visible"] = surface.triangles, side_by_side(surface.samples)
         parts["whole"] = surface.all_triangles, side_by_side(surface.samples_whole)
     scores: dict[str, dict[str, dict[str, float | None]]] = {}

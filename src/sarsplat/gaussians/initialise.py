@@ -17,6 +17,9 @@ from sarsplat.radiometry import brighter
 BRIGHT_DB = -30.0
 """Pixels above this, relative to the brightest of the set, show the target, dB."""
 
+_ONE_SIDE = 1e-3
+"""Length of the mean direction to the radars, below which they are on all sides."""
+
 _AT_A_TIME = 1 << 18
 """Points that are compared with all planes at once."""
 
@@ -56,8 +59,8 @@ def bounded_region(
     """The region that can hold the target if nothing else returns power: an intersection of half-spaces.
 
     In every view the target lies within the azimuths of the bright pixels and behind the nearest bright range; it
-    stands on the ground z = 0, unless it is aloft. Shadow hides nothing from these bounds, so nothing of the target is
-    cut off.
+    stands on the ground z = 0. Shadow hides nothing from these bounds, so nothing of the target is cut off. Aloft,
+    there is no ground, and all radars may be on one side: then what no image shows may be cut off on the other.
 
     Parameters
     ----------
@@ -76,7 +79,9 @@ def bounded_region(
     from scipy.optimize import linprog  # here, because it takes half a second to import, and only trainings start
 
     bright = brighter(power, threshold_db)
-    normals, offsets = ([], []) if views[0].aloft else ([np.array([0.0, 0.0, -1.0])], [0.0])
+    aloft = views[0].aloft
+    normals, offsets = ([], []) if aloft else ([np.array([0.0, 0.0, -1.0])], [0.0])
+    shown: list[tuple[Float64[np.ndarray, " 3"], float]] = []
     half_a, half_r = grid.spacing_m[0] / 2, grid.spacing_m[1] / 2
     for mask, view in zip(bright, views, strict=True):
         if not mask.any():
@@ -92,8 +97,11 @@ def bounded_region(
             half_a - grid.azimuth_m[columns[0]],
             half_r - grid.range_m[rows[0]],
         ]
+        shown.append((slant_range, grid.range_m[rows[-1]] + half_r))
     a, b = np.array(normals), np.array(offsets)
     reach = float(np.hypot(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0]))
+    if aloft and (behind := _behind(a, b, views, shown, reach)) is not None:
+        a, b = np.vstack([a, behind[0]]), np.append(b, behind[1])
     # both extremes along each axis as one program: for few planes linprog's own checks take longer than the solver
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     extremes = linprog(axes.ravel(), np.kron(np.eye(6), a), np.tile(b, 6), bounds=(-reach, reach))
@@ -104,6 +112,32 @@ def bounded_region(
         )
     low, high = extremes.x.reshape(2, 3, 3).diagonal(axis1=1, axis2=2) + 0.0  # where it is −0, 0
     return Region(a, b, low, high)
+
+
+def _behind(
+    a: Float64[np.ndarray, "planes 3"],
+    b: Float64[np.ndarray, " planes"],
+    views: Sequence[View],
+    shown: Sequence[tuple[Float64[np.ndarray, " 3"], float]],
+    reach: float,
+) -> tuple[Float64[np.ndarray, " 3"], float] | None:
+    """A plane behind everything that any image shows, seen from the middle of the views; None if they have none.
+
+    `shown` are, of each view, the gradient of slant range and the farthest bright one, m: what this view shows, but for
+    what it hides, is not beyond it.
+    """
+    from scipy.optimize import linprog
+
+    away = -np.sum([view.direction for view in views], axis=0) / len(views)
+    if not np.linalg.norm(away) > _ONE_SIDE:
+        return None
+    away /= np.linalg.norm(away)
+    farthest = -np.inf
+    for slant_range, far in shown:
+        found = linprog(-away, np.vstack([a, slant_range]), np.append(b, far), bounds=(-reach, reach))
+        if found.success:  # or the bounds of other views say that this one shows nothing
+            farthest = max(farthest, -float(found.fun))
+    return (away, farthest) if farthest > -np.inf else None
 
 
 def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> Float64[np.ndarray, "{count} 3"]:

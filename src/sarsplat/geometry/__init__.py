@@ -5,6 +5,7 @@ from sarsplat.geometry.look import Look
 from sarsplat.geometry.place import Place
 from sarsplat.geometry.stack import Stack
 from sarsplat.geometry.terrain import Terrain
+from sarsplat.geometry.turn import Turn
 from sarsplat.geometry.view import View, radar_frame
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "RayGrid",
     "Stack",
     "Terrain",
+    "Turn",
     "View",
     "radar_frame",
 ]

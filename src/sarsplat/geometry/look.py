@@ -42,6 +42,9 @@ class Look:
         ½(u_t − u_r), perpendicular to the line of sight: 0 unless transmitter and receiver are apart.
     shortening : float
         Slant range in the image for each metre of range in the frame: cosine of half the angle between the two ways.
+    stretch : float
+        Azimuth in the image for each metre of azimuth in the frame: 1 unless its cross-range is scaled otherwise, which
+        is only of a target aloft.
     """
 
     frame: Float64[np.ndarray, "3 3"]
@@ -49,6 +52,7 @@ class Look:
     lean: float
     aside: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
     shortening: float = 1.0
+    stretch: float = 1.0
 
     @classmethod
     def of(
@@ -59,6 +63,7 @@ class Look:
         left: bool = False,
         apart_deg: float = 0.0,
         apart_towards_deg: float = 0.0,
+        stretch: float = 1.0,
     ) -> Self:
         """From the angles of a view; source: SAR-GS, eq. (5), for a level azimuth axis and a radar that looks right."""
         phi, theta, tau = math.radians(azimuth_deg), math.radians(grazing_deg), math.radians(tilt_deg)
@@ -71,7 +76,7 @@ class Look:
         if tau:
             cos, sin = math.cos(tau), math.sin(tau)
             frame[:2] = np.array([[cos, sin], [-sin, cos]]) @ frame[:2]
-        return cls(frame, math.tan(theta) / math.cos(tau), math.tan(tau), aside, math.cos(half))
+        return cls(frame, math.tan(theta) / math.cos(tau), math.tan(tau), aside, math.cos(half), stretch)
 
     # ---- ways and images ---------------------------------------------------------------------------------------------
     @property
@@ -102,7 +107,11 @@ class Look:
     @property
     def gradients(self) -> Float64[np.ndarray, "2 3"]:
         """How a place's azimuth and slant range in the image grow along x, y and z: one row each."""
-        return self.frame[[0, 2]] * np.array([[1.0], [self.shortening]])
+        return self.frame[[0, 2]] * np.array([[self.stretch], [self.shortening]])
+
+    def in_frame(self, azimuth: Lengths, slant_range: Lengths) -> tuple[Lengths, Lengths]:
+        """Azimuth and range in the frame of what the image shows there, m: the place's, but for its elevation."""
+        return azimuth / self.stretch, slant_range / self.shortening
 
     @property
     def sine(self) -> float:

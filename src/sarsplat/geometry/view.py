@@ -24,6 +24,8 @@ _LEVEL_DEG = 1e-9  # an axis that vectors tilt by less is level: rounding
 _ALIKE_DEG = 1.0  # tilts of one radar: those of measured images scatter
 _LEAST_TURN = 1e-3  # sine of the angle between a line of sight and an axis: along it, nothing has a Doppler frequency
 
+_MOST_STRETCHED = 2.0
+
 _MOST_APART = 170.0  # degrees between transmitter and receiver: beyond, slant range tells next to nothing
 
 _ANGLES = {
@@ -33,6 +35,7 @@ _ANGLES = {
     "apart_deg": "angle between transmitter and receiver",
     "apart_towards_deg": "direction of the transmitter",
 }
+_NUMBERS = {**_ANGLES, "stretch": "stretch"}
 
 _TURNED = (
     "give float(…), and turn the means instead; by `a` radians of azimuth: x, y, z = means.unbind(1); "
@@ -68,12 +71,16 @@ class View:
     apart_towards_deg : float
         Where the transmitter is from halfway, degrees: 0 along the level azimuth axis of a radar that looks to the
         right, 90 above; the receiver is opposite. 0 if they are one radar.
+    stretch : float
+        Length along azimuth in the image for each metre of a target aloft, ½ to 2: 1 unless its cross-range was scaled
+        by a rate of rotation, or an axis, that was not the true one, as trainings find out (`sarsplat.Turn`).
 
     Raises
     ------
     SarsplatError
         If an angle is not a number, the azimuth exceeds ten turns, the grazing angle lies outside (0°, 90°), the tilt
-        exceeds 89°, there is no such side, transmitter and receiver are too far apart, or one is below the horizon.
+        exceeds 89°, there is no such side, transmitter and receiver are too far apart, or one is below the horizon, or
+        the image is stretched by too much, or the target is on the ground.
     """
 
     azimuth_deg: float
@@ -83,14 +90,16 @@ class View:
     aloft: bool = False
     apart_deg: float = 0.0
     apart_towards_deg: float = 0.0
+    stretch: float = 1.0
 
     def __post_init__(self) -> None:
-        for field, name in _ANGLES.items():
+        for field, name in _NUMBERS.items():
             value = getattr(self, field)
             if type(value).__name__ == "Tensor":
                 raise SarsplatError(f"{name} is a tensor, but views have no gradients; {_TURNED}")
             if not isinstance(value, Real):
-                raise SarsplatError(f"{name} {described(value)} is not a number; give degrees")
+                give = "degrees" if field in _ANGLES else "1 where cross-range is scaled as it is"
+                raise SarsplatError(f"{name} {described(value)} is not a number; give {give}")
             object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
         if not abs(self.azimuth_deg) <= _MAX_AZIMUTH:  # also catches NaN; 1e308° has no meaningful direction
             raise SarsplatError(
@@ -113,6 +122,10 @@ class View:
         if self.side not in get_args(RadarSide):
             raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(RadarSide))}")
         self._check_apart()
+        if not 1 / _MOST_STRETCHED <= self.stretch <= _MOST_STRETCHED:
+            raise SarsplatError(f"stretch {self.stretch} is not a number between 0.5 and {_MOST_STRETCHED:g}; give 1")
+        if self.stretch != 1 and (self.apart_deg or not self.aloft):
+            raise SarsplatError("only images that one radar takes of a target aloft can be stretched; give stretch 1")
 
     def _check_apart(self) -> None:
         if not 0 <= self.apart_deg <= _MOST_APART:
@@ -144,7 +157,8 @@ class View:
         """What follows its angles where they are said: ", tilted by 5°, looking left"; empty for most views."""
         tilt = f", tilted by {tenths:g}°" if (tenths := round(self.tilt_deg, 1)) else ""
         side = ", looking left" if self.side == "left" else ""
-        return tilt + side + (f", bistatic by {round(self.apart_deg, 1):g}°" if self.apart_deg else "")
+        bistatic = f", bistatic by {round(self.apart_deg, 1):g}°" if self.apart_deg else ""
+        return tilt + side + bistatic + ("" if self.stretch == 1 else f", stretched by {self.stretch:.3f}")
 
     @property
     def open_beta0(self) -> float:
@@ -259,9 +273,16 @@ class View:
     @property
     def legs(self) -> tuple[Self, ...]:
         """Views along each way: from the transmitter and from the receiver, itself alone if they are one radar."""
-        if not self.apart_deg:
+        if self.plain:
             return (self,)
+        if not self.apart_deg:
+            return (replace(self, stretch=1.0),)
         return tuple(self.towards(way, aloft=self.aloft) for way in self.look.ways)
+
+    @property
+    def plain(self) -> bool:
+        """Whether images show azimuth and range of its frame as they are: of one radar, and not stretched."""
+        return not self.apart_deg and self.stretch == 1
 
     @property
     def incidence_deg(self) -> float:
@@ -273,7 +294,7 @@ class View:
         """How the radar sees places from there."""
         left = self.side == "left"
         angles = self.azimuth_deg, self.grazing_deg, self.tilt_deg
-        return Look.of(*angles, left, self.apart_deg, self.apart_towards_deg)
+        return Look.of(*angles, left, self.apart_deg, self.apart_towards_deg, self.stretch)
 
     @property
     def direction(self) -> Float64[np.ndarray, " 3"]:
@@ -287,9 +308,11 @@ def along_ways(views: Sequence[View]) -> list[View]:
 
 
 def check_monostatic(views: Sequence[View], remedy: str) -> None:
-    """Refuse views of a transmitter and a receiver apart, where one radar is meant."""
+    """Refuse views of a transmitter and a receiver apart, and stretched ones, where plain images are meant."""
     if any(view.apart_deg for view in views):
         raise SarsplatError(f"a view is bistatic; {remedy}")
+    if any(view.stretch != 1 for view in views):
+        raise SarsplatError(f"a view is stretched; {remedy}")
 
 
 def seen_alike(views: Sequence[View], azimuth_deg: float, grazing_deg: float) -> View:

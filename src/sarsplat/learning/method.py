@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
 
-from sarsplat.data import Dataset
+from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, View
@@ -215,6 +215,10 @@ class Reconstruction(ABC):
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:
         """Corrections of the azimuths of the training views, degrees; None from methods that make none."""
         return None
+
+    def views_of(self, entries: Sequence[DatasetEntry], train: Dataset) -> tuple[View, ...]:
+        """Views of images, as far as training images corrected the passes that they are of."""
+        return tuple(entry.view for entry in entries)
 
     @property
     @abstractmethod

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
 
-from sarsplat.data import Dataset, write_gaussians_ply
+from sarsplat.data import Dataset, DatasetEntry, write_gaussians_ply
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians, Polarimetric
@@ -28,6 +28,7 @@ from sarsplat.learning.parts.target import scales_m
 from sarsplat.learning.sampler import Sampler
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS
+from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, corrected_views, uncertain_passes
 from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
 from sarsplat.renderer import GroundBounce, channel_of
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 _NORMAL_REACH = 3.0  # of what counts for a normal, resolution cells
+_PASSES_SAID = 6
 _NOWHERE = -1e6  # resolution cells: the ground of what is aloft
 
 
@@ -228,6 +230,24 @@ class GaussianReconstruction(Reconstruction):
         offsets = self.snapshot.tensors.get(AZIMUTH_OFFSETS)
         return None if offsets is None else offsets.double().numpy()
 
+    def views_of(self, entries: Sequence[DatasetEntry], train: Dataset) -> tuple[View, ...]:
+        passes, corrections = uncertain_passes(train), self._corrections
+        if corrections is None:
+            return super().views_of(entries, train)
+        if corrections.shape != (len(passes), 3):
+            raise SarsplatError(f"{train} does not have the {len(corrections)} uncertain passes of the training")
+        return corrected_views(entries, passes, corrections)
+
+    @property
+    def _corrections(self) -> Float64[np.ndarray, "passes 3"] | None:
+        """Of each uncertain pass, of its axis in two directions, degrees, and of its rate, as a share."""
+        corrections = self.snapshot.tensors.get(TURN_CORRECTIONS)
+        if corrections is None:
+            return None
+        if corrections.ndim != 2 or corrections.shape[1] != 3 or not corrections.isfinite().all():
+            raise SarsplatError("the checkpoint does not hold corrections of rotations; reconstruct it again")
+        return corrections.double().numpy()
+
     def points(self) -> Float32[np.ndarray, "p 3"]:
         """First returns of rays, or centres, as configured."""
         how, views = self.config.points, self.snapshot.views
@@ -264,7 +284,15 @@ class GaussianReconstruction(Reconstruction):
     def facts(self) -> dict[str, str]:
         own = self.config.preset == OWN_LOOP
         made = {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
-        return made | {"scattering": self.gaussians.scattering.in_words} | self._ground
+        return made | {"scattering": self.gaussians.scattering.in_words} | self._rotations | self._ground
+
+    @property
+    def _rotations(self) -> dict[str, str]:
+        """By how much axes and rates of the passes were corrected."""
+        if (corrections := self._corrections) is None or not corrections.any():
+            return {}
+        each = [f"axis by {math.hypot(*of[:2]):.2f}°, rate by {of[2]:+.2%}" for of in corrections]
+        return {"corrected rotations": "; ".join(each[:_PASSES_SAID]) + ("; …" if len(each) > _PASSES_SAID else "")}
 
     @property
     def _ground(self) -> dict[str, str]:

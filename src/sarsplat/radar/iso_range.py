@@ -79,9 +79,9 @@ def iso_range_line(
     SarsplatError
         If the grid has no such pixel.
     """
-    azimuth, slant_range = pixel.place_m(grid)
     frame = view.look.frame
-    origin, direction = azimuth * frame[0] + slant_range / view.look.shortening * frame[2], frame[1]
+    azimuth, away = view.look.in_frame(*pixel.place_m(grid))
+    origin, direction = azimuth * frame[0] + away * frame[2], frame[1]
     first, last = -math.inf, math.inf
     for start, step, a, b in zip(origin, direction, low, high, strict=True):
         if abs(step) < _PARALLEL:
@@ -133,7 +133,7 @@ def contributions(
     if len(gaussians) == 0:
         return np.zeros(0, np.float32)
     gaussians = gaussians.detach()
-    if bounce is None and view.apart_deg:
+    if bounce is None and not view.plain:
         rendering = render(gaussians, [view], grid, rays=rays)
         sections = rendering.cross_sections[0, :, gaussians.scattering.power_channel]
         footprints = imaged(gaussians, [view], grid, None)

@@ -16,7 +16,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.processes import Processes
-from sarsplat.renderer.bistatic import render_bistatic
+from sarsplat.renderer.bistatic import render_by_steps
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances
 from sarsplat.renderer.echoes import Echo, GroundEcho
@@ -83,8 +83,8 @@ def render(
     gaussians : Gaussians
         The scene, N Gaussians.
     views : sequence of View
-        V views, at least one. Bistatic ones are rendered step by step, and have no terrain, other echoes, ray maps or
-        processes; `bounds` are of no use to them.
+        V views, at least one. Bistatic and stretched ones are rendered step by step, and have no terrain, other echoes,
+        ray maps or processes, and stretched ones no ground; `bounds` are of no use to them.
     grid : ImageGrid
         Pixels and system response, the same for all views.
     rays : RayGrid, optional
@@ -162,16 +162,16 @@ def render(
     by_view = {"amplitudes": amplitudes, "shift": shift, "gain": gain}
     tensors = {**gaussians.tensors(), **by_view}
     options: dict[str, Any] = {**by_view, "rays": rays, "imaging_weight": imaging_weight}
-    bistatic = any(view.apart_deg for view in candidates(views)[0])
-    if bistatic:
-        options["ground"] = _only_ground(echoes, first_return_depth, processes)
+    by_steps = not all(view.plain for view in candidates(views)[0])
+    if by_steps:
+        options["ground"] = _only_ground(views, echoes, first_return_depth, processes)
     else:
         options |= {"echoes": echoes, "first_return_depth": first_return_depth}
     if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
-        if bistatic:
+        if by_steps:
             for values in (by_view, *(echo.values() for echo in echoes)):  # the rest is checked on the way in
                 check_values(values)
-            rendering = render_bistatic(
+            rendering = render_by_steps(
                 Steps(new_pass, cuts=True), gaussians, views, grid, **options, plane_gradients=plane_gradients
             )
             return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
@@ -198,17 +198,17 @@ def render(
     check_for_reference("means", gaussians.means.dtype)
     for values in (tensors, *(echo.values() for echo in echoes)):
         check_values(values)
-    if bistatic:
-        rendering = render_bistatic(Steps(None, cuts=True), gaussians, views, grid, **options)
+    if by_steps:
+        rendering = render_by_steps(Steps(None, cuts=True), gaussians, views, grid, **options)
     else:
         rendering = render_reference(gaussians, views, grid, **options)
     return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
 
 
 def _only_ground(
-    echoes: Sequence[Echo], first_return_depth: float | None, processes: Processes | None
+    views: Sequence[View], echoes: Sequence[Echo], first_return_depth: float | None, processes: Processes | None
 ) -> GroundEcho | None:
-    """The level ground of images of a transmitter and a receiver apart; refused is what they cannot have."""
+    """The level ground of images that are rendered step by step; refused is what they cannot have."""
     plane = [echo for echo in echoes if isinstance(echo, GroundEcho) and not isinstance(echo.ground.height_m, Terrain)]
     given = {
         "echoes but level ground, neither terrain nor bounces; leave them out": len(echoes) > len(plane[:1]),
@@ -216,5 +216,7 @@ def _only_ground(
         "processes that share them; omit these": processes is not None,
     }
     if wrong := next((what for what, there in given.items() if there), None):
-        raise SarsplatError(f"a view is bistatic, and such images have no {wrong}")
+        raise SarsplatError(f"a view is bistatic or stretched, and such images have no {wrong}")
+    if plane and any(view.stretch != 1 for view in candidates(views)[0]):
+        raise SarsplatError("a view is stretched, and such images have no ground; leave it out")
     return plane[0] if plane else None

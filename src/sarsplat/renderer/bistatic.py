@@ -1,4 +1,4 @@
-"""Images of a transmitter and a receiver apart, put together from the steps of a rendering.
+"""Images of a transmitter and a receiver apart, or stretched, put together from the steps of a rendering.
 
 The way in is u_t and the way out u_r. A Gaussian is imaged where the look's gradients say, in slant range
 −½(u_t + u_r)·x, and lit both ways: over √(lit(u_t)·lit(u_r)). What it returns per lit area is what its law says of the
@@ -33,7 +33,7 @@ _ANY_DEPTH = 1.0
 """Of first returns, which come with what is left of rays, and are not used."""
 
 
-def render_bistatic(
+def render_by_steps(
     steps: Steps,
     gaussians: Gaussians,
     views: Sequence[View],
@@ -47,18 +47,21 @@ def render_bistatic(
     plane_gradients: bool = False,
     ground: GroundEcho | None = None,
 ) -> Rendering:
-    """`sarsplat.render` of views some or all of which are bistatic; arguments are documented there.
+    """`sarsplat.render` of views some or all of which are not plain; arguments are documented there.
 
     `ground` is a plane, which has hidden what is below it already.
     """
     if isinstance(views, ChosenViews):
-        raise NotRecordable("has a transmitter and a receiver apart")
+        raise NotRecordable("has a transmitter and a receiver apart, or is stretched")
     g = gaussians
-    ways = [view.legs[end] for end in (0, -1) for view in views]
+    ends = (0, -1) if any(view.apart_deg for view in views) else (0,)
+    ways = [view.legs[end] for end in ends for view in views]
     unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # nobody asks what returns along either way
     projection = steps.project(unlit, ways, grid, rays)
     attenuation = steps.attenuate(projection, rays, None if ground is None else _ANY_DEPTH)
-    lit_area = both_ways(*attenuation.lit_area.split(len(views)))
+    lit_area, *back = attenuation.lit_area.split(len(views))
+    if back:
+        lit_area = both_ways(lit_area, back[0])
     if amplitudes is None:
         amplitudes = amplitudes_towards(steps.new_pass, g, views)
     cross_sections = amplitudes * lit_area[..., None]
@@ -103,7 +106,7 @@ def _filled_later(
     """Gradients on the planes once they are there; on the computation plane, of both ways together."""
 
     def on_rays(slope: Tensor) -> None:
-        planes[..., :2] = slope.detach().unflatten(0, (2, -1)).sum(0)
+        planes[..., :2] = slope.detach().unflatten(0, (-1, len(planes))).sum(0)
 
     def on_pixels(slope: Tensor) -> None:
         planes[..., 2:] = slope.detach()

@@ -91,7 +91,8 @@ def views_figure(
     views, truth = [dataset.views[index] for index in indices], dataset.power[indices]
     looks = dataset.select(dataset.entries[indices[0]].split).looks
     peak, margin = float(dataset.images("train").max()), dataset.score_margin
-    stacks = {name: fitted(truth, run.render(views), looks, margin) for name, run in runs.items()}
+    shown = dataset.take(indices)
+    stacks = {name: fitted(truth, run.render(run.views_of(shown)), looks, margin) for name, run in runs.items()}
     part = Part.of(dataset.grid, target_window(np.maximum.reduce([truth, *stacks.values()]), peak, margin), largest)
     difference = Difference(looks, dataset.grid, peak)
     errors = {name: difference.of(truth, stack) for name, stack in stacks.items()}

@@ -175,7 +175,8 @@ def _truth(run: Run) -> tuple[Path | None, Alignment]:
     truth = metrics["truth"]
     if truth["mesh"] is not None:
         file = Path(truth["mesh"])
-    return file, Alignment(truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg))
+    shift_m, heading_deg = truth.get("shift_m", _STILL.shift_m), truth.get("heading_deg", _STILL.heading_deg)
+    return file, Alignment(shift_m, heading_deg, tilts_deg=truth.get("tilts_deg", _STILL.tilts_deg))
 
 
 def _mesh(run: Run) -> list[Figure]:

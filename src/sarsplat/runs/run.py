@@ -158,6 +158,19 @@ class Run(Result):
             )
         return dataset
 
+    @checks_arguments
+    def views_of(self, dataset: Dataset) -> tuple[View, ...]:
+        """From where images of a dataset were taken, as far as the training corrected the passes that they are of.
+
+        Parameters
+        ----------
+        dataset : Dataset
+            Images of its own dataset, such as its test images.
+        """
+        if not any(entry.turn is not None for entry in dataset.entries):
+            return dataset.views
+        return self.reconstruction.views_of(dataset.entries, self.dataset.select("train"))
+
     # ---- its folder -------------------------------------------------------------------------------------------------
     @classmethod
     @checks_arguments

@@ -50,6 +50,7 @@ class Truth(TypedDict):
     sha256: NotRequired[str]
     shift_m: NotRequired[tuple[float, float, float]]
     heading_deg: NotRequired[float]
+    tilts_deg: NotRequired[tuple[float, float]]
 
 
 class ByImage(TypedDict):

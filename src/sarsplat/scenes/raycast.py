@@ -161,6 +161,7 @@ class RayCaster:
         """The image of a view; `progress` is called with the share that is done, several times a second."""
         if view.apart_deg:
             return self._two_ways(view, progress)
+        check_monostatic([view], "cast rays for the same view on a grid of pixels of that width instead")
         facets = Facets.of(self._mesh, view)
         gamma0 = self._reflectivity * self._law.gamma0(facets.cos_incidence)
         gamma0[len(gamma0) - len(self._terrain_gamma0) :] = self._terrain_gamma0

@@ -36,6 +36,7 @@ from sarsplat.settings.sections import (
     Relocation,
     Smoothing,
     Surroundings,
+    Turns,
 )
 
 if TYPE_CHECKING:
@@ -178,6 +179,8 @@ class Config(AnyConfig):
         What measured images show besides target and ground; None: nothing.
     passes : Passes or None
         How covariances of interferometric stacks are learned from; None: from power alone.
+    turns : Turns
+        Refinement of uncertain rotations of a target aloft.
     checkpoint_every : int
         Iterations between two checkpoints.
     seed : int
@@ -236,6 +239,7 @@ class Config(AnyConfig):
     bounce: Bounce | None = None
     surroundings: Surroundings | None = None
     passes: Passes | None = None
+    turns: Turns = Turns()
     checkpoint_every: Count = 500
     seed: Seed = 0
 

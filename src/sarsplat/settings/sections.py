@@ -297,6 +297,27 @@ class Surroundings(Record):
 
 
 @dataclass(frozen=True)
+class Turns(Record):
+    """How axes and rates of rotation that are uncertain are refined (`sarsplat.Turn`).
+
+    Parameters
+    ----------
+    rounds : int
+        How often, evenly spaced; 0: never.
+    begin : float
+        The first time, as a share of all iterations.
+    until : float
+        The last time.
+    """
+
+    _section: ClassVar[str] = "turns."
+
+    rounds: Iteration = 12
+    begin: Share = 0.1
+    until: Share = 0.9
+
+
+@dataclass(frozen=True)
 class Passes(Record):
     """How a scene is learned from interferometric stacks.
 

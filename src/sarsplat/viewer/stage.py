@@ -248,19 +248,19 @@ class Stage:
 
         It is as long for pixels beside the target as for those on it: a miss is as informative as a hit.
         """
-        azimuth, away = place_m[0], place_m[1] / view.look.shortening
+        azimuth, away = view.look.in_frame(*place_m)
         ends = self.plane_depth(view), self._elevations(view)[1] + _REACH * self._radius
         return np.array([[azimuth, elevation, away] for elevation in ends]) @ view.look.frame
 
     def lay_image(self, rgb: UInt8[np.ndarray, "rows columns 3"], view: View, part: ImageGrid, visible: bool) -> None:
         """Lay an image on its plane, azimuth × slant range, which the lines of one range cross at right angles."""
-        frame, longer = view.look.frame, 1 / view.look.shortening
-        place = np.array([part.center_m[0], self.plane_depth(view), longer * part.center_m[1]]) @ frame
+        frame, (wider, longer) = view.look.frame, view.look.in_frame(1.0, 1.0)
+        place = np.array([wider * part.center_m[0], self.plane_depth(view), longer * part.center_m[1]]) @ frame
         across = frame[0]
         if view.side == "left":  # its frame is mirrored, and planes are turned only
             rgb, across = rgb[:, ::-1], -across
         turn = Rotation.from_matrix(np.stack([across, frame[2], -frame[1]], axis=1)).as_quat(scalar_first=True)
-        size = part.columns * part.spacing_m[0], longer * part.rows * part.spacing_m[1]
+        size = wider * part.columns * part.spacing_m[0], longer * part.rows * part.spacing_m[1]
         if self._plane is not None and self._plane[1] == size:
             plane = self._plane[0]
             plane.image, plane.position, plane.wxyz = rgb, place, turn

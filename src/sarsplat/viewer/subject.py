@@ -169,7 +169,7 @@ class Subject:
 
     def maps(self, view: View) -> RadarMaps | None:
         """Radar maps of any view of one radar, if the target's shape is known."""
-        return None if self.surface is None or view.apart_deg else radar_maps(self.surface, view, self.maps_grid)
+        return None if self.surface is None or not view.plain else radar_maps(self.surface, view, self.maps_grid)
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
         """The contributors to a pixel: here, by area alone, and by way of the ground if that was simulated."""

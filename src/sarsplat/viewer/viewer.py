@@ -281,8 +281,7 @@ class Viewer:
     def _pick_on_plane(self, origin: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]) -> None:
         frame, part = self._view.look.frame, self._part
         down = (self._stage.plane_depth(self._view) - float(origin @ frame[1])) / float(direction @ frame[1])
-        azimuth, _, away = frame @ (origin + down * direction)
-        slant_range = away * self._view.look.shortening
+        azimuth, slant_range = self._view.look.gradients @ (origin + down * direction)
         column = round((azimuth - part.azimuth_m[0]) / part.spacing_m[0])
         row = round((slant_range - part.range_m[0]) / part.spacing_m[1])
         self._pick_in_part(_moved(Pixel(row, column), 0, 0, part))

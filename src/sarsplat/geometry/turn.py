@@ -1,0 +1,139 @@
+"""How a target aloft has turned when a frame is taken, and how well its rotation is known (inverse SAR)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.view import View
+
+_FARTHEST_DEG = 36_000.0  # a hundred turns
+_LEAST_CERTAIN_DEG, _LEAST_CERTAIN_RATE = 10.0, 0.2
+_SLOWEST, _FASTEST = 0.5, 2.0  # of the rate that was assumed: beyond them images would be stretched too much
+_MOST_OFF = 1e-3  # rad between a view's azimuth axis and what the axis of rotation says
+
+
+@dataclass(frozen=True)
+class Turn:
+    """The part of a target's rotation that lies between the beginning of a pass and a frame.
+
+    Frames of one pass have the same axis, name and standard deviations: the axis and the rate by which they were made,
+    from the attitude at its beginning on, are wrong by the same. A rate that was taken for higher than it is makes all
+    angles too large and cross-range too short; a wrong angle between axis and line of sight scales cross-range, too.
+
+    Parameters
+    ----------
+    axis : (x, y, z)
+        About which the target turns, counter-clockwise seen from its tip, in the target's frame; of any length.
+    angle_deg : float
+        By how much it has turned since the beginning of the pass, when its attitude is known; degrees, at most a
+        hundred turns.
+    axis_std_deg : float
+        Standard deviation of the axis in either direction across it, degrees, at most 10; 0 if it is known exactly.
+    rate_std : float
+        Standard deviation of the rate of rotation as a share of it, at most 0.2; 0 if it is known exactly.
+    name : str
+        Of the pass, to tell apart those of the same axis.
+
+    Raises
+    ------
+    SarsplatError
+        If the axis has no direction, or a number is out of range.
+    """
+
+    axis: tuple[float, float, float]
+    angle_deg: float
+    axis_std_deg: float = 0.0
+    rate_std: float = 0.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        axis = np.asarray(self.axis, float)
+        if axis.shape != (3,) or not np.isfinite(axis).all() or not axis.any():
+            raise SarsplatError(f"the rotation axis {shown(self.axis)} has no direction; give three numbers, not all 0")
+        object.__setattr__(self, "axis", tuple(axis.tolist()))
+        limits = {
+            "angle_deg": (-_FARTHEST_DEG, _FARTHEST_DEG, "degrees since the beginning of the pass"),
+            "axis_std_deg": (0.0, _LEAST_CERTAIN_DEG, "degrees, and find an axis that is known less well another way"),
+            "rate_std": (0.0, _LEAST_CERTAIN_RATE, "a share of the rate, such as 0.03"),
+        }
+        for name, (low, high, give) in limits.items():
+            value = getattr(self, name)
+            if not isinstance(value, int | float | np.number) or not low <= value <= high:  # also catches NaN
+                raise SarsplatError(f"{name} {shown(value)} is not a number between {low:g} and {high:g}; give {give}")
+            object.__setattr__(self, name, float(value))
+        if not isinstance(self.name, str):
+            raise SarsplatError(f"the name of a pass is {shown(self.name)}; give text")
+
+    @property
+    def of_pass(self) -> tuple[object, ...]:
+        """What frames of one pass have in common."""
+        return self.name, self.axis, self.axis_std_deg, self.rate_std
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether axis or rate are not known exactly."""
+        return self.axis_std_deg > 0 or self.rate_std > 0
+
+    def seen_from(self, line_of_sight: Float64[np.ndarray, " 3"] | Sequence[float | int]) -> View:
+        """The view of the frame, whose line of sight is this at the beginning of the pass, in the target's frame."""
+        sight = np.asarray(line_of_sight, float)
+        return View.isar(turned(sight, self.axis, -self.angle_deg), self.axis)
+
+    def check(self, view: View) -> None:
+        """Refuse a view of the frame that is not one of this rotation."""
+        across = np.cross(view.direction, self._unit)
+        if not view.aloft or np.linalg.norm(view.look.frame[0] * np.linalg.norm(across) - across) > _MOST_OFF:
+            raise SarsplatError(
+                f"{view!r} is not of a target that turns about {list(self.axis)}; give "
+                "View.isar(line_of_sight, rotation_axis) with the axis of its turn"
+            )
+
+    def corrected(self, view: View, tilts_deg: tuple[float, float], faster: float) -> View:
+        """The view of a frame, if its pass has another axis and rate than was assumed.
+
+        Parameters
+        ----------
+        view : View
+            As it was taken to be.
+        tilts_deg : (float, float)
+            By how much the axis is turned in two directions across it, degrees.
+        faster : float
+            By which share of the assumed rate the true one is faster.
+
+        Returns
+        -------
+        View
+            Its image is stretched: cross-range was scaled by what was assumed.
+        """
+        across = np.cross(np.eye(3)[np.abs(self._unit).argmin()], self._unit)
+        across /= np.linalg.norm(across)
+        tilt = tilts_deg[0] * across + tilts_deg[1] * np.cross(self._unit, across)
+        length = float(np.linalg.norm(tilt))
+        axis = turned(self._unit, tilt, length) if length else self._unit
+        rate = min(max(1 + faster, _SLOWEST), _FASTEST)
+        first = turned(view.direction, self._unit, self.angle_deg)  # at the beginning of the pass
+        true = View.isar(turned(first, axis, -rate * self.angle_deg), axis)
+        sines = [float(np.linalg.norm(np.cross(first, one))) for one in (axis, self._unit)]
+        return replace(true, stretch=min(max(rate * sines[0] / sines[1], _SLOWEST), _FASTEST))
+
+    @property
+    def _unit(self) -> Float64[np.ndarray, " 3"]:
+        axis = np.array(self.axis) / np.abs(self.axis).max()  # of any length: no square overflows
+        return axis / np.linalg.norm(axis)
+
+
+def turned(
+    vector: Float64[np.ndarray, " 3"], axis: Float64[np.ndarray, " 3"] | Sequence[float | int], angle_deg: float
+) -> Float64[np.ndarray, " 3"]:
+    """A vector, turned counter-clockwise about an axis of any length, seen from its tip (O. Rodrigues, 1840)."""
+    unit = np.asarray(axis, float)
+    unit = unit / np.abs(unit).max()
+    unit = unit / np.linalg.norm(unit)
+    cos, sin = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    return vector * cos + np.cross(unit, vector) * sin + unit * (unit @ vector) * (1 - cos)

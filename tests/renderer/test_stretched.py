@@ -1,0 +1,84 @@
+"""Images whose cross-range was scaled by something else than the target's metres: as on pixels of another width."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from named_scenes import GRID, cloud
+from test_reference_gradients import check_gradients
+from torch import Tensor
+
+from sarsplat import ScatteringLaw, simulate_raycast
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.radar.iso_range import Pixel, contributions, iso_range_line
+from sarsplat.renderer import project, render
+from sarsplat.renderer.bistatic import render_by_steps
+from sarsplat.renderer.one_by_one import Steps
+from sarsplat.tiles import render_tiled
+
+PLAIN = (View(25.0, -40.0, 10.0, aloft=True), View(200.0, 60.0, -70.0, "left", aloft=True))
+STRETCHES = (1.07, 0.8)
+VIEWS = tuple(replace(view, stretch=stretch) for view, stretch in zip(PLAIN, STRETCHES, strict=True))
+
+
+def narrower(grid: ImageGrid, stretch: float) -> ImageGrid:
+    """The pixels that show the same without a stretch."""
+    widths = {
+        name: (getattr(grid, name)[0] / stretch, getattr(grid, name)[1]) for name in ("spacing_m", "resolution_m")
+    }
+    return replace(grid, **widths, center_m=(grid.center_m[0] / stretch, grid.center_m[1]))
+
+
+@pytest.mark.parametrize("engine", ["cpu", "reference"])
+def test_it_is_the_image_of_narrower_pixels_with_less_power_each(engine: str) -> None:
+    scene, rays = cloud(80, 3, kappa=(2.0, 9.0)), RayGrid.for_image(GRID)
+    both = render(scene, VIEWS, GRID, rays=rays, engine=engine)
+    for image, plain, stretch in zip(both.images, PLAIN, STRETCHES, strict=True):
+        expected = render(scene, [plain], narrower(GRID, stretch), rays=rays, engine=engine)
+        torch.testing.assert_close(image, expected.images[0] / stretch, rtol=2e-4, atol=2e-5)
+    torch.testing.assert_close(both.cross_sections, render(scene, PLAIN, GRID, rays=rays, engine=engine).cross_sections)
+
+
+def test_gradients_are_finite_differences() -> None:
+    scene = cloud(4, 3, size=(0.6, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=2)
+    grid, rays = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45)), RayGrid((0.27, 0.31))
+    leaves = {name: tensor.double().requires_grad_() for name, tensor in scene.tensors().items()}
+
+    def outputs(*values: Tensor) -> list[Tensor]:
+        own = scene.with_tensors(**dict(zip(leaves, values, strict=True)))
+        return [render_by_steps(Steps(None, cuts=False), own, VIEWS, grid, rays=rays).images]
+
+    check_gradients(outputs, tuple(leaves.values()))
+
+
+def test_what_needs_plain_images_refuses_them() -> None:
+    scene = cloud(5, 0)
+    for refused in (
+        lambda: project(scene, VIEWS, GRID),
+        lambda: render_tiled(scene, VIEWS[0], GRID),
+        lambda: render(scene, VIEWS, GRID, first_return_depth=0.5),
+    ):
+        with pytest.raises(SarsplatError, match="stretched"):
+            refused()
+    trimesh = pytest.importorskip("trimesh")
+    with pytest.raises(SarsplatError, match="a view is stretched; cast rays for the same view on a grid"):
+        simulate_raycast(trimesh.creation.box((1, 1, 1)), VIEWS[0], GRID, ScatteringLaw())
+
+
+def test_a_pixel_lies_on_the_line_that_is_imaged_there() -> None:
+    ends = iso_range_line(VIEWS[0], GRID, Pixel(7, 4), np.full(3, -5.0), np.full(3, 5.0))
+    assert ends is not None
+    places = VIEWS[0].look.gradients @ ends.T
+    assert np.allclose(places, np.array(Pixel(7, 4).place_m(GRID))[:, None], atol=1e-9)
+
+
+def test_contributions_to_a_pixel_add_up_to_it() -> None:
+    scene = cloud(40, 2)
+    image = render(scene, VIEWS[:1], GRID).images[0, 0]
+    row, column = divmod(int(image.argmax()), GRID.columns)
+    shares = contributions(scene, VIEWS[0], GRID, Pixel(row, column))
+    assert float(shares.sum()) == pytest.approx(float(image[row, column]), rel=1e-4)
