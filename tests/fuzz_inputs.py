@@ -46,7 +46,8 @@ from sarsplat.importers import import_rslc, read_phoenix
 from sarsplat.importers.history_gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.mstar_chips import read_chips
-from sarsplat.importers.phase_history import apertures, flights
+from sarsplat.importers.phase_apertures import apertures
+from sarsplat.importers.phase_history import flights
 from sarsplat.importers.phase_history_images import focus
 from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import SCHEMA_VERSION

@@ -16,7 +16,8 @@ from sarsplat.importers import import_phase_history
 from sarsplat.importers.histories import FORMATS, PhaseHistoryFormat, read_phase_history
 from sarsplat.importers.history_gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
-from sarsplat.importers.phase_history import apertures, flights
+from sarsplat.importers.phase_apertures import apertures
+from sarsplat.importers.phase_history import flights
 from sarsplat.importers.phase_history_images import focus, ground_points
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "gotcha"
@@ -55,10 +56,11 @@ def test_agrees_with_a_direct_sum(tmp_path, weighting):
     history, cross = found.history, found.cross
     middle = (cross.min() + cross.max()) / 2
     pulses = np.abs(np.gradient(cross)) * weighting.window((cross - middle) / found.extent)
-    count = len(history.frequencies_hz)
+    count = history.frequencies
+    frequencies = history.first_hz + np.arange(count)[:, None] * history.step_hz
     band = weighting.window((np.arange(count) - (count - 1) / 2) / count)
     beyond = np.linalg.norm(ground_points(found, grid)[:, None] - history.antenna_m, axis=2) - history.reference_m
-    phase = 4 * np.pi / C * history.frequencies_hz[:, None, None] * beyond
+    phase = 4 * np.pi / C * frequencies[:, None, :] * beyond
     direct = np.einsum("fp,f,p,fnp->n", history.samples, band / band.sum(), pulses / pulses.sum(), np.exp(1j * phase))
     direct = direct.reshape(image.shape) * np.exp(-4j * np.pi / C * history.carrier_hz * grid.range_m)[:, None]
     assert np.abs(image - direct).max() < 1e-5 * np.abs(direct).max()
