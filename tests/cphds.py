@@ -27,7 +27,7 @@ _PVPS = {
 def arc(
     azimuth_deg: float, width_deg: float, pulses: int, grazing_deg: float = 35.0, distance: float = 4000.0
 ) -> np.ndarray:
-    """Antenna places [pulses, 3] on a level arc; azimuths are compass bearings from the scene, rising along the flight."""
+    """Antenna places [pulses, 3] on a level arc; azimuths are compass bearings from the scene, rising along it."""
     bearing = np.radians(azimuth_deg + width_deg * ((np.arange(pulses) + 0.5) / pulses - 0.5))
     level = distance * np.cos(np.radians(grazing_deg))
     up = np.full(pulses, distance * np.sin(np.radians(grazing_deg)))
@@ -238,7 +238,7 @@ def xml_of(data: bytes) -> bytes:
 def with_xml(data: bytes, xml: bytes) -> bytes:
     """The file with other metadata; where its blocks are follows."""
     head, _, _ = data.partition(b"\f\n")
-    values = dict(line.split(" := ") for line in head.decode("latin-1").split("\n")[1:])
+    values = dict(line.split(" := ", 1) for line in head.decode("latin-1").split("\n")[1:] if " := " in line)
     blocks = {
         name: data[(at := int(values[f"{name}_BLOCK_BYTE_OFFSET"])) : at + int(values[f"{name}_BLOCK_SIZE"])]
         for name in ("PVP", "SIGNAL")

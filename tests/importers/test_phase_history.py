@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pulses import FREQUENCIES, C, circle, record, write
+from pulses import FREQUENCIES, C, circle, peak, record, write
 from sarsplat.cli import main
 from sarsplat.cli.importers import recognised
 from sarsplat.data import read_dataset
@@ -32,20 +32,6 @@ def aperture(path, antenna, points, around=(0.0, 0.0, 0.0)):
     (flight,) = flights([read_gotcha(write(path / "a.mat", record(antenna, points)))])
     (found,) = apertures(flight, np.array(around), None)
     return found
-
-
-def peak(image: np.ndarray, grid: ImageGrid) -> tuple[float, float]:
-    """(azimuth, range) of the brightest point, between pixels by a parabola through the logarithms."""
-    level = np.log(np.abs(image) + 1e-12)
-    row, column = np.unravel_index(level.argmax(), level.shape)
-
-    def between(three):
-        return (three[0] - three[2]) / (2 * (three[0] - 2 * three[1] + three[2]))
-
-    return (
-        grid.azimuth_m[column] + grid.spacing_m[0] * between(level[row, column - 1 : column + 2]),
-        grid.range_m[row] + grid.spacing_m[1] * between(level[row - 1 : row + 2, column]),
-    )
 
 
 @pytest.mark.parametrize("weighting", [UNIFORM, Taylor()])

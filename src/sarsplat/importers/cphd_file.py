@@ -72,7 +72,8 @@ class Cphd:
         """Value of an element as sarkit reads it; None if there is none."""
         from sarkit.cphd import XmlHelper
 
-        return XmlHelper(self.tree).load(_any_version(name))
+        with sarkit_errors(self.path, "CPHD"):
+            return XmlHelper(self.tree).load(_any_version(name))
 
     @property
     def reference_ecef(self) -> Float64[np.ndarray, " 3"]:

@@ -129,10 +129,13 @@ def _of_frequencies(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tup
     """First frequency and step of each pulse, and its samples: those that all pulses have within their bands."""
     first, step = pulses["SC0"], pulses["SCSS"]
     _require_steps(cphd, step)
-    low = np.clip(np.ceil((pulses["FX1"] - first) / step - _EXACT), 0, channel.samples)
-    high = np.clip(np.floor((pulses["FX2"] - first) / step + _EXACT), -1, channel.samples - 1)
+    with np.errstate(over="ignore"):
+        low = np.clip(np.ceil((pulses["FX1"] - first) / step - _EXACT), 0, channel.samples)
+        high = np.clip(np.floor((pulses["FX2"] - first) / step + _EXACT), -1, channel.samples - 1)
     begin, end = int(low.max()), int(high.min()) + 1
-    _require_common(cphd, end - begin, high - low + 1)
+    if end - begin < 2:
+        raise SarsplatError(f"{cphd.path} has samples that are not of its band ({_in_mhz(pulses)}); get it again")
+    _require_one_band(cphd, first + begin * step, first + (end - 1) * step)
     signal = _Signal(cphd.path, channel.name, pulses["index"], pulses["AmpSF"], cphd.sign > 0, begin, end - begin)
     return first + begin * step, step, signal
 
@@ -144,12 +147,12 @@ def _of_times(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.
     step = 1 / (channel.samples * interval)
     each_side = np.floor(band / 2 / step + _EXACT)
     fewest = int(np.clip(each_side.min(), -1, channel.samples))
-    if 2 * fewest + 1 > channel.samples:
+    if not 1 <= fewest <= (channel.samples - 1) // 2:
         raise SarsplatError(
-            f"{cphd.path} has samples {interval.max():.3g} s apart, too far for its band of {band.max() / 1e6:.4g} "
-            "MHz; get it again"
+            f"{cphd.path} has samples {interval.max():.3g} s apart, which cannot be of its band ({_in_mhz(pulses)}); "
+            "get it again"
         )
-    _require_common(cphd, 2 * fewest + 1, 2 * each_side + 1)
+    _require_one_band(cphd, pulses["FX1"], pulses["FX2"])
     signal = _Signal(
         cphd.path,
         channel.name,
@@ -163,6 +166,10 @@ def _of_times(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.
     return (pulses["FX1"] + pulses["FX2"]) / 2 - fewest * step, step, signal
 
 
+def _in_mhz(pulses: dict[str, Any]) -> str:
+    return f"FX1 and FX2, {pulses['FX1'][0] / 1e6:.6g} MHz to {pulses['FX2'][0] / 1e6:.6g} MHz"
+
+
 def _require_steps(cphd: Cphd, steps: Float64[np.ndarray, " pulses"]) -> None:
     if not (steps > 0).all():
         raise SarsplatError(
@@ -170,13 +177,13 @@ def _require_steps(cphd: Cphd, steps: Float64[np.ndarray, " pulses"]) -> None:
         )
 
 
-def _require_common(cphd: Cphd, common: int, each: Float64[np.ndarray, " pulses"]) -> None:
-    """Refuse pulses whose bands share few samples, or none."""
-    if common < 2 or common < _SAME_BAND * each.mean():
+def _require_one_band(cphd: Cphd, first: Float64[np.ndarray, " pulses"], last: Float64[np.ndarray, " pulses"]) -> None:
+    """Refuse pulses that have little of their bands, between these frequencies, in common."""
+    each, common = float((last - first).mean()), float(last.min() - first.max())
+    if not common >= _SAME_BAND * each:  # also catches NaN
         raise SarsplatError(
-            f"{cphd.path} has pulses with {each.min():.0f} to {each.max():.0f} samples in their bands, of which "
-            f"all have {max(common, 0)} in common; only pulses of nearly the same band are supported, so get it "
-            "resampled to one"
+            f"{cphd.path} has pulses of {each / 1e6:.4g} MHz, of which all have only {max(common, 0.0) / 1e6:.4g} MHz "
+            "in common; only pulses of nearly the same band are supported, so get it resampled to one"
         )
 
 

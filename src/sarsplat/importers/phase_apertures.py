@@ -14,6 +14,10 @@ from sarsplat.geometry import View
 from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
+_MOST = 0.9
+"""Share of an aperture whose steps decide what is unambiguous."""
+_GAP = 1.5
+"""Steps from pulse to pulse that are larger than this, in usual ones, are gaps."""
 WIDEST_DEG = 60.0
 """Widest aperture: beyond it the radar has no one direction."""
 
@@ -53,8 +57,20 @@ class Aperture:
 
     @property
     def unambiguous_m(self) -> float:
-        """Extent along the columns beyond which echoes come back at the other side."""
-        return SPEED_OF_LIGHT / (2 * self.history.carrier_hz * float(np.abs(np.diff(self.cross)).max()))
+        """Extent along the columns beyond which echoes come back at the other side.
+
+        A few gaps do not do that: the steps of most of the aperture decide.
+        """
+        steps = np.sort(np.abs(np.diff(self.cross)))
+        share = np.cumsum(steps) / steps.sum()
+        return SPEED_OF_LIGHT / (2 * self.history.carrier_hz * float(steps[np.searchsorted(share, _MOST)]))
+
+    @property
+    def missing(self) -> float:
+        """Share of its extent in which pulses are missing: where steps are larger than is usual."""
+        steps = np.abs(np.diff(self.cross))
+        usual = float(np.median(steps))
+        return float((steps - usual)[steps > _GAP * usual].sum() / steps.sum())
 
     def resolution_m(self, weighting: Taylor) -> tuple[float, float]:
         """3 dB width of the power response (azimuth, slant range), m."""

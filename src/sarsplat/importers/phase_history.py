@@ -26,7 +26,7 @@ _LONGEST_GAP = 3
 _OTHER_BAND = 0.1  # of the bandwidth: what may differ between passes of one radar
 _SAME_FREQUENCY = 0.01
 """Difference, in steps, of frequencies that are the same."""
-_AT_A_TIME = 1 << 21
+_AT_A_TIME = 1 << 19
 """Samples that are in memory at a time, of a file that is not read at once."""
 
 

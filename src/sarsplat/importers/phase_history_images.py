@@ -36,6 +36,8 @@ _SPACING = 2 / 3
 _TILT_DEG = 3.0
 """Slant planes turned by more than this are reported: what is 2 m high moves across by a decimetre."""
 
+_MISSING = 0.01
+"""Share of an aperture without pulses that is reported."""
 _ACCURACY = 1e-7
 
 
@@ -215,6 +217,12 @@ def _source(
             assumptions,
             f"the flight is inclined, so that the slant plane is turned by up to {steepest:.1f}° about the line of "
             "sight; what stands up is displaced across by the tangent of it",
+        )
+    missing = max(aperture.missing for aperture in parts)
+    if missing > _MISSING:
+        assume(
+            assumptions,
+            f"pulses are missing in up to {missing:.0%} of an image's azimuths, which raises side lobes in azimuth",
         )
     collections = [dict(aperture.history.collection) for aperture in parts if aperture.history.collection]
     collections = [one for index, one in enumerate(collections) if one not in collections[:index]]
