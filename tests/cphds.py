@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import lxml.etree
 import numpy as np
@@ -13,7 +14,7 @@ from sarsplat.geometry import Place
 C = 299_792_458.0
 PLACE = Place(47.3769, 8.5417, 430.0)
 """The reference point of the scene; coordinates below are east, north and up from there, m."""
-_FORMATS = {
+_FORMATS: dict[str, tuple[Any, float]] = {
     "CF8": ("c8", 1.0),
     "CI4": ([("real", "i2"), ("imag", "i2")], 2e4),
     "CI2": ([("real", "i1"), ("imag", "i1")], 60.0),
