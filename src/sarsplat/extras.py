@@ -22,7 +22,7 @@ _MODULES = {
     "report": "matplotlib jinja2 trimesh skimage",
     "sicd": "sarkit lxml",
     "rslc": "h5py",
-    "phase-history": "finufft",
+    "phase-history": "finufft sarkit lxml",
     "las": "laspy lazrs",
     "video": "PIL cv2",
     "tensorboard": "tensorboard",

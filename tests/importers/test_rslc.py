@@ -67,7 +67,7 @@ def test_cross_polarised_channels_become_their_mean(tmp_path):
 @pytest.mark.parametrize("look", ["Right", "Left"])
 def test_one_polarisation_is_a_plain_image(tmp_path, look):
     made = imported(tmp_path, {"HV": QUAD["HV"]}, look=look, pixel=(21, 14))
-    assert made.stacks is None
+    assert not made.stacks
     several = imported(tmp_path, look=look, pixel=(21, 14), cross="both", calibration="absolute")
     channel = several.stacks[0].polarisations.index("VH")  # received, transmitted
     made = imported(tmp_path, {"HV": QUAD["HV"]}, look=look, pixel=(21, 14), calibration="absolute")

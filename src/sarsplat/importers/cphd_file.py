@@ -129,7 +129,7 @@ def open_cphd(path: Path) -> Cphd:
 
     Refused if it is no CPHD of one radar, of a version that is not read, truncated, garbled, or compressed.
     """
-    require("sarkit", "CPHD files need", "sicd")
+    require("sarkit", "CPHD files need", "phase-history")
     with open_file(path) as file:
         tree, blocks = _tree(path, file)
     name = str(tree.getroot().tag)
