@@ -47,6 +47,7 @@ def points(mesh: trimesh.Trimesh, antenna: np.ndarray, rng: np.random.Generator)
     """What the antenna sees, with amplitudes whose squares are cross-sections up to a factor."""
     towards = antenna / np.linalg.norm(antenna)
     fine = mesh.subdivide_to_size(0.4)
+    assert isinstance(fine, trimesh.Trimesh)
     cosine = fine.face_normals @ towards
     flat = np.arange(-SIZE, SIZE, STEP)
     ground = np.array([(x, y, 0.0) for x in flat for y in flat]) + rng.uniform(-0.5, 0.5, (len(flat) ** 2, 3)) * (
