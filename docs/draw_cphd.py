@@ -40,7 +40,9 @@ def scene() -> trimesh.Trimesh:
         box = trimesh.creation.box(extents)
         box.apply_translation(place)
         parts.append(box)
-    return trimesh.util.concatenate(parts)
+    joined = trimesh.util.concatenate(parts)
+    assert isinstance(joined, trimesh.Trimesh)
+    return joined
 
 
 def points(mesh: trimesh.Trimesh, antenna: np.ndarray, rng: np.random.Generator) -> cphds.Points:
