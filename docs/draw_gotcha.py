@@ -19,7 +19,8 @@ from sarsplat.colours import POWER, colormap
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import UNIFORM, Taylor
 from sarsplat.importers.history_gotcha import read_gotcha
-from sarsplat.importers.phase_history import Aperture, apertures, flights
+from sarsplat.importers.phase_apertures import Aperture, apertures
+from sarsplat.importers.phase_history import flights
 from sarsplat.importers.phase_history_images import focus
 from sarsplat.radiometry import to_db
 

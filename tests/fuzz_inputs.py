@@ -20,6 +20,7 @@ import torch
 import trimesh
 from PIL import Image
 
+import fuzz_cphd
 import fuzz_pictures as pics
 import fuzz_sicd
 from chip_files import COLUMNS, phoenix_bytes
@@ -46,7 +47,8 @@ from sarsplat.importers import import_rslc, read_phoenix
 from sarsplat.importers.history_gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.mstar_chips import read_chips
-from sarsplat.importers.phase_history import apertures, flights
+from sarsplat.importers.phase_apertures import apertures
+from sarsplat.importers.phase_history import flights
 from sarsplat.importers.phase_history_images import focus
 from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import SCHEMA_VERSION
@@ -488,6 +490,7 @@ READERS = (
     Reader("rslc", "a.h5", _read_rslc, _rslcs),
     Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), _mats, (_spoil_mat,)),
     Reader("gotcha", "a.mat", _read_pulses, _pulses, (_spoil_mat, _spoil_pulses)),
+    Reader("cphd", "a.cphd", fuzz_cphd.read, fuzz_cphd.seeds, (fuzz_cphd.spoil, fuzz_cphd.spoil_pulse)),
     Reader("folder table", "shots/t.csv", pics.read_table, pics.tables, (pics.spoil_cell,), pics.prepare_table),
     Reader("folder picture", "picture", pics.read_picture, pics.pictures, (_spoil_tiff, pics.spoil_npy)),
     Reader("sample", pics.SAMPLE_FILE, pics.read_sample, pics.samples, (_spoil_mat,), pics.prepare_sample),

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import scipy.io
 
+from sarsplat.geometry import ImageGrid
+
 C = 299_792_458.0
 FREQUENCIES = np.linspace(34.5e9, 35.5e9, 64)
 
@@ -34,3 +36,17 @@ def write(path: Path, data: dict[str, Any]) -> Path:
     """The file of a record."""
     scipy.io.savemat(path, {"data": data})
     return path
+
+
+def peak(image: np.ndarray, grid: ImageGrid) -> tuple[float, float]:
+    """(azimuth, range) of the brightest point, between pixels by a parabola through the logarithms."""
+    level = np.log(np.abs(image) + 1e-12)
+    row, column = np.unravel_index(level.argmax(), level.shape)
+
+    def between(three):
+        return (three[0] - three[2]) / (2 * (three[0] - 2 * three[1] + three[2]))
+
+    return (
+        grid.azimuth_m[column] + grid.spacing_m[0] * between(level[row, column - 1 : column + 2]),
+        grid.range_m[row] + grid.spacing_m[1] * between(level[row - 1 : row + 2, column]),
+    )

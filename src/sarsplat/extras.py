@@ -22,7 +22,7 @@ _MODULES = {
     "report": "matplotlib jinja2 trimesh skimage",
     "sicd": "sarkit lxml",
     "rslc": "h5py",
-    "phase-history": "finufft",
+    "phase-history": "finufft sarkit lxml",
     "gis": "pyproj",
     "las": "laspy lazrs pyproj",
     "video": "PIL cv2",

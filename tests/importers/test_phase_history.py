@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pulses import FREQUENCIES, C, circle, record, write
+from pulses import FREQUENCIES, C, circle, peak, record, write
 from sarsplat.cli import main
 from sarsplat.cli.importers import recognised
 from sarsplat.data import read_dataset
@@ -17,7 +17,8 @@ from sarsplat.importers import import_phase_history
 from sarsplat.importers.histories import FORMATS, PhaseHistoryFormat, read_phase_history
 from sarsplat.importers.history_gotcha import read_gotcha
 from sarsplat.importers.mat import read_mat
-from sarsplat.importers.phase_history import apertures, flights
+from sarsplat.importers.phase_apertures import apertures
+from sarsplat.importers.phase_history import flights
 from sarsplat.importers.phase_history_images import focus, ground_points
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "gotcha"
@@ -34,20 +35,6 @@ def aperture(path, antenna, points, around=(0.0, 0.0, 0.0)):
     return found
 
 
-def peak(image: np.ndarray, grid: ImageGrid) -> tuple[float, float]:
-    """(azimuth, range) of the brightest point, between pixels by a parabola through the logarithms."""
-    level = np.log(np.abs(image) + 1e-12)
-    row, column = np.unravel_index(level.argmax(), level.shape)
-
-    def between(three):
-        return (three[0] - three[2]) / (2 * (three[0] - 2 * three[1] + three[2]))
-
-    return (
-        grid.azimuth_m[column] + grid.spacing_m[0] * between(level[row, column - 1 : column + 2]),
-        grid.range_m[row] + grid.spacing_m[1] * between(level[row - 1 : row + 2, column]),
-    )
-
-
 @pytest.mark.parametrize("weighting", [UNIFORM, Taylor()])
 def test_agrees_with_a_direct_sum(tmp_path, weighting):
     found = aperture(tmp_path, circle(np.linspace(50, 52, 40)), [(1, 2, 0), (-2, 0.5, 1)])
@@ -56,10 +43,11 @@ def test_agrees_with_a_direct_sum(tmp_path, weighting):
     history, cross = found.history, found.cross
     middle = (cross.min() + cross.max()) / 2
     pulses = np.abs(np.gradient(cross)) * weighting.window((cross - middle) / found.extent)
-    count = len(history.frequencies_hz)
+    count = history.frequencies
+    frequencies = history.first_hz + np.arange(count)[:, None] * history.step_hz
     band = weighting.window((np.arange(count) - (count - 1) / 2) / count)
     beyond = np.linalg.norm(ground_points(found, grid)[:, None] - history.antenna_m, axis=2) - history.reference_m
-    phase = 4 * np.pi / C * history.frequencies_hz[:, None, None] * beyond
+    phase = 4 * np.pi / C * frequencies[:, None, :] * beyond
     direct = np.einsum("fp,f,p,fnp->n", history.samples, band / band.sum(), pulses / pulses.sum(), np.exp(1j * phase))
     direct = direct.reshape(image.shape) * np.exp(-4j * np.pi / C * history.carrier_hz * grid.range_m)[:, None]
     assert np.abs(image - direct).max() < 1e-5 * np.abs(direct).max()

@@ -448,7 +448,7 @@ def two_bands(at: Path) -> object:
 HISTORY: Refusals = [
     (
         no_format,
-        r"a\.bin is no phase history of a known format; give MATLAB files \(\.mat\) in the layout of GOTCHA",
+        r"a\.bin is no phase history of a known format; give CPHD files .* or MATLAB files \(\.mat\) in the layout",
     ),
     (no_record, "holds no record named data"),
     (history(fp=None), "has no field fp"),

@@ -64,6 +64,19 @@ def test_cross_polarised_channels_become_their_mean(tmp_path):
     assert law.polarisations == ("HH", "HV", "VV")
 
 
+@pytest.mark.parametrize("look", ["Right", "Left"])
+def test_one_polarisation_is_a_plain_image(tmp_path, look):
+    made = imported(tmp_path, {"HV": QUAD["HV"]}, look=look, pixel=(21, 14))
+    assert not made.stacks
+    several = imported(tmp_path, look=look, pixel=(21, 14), cross="both", calibration="absolute")
+    channel = several.stacks[0].polarisations.index("VH")  # received, transmitted
+    made = imported(tmp_path, {"HV": QUAD["HV"]}, look=look, pixel=(21, 14), calibration="absolute")
+    np.testing.assert_array_equal(made.signal[0], several.signal[0, channel])
+    assert made.grid == several.grid and made.views == several.views
+    assert any("it has one, HV" in text for text in made.source["assumptions"])
+    assert read_dataset(tmp_path / "out").fingerprint() == made.fingerprint()
+
+
 def test_views_are_those_of_the_geolocation(tmp_path):
     view = imported(tmp_path, pixel=(20, 8), size_m=50.0).views[0]
     expected = np.interp(RANGES[8], RANGES[[0, -1]], np.cos(np.radians([60.0, 50.0])))
@@ -95,7 +108,6 @@ def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking
         ({"frequencyA/HH": np.full((40, 30), np.nan + 0j)}, {}, "frequencyA/HH holds .*nan.* as complex"),
         ({"frequencyA/HH": h5py.ExternalLink("other.h5", "/x")}, {}, "has a link as .*HH; give a file that holds its"),
         ({"frequencyA/HH": h5py.SoftLink("/science")}, {}, "has a link as"),
-        ({"/VV": None, "/HV": None, "/VH": None}, {}, "has HH alone; give a file of several polarisations"),
         ({}, {"pixel": (40.0, 3.0)}, "the pixel 40, 3 is outside .*, which has 40 rows and 30 columns, counted from 0"),
         ({}, {"size_m": 300.0}, r"40 rows and 30 columns \(136 m × 180 m\), but rows -24 to 63 .*; give a smaller"),
         ({}, {"size_m": -1.0}, "the size -1 m must be positive"),

@@ -1,4 +1,4 @@
-"""`sarsplat import rslc`: an image in several polarisations in, a dataset of one stack out."""
+"""`sarsplat import rslc`: an image in one or several polarisations in, a dataset of one view out."""
 
 from __future__ import annotations
 

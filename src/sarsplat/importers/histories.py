@@ -16,6 +16,19 @@ FORMATS = discover("sarsplat.importers", "history_", "FORMAT", "sarsplat.phase_h
 
 
 _HEAD = 128  # bytes by which a container is known
+_NITF = (
+    "a NITF file, not phase history; import it with `sarsplat import sicd` if it is a SICD, and instead of a SIDD the "
+    "SICD that it was made from"
+)
+_RELATIVES = {
+    b"CRSD": "raw radar data (CRSD), whose pulses are not compensated; get it as CPHD or SICD from who made it",
+    b"NITF": _NITF,
+    b"NSIF": _NITF,
+    b"<?xml": "XML, perhaps the metadata of phase history, without pulses; give the file that holds both",
+    b"<CPHD": "the metadata of a CPHD (XML), without its pulses; give the file that holds both",
+    b"<CRSD": "the metadata of raw radar data (CRSD, XML); get CPHD or SICD from who made it",
+}
+"""What other files begin with, and what they are."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +43,10 @@ class PhaseHistoryFormat:
         Of their names, in small letters, such as ".mat".
     read : callable
         Reads one file, or raises a `SarsplatError` of one sentence: files come from strangers.
+    several : bool
+        Whether files may hold several channels: `read` is then also given the name of one, or None.
+    describe : callable, optional
+        What a file holds, for people to read: names and values, or a `SarsplatError` of one sentence.
     begins : bytes
         What every such file begins with, and no other; empty if nothing tells.
     container : bytes
@@ -38,9 +55,11 @@ class PhaseHistoryFormat:
 
     what: str
     endings: tuple[str, ...]
-    read: Callable[[Path], PhaseHistory]
+    read: Callable[..., PhaseHistory]
     begins: bytes = b""
     container: bytes = b""
+    several: bool = False
+    describe: Callable[[Path], dict[str, str]] | None = None
 
 
 def format_of(path: Path) -> PhaseHistoryFormat | None:
@@ -53,18 +72,29 @@ def format_of(path: Path) -> PhaseHistoryFormat | None:
     return next(begun, next(ending, None))
 
 
-def read_phase_history(path: Path) -> PhaseHistory:
-    """The pulses of one file, of whichever format.
+def read_phase_history(path: Path, channel: str | None = None) -> PhaseHistory:
+    """The pulses of one file, of whichever format; of one channel, if it has several.
 
-    Refused if it is of no format that is known here, or cannot be used.
+    Refused if it is of no format that is known here, cannot be used, or a channel is named where there are none.
     """
     known = format_of(path)
+    with open_file(path) as file:
+        start = file.read(_HEAD)
+    if (what := what_else(start)) is not None:
+        raise SarsplatError(f"{path} is {what}")
     if known is None:
-        with open_file(path) as file:
-            start = file.read(_HEAD)
         contained = (one for one in FORMATS.loaded().values() if one.container and start.startswith(one.container))
         known = next(contained, None)
     if known is None:
         kinds = " or ".join(one.what for one in FORMATS.loaded().values())
         raise SarsplatError(f"{path} is no phase history of a known format; give {kinds}")
+    if known.several:
+        return known.read(path, channel)
+    if channel is not None:
+        raise SarsplatError(f"{path} has no channels ({known.what}), so leave out --channel")
     return known.read(path)
+
+
+def what_else(start: bytes) -> str | None:
+    """What radar data other than phase history are that begin like this, and what to do with them; None if unknown."""
+    return next((what for magic, what in _RELATIVES.items() if start.lstrip().startswith(magic)), None)

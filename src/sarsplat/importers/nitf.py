@@ -35,7 +35,8 @@ _KINDS = (
 )
 """Kinds of segments in the order of the header, with digits of the lengths of a segment's header and data."""
 _MOST_SEGMENTS = 100
-_LONGEST_XML = 4 << 20
+LONGEST_XML = 4 << 20
+"""Bytes of metadata, which no file comes near."""
 _HIGHEST_ORDER = 20
 _OTHERS = {
     b"CPHD": "phase history (CPHD)",
@@ -86,12 +87,12 @@ def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list
     if not parts["data extension"]:
         raise SarsplatError(f"{path} is a NITF file without metadata in XML, so it is not a SICD; give SICD files")
     place, subheader, length = parts["data extension"][0]
-    if length > _LONGEST_XML:
+    if length > LONGEST_XML:
         raise SarsplatError(
-            f"{path} has {length} bytes of metadata, where SICDs have at most {_LONGEST_XML}; get it again"
+            f"{path} has {length} bytes of metadata, where SICDs have at most {LONGEST_XML}; get it again"
         )
     file.seek(place + subheader)
-    tree = _plain_xml(path, file.read(length))
+    tree = _sicd_xml(path, file.read(length))
     images = [(numbers.text_at(part[0] + 2, 10), part) for part in parts["image"]]
     return tree, [_segment(numbers, *part) for name, part in sorted(images) if name.startswith("SICD")]
 
@@ -154,7 +155,20 @@ class _Numbers:
         raise SarsplatError(f"{self._path} has a header whose lengths do not fit its size; get it again")
 
 
-def _plain_xml(path: Path, text: bytes) -> lxml.etree._ElementTree:
+def _sicd_xml(path: Path, text: bytes) -> lxml.etree._ElementTree:
+    tree = plain_xml(path, text, "SICD")
+    name = str(tree.getroot().tag)
+    if not name.startswith("{urn:SICD:") or not name.endswith("}SICD"):
+        if "SIDD" in name:
+            raise SarsplatError(f"{path} is a SIDD, a picture derived from SAR images; give the SICD it was made from")
+        raise SarsplatError(f"{path} holds {shown(name)}, not a SICD; give files of complex SAR images (SICD)")
+    return tree
+
+
+def plain_xml(path: Path, text: bytes, kind: str) -> lxml.etree._ElementTree:
+    """Metadata of a SICD or another `kind`, without entities or references to other files; refused if they are not
+    plain, or have polynomials of an absurd order.
+    """
     import lxml.etree
 
     plain = lxml.etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
@@ -165,12 +179,7 @@ def _plain_xml(path: Path, text: bytes) -> lxml.etree._ElementTree:
             f"{path} has metadata that are not valid XML ({shown(str(error))}); get it again"
         ) from error
     if tree.docinfo.doctype or tree.docinfo.internalDTD is not None:
-        raise SarsplatError(f"{path} has a DOCTYPE in its XML, which no SICD has, and is not read; get it elsewhere")
-    name = str(tree.getroot().tag)
-    if not name.startswith("{urn:SICD:") or not name.endswith("}SICD"):
-        if "SIDD" in name:
-            raise SarsplatError(f"{path} is a SIDD, a picture derived from SAR images; give the SICD it was made from")
-        raise SarsplatError(f"{path} holds {shown(name)}, not a SICD; give files of complex SAR images (SICD)")
+        raise SarsplatError(f"{path} has a DOCTYPE in its XML, which no {kind} has, and is not read; get it elsewhere")
     for element in tree.iter("{*}Coef"):  # sarkit makes an array as large as the highest exponents say
         for power in (element.get(name, "0") for name in ("exponent1", "exponent2")):
             if not (power.isascii() and power.isdigit() and int(power[:9]) <= _HIGHEST_ORDER):
@@ -182,7 +191,7 @@ def _plain_xml(path: Path, text: bytes) -> lxml.etree._ElementTree:
 
 
 @contextmanager
-def sarkit_errors(path: Path) -> Iterator[None]:
+def sarkit_errors(path: Path, kind: str = "SICD") -> Iterator[None]:
     """One sentence in place of whatever sarkit raises, which trusts its files; its warnings are hidden."""
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
@@ -192,4 +201,4 @@ def sarkit_errors(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         problem = shown(f"{type(error).__name__}: {error}")
-        raise SarsplatError(f"{path} is not a valid SICD (sarkit says {problem}); get it again") from error
+        raise SarsplatError(f"{path} is not a valid {kind} (sarkit says {problem}); get it again") from error

@@ -8,7 +8,8 @@ in the geometry: the wavefronts are spheres.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Unpack
 
@@ -19,13 +20,14 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.geometry import ImageGrid
+from sarsplat.geometry import ImageGrid, Place
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.files import each_once
 from sarsplat.importers.histories import read_phase_history
 from sarsplat.importers.images import AboutScene, MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.needed import require
-from sarsplat.importers.phase_history import FARTHEST_M, SPEED_OF_LIGHT, Aperture, apertures, flights
+from sarsplat.importers.phase_apertures import Aperture, apertures
+from sarsplat.importers.phase_history import FARTHEST_M, SPEED_OF_LIGHT, PhaseHistory, flights
 from sarsplat.progress import progress
 
 _WEIGHTINGS = {"uniform": UNIFORM, "taylor": TAYLOR}
@@ -34,6 +36,8 @@ _SPACING = 2 / 3
 _TILT_DEG = 3.0
 """Slant planes turned by more than this are reported: what is 2 m high moves across by a decimetre."""
 
+_MISSING = 0.01
+"""Share of an aperture without pulses that is reported."""
 _ACCURACY = 1e-7
 
 
@@ -44,6 +48,8 @@ def import_phase_history(
     *,
     size_m: float,
     around_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    place: tuple[float, ...] | None = None,
+    channel: str | None = None,
     aperture_deg: float | None = None,
     spacing_m: float | None = None,
     weighting: Literal["uniform", "taylor"] = "taylor",
@@ -54,19 +60,25 @@ def import_phase_history(
     quiet: bool = True,
     **about: Unpack[AboutScene],
 ) -> Dataset:
-    """Import phase history, in the layout of AFRL's GOTCHA: one focused image for every few degrees of flight.
+    """Import phase history, CPHD or in the layout of AFRL's GOTCHA: one focused image for every few degrees of flight.
 
     Parameters
     ----------
     files : sequence of Path
-        MATLAB files (.mat, not v7.3), in any order; those that continue each other are one flight.
+        CPHD files, or MATLAB files (.mat, not v7.3), in any order; those of GOTCHA that continue each other are one
+        flight.
     out : Path
         Dataset folder to write.
     size_m : float
         Side of the images in azimuth and slant range, e.g. 64m.
     around_m : (x, y, z)
-        What the images show the surroundings of: x, y and height (0 if left out), m from the scene centre. It becomes
-        the origin, and pixels are focused on the ground at its height.
+        What the images show the surroundings of: x, y and height (0 if left out), m from the scene centre, of CPHD
+        east, north and up. It becomes the origin, and pixels are focused on the ground at its height.
+    place : (latitude, longitude) or (latitude, longitude, height), optional
+        The scene centre, of files that say where on earth they are: degrees, and height above the ellipsoid, m (WGS 84;
+        that of the first file's reference point if it is left out). Without it, this point.
+    channel : str, optional
+        Which channel of each file, if they have several.
     aperture_deg : float, optional
         Azimuths that make one image, degrees. Without it, equal parts of each flight, about as wide as resolve azimuth
         as finely as slant range.
@@ -112,9 +124,16 @@ def import_phase_history(
         raise SarsplatError(
             f"--around {around_m} must be metres from the scene centre, at most {FARTHEST_M:g}; give x, y and height"
         )
+    histories = [read_phase_history(path, channel) for path in each_once(files)]
+    histories, origin = _in_one_world(histories, place, around)
+    if origin is not None:
+        around = np.zeros(3)
+    sides = np.array([(x, y, 0.0) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * (
+        size_m if math.isfinite(size_m) else 0.0
+    )
     parts = [
         aperture
-        for flight in flights([read_phase_history(path) for path in each_once(files)])
+        for flight in flights([history.seeing(around + sides) for history in histories])
         for aperture in apertures(flight, around, aperture_deg)
     ]
     if tilted:
@@ -126,10 +145,9 @@ def import_phase_history(
         )
     spacing = _spacing(parts, taper) if spacing_m is None else spacing_m
     images = []
-    with progress("focusing", len(parts), quiet) as reporter:
+    with progress("focusing pulses", sum(len(aperture.history) for aperture in parts), quiet) as reporter:
         for index, aperture in enumerate(parts):
-            images.append(_image(index, aperture, size_m, spacing, taper))
-            reporter.advance(1)
+            images.append(_image(index, aperture, size_m, spacing, taper, reporter.advance))
     dataset = dataset_of(
         images,
         target=target,
@@ -137,19 +155,49 @@ def import_phase_history(
         train_views=train_views,
         **about,
     )
-    return write_imported(out, dataset, overwrite=overwrite)
+    return write_imported(out, replace(dataset, place=origin), overwrite=overwrite)
+
+
+def _in_one_world(
+    histories: list[PhaseHistory], place: tuple[float, ...] | None, around_m: Float64[np.ndarray, " 3"]
+) -> tuple[list[PhaseHistory], Place | None]:
+    """Histories of files that know where on earth they are, with the origin at `around_m` from the place that is asked
+    for, or from the first file's; all others as they are.
+    """
+    lacking = next((history for history in histories if history.place is None), None)
+    first = histories[0].place
+    if lacking is not None or first is None:
+        if lacking is None or (place is None and all(history.place is None for history in histories)):
+            return histories, None
+        remedy = "leave out --place" if place else "import those files that say it by themselves"
+        raise SarsplatError(f"{lacking.name} does not say where on earth it is; {remedy}")
+    if place is not None:
+        if len(place) not in (2, 3):
+            raise SarsplatError(
+                f"the place {place} has {len(place)} numbers; give latitude, longitude and, if need be, height"
+            )
+        first = Place(place[0], place[1], place[2] if len(place) == 3 else first.height_m)
+    origin = Place.of_ecef(first.to_ecef(around_m))
+    return [history.seen_from(origin) for history in histories], origin
 
 
 def _spacing(parts: list[Aperture], weighting: Taylor) -> float:
     return _SPACING * min(min(aperture.resolution_m(weighting)) for aperture in parts)
 
 
-def _image(index: int, aperture: Aperture, size_m: float, spacing_m: float, weighting: Taylor) -> MeasuredImage:
+def _image(
+    index: int,
+    aperture: Aperture,
+    size_m: float,
+    spacing_m: float,
+    weighting: Taylor,
+    advance: Callable[[int], object],
+) -> MeasuredImage:
     resolution = aperture.resolution_m(weighting)
     pixels = size_m / spacing_m if size_m > 0 and spacing_m > 0 else 0.0  # also of NaN
     check_sides(size_m, pixels, pixels, f"{spacing_m:.3g} m")
     grid = ImageGrid(round(pixels), round(pixels), (spacing_m, spacing_m), resolution)
-    signal = focus(aperture, grid, weighting)
+    signal = focus(aperture, grid, weighting, advance)
     return MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, resolution, response=weighting)
 
 
@@ -158,6 +206,11 @@ def _source(
 ) -> dict[str, Any]:
     """Description of the images and the assumptions made."""
     assumptions = ["the ground is flat, at the height of the place that the images are around"]
+    if parts[0].history.place is not None:
+        assumptions.append(
+            f"the origin of the scene is {parts[0].history.place}, the ground there is level, and an antenna and what "
+            "it sees stand still while an echo is received"
+        )
     left = sum(aperture.looks_left for aperture in parts)
     if left:
         whose = "the radar" if left == len(parts) else f"in {counted(left, 'image')} the radar"
@@ -171,6 +224,14 @@ def _source(
             f"the flight is inclined, so that the slant plane is turned by up to {steepest:.1f}° about the line of "
             "sight; what stands up is displaced across by the tangent of it; with --tilted, planes stay as they are",
         )
+    missing = max(aperture.missing for aperture in parts)
+    if missing > _MISSING:
+        assume(
+            assumptions,
+            f"pulses are missing in up to {missing:.0%} of an image's azimuths, which raises side lobes in azimuth",
+        )
+    collections = [dict(aperture.history.collection) for aperture in parts if aperture.history.collection]
+    collections = [one for index, one in enumerate(collections) if one not in collections[:index]]
     taper = "uniform" if weighting == UNIFORM else f"Taylor, {weighting.level_db:g} dB, nbar {weighting.sidelobes}"
     return {
         "kind": "phase-history",
@@ -178,6 +239,7 @@ def _source(
         "carrier_hz": parts[0].history.carrier_hz,
         "bandwidth_hz": parts[0].history.bandwidth_hz,
         "around_m": [*around_m],
+        **({"collections": collections} if collections else {}),
         "image_formation": "back-projection to the ground, in the slant plane; the carrier's phase is taken out",
         "weighting": taper,
         "apertures": [
@@ -196,37 +258,37 @@ def _source(
 
 
 def focus(
-    aperture: Aperture, grid: ImageGrid, weighting: Taylor
+    aperture: Aperture, grid: ImageGrid, weighting: Taylor, advance: Callable[[int], object] = lambda pulses: None
 ) -> Complex64[np.ndarray, "{grid.rows} {grid.columns}"]:
     """The complex image of an aperture, row 0 near range, columns along the view's x_r.
 
     A scatterer of amplitude A on the ground has A as its peak. Pixels are focused on the places of the ground, at the
     height of the aperture's place, that the radar frame maps to them, so that what stands there is where `View.look`
     says, without wavefront curvature. The carrier's phase, 4π f/c times slant range, is taken out, so that the spectrum
-    is around zero. Refused if the grid reaches beyond what the frequencies or the pulses show unambiguously, or finufft
-    is not installed.
+    is around zero. `advance` is told of each pulse. Refused if the grid reaches beyond what the frequencies or the
+    pulses show unambiguously, or finufft is not installed.
     """
     require("finufft", "phase history needs", "phase-history")
     import finufft
 
     _check_extent(aperture, grid)
     history = aperture.history
-    frequencies = history.frequencies_hz
-    places = (np.arange(len(frequencies)) + 0.5) / len(frequencies) - 0.5
+    places = (np.arange(history.frequencies) + 0.5) / history.frequencies - 0.5
     cross = aperture.cross
     shares = np.abs(np.gradient(cross)) * weighting.window((cross - _middle(cross)) / aperture.extent)
     across = weighting.window(places)
-    samples = history.samples * np.outer(across / across.sum(), shares / shares.sum())
+    weights = across / across.sum(), shares / shares.sum()
     wave = 4 * math.pi / SPEED_OF_LIGHT
+    centre = history.first_hz + history.frequencies // 2 * history.step_hz
     pixels = ground_points(aperture, grid)
-    centre = frequencies[len(frequencies) // 2]
     total = np.zeros(len(pixels), np.complex128)
-    for antenna, reference, echo in zip(history.antenna_m, history.reference_m, samples.T, strict=True):
-        beyond = np.linalg.norm(pixels - antenna, axis=1) - reference
-        profile = finufft.nufft1d2(
-            wave * history.step_hz * beyond, np.ascontiguousarray(echo), eps=_ACCURACY, isign=1, nthreads=1
-        )
-        total += profile * np.exp(1j * wave * centre * beyond)
+    for pulses, samples in history.pieces():
+        echoes = (samples * np.outer(weights[0], weights[1][pulses])).T
+        for pulse, echo in enumerate(np.ascontiguousarray(echoes), pulses.start):
+            beyond = history.beyond_m(pulse, pixels)
+            profile = finufft.nufft1d2(wave * history.step_hz[pulse] * beyond, echo, eps=_ACCURACY, isign=1, nthreads=1)
+            total += profile * np.exp(1j * wave * centre[pulse] * beyond)
+            advance(1)
     carrier = np.exp(-1j * wave * history.carrier_hz * grid.range_m)
     return (total.reshape(grid.rows, grid.columns) * carrier[:, None]).astype(np.complex64)
 
@@ -241,13 +303,19 @@ def ground_points(aperture: Aperture, grid: ImageGrid) -> Float64[np.ndarray, "p
 def _check_extent(aperture: Aperture, grid: ImageGrid) -> None:
     corners = ground_points(aperture, grid).reshape(grid.rows, grid.columns, 3)[[0, 0, -1, -1], [0, -1, 0, -1]]
     history = aperture.history
-    distance = np.linalg.norm(corners[:, None] - history.antenna_m, axis=2) - history.reference_m
-    farthest, limit = float(np.abs(distance).max()), history.unambiguous_m / 2
-    if farthest > limit:
+    distance = np.stack([history.beyond_m(pulse, corners) for pulse in range(len(history))])
+    nearest, farthest = history.limits_m.T
+    if (distance.min(axis=1) < nearest).any() or (distance.max(axis=1) > farthest).any():
+        if history.shown_m is None:
+            raise SarsplatError(
+                f"{history.name}: the image reaches {np.abs(distance).max():.1f} m in range from the scene centre, but "
+                f"frequencies in steps of {history.step_hz[0] / 1e6:.3g} MHz show ±{farthest.min():.1f} m; give a "
+                "smaller --size, or an --around nearer to it"
+            )
         raise SarsplatError(
-            f"{history.name}: the image reaches {farthest:.1f} m in range from the scene centre, but frequencies in "
-            f"steps of {history.step_hz / 1e6:.3g} MHz show ±{limit:.1f} m; give a smaller --size, or an --around "
-            "nearer to it"
+            f"{history.name}: the image reaches from {distance.min():.1f} m to {distance.max():.1f} m in range beyond "
+            f"the points that its pulses are referred to, but the file shows {nearest.max():.1f} m to "
+            f"{farthest.min():.1f} m; give a smaller --size, or another place"
         )
     across = grid.columns * grid.spacing_m[0]
     if across > aperture.unambiguous_m:

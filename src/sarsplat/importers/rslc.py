@@ -1,4 +1,4 @@
-"""Import a single-look complex image of several polarisations in NISAR's layout (RSLC): one view, a stack.
+"""Import single-look complex images in NISAR's layout (RSLC): one view, of several polarisations a stack.
 
 Rows of a file are azimuth times and columns slant ranges, at zero Doppler; here they become columns and rows. Phases
 are those of the file, which has exp(−jkR), as `Stack` has. Its polarisations are named by what is transmitted and what
@@ -47,7 +47,7 @@ def import_rslc(
     overwrite: bool = False,
     **about: Unpack[AboutImages],
 ) -> Dataset:
-    """Import an RSLC file in NISAR's layout (HDF5): what one image shows of a spot in several polarisations.
+    """Import an RSLC file in NISAR's layout (HDF5): what one image shows of a spot, in the polarisations it has.
 
     Parameters
     ----------
@@ -77,20 +77,16 @@ def import_rslc(
     Returns
     -------
     Dataset
-        One view, whose channels are HH, HV, VV, or those that the file has.
+        One view, whose channels are HH, HV, VV, or those that the file has; of one polarisation, a complex image.
 
     Raises
     ------
     SarsplatError
-        If h5py is not installed, the file is not a valid RSLC of several polarisations or does not show the whole of
-        what is asked for, or the output exists.
+        If h5py is not installed, the file is not a valid RSLC or does not show the whole of what is asked for, or the
+        output exists.
     """
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     rslc = read_rslc(Path(file))
-    if len(rslc.polarisations) < 2:
-        raise SarsplatError(
-            f"{rslc.path} has {', '.join(rslc.polarisations)} alone; give a file of several polarisations"
-        )
     spot = _spot(rslc, pixel)
     view, spacing, widths, wider = _seen(rslc, spot, height_m, heading_deg)
     lines, samples = _cut(rslc, spot, size_m, spacing)
@@ -101,14 +97,15 @@ def import_rslc(
     assumptions = [_cross(signals)] if cross == "mean" and {"HV", "VH"} <= signals.keys() else []
     names = tuple(sorted(signals))  # HH, HV, VH, VV
     middle = [(low + high - 1) / 2 - at for (low, high), at in zip((lines, samples), spot, strict=True)]
+    several = len(names) > 1
     image = MeasuredImage(
         rslc.path.stem,
-        np.stack([signals[name] for name in names]),
+        np.stack([signals[name] for name in names]) if several else signals[names[0]],
         view,
         spacing,
         widths,
         center_m=(middle[0] * spacing[0] * (1 if rslc.look == "right" else -1), middle[1] * spacing[1]),
-        stack=Stack(SPEED_OF_LIGHT / rslc.frequency_hz, (0.0,) * len(names), polarisations=names),
+        stack=Stack(SPEED_OF_LIGHT / rslc.frequency_hz, (0.0,) * len(names), polarisations=names) if several else None,
     )
     source: dict[str, Any] = {
         "kind": "rslc",
@@ -123,7 +120,7 @@ def import_rslc(
             f"the x axis points to the compass heading {heading_deg:g}°, so azimuth = compass bearing of the radar − "
             f"{heading_deg:g}°",
             "what is farther away has less phase in the file, whose polarisations are named by what is transmitted and "
-            "what is received",
+            "what is received" + f"; it has one, {rslc.polarisations[0]}" * (not several),
             *assumptions,
             "the resolution is that of the processed bandwidths, without weights"
             + ", as far as the pixels hold them: the file states wider ones" * wider,

@@ -1,0 +1,250 @@
+"""One CPHD file (compensated phase history): its metadata, checked, and the parameters of its pulses.
+
+The format is left to sarkit, but files come from strangers: the lengths in a header must fit the file, and the XML
+must be plain, before sarkit is trusted with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from sarsplat.data.files import open_file
+from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.importers.needed import require
+from sarsplat.importers.nitf import LONGEST_XML, plain_xml, sarkit_errors
+
+if TYPE_CHECKING:
+    import lxml.etree
+
+MAGIC = b"CPHD/"
+_LONGEST_HEADER = 1 << 16
+_END = b"\f\n"
+_SAMPLE_BYTES = {"CI2": 2, "CI4": 4, "CF8": 8}
+"""Formats of samples that the standard knows."""
+_MOST_BYTES_OF_A_PULSE = 1 << 16
+_LARGEST = 1e12
+"""No number that is used here is larger, but for frequencies none comes near it."""
+_VECTORS = {
+    "TxTime": 0, "TxPos": 3, "RcvTime": 0, "RcvPos": 3, "SRPPos": 3, "FX1": 0, "FX2": 0, "TOA1": 0, "TOA2": 0, "SC0": 0,
+    "SCSS": 0,
+}  # fmt: skip
+"""Parameters of pulses that every file has, and how many numbers each is (0: one)."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What the metadata say of one channel."""
+
+    name: str
+    pulses: int
+    samples: int
+    """Of each pulse."""
+    polarisation: str
+    """Transmitted and received, such as "V:V"; "" where the file does not say it."""
+
+    def __str__(self) -> str:
+        return shown(self.name) + (f" ({self.polarisation})" if self.polarisation else "")
+
+
+@dataclass(frozen=True)
+class Cphd:
+    """What one file says; everything in it fits the file."""
+
+    path: Path
+    version: str
+    tree: lxml.etree._ElementTree
+    channels: list[Channel]
+    domain: str
+    """"FX", samples are of frequencies, or "TOA", of times of arrival."""
+    sign: int
+    """Of the phase of what is farther away, 1 or −1."""
+
+    def text(self, name: str) -> str:
+        """Text of an element, for people to read; "" if there is none."""
+        return _printable(self.tree.findtext(_any_version(name)))
+
+    def load(self, name: str) -> Any:
+        """Value of an element as sarkit reads it; None if there is none."""
+        from sarkit.cphd import XmlHelper
+
+        with sarkit_errors(self.path, "CPHD"):
+            return XmlHelper(self.tree).load(_any_version(name))
+
+    @property
+    def reference_ecef(self) -> Float64[np.ndarray, " 3"]:
+        """The reference point of its scene, ECEF, m."""
+        place = self.load("SceneCoordinates/IARP/ECF")
+        if place is None or not np.all(np.abs(place) <= _LARGEST):
+            raise SarsplatError(f"{self.path} does not say where its scene is (SceneCoordinates/IARP); get it again")
+        return np.asarray(place, np.float64)
+
+    def channel(self, name: str | None) -> Channel:
+        """The one of this name, or the only one."""
+        known = {channel.name: channel for channel in self.channels}
+        told = ", ".join(map(str, self.channels[:20]))
+        if name is None and len(known) > 1:
+            raise SarsplatError(f"{self.path} has {len(known)} channels, {told}; choose one with --channel")
+        if name is not None and name not in known:
+            raise SarsplatError(f"{self.path} has no channel {shown(name)}; choose among {told}")
+        return self.channels[0] if name is None else known[name]
+
+    def pulses(self, channel: Channel) -> dict[str, np.ndarray]:
+        """Parameters of the pulses of a channel that hold a signal; "index" numbers them in the file.
+
+        Refused if one that is needed is missing or not finite.
+        """
+        import sarkit.cphd
+
+        with open_file(self.path) as file, sarkit_errors(self.path, "CPHD"):
+            stored = sarkit.cphd.Reader(file).read_pvps(channel.name)
+            names = stored.dtype.names or ()
+            if missing := [name for name in _VECTORS if name not in names]:
+                raise SarsplatError(f"{self.path} lacks {', '.join(missing)} of its pulses; get it again")
+            index: Int64[np.ndarray, " pulses"] = np.arange(len(stored))
+            if "SIGNAL" in names:
+                index = np.flatnonzero(stored["SIGNAL"] == 1)
+            if len(index) < 2:
+                raise SarsplatError(
+                    f"{self.path} has {counted(len(index), 'pulse')} with a signal in channel {shown(channel.name)}; "
+                    "an image needs many"
+                )
+            values = {name: np.asarray(stored[name], np.float64)[index] for name in _VECTORS}
+            values["AmpSF"] = np.asarray(stored["AmpSF"] if "AmpSF" in names else np.ones(len(stored)), float)[index]
+        for name, numbers in values.items():
+            numbers_each = _VECTORS.get(name, 0)
+            wrong = ~(np.abs(numbers) <= _LARGEST)  # also catches NaN
+            if numbers.shape[1:] != ((numbers_each,) if numbers_each else ()) or wrong.any():
+                first = f", such as {numbers[wrong][0]:g}" if wrong.any() else ""
+                raise SarsplatError(f"{self.path} has pulses whose {name} is impossible{first}; get it again")
+        return {**values, "index": index}
+
+
+def open_cphd(path: Path) -> Cphd:
+    """What one file says, without its pulses.
+
+    Refused if it is no CPHD of one radar, of a version that is not read, truncated, garbled, or compressed.
+    """
+    require("sarkit", "CPHD files need", "phase-history")
+    with open_file(path) as file:
+        tree, blocks = _tree(path, file)
+    name = str(tree.getroot().tag)
+    from sarkit.cphd import VERSION_INFO
+
+    namespace, _, kind = name.removeprefix("{").partition("}")
+    if kind != "CPHD":
+        raise SarsplatError(f"{path} holds {shown(name)}, not the metadata of a CPHD; get it again")
+    if namespace not in VERSION_INFO:
+        known = " and ".join(str(one["version"]) for one in VERSION_INFO.values())
+        raise SarsplatError(f"{path} is CPHD of {shown(namespace)}; {known} are read, so get it in one of these")
+    with sarkit_errors(path, "CPHD"):
+        made = Cphd(path, str(VERSION_INFO[namespace]["version"]), tree, _channels(path, tree, blocks), "", 0)
+        domain, sign = made.text("Global/DomainType"), made.load("Global/SGN")
+        if made.text("CollectionID/CollectType") != "MONOSTATIC":
+            raise SarsplatError(
+                f"{path} is {shown(made.text('CollectionID/CollectType').lower())}; only collections whose radar "
+                "transmits and receives itself (monostatic) are supported, so give one of these"
+            )
+        if domain not in ("FX", "TOA") or sign not in (1, -1):
+            raise SarsplatError(
+                f"{path} has {shown(domain)} as its domain and {shown(sign)} as sign of its phase; they must be FX or "
+                "TOA, and 1 or -1, so get it again"
+            )
+        return Cphd(path, made.version, tree, made.channels, domain, sign)
+
+
+def _tree(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, dict[str, int]]:
+    """The metadata, and the lengths of the blocks in the file, all of which lie in it."""
+    size = file.seek(0, 2)
+    file.seek(0)
+    head = file.read(_LONGEST_HEADER)
+    lines, end, _ = head.partition(_END)
+    first, *others = lines.decode("latin-1").split("\n")
+    if not head.startswith(MAGIC):
+        raise SarsplatError(f"{path} is not a CPHD file; give one")
+    version = first.removeprefix(MAGIC.decode()).strip()
+    if version.startswith("0."):
+        raise SarsplatError(f"{path} is CPHD of version {shown(version)}, which is not read; get it as 1.0.1 or 1.1.0")
+    values = dict(line.split(" := ", 1) for line in others if " := " in line)
+    sections = {}
+    for block in ("XML", "PVP", "SIGNAL"):
+        place, length = values.get(f"{block}_BLOCK_BYTE_OFFSET", ""), values.get(f"{block}_BLOCK_SIZE", "")
+        if not end or not all(text.isascii() and text.isdigit() and len(text) < 19 for text in (place, length)):
+            raise SarsplatError(f"{path} has a header that does not say where its {block} block is; get it again")
+        if int(place) + int(length) > size:
+            raise SarsplatError(
+                f"{path} is truncated: it has {size} bytes, and its {block} block ends at byte "
+                f"{int(place) + int(length)}; get it again"
+            )
+        sections[block] = int(length)
+    if sections["XML"] > LONGEST_XML:
+        raise SarsplatError(f"{path} has {sections['XML']} bytes of metadata, more than {LONGEST_XML}; get it again")
+    file.seek(int(values["XML_BLOCK_BYTE_OFFSET"]))
+    return plain_xml(path, file.read(sections["XML"]), "CPHD"), sections
+
+
+def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int]) -> list[Channel]:
+    """Those that the metadata name; their arrays lie in the blocks."""
+    data = tree.find("{*}Data")
+    listed = [] if data is None else data.findall("{*}Channel")
+    if data is None or not listed:
+        raise SarsplatError(f"{path} has no channels in its metadata; get it again")
+    if data.find("{*}SignalCompressionID") is not None or data.find("{*}Channel/{*}CompressedSignalSize") is not None:
+        raise SarsplatError(
+            f"{path} has compressed signals ({shown(data.findtext('{*}SignalCompressionID'))}), which only its maker "
+            "can unpack; get it uncompressed"
+        )
+    form = data.findtext("{*}SignalArrayFormat")
+    if form not in _SAMPLE_BYTES:
+        raise SarsplatError(f"{path} has samples of the format {shown(form)}; {', '.join(_SAMPLE_BYTES)} are read")
+    each = _whole(path, data, "NumBytesPVP")
+    if not 1 <= each <= _MOST_BYTES_OF_A_PULSE:
+        raise SarsplatError(f"{path} has {each} bytes of parameters for a pulse; get it again")
+    found = []
+    for one in listed:
+        name = (one.findtext("{*}Identifier") or "").strip()
+        pulses, samples = _whole(path, one, "NumVectors"), _whole(path, one, "NumSamples")
+        ends = {
+            "PVP": _whole(path, one, "PVPArrayByteOffset") + pulses * each,
+            "SIGNAL": _whole(path, one, "SignalArrayByteOffset") + pulses * samples * _SAMPLE_BYTES[form],
+        }
+        for block, end in ends.items():
+            if end > blocks[block]:
+                raise SarsplatError(
+                    f"{path} says that channel {shown(name)} has {pulses} pulses of {samples} samples, more than its "
+                    f"{block} block holds; get it again"
+                )
+        if not name.isprintable() or "'" in name or len(name) > 200 or name != one.findtext("{*}Identifier"):
+            raise SarsplatError(f"{path} has a channel called {shown(name)}, which is no name; get it again")
+        found.append(Channel(name, pulses, samples, _polarisation(tree, name)))
+    if len({one.name for one in found}) < len(found):
+        raise SarsplatError(f"{path} has two channels of the same name; get it again")
+    return found
+
+
+def _whole(path: Path, element: lxml.etree._Element, name: str) -> int:
+    text = (element.findtext("{*}" + name) or "").strip()
+    if not (text.isascii() and text.isdigit() and len(text) < 16):
+        raise SarsplatError(f"{path} has {shown(text)} as {name}; it must be a whole number, so get it again")
+    return int(text)
+
+
+def _polarisation(tree: lxml.etree._ElementTree, channel: str) -> str:
+    for one in tree.iterfind("{*}Channel/{*}Parameters"):
+        if one.findtext("{*}Identifier") == channel:
+            pair = [_printable(one.findtext(_any_version(f"Polarization/{way}"))) for way in ("TxPol", "RcvPol")]
+            return ":".join(pair) if all(pair) else ""
+    return ""
+
+
+def _printable(text: str | None) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in (text or "").strip())[:80]
+
+
+def _any_version(name: str) -> str:
+    """A path of elements whatever their namespace, which is that of a version."""
+    return "/".join("{*}" + part for part in name.split("/"))

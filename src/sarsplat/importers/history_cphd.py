@@ -1,0 +1,330 @@
+"""Phase history as CPHD 1.0.1 and 1.1.0 have it (compensated phase history data, NGA.STND.0068).
+
+A scatterer of amplitude A at p is A·exp(2πj·SGN·f·Δt) in a sample of frequency f, where Δt is how much later its echo
+arrives than that of the pulse's stabilisation point (SRP). In the domain of times of arrival, pulses are compressed:
+the phase of the peak at Δt is that of the middle of their band, [FX1, FX2].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Complex64, Float64, Int64
+
+from sarsplat.data.files import open_file
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import Place
+from sarsplat.geometry.responses import UNIFORM
+from sarsplat.importers.cphd_file import MAGIC, Channel, Cphd, open_cphd
+from sarsplat.importers.histories import PhaseHistoryFormat
+from sarsplat.importers.nitf import sarkit_errors
+from sarsplat.importers.phase_apertures import WIDEST_DEG, whole_flight
+from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory, Recorded
+
+_MONOSTATIC_DEG = 0.5
+"""Angle between the directions to where pulses were sent and received that a moving antenna does not reach."""
+_SAME_BAND = 0.9
+"""Share of its band that a pulse must have in common with all others."""
+_EXACT = 1e-6
+"""Of a step: what is lost when an index is calculated."""
+
+
+def read_cphd(path: str | Path, channel: str | None = None) -> PhaseHistory:
+    """One channel of a CPHD file; without a name, the only one. Its samples stay in the file until they are needed.
+
+    The world frame is level at the reference point of the scene (IARP), x to the east and y to the north. Refused if it
+    is no CPHD that can be read (`open_cphd`), it has several channels and none is named, the radar is not one, or its
+    pulses have little of their bands in common.
+    """
+    cphd = open_cphd(Path(path))
+    chosen = cphd.channel(channel)
+    pulses = cphd.pulses(chosen)
+    place = _place(cphd)
+    sent, received, point = (place.from_ecef(pulses[name]) for name in ("TxPos", "RcvPos", "SRPPos"))
+    _require_monostatic(cphd, sent - point, received - point)
+    reference = (np.linalg.norm(sent - point, axis=1) + np.linalg.norm(received - point, axis=1)) / 2
+    first_hz, step_hz, signal = (_of_frequencies if cphd.domain == "FX" else _of_times)(cphd, chosen, pulses)
+    return PhaseHistory(
+        str(cphd.path),
+        first_hz,
+        step_hz,
+        (sent + received) / 2,
+        reference,
+        signal,
+        moved_m=(received - sent) / 2,
+        shown_m=_shown(cphd, chosen, pulses, step_hz),
+        place=place,
+        lit=_Dwell(cphd, chosen, _times(pulses)).lit,
+        collection=_collection(cphd, chosen),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Signal(Recorded):
+    """Samples of a channel in its file."""
+
+    path: Path
+    channel: str
+    index: Int64[np.ndarray, " pulses"]
+    """Of the pulses in the file, rising."""
+    scale: Float64[np.ndarray, " pulses"]
+    """What the stored samples of each are multiplied by."""
+    conjugate: bool
+    """Whether what is farther away has more phase."""
+    first: int
+    """The first of the frequencies that are used, among the file's or those that its times are transformed to."""
+    count: int
+    """How many are used."""
+    start_s: Float64[np.ndarray, " pulses"] | None = None
+    """Of samples in time, the first time of each pulse, in units of the interval between them; None of frequencies."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.count, len(self.index)
+
+    def part(self, pulses: slice) -> _Signal:
+        start = None if self.start_s is None else self.start_s[pulses]
+        return replace(self, index=self.index[pulses], scale=self.scale[pulses], start_s=start)
+
+    def read(self) -> Complex64[np.ndarray, "frequencies pulses"]:
+        import sarkit.cphd
+
+        runs = np.split(self.index, np.flatnonzero(np.diff(self.index) != 1) + 1)
+        with open_file(self.path) as file, sarkit_errors(self.path, "CPHD"):  # the file may have become shorter
+            reader = sarkit.cphd.Reader(file)
+            stored = [
+                reader.read_signal(self.channel, start_vector=int(run[0]), stop_vector=int(run[-1]) + 1) for run in runs
+            ]
+            samples = _complex(np.concatenate(stored))
+        with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused
+            if self.conjugate:
+                np.conj(samples, out=samples)
+            if self.start_s is not None:
+                samples = self._spectrum(samples)
+            samples = samples[:, self.first : self.first + self.count] * self.scale[:, None]
+            return np.ascontiguousarray(samples.T.astype(np.complex64))
+
+    def _spectrum(self, samples: Complex64[np.ndarray, "pulses times"]) -> np.ndarray:
+        """What the samples in time are in frequency, from the middle of the band on, which is in the middle."""
+        assert self.start_s is not None
+        count = samples.shape[1]
+        places = (np.arange(count) - count // 2) / count
+        turned = np.exp(-2j * math.pi * self.start_s[:, None] * places)
+        return np.fft.fftshift(np.fft.fft(samples, axis=1), axes=1) * turned
+
+
+def _complex(stored: np.ndarray) -> Complex64[np.ndarray, "pulses samples"]:
+    if stored.dtype.names is None:
+        return stored.astype(np.complex64)
+    samples = np.empty(stored.shape, np.complex64)
+    samples.real, samples.imag = stored["real"], stored["imag"]
+    return samples
+
+
+def _of_frequencies(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, _Signal]:
+    """First frequency and step of each pulse, and its samples: those that all pulses have within their bands."""
+    first, step = pulses["SC0"], pulses["SCSS"]
+    _require_steps(cphd, step)
+    with np.errstate(over="ignore"):
+        low = np.clip(np.ceil((pulses["FX1"] - first) / step - _EXACT), 0, channel.samples)
+        high = np.clip(np.floor((pulses["FX2"] - first) / step + _EXACT), -1, channel.samples - 1)
+    begin, end = int(low.max()), int(high.min()) + 1
+    if end - begin < 2:
+        raise SarsplatError(f"{cphd.path} has samples that are not of its band ({_in_mhz(pulses)}); get it again")
+    _require_one_band(cphd, first + begin * step, first + (end - 1) * step)
+    signal = _Signal(cphd.path, channel.name, pulses["index"], pulses["AmpSF"], cphd.sign > 0, begin, end - begin)
+    return first + begin * step, step, signal
+
+
+def _of_times(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, _Signal]:
+    """The same of samples in time: the frequencies of their Fourier transform."""
+    interval, band = pulses["SCSS"], pulses["FX2"] - pulses["FX1"]
+    _require_steps(cphd, interval)
+    step = 1 / (channel.samples * interval)
+    each_side = np.floor(band / 2 / step + _EXACT)
+    fewest = int(np.clip(each_side.min(), -1, channel.samples))
+    if not 1 <= fewest <= (channel.samples - 1) // 2:
+        raise SarsplatError(
+            f"{cphd.path} has samples {interval.max():.3g} s apart, which cannot be of its band ({_in_mhz(pulses)}); "
+            "get it again"
+        )
+    _require_one_band(cphd, pulses["FX1"], pulses["FX2"])
+    signal = _Signal(
+        cphd.path,
+        channel.name,
+        pulses["index"],
+        pulses["AmpSF"] * interval * band,  # so that the peak of a point is its amplitude in either domain
+        cphd.sign > 0,
+        channel.samples // 2 - fewest,
+        2 * fewest + 1,
+        pulses["SC0"] / interval,
+    )
+    return (pulses["FX1"] + pulses["FX2"]) / 2 - fewest * step, step, signal
+
+
+def _in_mhz(pulses: dict[str, Any]) -> str:
+    return f"FX1 and FX2, {pulses['FX1'][0] / 1e6:.6g} MHz to {pulses['FX2'][0] / 1e6:.6g} MHz"
+
+
+def _require_steps(cphd: Cphd, steps: Float64[np.ndarray, " pulses"]) -> None:
+    if not (steps > 0).all():
+        raise SarsplatError(
+            f"{cphd.path} has samples in steps of {steps.min():g}, which must be positive; get it again"
+        )
+
+
+def _require_one_band(cphd: Cphd, first: Float64[np.ndarray, " pulses"], last: Float64[np.ndarray, " pulses"]) -> None:
+    """Refuse pulses that have little of their bands, between these frequencies, in common."""
+    each, common = float((last - first).mean()), float(last.min() - first.max())
+    if not common >= _SAME_BAND * each:  # also catches NaN
+        raise SarsplatError(
+            f"{cphd.path} has pulses of {each / 1e6:.4g} MHz, of which all have only {max(common, 0.0) / 1e6:.4g} MHz "
+            "in common; only pulses of nearly the same band are supported, so get it resampled to one"
+        )
+
+
+def _require_monostatic(
+    cphd: Cphd, sent: Float64[np.ndarray, "pulses 3"], received: Float64[np.ndarray, "pulses 3"]
+) -> None:
+    cosine = (sent * received).sum(axis=1) / np.maximum(
+        np.linalg.norm(sent, axis=1) * np.linalg.norm(received, axis=1), np.finfo(float).tiny
+    )
+    angle = math.degrees(math.acos(float(np.clip(cosine.min(), -1, 1))))
+    if angle > _MONOSTATIC_DEG:
+        raise SarsplatError(
+            f"{cphd.path} has pulses that were sent and received {angle:.2g}° apart as the scene sees it (bistatic); "
+            "only collections whose radar transmits and receives itself are supported, so give one of these"
+        )
+
+
+def _place(cphd: Cphd) -> Place:
+    try:
+        return Place.of_ecef(cphd.reference_ecef)
+    except SarsplatError as error:
+        raise SarsplatError(f"{cphd.path}: the reference point of the scene: {error}") from error
+
+
+def _shown(
+    cphd: Cphd, channel: Channel, pulses: dict[str, Any], step_hz: Float64[np.ndarray, " pulses"]
+) -> Float64[np.ndarray, "pulses 2"]:
+    """Ranges that each pulse shows: where the file says so and its samples tell them apart."""
+    half = SPEED_OF_LIGHT / 2
+    early, late = pulses["TOA1"] * half, pulses["TOA2"] * half
+    if cphd.domain == "TOA":
+        recorded = pulses["SC0"] * half, (pulses["SC0"] + (channel.samples - 1) * pulses["SCSS"]) * half
+    else:
+        recorded = -half / (2 * step_hz), half / (2 * step_hz)
+    stated = (early < late) & (late - early <= half / step_hz)
+    if cphd.domain == "TOA":
+        early, late = np.maximum(early, recorded[0]), np.minimum(late, recorded[1])
+    return np.stack([np.where(stated, early, recorded[0]), np.where(stated, late, recorded[1])], axis=1)
+
+
+def _times(pulses: dict[str, Any]) -> Float64[np.ndarray, " pulses"]:
+    """When each pulse was at its stabilisation point, s."""
+    from sarkit.cphd import compute_t_ref
+
+    with np.errstate(all="ignore"):  # an antenna at that point sees nothing
+        return np.nan_to_num(
+            compute_t_ref(*(pulses[name] for name in ("TxPos", "RcvPos", "SRPPos", "TxTime", "RcvTime")))
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Dwell:
+    """Which pulses of a channel saw a place: those about its centre of dwell, for as long as it was in the beam."""
+
+    cphd: Cphd
+    channel: Channel
+    times_s: Float64[np.ndarray, " pulses"]
+
+    def lit(self, places: Float64[np.ndarray, "places 3"]) -> Bool[np.ndarray, " pulses"]:
+        """The pulses that saw all of these places, ECEF. Refused if one is outside the file's image area."""
+        from sarkit.cphd import ecf_to_iac
+
+        with sarkit_errors(self.cphd.path, "CPHD"):
+            x, y = ecf_to_iac(self.cphd.tree, places)[:, :2].T
+            self._require_within(x, y)
+            middle, duration = (np.polynomial.polynomial.polyval2d(x, y, part) for part in self._polynomials())
+            if not (np.isfinite(middle) & np.isfinite(duration)).all():
+                raise SarsplatError(f"{self.cphd.path} has dwell times that are not finite; get it again")
+            return (np.abs(self.times_s - middle[:, None]) <= duration[:, None] / 2).all(axis=0)
+
+    def _polynomials(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the centre and the duration of the dwell."""
+        named = f"Channel/Parameters[{{*}}Identifier='{self.channel.name}']/DwellTimes"
+        found = []
+        for kind, identifier in (("CODTime", "CODId"), ("DwellTime", "DwellId")):
+            chosen = self.cphd.text(f"{named}/{identifier}")
+            polynomial = None
+            if "'" not in chosen:
+                polynomial = self.cphd.load(f"Dwell/{kind}[{{*}}Identifier='{chosen}']/{kind}Poly")
+            if polynomial is None:
+                raise SarsplatError(f"{self.cphd.path} does not say when its pulses saw what ({kind}); get it again")
+            found.append(polynomial)
+        return found[0], found[1]
+
+    def _require_within(self, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
+        corners = [self.cphd.load(f"SceneCoordinates/ImageArea/{name}") for name in ("X1Y1", "X2Y2")]
+        if any(corner is None or not np.all(np.isfinite(corner)) for corner in corners):
+            raise SarsplatError(f"{self.cphd.path} does not say what it shows (ImageArea); get it again")
+        low, high = np.sort(corners, axis=0)
+        if min(x.min() - low[0], y.min() - low[1], high[0] - x.max(), high[1] - y.max()) < 0:
+            place = _place(self.cphd)
+            raise SarsplatError(
+                f"{self.cphd.path} shows {high[0] - low[0]:.0f} m × {high[1] - low[1]:.0f} m about "
+                f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, which does not hold all of what is asked for; "
+                "give a smaller --size, or a --place or an --around within it"
+            )
+
+
+def _collection(cphd: Cphd, channel: Channel) -> dict[str, str]:
+    """Who took it, when and how, for people to read."""
+    names = {
+        "collector": "CollectionID/CollectorName",
+        "collection": "CollectionID/CoreName",
+        "mode": "CollectionID/RadarMode/ModeType",
+        "start": "Global/Timeline/CollectionStart",
+    }
+    facts = {key: text for key, name in names.items() if (text := cphd.text(name))}
+    return facts | ({"polarisation": channel.polarisation} if channel.polarisation else {})
+
+
+def describe_cphd(path: Path) -> dict[str, str]:
+    """What a file holds, for people to read: of several channels, the first."""
+    cphd = open_cphd(path)
+    history = read_cphd(path, cphd.channels[0].name)
+    assert history.place is not None
+    facts = {"version": cphd.version, **history.collection}
+    if len(cphd.channels) > 1:
+        facts["channels"] = ", ".join(map(str, cphd.channels[:20])) + "; what follows is of the first"
+    seen = history.seeing(np.zeros((1, 3)))
+    aperture = whole_flight(seen, np.zeros(3))
+    distance = float(np.linalg.norm(seen.antenna_m, axis=1).mean())
+    azimuth, away = aperture.resolution_m(UNIFORM)
+    sharpness = f"; {azimuth:.3g} m × {away:.3g} m (azimuth × slant range, 3 dB, unweighted) if they make one image"
+    return {
+        **facts,
+        "where": f"{history.place} (reference point of the scene)",
+        "radar": f"looks {'left' if aperture.looks_left else 'right'}, {distance / 1e3:.4g} km away at the compass "
+        f"bearing {history.place.bearing_deg(aperture.view.azimuth_deg):.1f}°",
+        "grazing": f"{aperture.view.grazing_deg:.2f}°, slant plane tilted by {aperture.tilt_deg:.1f}°",
+        "band": f"{history.bandwidth_hz / 1e6:.4g} MHz about {history.carrier_hz / 1e9:.4g} GHz",
+        "pulses": f"{len(history)}, of {history.frequencies} frequencies (domain {cphd.domain}, SGN {cphd.sign:+d})",
+        "aperture": f"{len(seen)} pulses saw that point, from {aperture.width_deg:.3g}° of azimuth"
+        + sharpness * (aperture.width_deg <= WIDEST_DEG),
+    }
+
+
+FORMAT = PhaseHistoryFormat(
+    "CPHD files (.cphd), versions 1.0.1 and 1.1.0",
+    (".cphd",),
+    read_cphd,
+    begins=MAGIC,
+    several=True,
+    describe=describe_cphd,
+)
