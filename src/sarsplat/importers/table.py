@@ -19,6 +19,7 @@ from sarsplat.importers.pictures import PICTURE_ENDINGS
 MEANINGS: dict[str, tuple[str, ...]] = {
     "file": ("filename", "path", "image", "imagefile", "imagepath", "chip", "picture"),
     "azimuth": ("az", "azim", "aspect", "bearing"),
+    "heading": ("platformheading", "flightheading", "flightdirection", "track", "course"),
     "grazing": ("graz", "elevation", "elev", "el", "depression", "measureddepression"),
     "incidence": ("inc", "incident"),
     "spacing": ("pixelspacing", "pixel"),
@@ -73,7 +74,8 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
     if elevations <= set(chosen):
         raise SarsplatError("--columns names both a grazing and an incidence angle; name one of them")
     for meaning in MEANINGS:
-        otherwise_named = meaning in elevations and elevations & set(chosen)
+        others = elevations if meaning in elevations else {"azimuth"} if meaning == "heading" else set()
+        otherwise_named = bool(others & set(chosen))
         if meaning not in (*chosen, *_ONLY_IF_NAMED) and not otherwise_named:
             usual = _recognised(table, meaning, chosen)
             if usual is not None:
@@ -98,6 +100,8 @@ def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
 def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool) -> None:
     """Refuse a table that lacks columns, and name all of them; `grazing`, `spacing`: whether its cells are needed."""
     lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
+    if "heading" in columns and "azimuth" in lacking:
+        lacking.remove("azimuth")
     also = []
     if grazing and not columns.keys() & {"grazing", "incidence"}:
         lacking.append("grazing")
@@ -142,8 +146,10 @@ class ListedPicture:
     name: str
     """As the table names it."""
     path: Path
-    azimuth_deg: float
-    """As it stands in the table."""
+    azimuth_deg: float | None
+    """As it stands in the table; None if a heading stands there instead."""
+    heading_deg: float | None
+    """Of the radar's flight, as it stands in the table."""
     grazing_deg: float | None
     spacing_m: tuple[float | None, float | None]
     """Azimuth, range."""
@@ -265,7 +271,8 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
     return ListedPicture(
         name=text("file"),
         path=path,
-        azimuth_deg=table.number(row, columns["azimuth"]),
+        azimuth_deg=table.number(row, columns["azimuth"]) if "azimuth" in columns else None,
+        heading_deg=table.number(row, columns["heading"]) if "heading" in columns else None,
         grazing_deg=number("grazing") if incidence is None else 90 - incidence,
         spacing_m=pair("spacing"),
         resolution_m=pair("resolution"),

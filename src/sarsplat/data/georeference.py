@@ -1,0 +1,106 @@
+"""Where the pixels of a GeoTIFF lie on a map: its tags, of which none is trusted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.errors import SarsplatError, shown
+
+PIXEL_SCALE, TIEPOINT, TRANSFORMATION, KEYS = 33550, 33922, 34264, 34735
+_MODEL, _RASTER, _GEOGRAPHIC_CODE, _PROJECTED_CODE, _LENGTH = 1024, 1025, 2048, 3072, 3076
+_PROJECTED, _GEOGRAPHIC, _POINT, _DEFINED_ELSEWHERE = 1, 2, 2, 32767
+_METRES = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+"""Of EPSG's units of length: metre, foot, US survey foot."""
+
+MapKind = Literal["projected", "geographic"]
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """How pixels become places on a map.
+
+    Parameters
+    ----------
+    affine : numpy.ndarray, float64 [2, 3]
+        (x, y) of the middle of the pixel in a column and a row: `affine @ (column, row, 1)`, in the map's unit.
+    kind : {"projected", "geographic"} or None
+        The map's system: lengths, or degrees of longitude and latitude; None if the file names none, so that its
+        pixels need not lie on a map at all.
+    epsg : int or None
+        Its number in EPSG's list, if it has one.
+    unit_m : float
+        Length of the map's unit, m; of degrees, nothing is known of it here.
+    """
+
+    affine: Float64[np.ndarray, "2 3"]
+    kind: MapKind | None
+    epsg: int | None
+    unit_m: float
+
+    @property
+    def on_map(self) -> bool:
+        """Whether the file says that its pixels lie on a map: what is in the geometry of a radar does not."""
+        return self.kind is not None
+
+    @property
+    def pitch(self) -> tuple[float, float]:
+        """Distance of columns and of rows, in the map's unit."""
+        (a, b, _), (d, e, _) = self.affine
+        return math.hypot(a, d), math.hypot(b, e)
+
+    @property
+    def system(self) -> str:
+        """What to call the map's system."""
+        if self.epsg is not None:
+            return f"EPSG:{self.epsg}"
+        return "no system" if self.kind is None else f"a {self.kind} system without a number"
+
+
+def georeference_of(tags: Mapping[int, Any], name: str) -> Georeference | None:
+    """Where pixels lie by the tags of a TIFF's page (code → value); None if they do not say it.
+
+    Tie points alone, as of images in the geometry of a radar, are no map. Refused if the tags make no sense; `name` is
+    what to call the file.
+    """
+    try:
+        affine = _affine(tags)
+        keys = _keys(tags)
+    except (TypeError, ValueError, OverflowError, IndexError) as error:
+        raise SarsplatError(
+            f"{name} has GeoTIFF tags that cannot be read ({shown(str(error))}); write them again"
+        ) from error
+    if affine is None:
+        return None
+    if not np.isfinite(affine).all() or not abs(np.linalg.det(affine[:, :2])) > 0:
+        raise SarsplatError(f"{name} has GeoTIFF tags by which its pixels have no size; write them again")
+    kinds: dict[int | None, MapKind] = {_PROJECTED: "projected", _GEOGRAPHIC: "geographic"}
+    kind = kinds.get(keys.get(_MODEL))
+    code = keys.get(_PROJECTED_CODE if kind == "projected" else _GEOGRAPHIC_CODE)
+    number = code if kind and code is not None and 1024 <= code < _DEFINED_ELSEWHERE else None
+    if keys.get(_RASTER) != _POINT:  # places are those of corners
+        affine[:, 2] += affine[:, :2] @ (0.5, 0.5)
+    return Georeference(affine, kind, number, _METRES.get(keys.get(_LENGTH, 9001), 1.0))
+
+
+def _affine(tags: Mapping[int, Any]) -> Float64[np.ndarray, "2 3"] | None:
+    """(x, y) of raster coordinates (column, row)."""
+    if TRANSFORMATION in tags:
+        matrix = np.asarray(tags[TRANSFORMATION], np.float64).reshape(4, 4)
+        return matrix[np.ix_([0, 1], [0, 1, 3])]
+    if PIXEL_SCALE not in tags:
+        return None
+    scale = np.asarray(tags[PIXEL_SCALE], np.float64)
+    column, row, _, x, y, _ = np.asarray(tags.get(TIEPOINT, (0.0,) * 6), np.float64)[:6]
+    return np.array([[scale[0], 0.0, x - column * scale[0]], [0.0, -scale[1], y + row * scale[1]]])
+
+
+def _keys(tags: Mapping[int, Any]) -> dict[int, int]:
+    """GeoKeys whose values are in the directory itself."""
+    numbers = [int(number) for number in tags.get(KEYS, ())]
+    return {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}
