@@ -39,8 +39,8 @@ def meaning_of(pixels: Shaped[np.ndarray, "*shape"], name: str) -> Bands | None:
             return bands
     which = "neither is ever" if low >= 0 <= first.min() else "one is never"
     raise SarsplatError(
-        f"{name} has two bands, of which {which} negative: no real and imaginary part, and no amplitude with a phase from "
-        "−π to π after it; give one band of power or amplitude, or complex numbers"
+        f"{name} has two bands, of which {which} negative: no real and imaginary part, and no amplitude with a phase "
+        "from −π to π after it; give one band of power or amplitude, or complex numbers"
     )
 
 

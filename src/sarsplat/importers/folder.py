@@ -166,6 +166,7 @@ def import_folder(
         target_class=target_class,
         grazing=grazing_deg is None,
         spacing=spacing_m is None and not says_lengths(folder),
+        looking=look is not None,
     )
     if recording is None and lists_stacks(listed):
         raise SarsplatError(

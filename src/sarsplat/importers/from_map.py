@@ -138,8 +138,8 @@ def _told_of_map(system: Georeference) -> str:
 def _told_of_ground(ground: float | Terrain) -> str:
     if isinstance(ground, Terrain):
         return (
-            "their producer projected them from the terrain, whose middle is the scene's origin, and so they are brought "
-            "back to azimuth and slant range"
+            "their producer projected them from the terrain, whose middle is the scene's origin, and so they are "
+            "brought back to azimuth and slant range"
         )
     level = "level ground" if not ground else f"a level plane {ground:g} m above the ground"
     return f"their producer projected them from {level}, and so they are brought back to azimuth and slant range"

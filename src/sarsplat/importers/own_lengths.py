@@ -20,8 +20,8 @@ def refuse_map(name: str, georeference: Georeference) -> None:
     """Refuse a picture that lies on a map, if nothing was said of that."""
     raise SarsplatError(
         f"{name} is geocoded ({georeference.system}): its rows and columns are those of a map, not range and azimuth; "
-        "say what its producer took for the ground, --geocoded level or --geocoded terrain with --terrain FILE, and it is "
-        "resampled, or save it without its GeoTIFF tags if these are wrong"
+        "say what its producer took for the ground, --geocoded level or --geocoded terrain with --terrain FILE, and it "
+        "is resampled, or save it without its GeoTIFF tags if these are wrong"
     )
 
 

@@ -97,12 +97,20 @@ def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
     return candidates[0] if candidates else None
 
 
-def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool) -> None:
-    """Refuse a table that lacks columns, and name all of them; `grazing`, `spacing`: whether its cells are needed."""
+def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, looking: bool = False) -> None:
+    """Refuse a table that lacks columns, and name all of them; `grazing`, `spacing`: whether its cells are needed.
+
+    Headings serve as azimuths if it is known to which side the radar looks: `looking`, or by a column.
+    """
     lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
-    if "heading" in columns and "azimuth" in lacking:
-        lacking.remove("azimuth")
     also = []
+    if "heading" in columns and "azimuth" in lacking:
+        if looking or "look" in columns:
+            lacking.remove("azimuth")
+        else:
+            also.append(
+                f"the side to which the radar looks with --look, if {shown(columns['heading'])} is its flight's"
+            )
     if grazing and not columns.keys() & {"grazing", "incidence"}:
         lacking.append("grazing")
         also.append("one grazing angle for all with --grazing")
@@ -193,18 +201,19 @@ def read_picture_table(
     target_class: str | None = None,
     grazing: bool = True,
     spacing: bool = True,
+    looking: bool = False,
 ) -> PictureTable:
     """Read a table (None: the only one in the folder) and find its pictures, in subfolders or not.
 
     `named` is that of `chosen_columns`; `target_class` is the one whose pictures are wanted; `grazing` and `spacing`
-    say whether the table must have columns of these. Rows without a picture and pictures without a row are warned of.
+    say whether the table must have columns of these, `looking` whether it is known to which side the radar looks. Rows without a picture and pictures without a row are warned of.
     Refused if the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
     folder, several classes are in it of which none is chosen, or a cell is not what its column should hold.
     """
     inside = files_in(folder, "the pictures")
     table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
     columns = chosen_columns(table, named)
-    require(table, columns, grazing, spacing)
+    require(table, columns, grazing, spacing, looking)
     column = columns["file"]
     row_of: dict[Path, Row] = {}
     for row, picture in listed_files(folder, table, table.rows, column, of="picture", endings=PICTURE_ENDINGS):

@@ -55,16 +55,11 @@ def read_values(path: Path, quantity: Quantity | None, scale: float, offset: flo
         scale, offset = 1.0 if tags.scale is None else tags.scale, tags.offset or 0.0
         said.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as tags of the files say")
     missing = unknown(pixels, tags.no_data)
-    if missing.ndim == 3:
-        missing = missing.any(axis=0 if pixels.shape[0] == 2 else 2)
+    if missing.all():
+        raise SarsplatError(f"{name} holds nothing but {tags.no_data}, which it says is no data; leave out its row")
     if missing.any():
-        if missing.all():
-            raise SarsplatError(
-                f"{name} holds nothing but {tags.no_data:g}, which it says is no data; leave out its row"
-            )
-        bands_first = pixels.ndim == 3 and pixels.shape[0] == 2
-        pixels = np.where(
-            missing if pixels.ndim == 2 or bands_first else missing[..., None], pixels.dtype.type(1), pixels
-        )
+        pixels = np.where(missing, pixels[~missing][0], pixels)  # one that will not be refused
     image = power_or_signal(pixels, found, name, scale, offset)
-    return Values(np.where(missing, image.dtype.type(0), image), missing, tags, found, tuple(said))
+    gone = missing.any(axis=0 if pixels.shape[0] == 2 else 2) if pixels.ndim == 3 else missing
+    image = np.where(gone, image.dtype.type(0), image)
+    return Values(image, np.asarray(gone), tags, found, tuple(said))
