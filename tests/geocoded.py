@@ -35,7 +35,9 @@ def on_map(
     azimuth = -np.sin(phi) * east - np.cos(phi) * north
     row = (slant - grid.center_m[1]) / grid.spacing_m[1] + (grid.rows - 1) / 2
     column = (azimuth - grid.center_m[0]) / grid.spacing_m[0] + (grid.columns - 1) / 2
-    return np.maximum(map_coordinates(image.astype(float), [row, column], order=3, mode="nearest"), 0).astype(np.float32)
+    return np.maximum(map_coordinates(image.astype(float), [row, column], order=3, mode="nearest"), 0).astype(
+        np.float32
+    )
 
 
 def write_map(path: Path, pixels: np.ndarray, pitch: float, keys=UTM_33N, corner=(5e5, 5e6), extra=()) -> Path:
@@ -47,7 +49,13 @@ def write_map(path: Path, pixels: np.ndarray, pitch: float, keys=UTM_33N, corner
 
 
 def write_maps(
-    folder: Path, images: Sequence[np.ndarray], views: Sequence[View], grid: ImageGrid, side: int, pitch_m: float, **more
+    folder: Path,
+    images: Sequence[np.ndarray],
+    views: Sequence[View],
+    grid: ImageGrid,
+    side: int,
+    pitch_m: float,
+    **more,
 ) -> Path:
     """A folder of GeoTIFFs, each with the bearing of its radar and its incidence angle in the table."""
     folder.mkdir(exist_ok=True)

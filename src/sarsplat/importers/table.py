@@ -206,9 +206,10 @@ def read_picture_table(
     """Read a table (None: the only one in the folder) and find its pictures, in subfolders or not.
 
     `named` is that of `chosen_columns`; `target_class` is the one whose pictures are wanted; `grazing` and `spacing`
-    say whether the table must have columns of these, `looking` whether it is known to which side the radar looks. Rows without a picture and pictures without a row are warned of.
-    Refused if the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
-    folder, several classes are in it of which none is chosen, or a cell is not what its column should hold.
+    say whether the table must have columns of these, `looking` whether it is known to which side the radar looks. Rows
+    without a picture and pictures without a row are warned of. Refused if the table is missing, damaged or lacks a
+    column, names a file twice, none that exists or one outside the folder, several classes are in it of which none is
+    chosen, or a cell is not what its column should hold.
     """
     inside = files_in(folder, "the pictures")
     table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
