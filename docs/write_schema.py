@@ -13,6 +13,7 @@ from fill_block import fill_block
 from sarsplat.data.header import DatasetHeader
 
 FORMATS = Path(__file__).parent / "reference" / "formats"
+_PARTS = ("GridHeader", "PlaceHeader", "StackHeader", "ViewHeader")
 
 
 def schema() -> dict[str, Any]:
@@ -35,7 +36,7 @@ def field_table() -> str:
 def _fields(struct: str, prefix: str) -> Iterator[tuple[str, str, str]]:
     definition = schema()["$defs"][struct]
     for name, field in definition["properties"].items():
-        inner = next((part for part in ("GridHeader", "StackHeader", "ViewHeader") if part in json.dumps(field)), None)
+        inner = next((part for part in _PARTS if part in json.dumps(field)), None)
         if inner is not None:
             yield from _fields(inner, f"{prefix}{name}[]." if field.get("type") == "array" else f"{prefix}{name}.")
             continue

@@ -32,6 +32,7 @@ from .gaussians import (
 )
 from .geometry import (
     ImageGrid as ImageGrid,
+    Place as Place,
     RayGrid as RayGrid,
     Stack as Stack,
     Terrain as Terrain,

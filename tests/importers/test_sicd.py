@@ -17,11 +17,11 @@ from sarsplat import preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import radar_frame
+from sarsplat.geometry import Place, View, radar_frame
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Taylor
 from sarsplat.importers import import_sicd
 from sarsplat.importers.sicd_file import read_sicd
-from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, describe, ecef, of_version, write_sicd
+from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, axes, describe, ecef, of_version, write_sicd
 
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # of one view alone, for instance
 
@@ -286,6 +286,17 @@ def test_the_spot_may_be_a_pixel_or_the_centre(tmp_path):
     assert np.abs(misses(by_pixel, [(0.0, 0.0, 0.0)])).max() < 0.04
     without_height = imported(tmp_path, Track(), recording, around=SPOT[:2])
     assert without_height.source["spot"]["height_m"] == pytest.approx(SPOT[2], abs=1e-3)
+
+
+def test_the_dataset_knows_its_place(tmp_path):
+    dataset = imported(tmp_path, Track(), Recording(offset=(20.0, -15.0, 4.0)), heading_deg=-10.0)
+    assert dataset.place == Place(*SPOT, x_towards_deg=350.0)
+    assert read_dataset(tmp_path / "set").place == dataset.place
+    turned = radar_frame(View(0.0, 30.0))[2] @ dataset.place.axes  # away from a radar that lies ahead of x
+    east, north, _ = axes() @ turned
+    assert np.degrees(np.arctan2(-east, -north)) == pytest.approx(-10.0)
+    centre = imported(tmp_path, Track(), Recording(offset=(20.0, -15.0, 4.0)), around=None)
+    np.testing.assert_allclose(centre.place.ecef, ecef((20.0, -15.0, 4.0)), atol=1e-6)
 
 
 def test_only_what_is_needed_is_read(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,18 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Config, Dataset, Harmonics, Run, SarsplatError, SarsplatWarning, View, evaluate_run, reconstruct
+from sarsplat import (
+    Config,
+    Dataset,
+    Harmonics,
+    Place,
+    Run,
+    SarsplatError,
+    SarsplatWarning,
+    View,
+    evaluate_run,
+    reconstruct,
+)
 from sarsplat.exports import export
 from sarsplat.report import write_report
 from upright import upright
@@ -139,3 +151,15 @@ def test_what_no_run_can_hold_is_refused(finished: Run) -> None:
         Run.from_gaussians(own[:0])
     with pytest.raises(SarsplatError, match="a Gaussian is not finite, so no grid"):
         Run.from_gaussians(own.with_tensors(means=own.means * torch.nan))
+
+
+def test_a_run_keeps_where_on_earth_its_scene_is(
+    dataset: Dataset, config: Config, finished: Run, tmp_path: Path
+) -> None:
+    short = replace(config, iterations=6, gaussians=80)
+    place = Place(-33.0, 151.0, 40.0, 20.0)
+    made = reconstruct(replace(dataset, place=place), short, tmp_path / "run", quiet=True)
+    assert made.place == Run.load(tmp_path / "run").place == place
+    assert Run.load(made.save(tmp_path / "copy").folder).place == place
+    assert Run.from_gaussians(finished.gaussians, dataset=replace(dataset, place=place)).place == place
+    assert "place" not in json.loads((finished.save(tmp_path / "nowhere").folder / "config.json").read_text())

@@ -19,6 +19,7 @@ def export(
     *,
     format: Annotated[Content | None, one_of(Content)] = None,
     colour: Annotated[Colour | None, one_of(Colour, hint="(default: db)")] = None,
+    crs: Annotated[str | None, tyro.conf.arg(metavar="EPSG:NUMBER", help_behavior_hint="(default: UTM)")] = None,
     overwrite: bool = False,
 ) -> None:
     """Write Gaussians, points or a mesh of a run to one file for other programs.
@@ -29,12 +30,16 @@ def export(
         Folder written by `sarsplat reconstruct`, or a PLY file of Gaussians.
     file
         File to write. Its ending decides the format: .ply (Gaussians, unless --format says otherwise); .splat
-        (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .npz (all arrays, for numpy).
+        (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .geojson (their outline on a
+        map); .npz (all arrays, for numpy).
     format
         What a .ply file holds. gaussians: in the layout of 3D Gaussian splatting; points: of the surface, metres, with
         normals and γ⁰; mesh: triangles through the points, with normals and γ⁰ at the vertices.
     colour
         What viewers show of Gaussians: γ⁰ in decibels as grey (db), or the height as colours.
+    crs
+        Coordinate system of .las and .laz files, projected and in metres, of a run that knows where on earth it is.
+        Beside other files of such a run, FILE.place.json says where they are.
     overwrite
         Replace an existing file of the same kind.
     """
@@ -47,5 +52,7 @@ def export(
     refuse_existing(file, overwrite)
     refuse_other_kinds(file, run, kind.recognises)
     with console.busy(f"writing {file}"):
-        written = exports.export(done, file, format, colour=colour)
+        written = exports.export(done, file, format, colour=colour, crs=crs)
+    if written.beside:
+        console.say(f"wrote {written.beside}")
     console.finish(f"{file}: {written.summary}", f"open {file} with {written.opened_with}")

@@ -83,6 +83,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "not shown",
         **({} if dataset.terrain is None else {"terrain": str(dataset.terrain)}),
+        **({} if dataset.place is None else {"place": str(dataset.place)}),
         **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
         **_looks(dataset.views),
         **_bistatic([view.apart_deg for view in dataset.views]),

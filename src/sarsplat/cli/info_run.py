@@ -42,6 +42,7 @@ def describe_run(path: Path) -> None:
         "dataset": "images in memory" if where is None else f"{where}{'' if where.exists() else ' (no longer there)'}",
         "method": header.method,
         "state": str(state),
+        **({"place": str(header.place.place)} if header.place else {}),
         **about,
         "points": "none yet" if stored is None else extent(stored[0]),
         "scores": f"{_scores(files.metrics)} (metrics.json)" if files.metrics else "none yet; run sarsplat evaluate",

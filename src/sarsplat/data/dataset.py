@@ -20,7 +20,7 @@ from sarsplat.arguments import checks_arguments, expect
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration, DatasetHeader
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of_passes
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import ImageGrid, Stack, Terrain, View
+from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, View
 
 _FARTHEST_M = 1e6
 _LEAST_CERTAIN_DEG = 10.0
@@ -97,6 +97,8 @@ class Dataset:
         Whether the images show the ground around the target.
     terrain : Terrain or None
         Heights of that ground; None where it is level at z = 0. With terrain, z in `target_box_m` is above it.
+    place : Place or None
+        Where on earth the scene's origin is, and where its x axis points; None if that is not known.
     score_margin : int
         Pixels left out on each side of an image when speckled images are scored.
     target_box_m : pair of (x, y, z) or None
@@ -127,6 +129,7 @@ class Dataset:
     clean_tests: bool = False
     ground: bool = False
     terrain: Terrain | None = None
+    place: Place | None = None
     score_margin: int = 0
     target_box_m: Box | None = None
     protocol: str | None = None
@@ -154,6 +157,7 @@ class Dataset:
                     f'split {shown(entry.split)} of the image {shown(entry.name)} must be "train" or a name that '
                     'starts with "test"'
                 )
+        expect(Place | None, place=self.place)
         self.header()  # types: what is here must fit into dataset.json
         self._check_fields()
 
@@ -384,6 +388,8 @@ class Dataset:
                 for index, entry in enumerate(self.entries)
             ],
         }
+        if self.place is not None:
+            plain["place"] = self.place.as_dict()
         try:
             return msgspec.convert(msgspec.to_builtins(plain), DatasetHeader)
         except (msgspec.ValidationError, TypeError, RecursionError) as error:

@@ -161,6 +161,7 @@ def read_dataset(path: str | Path) -> Dataset:
             **{name: getattr(header, name) for name in AS_THEY_ARE},
             truth_mesh=mesh,
             terrain=None if heights is None else read_terrain(heights),
+            place=header.place.place if header.place else None,
             path=path,
         )
         _require_training(dataset)

@@ -206,7 +206,8 @@ def encode_json(obj: Any, path: Path) -> bytes:
 
 def _struct_as_dict(value: object) -> dict[str, Any]:
     if isinstance(value, msgspec.Struct):
-        return msgspec.structs.asdict(value)
+        fields = msgspec.structs.asdict(value)
+        return {name: field for name, field in fields.items() if field is not msgspec.UNSET}
     raise TypeError(f"{shown(value)} is not a JSON value")
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from sarsplat.geometry.place import HeightAbove, Place
 from sarsplat.geometry.responses import RESPONSES
 
 SCHEMA = "sarsplat-dataset"
@@ -119,6 +120,29 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
     ] = None
 
 
+class PlaceHeader(Strict, frozen=True):
+    """Where on earth the scene is."""
+
+    latitude_deg: Annotated[
+        float, about("of the origin, degrees north, WGS 84 as the longitude", minimum=-90, maximum=90)
+    ]
+    longitude_deg: Annotated[float, about("of the origin, degrees east", minimum=-360, maximum=360)]
+    height_m: Annotated[float, about("of the origin, m, above what height_above says", minimum=-1e5, maximum=1e5)]
+    x_towards_deg: Annotated[float, about("compass bearing of the x axis, degrees clockwise from true north")]
+    height_above: Annotated[HeightAbove, about("what the height is measured from")]
+    datum: Annotated[Literal["WGS 84"], about("of latitude and longitude")]
+
+    @property
+    def place(self) -> Place:
+        """The place that it describes; refused if there is none such."""
+        return Place(self.latitude_deg, self.longitude_deg, self.height_m, self.x_towards_deg, self.height_above)
+
+
+def place_header(place: Place | None) -> PlaceHeader | msgspec.UnsetType:
+    """A place as headers hold it."""
+    return msgspec.UNSET if place is None else msgspec.convert(place.as_dict(), PlaceHeader)
+
+
 class DatasetHeader(Strict, frozen=True, omit_defaults=True):
     """A dataset without its pixels. What came later has a default, which the fingerprint leaves out."""
 
@@ -158,3 +182,6 @@ class DatasetHeader(Strict, frozen=True, omit_defaults=True):
     terrain: Annotated[
         str | None, about('"terrain.tif", heights of the ground (GeoTIFF, m), or null where it is level at z = 0')
     ] = None
+    place: Annotated[
+        PlaceHeader | msgspec.UnsetType, about("where on earth the origin is; absent if that is not known")
+    ] = msgspec.UNSET

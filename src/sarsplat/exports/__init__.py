@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.format import Content, Format, Points, content_of
+from sarsplat.exports.map_system import MapSystem
+from sarsplat.exports.place_file import refuse_elsewhere, remove_place, write_place
+from sarsplat.geometry.place import DATUM
 from sarsplat.names import Colour
 from sarsplat.plugins import discover
 from sarsplat.runs import Run
 
-__all__ = ["FORMATS", "Content", "Format", "Points", "Written", "export", "format_of"]
+__all__ = ["FORMATS", "Content", "Format", "MapSystem", "Points", "Written", "export", "format_of"]
 
 FORMATS = discover(__name__, "format_", "FORMAT", "sarsplat.exports")
 """Every `Format` by the ending of its files, without the dot; each is imported when it is asked for."""
@@ -24,6 +27,8 @@ class Written:
 
     summary: str
     opened_with: str
+    beside: str = ""
+    """Which file beside it says where on earth it is; nothing if none does."""
 
 
 def format_of(path: Path, content: Content | None = None) -> tuple[Format, Content]:
@@ -42,8 +47,18 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
 
 
 @checks_arguments
-def export(run: Run, path: str | Path, content: Content | None = None, *, colour: Colour | None = None) -> Written:
+def export(
+    run: Run,
+    path: str | Path,
+    content: Content | None = None,
+    *,
+    colour: Colour | None = None,
+    crs: str | None = None,
+) -> Written:
     """Write a run to one file, whole or not at all.
+
+    If the run knows where on earth it is (`run.place`), files that can hold them have coordinates of a map, and beside
+    any other file PATH another one PATH.place.json says where its coordinates are.
 
     Parameters
     ----------
@@ -55,17 +70,29 @@ def export(run: Run, path: str | Path, content: Content | None = None, *, colour
         What it holds, where a format can hold several.
     colour : "db" or "height", optional
         What viewers show of Gaussians: γ⁰ in decibels (the default) or the height.
+    crs : str, optional
+        Coordinate system of the map, such as "EPSG:32632": projected, in metres; UTM unless given.
 
     Raises
     ------
     SarsplatError
         If the ending is unknown, the run or the format lacks the content, a package is missing, a colour is given for
-        anything other than Gaussians, or the file cannot be written.
+        anything other than Gaussians, a system for a format or a run that has no coordinates of maps, or the file
+        cannot be written.
     """
     path = Path(path)
     format, holds = format_of(path, content)
     if colour is not None and holds != "gaussians":
         raise SarsplatError(f"{path} will hold {holds}, whose colours are not chosen; omit the colour")
+    name = "the run in memory" if run.path is None else str(run.path)
+    refuse_elsewhere(path, format.coordinates, name, run.place, crs)
     thing, summary = content_of(run, holds)
+    if format.coordinates == "map" and run.place is not None:
+        system = MapSystem.of(run.place, crs)
+        thing, summary = replace(thing, system=system), f"{counted(len(thing.positions), 'point')}, {system}"
+    elif format.coordinates == "degrees":
+        summary = f"outline of {counted(len(thing.positions), 'point')}, longitude and latitude ({DATUM})"
+    remove_place(path)
     format.writers[holds](thing, path, colour or "db")
-    return Written(summary, format.opened_with[holds])
+    beside = write_place(path, run.place) if run.place is not None and format.coordinates == "scene" else ""
+    return Written(summary, format.opened_with[holds], beside)

@@ -13,12 +13,17 @@ from jaxtyping import Float32
 from sarsplat.data import write_mesh
 from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.exports.map_system import MapSystem
+from sarsplat.geometry import Place
 from sarsplat.names import Colour
 from sarsplat.names import Content as Names
 from sarsplat.runs import Run
 
 Content = Names | Literal["everything"]
 """The part of a run that a file holds."""
+
+Coordinates = Literal["scene", "map", "degrees"]
+"""What the coordinates in a file are."""
 
 Write = Callable[[Any, Path, Colour], object]
 """Writes `Gaussians`, `Points`, a trimesh or the `Run` to a file, whole or not at all; the colour is of Gaussians."""
@@ -36,11 +41,15 @@ class Format:
         Programs that open it.
     recognises : callable (bytes, int) -> bool
         Whether a file that begins with these bytes, and has that many, is of this kind: no other is replaced.
+    coordinates : {"scene", "map", "degrees"}
+        What its coordinates are: the scene's, and a file beside it says where on earth they are, if the run knows;
+        those of a map, if the run knows, or else the scene's; or longitudes and latitudes.
     """
 
     writers: Mapping[Content, Write]
     opened_with: Mapping[Content, str]
     recognises: Recognises
+    coordinates: Coordinates = "scene"
 
 
 def mesh_format(recognises: Recognises) -> Format:
@@ -58,11 +67,17 @@ class Points:
         World frame, m, and unit normals.
     gamma0 : numpy.ndarray, float32 [P], or None
         γ⁰, linear, if the method estimates it.
+    place : Place or None
+        Where on earth the world frame is, if the run knows.
+    system : MapSystem or None
+        That of the file, where its format holds coordinates of maps and the run knows its place.
     """
 
     positions: Float32[np.ndarray, "p 3"]
     normals: Float32[np.ndarray, "p 3"]
     gamma0: Float32[np.ndarray, " p"] | None
+    place: Place | None = None
+    system: MapSystem | None = None
 
     def columns(self) -> dict[str, Float32[np.ndarray, " p"]]:
         """The columns of the points besides their positions, by name."""
@@ -87,7 +102,7 @@ def content_of(run: Run, content: Content) -> tuple[Any, str]:
         case "points":
             if len(run.points) == 0:
                 raise SarsplatError(f"{name} has no points of a surface yet; train it longer, or look at its report")
-            points = Points(run.points.astype(np.float32), run.normals, run.points_gamma0)
+            points = Points(run.points.astype(np.float32), run.normals, run.points_gamma0, run.place)
             return points, f"{counted(len(run.points), 'point')}, metres, in the target's own frame"
         case "mesh":
             mesh = run.mesh()

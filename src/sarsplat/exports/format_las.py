@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,8 @@ _DESCRIBED = {"nx": "unit normal", "ny": "unit normal", "nz": "unit normal", "ga
 def write_las(points: Points, path: Path, *, compressed: bool = False) -> None:
     """A LAS or LAZ file of points: coordinates, intensity by γ⁰ in decibels, and normals and γ⁰ as extra dimensions.
 
-    Points are written some at a time: the file is never in memory.
+    Coordinates and normals are those of the points' map, if they have one. Points are written some at a time: the file
+    is never in memory.
     """
     try:
         import laspy
@@ -40,12 +42,17 @@ def write_las(points: Points, path: Path, *, compressed: bool = False) -> None:
             f"{install_command('las')}"
         ) from error
     header = laspy.LasHeader(point_format=6, version="1.4")
-    farthest = max(float(points.positions.max()), -float(points.positions.min()), _FINEST_M)
-    step = max(_FINEST_M, 10.0 ** math.ceil(math.log10(farthest / _LARGEST)))
-    header.scales, header.offsets = np.full(3, step), np.zeros(3)
+    places, origin, frame = points.positions, np.zeros(3), _FRAME
+    if (system := points.system) is not None:  # whose numbers are large: steps count from the corner of the points
+        places, frame = system.to_map(points.positions), system.wkt
+        origin = np.floor(places.min(axis=0))
+        points = replace(points, normals=system.turned(points.normals).astype(np.float32))
+    reach = max(float((places - origin).max()), float((origin - places).max()), _FINEST_M)
+    step = max(_FINEST_M, 10.0 ** math.ceil(math.log10(reach / _LARGEST)))
+    header.scales, header.offsets = np.full(3, step), origin
     header.generating_software = header.system_identifier = "sarsplat"
     header.global_encoding.wkt = True
-    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_FRAME))
+    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(frame))
     columns = points.columns()
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name=name, type=np.float32, description=_DESCRIBED[name]) for name in columns]
@@ -57,9 +64,9 @@ def write_las(points: Points, path: Path, *, compressed: bool = False) -> None:
     ):
         for first in range(0, len(points.positions), _AT_A_TIME):
             part = slice(first, first + _AT_A_TIME)
-            places = points.positions[part].astype(np.float64)
-            some = laspy.ScaleAwarePointRecord.zeros(len(places), header=header)
-            some.x, some.y, some.z = places.T
+            some_places = places[part].astype(np.float64)
+            some = laspy.ScaleAwarePointRecord.zeros(len(some_places), header=header)
+            some.x, some.y, some.z = some_places.T
             for name, column in columns.items():
                 some[name] = column[part]
             if points.gamma0 is not None and brightest is not None:
@@ -72,4 +79,5 @@ FORMAT = Format(
     writers={"points": lambda points, path, _: write_las(points, path)},
     opened_with={"points": "CloudCompare, QGIS or any viewer of laser scans"},
     recognises=lambda head, _: head.startswith(b"LASF"),
+    coordinates="map",
 )

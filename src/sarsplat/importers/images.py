@@ -21,7 +21,7 @@ from sarsplat.data.header import Box, Calibration, Pair
 from sarsplat.data.image import power_of
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
 from sarsplat.examination.plausible import suspicions, warn
-from sarsplat.geometry import ImageGrid, Stack, Terrain, View
+from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
 from sarsplat.radiometry import to_db
@@ -169,6 +169,7 @@ def dataset_of(
     source: dict[str, Any],
     train_views: int | None = None,
     calibration: Calibration = "relative",
+    place: Place | None = None,
     **about: Unpack[AboutImages],
 ) -> Dataset:
     """A dataset in memory: images on one grid, assigned to sets, on one scale.
@@ -188,6 +189,8 @@ def dataset_of(
         are test views. Not if the images name their sets.
     calibration : {"absolute", "relative"}
         See `Dataset`. Relative power has mean 1 over the training views; that of noise is in the same unit.
+    place : Place, optional
+        Where on earth the origin is.
     **about
         Looks, ground, terrain and the target's box: see `AboutImages`.
 
@@ -251,6 +254,7 @@ def dataset_of(
         pixels,
         target=target,
         calibration=calibration,
+        place=place,
         score_margin=round(_MARGIN * min(grid.rows, grid.columns)) if about["ground"] else 0,
         **about,
         source={**source, "assumptions": assumptions},

@@ -19,11 +19,12 @@ from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.geometry import Place
 from sarsplat.importers.files import each_once
 from sarsplat.importers.images import AboutImages, MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of, stack_image
 from sarsplat.importers.sicd_file import Sicd, read_sicd
-from sarsplat.importers.sicd_geometry import Layout, Spot, layout_around, spot_of_centre, spot_of_pixel
+from sarsplat.importers.sicd_geometry import Layout, layout_around, spot_of_centre, spot_of_pixel
 
 _LARGEST_SIZE_M = 1e5
 _LEANS = 0.05
@@ -122,7 +123,7 @@ def import_sicd(
     source: dict[str, Any] = {
         "kind": "sicd",
         "spot": {"latitude_deg": spot.latitude_deg, "longitude_deg": spot.longitude_deg, "height_m": spot.height_m},
-        "heading_deg": spot.heading_deg,
+        "heading_deg": spot.x_towards_deg,
         "assumptions": _assumptions(sicds, layouts, spot, (around, pixel), absolute, stack),
         "images": [
             {"name": name, **_facts(sicd, layout)} for name, sicd, layout in zip(names, sicds, layouts, strict=True)
@@ -134,6 +135,7 @@ def import_sicd(
         source=source,
         train_views=train_views,
         calibration="absolute" if absolute else "relative",
+        place=spot,
         **about,
     )
     return write_imported(out, dataset, overwrite=overwrite)
@@ -160,13 +162,15 @@ def _check_request(
             )
 
 
-def _spot(first: Sicd, around: tuple[float, ...] | None, pixel: tuple[float, float] | None, heading_deg: float) -> Spot:
+def _spot(
+    first: Sicd, around: tuple[float, ...] | None, pixel: tuple[float, float] | None, heading_deg: float
+) -> Place:
     if pixel is not None:
         return spot_of_pixel(first, pixel, heading_deg)
     centre = spot_of_centre(first, heading_deg)
     if around is None:
         return centre
-    return Spot(around[0], around[1], around[2] if len(around) == 3 else centre.height_m, heading_deg)
+    return Place(around[0], around[1], around[2] if len(around) == 3 else centre.height_m, heading_deg)
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -197,13 +201,14 @@ def _facts(sicd: Sicd, layout: Layout) -> dict[str, Any]:
 def _assumptions(
     sicds: Sequence[Sicd],
     layouts: Sequence[Layout],
-    spot: Spot,
+    spot: Place,
     given: tuple[object, object],
     absolute: bool,
     stack: bool,
 ) -> list[str]:
     """What was taken for granted, in plain English."""
     around, pixel = given
+    heading = spot.x_towards_deg
     how = "as given" if around else f"what pixel {pixel} shows" if pixel else "the first image's scene centre point"
     if around and len(around) == 2:  # type: ignore[arg-type]
         how += ", as high as the first image's scene centre point"
@@ -212,8 +217,8 @@ def _assumptions(
     sentences = [
         f"the origin of the scene is {spot.latitude_deg:.6f}°, {spot.longitude_deg:.6f}°, {spot.height_m:.1f} m above "
         f"the ellipsoid ({how}), and the ground there is level at z = 0",
-        f"the x axis points to the compass heading {spot.heading_deg:g}°, so azimuth = compass bearing of the radar − "
-        f"{spot.heading_deg:g}°",
+        f"the x axis points to the compass heading {heading:g}°, so azimuth = compass bearing of the radar − "
+        f"{heading:g}°",
         f"radars look to the {' and '.join(f'{look} ({count})' for look, count in sorted(looks.items()))}; images of "
         "left-looking ones are laid out as a right-looking radar at the same place would record them: columns run "
         "against the flight, and nothing is mirrored",

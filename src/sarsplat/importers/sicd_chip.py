@@ -22,7 +22,7 @@ import numpy.polynomial.polynomial as polynomials
 from jaxtyping import Complex64, Float64
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid, Stack
+from sarsplat.geometry import ImageGrid, Place, Stack
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.geometry.stack import POLARISATIONS
 from sarsplat.importers.band_limited import interpolate, taps
@@ -30,7 +30,7 @@ from sarsplat.importers.images import MeasuredImage
 from sarsplat.importers.nitf import sarkit_errors
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.sicd_file import Axis, Sicd
-from sarsplat.importers.sicd_geometry import Layout, Spot, middle_of, on_ground
+from sarsplat.importers.sicd_geometry import Layout, middle_of, on_ground
 
 _ASKEW = 0.05
 """Slope of an image's axes against ours from which on its side lobes run beside these."""
@@ -131,7 +131,7 @@ def _polynomial(
 def stack_image(
     name: str,
     sicds: Sequence[Sicd],
-    spot: Spot,
+    spot: Place,
     layout: Layout,
     shape: tuple[int, int],
     spacing_m: tuple[float, float],
@@ -196,10 +196,10 @@ def _antenna_at(sicd: Sicd, place: Float64[np.ndarray, "n 2"]) -> Float64[np.nda
 
 
 def _ranges(
-    sicd: Sicd, spot: Spot, layout: Layout, azimuth_m: Float64[np.ndarray, " n"], range_m: Float64[np.ndarray, " n"]
+    sicd: Sicd, spot: Place, layout: Layout, azimuth_m: Float64[np.ndarray, " n"], range_m: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """From the antenna to level ground in each pixel, m."""
-    ground = spot.ecef + on_ground(layout.view, azimuth_m, range_m) @ spot.axes
+    ground = spot.to_ecef(on_ground(layout.view, azimuth_m, range_m))
     antennas = _antenna_at(sicd, layout.place_of(azimuth_m, range_m))
     distances: Float64[np.ndarray, " n"] = np.linalg.norm(antennas - ground, axis=1)
     return distances

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View
+from sarsplat.geometry import Place, View
 from sarsplat.importers.nitf import sarkit_errors
 from sarsplat.importers.sicd_file import Sicd
 
@@ -27,38 +27,6 @@ _FINE = 1e-5  # m: tolerance of a computed position
 _BENT = 0.02  # pixels: how far a layout may be from its fit
 _STEEPEST_TILT_DEG = 60.0
 _DIGITS = 9  # of angles in degrees: what is left is rounding
-
-
-@dataclass(frozen=True)
-class Spot:
-    """A place on the ground (WGS 84, with its height above the ellipsoid), and the level frame there."""
-
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float
-    heading_deg: float = 90.0
-    """Compass heading of the world's x axis, clockwise from north."""
-
-    @property
-    def ecef(self) -> Float64[np.ndarray, " 3"]:
-        """Position, m."""
-        from sarkit import wgs84
-
-        return wgs84.geodetic_to_cartesian(self._llh)
-
-    @property
-    def axes(self) -> Float64[np.ndarray, "3 3"]:
-        """Rows: the world's x, y and z in ECEF."""
-        from sarkit import wgs84
-
-        east, north, up = wgs84.east(self._llh), wgs84.north(self._llh), wgs84.up(self._llh)
-        heading = math.radians(self.heading_deg)
-        x = math.sin(heading) * east + math.cos(heading) * north
-        return np.array([x, np.cross(up, x), up])
-
-    @property
-    def _llh(self) -> tuple[float, float, float]:
-        return self.latitude_deg, self.longitude_deg, self.height_m
 
 
 @dataclass(frozen=True)
@@ -104,7 +72,7 @@ def middle_of(sicd: Sicd) -> str:
     )
 
 
-def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) -> Spot:
+def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) -> Place:
     """The place on the ground, as high as the scene centre point, that a pixel shows.
 
     Refused if the pixel is outside the image or shows no such place.
@@ -128,16 +96,16 @@ def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) ->
         latitude, longitude, height = map(float, wgs84.cartesian_to_geodetic(np.squeeze(ground)))
     if not all(map(math.isfinite, (latitude, longitude, height))):
         raise SarsplatError(f"the pixel {pixel[0]:g}, {pixel[1]:g} of {sicd.path} shows no place on the ground")
-    return Spot(latitude, longitude, height, heading_deg)
+    return Place(latitude, longitude, height, heading_deg)
 
 
-def spot_of_centre(sicd: Sicd, heading_deg: float) -> Spot:
+def spot_of_centre(sicd: Sicd, heading_deg: float) -> Place:
     """The scene centre point of an image."""
     metadata = sicd.projection
-    return Spot(float(metadata.SCP_Lat), float(metadata.SCP_Lon), float(metadata.SCP_HAE), heading_deg)
+    return Place(float(metadata.SCP_Lat), float(metadata.SCP_Lon), float(metadata.SCP_HAE), heading_deg)
 
 
-def layout_around(sicd: Sicd, spot: Spot, extent_m: float, *, tilted: bool = False) -> Layout:
+def layout_around(sicd: Sicd, spot: Place, extent_m: float, *, tilted: bool = False) -> Layout:
     """Where the ground up to `extent_m` from the spot, in azimuth and slant range, lies in an image.
 
     The azimuth axis of the view is level, or `tilted` as the image's own.
@@ -168,13 +136,13 @@ def layout_around(sicd: Sicd, spot: Spot, extent_m: float, *, tilted: bool = Fal
         return replace(layout, leaning=_leaning(sicd, spot, layout))
 
 
-def _locate(sicd: Sicd, spot: Spot, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+def _locate(sicd: Sicd, spot: Place, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
     """(xrow, ycol) of places in the world frame."""
     from sarkit.sicd import projection
 
     places, _, ground = projection.scene_to_image(
         sicd.projection,
-        spot.ecef + points @ spot.axes,
+        spot.to_ecef(points),
         adjust_param_offsets=sicd.offsets,
         delta_gp_s2i=_FINE,
         maxiter=30,
@@ -187,7 +155,7 @@ def _locate(sicd: Sicd, spot: Spot, points: Float64[np.ndarray, "n 3"]) -> Float
 
 
 def _radar(
-    sicd: Sicd, spot: Spot, place: Float64[np.ndarray, " 2"]
+    sicd: Sicd, spot: Place, place: Float64[np.ndarray, " 2"]
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"], float]:
     """Direction to the radar when it saw the spot, its velocity, both in the world frame, and its distance."""
     from sarkit.sicd import projection
@@ -208,7 +176,7 @@ def on_ground(view: View, azimuth_m: np.ndarray, range_m: np.ndarray) -> Float64
     return np.outer(azimuth_m, across) + np.outer(range_m, away + rise * elevation)
 
 
-def _fit(sicd: Sicd, spot: Spot, view: View, extent_m: float) -> Float64[np.ndarray, "n 2"]:
+def _fit(sicd: Sicd, spot: Place, view: View, extent_m: float) -> Float64[np.ndarray, "n 2"]:
     steps = np.linspace(-1, 1, _LATTICE)
     azimuth, away = (part.ravel() for part in np.meshgrid(steps, steps))
     places = _locate(sicd, spot, on_ground(view, azimuth * extent_m, away * extent_m))
@@ -228,7 +196,7 @@ def _terms(azimuth: Float64[np.ndarray, "*n"], away: Float64[np.ndarray, "*n"]) 
     return np.stack([azimuth**i * away**j for i, j in powers], axis=-1)
 
 
-def _leaning(sicd: Sicd, spot: Spot, layout: Layout) -> tuple[float, float]:
+def _leaning(sicd: Sicd, spot: Place, layout: Layout) -> tuple[float, float]:
     height = max(1.0, layout.extent_m / 16)
     top = np.array([[0.0, 0.0, height]])
     seen = np.linalg.solve(layout.slopes, (_locate(sicd, spot, top) - _locate(sicd, spot, 0 * top))[0])

@@ -151,7 +151,8 @@ def reconstruct(
         for said in filter(None, (about, note)):
             shown.note(said)
         where = None if dataset.path is None else dataset.path.resolve()
-        new = Run(method, trainer.config, dataset.fingerprint(), dataset_path=where, trained_on=on.type)
+        known: dict[str, Any] = {"dataset_path": where, "trained_on": on.type, "place": dataset.place}
+        new = Run(method, trainer.config, dataset.fingerprint(), **known)
         folder = None if out is None else Path(out)
         training: Training[Any]
         if by_tiles:

@@ -14,9 +14,10 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_bytes, write_json, write_points_ply
 from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
 from sarsplat.data.folders import only_writer
+from sarsplat.data.header import place_header
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Place, View
 from sarsplat.learning.device import device_named
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.progress import progress
@@ -77,6 +78,8 @@ class Run(Result):
         The dataset it was made from, where that is in memory.
     trained_on : str
         The kind of device that it was begun on, "cpu" or "cuda"; "" if that is not known.
+    place : Place or None
+        Where on earth its scene's origin is, as its dataset said; None if that is not known.
     """
 
     method: str
@@ -88,6 +91,7 @@ class Run(Result):
     device: str = "cpu"
     images: Dataset | None = field(default=None, compare=False, repr=False)
     trained_on: str = ""
+    place: Place | None = None
 
     def __repr__(self) -> str:
         where, preset = self.path or "in memory", getattr(self.config, "preset", None)
@@ -188,7 +192,9 @@ class Run(Result):
         where = None if header.dataset is None else Path(header.dataset)
         on = device_named(device).type
         made_from = header.dataset_fingerprint, path, where
-        return cls(header.method, config, *made_from, device=on, images=dataset, trained_on=header.trained_on)
+        place = header.place.place if header.place else None
+        known: dict[str, Any] = {"images": dataset, "trained_on": header.trained_on, "place": place}
+        return cls(header.method, config, *made_from, device=on, **known)
 
     @classmethod
     @checks_arguments
@@ -240,7 +246,8 @@ class Run(Result):
         where = None if dataset is None or dataset.path is None else dataset.path.resolve()
         fingerprint = "" if dataset is None else dataset.fingerprint()
         held, on = InMemory(snapshot, ()), device_named(device).type
-        return cls(DEFAULT_METHOD, config, fingerprint, None, where, held, on, dataset)
+        place = None if dataset is None else dataset.place
+        return cls(DEFAULT_METHOD, config, fingerprint, None, where, held, on, dataset, place=place)
 
     @checks_arguments
     def save(self, path: str | Path, *, overwrite: bool = False, quiet: bool = False) -> Run:
@@ -347,7 +354,7 @@ class Run(Result):
         where = None if self.dataset_path is None else str(self.dataset_path)
         settings = self.config.as_dict()
         made = self.fingerprint, settings, self.method, self.target, self.trained_on
-        header = Header(SCHEMA, SCHEMA_VERSION, where, *made)
+        header = Header(SCHEMA, SCHEMA_VERSION, where, *made, place_header(self.place))
         write_json(self.folder / HEADER, header)
 
     def write_results(self) -> None:

@@ -14,6 +14,7 @@ from jaxtyping import Float32, Real
 
 from sarsplat.data import read_json, read_points_ply, read_versioned_json
 from sarsplat.data.files import open_file, plain_os_errors
+from sarsplat.data.header import PlaceHeader
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
@@ -97,6 +98,8 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     """What its dataset shows."""
     trained_on: str = ""
     """Kind of the device that it was begun on; "" if that is not known."""
+    place: PlaceHeader | msgspec.UnsetType = msgspec.UNSET
+    """Where on earth the scene's origin is; absent if that is not known."""
 
 
 class LogLine(msgspec.Struct, frozen=True, omit_defaults=True):

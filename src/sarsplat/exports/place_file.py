@@ -1,0 +1,63 @@
+"""Beside a file with the scene's own coordinates, `FILE.place.json`: where on earth these are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sarsplat.data import write_json
+from sarsplat.data.files import open_file, plain_os_errors
+from sarsplat.errors import SarsplatError
+
+if TYPE_CHECKING:
+    from sarsplat.exports.format import Coordinates
+    from sarsplat.geometry import Place
+
+_SCHEMA = "sarsplat-place"
+_HEAD = 100  # bytes within which the schema is named
+_ABOUT = (
+    "Coordinates of the file are metres from the place, x towards the compass bearing x_towards_deg, y to the left of "
+    "x, z up (a .glb file's root node turns z to y); (x, y, z, 1), multiplied by ecef_from_scene from the left, is the "
+    "geocentric position, m, if height_m is above the ellipsoid."
+)
+_MAKE_ONE = (
+    "import SICDs, or a terrain with a coordinate system (--terrain), or tell the dataset in Python with "
+    "replace(dataset, place=sarsplat.Place(LATITUDE, LONGITUDE, HEIGHT)), and reconstruct that"
+)
+
+
+def refuse_elsewhere(path: Path, coordinates: Coordinates, name: str, place: Place | None, crs: str | None) -> None:
+    """Refuse coordinates of a map for a file that has others, and a place on earth where the run knows none."""
+    if crs is not None and coordinates != "map":
+        what = "longitudes and latitudes" if coordinates == "degrees" else "the scene's own coordinates"
+        raise SarsplatError(f"{path} will hold {what}; leave out --crs, or export points to a .las or .laz file")
+    if place is None and (crs is not None or coordinates == "degrees"):
+        raise SarsplatError(f"{name} does not know where on earth it is; {_MAKE_ONE}")
+
+
+def remove_place(path: Path) -> None:
+    """Remove what an earlier export said of the place of this file; refused if it is another program's."""
+    beside = _beside(path)
+    if not beside.exists():
+        return
+    with open_file(beside) as file:
+        if _SCHEMA.encode() not in file.read(_HEAD):
+            raise SarsplatError(f"{beside} exists and was not written by an export; choose another name")
+    with plain_os_errors("remove", beside):
+        beside.unlink()
+
+
+def write_place(path: Path, place: Place) -> str:
+    """Say beside a file where on earth its coordinates are, and return what was written."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = place.axes.T, place.ecef
+    beside = _beside(path)
+    header = {"schema": _SCHEMA, "schema_version": 1, "file": path.name, "about": _ABOUT}
+    write_json(beside, {**header, "place": place.as_dict(), "ecef_from_scene": matrix.tolist()})
+    return f"{beside}: where on earth that is"
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f"{path.name}.place.json")

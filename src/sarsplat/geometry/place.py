@@ -1,0 +1,180 @@
+"""Where on earth a scene is: its origin in WGS 84, and where its x axis points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import cached_property
+from numbers import Real
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+from jaxtyping import Float64
+from jaxtyping import Real as RealArray
+
+from sarsplat.arguments import described
+from sarsplat.errors import SarsplatError, shown
+
+DATUM = "WGS 84"
+"""Of all latitudes, longitudes and geocentric coordinates here."""
+
+HeightAbove = Literal["ellipsoid", "sea level", "unknown"]
+
+_EQUATOR_M = 6378137.0
+_FLATTENING = 1 / 298.257223563
+_ECCENTRICITY_2 = 2 * _FLATTENING - _FLATTENING**2
+_ROUNDS = 3
+"""Of Bowring's formula: latitudes to 10⁻¹⁵ rad up to 10,000 km above ground."""
+_HIGHEST_M = 1e5
+_FIELDS = {"latitude_deg": "latitude", "longitude_deg": "longitude", "height_m": "height", "x_towards_deg": "bearing"}
+
+
+@dataclass(frozen=True)
+class Place:
+    """The place on earth (WGS 84) of a scene's origin, and the directions of its axes there.
+
+    The scene's z points away from the ellipsoid at the origin and its x to the compass bearing `x_towards_deg`, so the
+    compass bearing of a radar is its azimuth plus this. The frame is not bent: 1 km from the origin, what is level with
+    it on earth is 8 cm below z = 0. All conversions here are exact, for points in metres in the scene's world frame.
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg : float
+        Of the origin, degrees, north and east positive; longitudes are kept between ±180°.
+    height_m : float
+        Of the origin, m, above what `height_above` says.
+    x_towards_deg : float
+        Compass bearing of the scene's x axis, degrees clockwise from true north; 90 is east. At a pole, where every
+        direction is north or south, north is that of the meridian `longitude_deg`.
+    height_above : {"ellipsoid", "sea level", "unknown"}
+        What heights are measured from. Above sea level, they are up to 110 m different; they are not converted, and
+        conversions take them as if above the ellipsoid, which moves places 1 km away by less than 2 cm sideways.
+
+    Raises
+    ------
+    SarsplatError
+        If a number is not one or out of range.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    x_towards_deg: float = 90.0
+    height_above: HeightAbove = "ellipsoid"
+
+    def __post_init__(self) -> None:
+        for field, name in _FIELDS.items():
+            value = getattr(self, field)
+            if not isinstance(value, Real) or not math.isfinite(value):
+                raise SarsplatError(
+                    f"the {name} {described(value)} of a place on earth is not a finite number; give one"
+                )
+            object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
+        if not abs(self.latitude_deg) <= 90 or not abs(self.longitude_deg) <= 360:
+            raise SarsplatError(
+                f"latitude {self.latitude_deg:g}°, longitude {self.longitude_deg:g}° is no place on earth; give "
+                "degrees between ±90 and ±180, latitude first"
+            )
+        if not abs(self.height_m) <= _HIGHEST_M:
+            raise SarsplatError(f"the height {self.height_m:g} m is not within {_HIGHEST_M:g} m; give metres")
+        if self.height_above not in get_args(HeightAbove):
+            raise SarsplatError(
+                f"heights above {shown(self.height_above)} are unknown; choose {', '.join(get_args(HeightAbove))}"
+            )
+        object.__setattr__(self, "longitude_deg", math.remainder(self.longitude_deg, 360.0))
+        object.__setattr__(self, "x_towards_deg", self.x_towards_deg % 360.0)
+
+    def __str__(self) -> str:
+        above = {"ellipsoid": "the ellipsoid", "unknown": "an unknown level"}.get(self.height_above, self.height_above)
+        latitude = f"{abs(self.latitude_deg):.6f}° {'S' if self.latitude_deg < 0 else 'N'}"
+        longitude = f"{abs(self.longitude_deg):.6f}° {'W' if self.longitude_deg < 0 else 'E'}"
+        return (
+            f"{latitude}, {longitude} ({DATUM}), {self.height_m:.1f} m above {above}, x towards {self.x_towards_deg:g}°"
+        )
+
+    @classmethod
+    def of_ecef(cls, origin: RealArray[np.ndarray, " 3"], x_towards_deg: float = 90.0) -> Self:
+        """The place whose origin has these geocentric coordinates, m."""
+        latitude, longitude, height = map(float, geodetic_of_ecef(np.asarray(origin, np.float64)))
+        return cls(latitude, longitude, height, x_towards_deg)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Its fields, for JSON, and the datum."""
+        return {field.name: getattr(self, field.name) for field in fields(self)} | {"datum": DATUM}
+
+    @cached_property
+    def ecef(self) -> Float64[np.ndarray, " 3"]:
+        """The origin in geocentric coordinates (ECEF), m."""
+        return ecef_of_geodetic(np.array([self.latitude_deg, self.longitude_deg, self.height_m]))
+
+    @cached_property
+    def axes(self) -> Float64[np.ndarray, "3 3"]:
+        """Rows: the world's x, y and z in geocentric coordinates."""
+        latitude, longitude, bearing = np.deg2rad([self.latitude_deg, self.longitude_deg, self.x_towards_deg])
+        east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+        north = np.array(
+            [-np.sin(latitude) * np.cos(longitude), -np.sin(latitude) * np.sin(longitude), np.cos(latitude)]
+        )
+        up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
+        x = math.sin(bearing) * east + math.cos(bearing) * north
+        return np.array([x, np.cross(up, x), up])
+
+    def to_ecef(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+        """Geocentric coordinates, m, of points of the scene."""
+        return self.ecef + np.asarray(points, np.float64) @ self.axes
+
+    def from_ecef(self, places: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+        """Points of the scene, m, at geocentric coordinates."""
+        return (np.asarray(places, np.float64) - self.ecef) @ self.axes.T
+
+    def to_geodetic(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+        """Latitude and longitude, degrees, and height, m, of points of the scene."""
+        return geodetic_of_ecef(self.to_ecef(points))
+
+    def from_geodetic(self, places: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+        """Points of the scene, m, at a latitude and a longitude, degrees, and a height, m."""
+        return self.from_ecef(ecef_of_geodetic(np.asarray(places, np.float64)))
+
+    def enu(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+        """Points of the scene as east, north and up from its origin, m."""
+        x, y, z = np.moveaxis(np.asarray(points, np.float64), -1, 0)
+        sine, cosine = math.sin(math.radians(self.x_towards_deg)), math.cos(math.radians(self.x_towards_deg))
+        return np.stack([sine * x - cosine * y, cosine * x + sine * y, z], axis=-1)
+
+    def bearing_deg(self, azimuth_deg: float) -> float:
+        """Compass bearing, 0 to 360°, of a view's azimuth, degrees."""
+        return (azimuth_deg + self.x_towards_deg) % 360.0
+
+
+def ecef_of_geodetic(places: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+    """Geocentric coordinates, m, of latitude and longitude, degrees, and height above the ellipsoid, m."""
+    latitude, longitude, height = np.deg2rad(places[..., 0]), np.deg2rad(places[..., 1]), places[..., 2]
+    normal = _EQUATOR_M / np.sqrt(1.0 - _ECCENTRICITY_2 * np.sin(latitude) * np.sin(latitude))
+    return np.stack(
+        [
+            (normal + height) * np.cos(latitude) * np.cos(longitude),
+            (normal + height) * np.cos(latitude) * np.sin(longitude),
+            (normal + height - _ECCENTRICITY_2 * normal) * np.sin(latitude),
+        ],
+        axis=-1,
+    )
+
+
+def geodetic_of_ecef(places: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+    """Latitude and longitude, degrees, and height above the ellipsoid, m, of geocentric coordinates, m.
+
+    Source: Bowring, Survey Review 23 (181), 1976.
+    """
+    x, y, z = np.moveaxis(places, -1, 0)
+    polar = _EQUATOR_M * (1 - _FLATTENING)
+    second = _ECCENTRICITY_2 / (1 - _ECCENTRICITY_2)
+    across = np.hypot(x, y)
+    reduced = np.arctan2(z, (1 - _FLATTENING) * across)
+    for _ in range(_ROUNDS):
+        latitude = np.arctan2(
+            z + second * polar * np.sin(reduced) ** 3, across - _ECCENTRICITY_2 * _EQUATOR_M * np.cos(reduced) ** 3
+        )
+        reduced = np.arctan2((1 - _FLATTENING) * np.sin(latitude), np.cos(latitude))
+    sine, cosine = np.sin(latitude), np.cos(latitude)
+    height = across * cosine + z * sine - _EQUATOR_M * np.sqrt(1 - _ECCENTRICITY_2 * sine**2)
+    return np.stack([np.rad2deg(latitude), np.rad2deg(np.arctan2(y, x)), height], axis=-1)
