@@ -192,8 +192,9 @@ def import_folder(
     if geocoded:
         _refuse_layout(near, mirrored, recording)
         ground = producers_ground(geocoded, geocoded_height_m, about.get("terrain"))
-        images = from_map(listed.path, seen, ground, azimuth_offset_deg, told)
+        images, place = from_map(listed.path, seen, ground, azimuth_offset_deg, told)
     else:
+        place = None
         if geocoded_height_m:
             raise SarsplatError(
                 "--geocoded-height is for geocoded pictures; give --geocoded level too, or leave it out"
@@ -235,6 +236,7 @@ def import_folder(
         source=source,
         train_views=train_views,
         calibration=calibration,
+        place=place,
         **about,
     )
     return write_imported(out, dataset, overwrite=overwrite)

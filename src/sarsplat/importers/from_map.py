@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from sarsplat.data.georeference import Georeference
 from sarsplat.data.image import power_of
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import Terrain, View
+from sarsplat.geometry import Place, Terrain, View
 from sarsplat.importers.geocoded import MapPicture, on_ground, resampled
 from sarsplat.importers.images import MeasuredImage
 from sarsplat.importers.own_lengths import check_spacing, lengths
@@ -61,8 +61,10 @@ def producers_ground(geocoded: Projection, height_m: float, terrain: Terrain | N
 
 def from_map(
     table: Path, seen: Sequence[Seen], ground: float | Terrain, azimuth_offset_deg: float, told: list[str]
-) -> list[MeasuredImage]:
-    """Images in azimuth and slant range of geocoded pictures; to `told`, what was assumed is added.
+) -> tuple[list[MeasuredImage], Place | None]:
+    """Images in azimuth and slant range of geocoded pictures, and where on earth their scene's origin is, if known.
+
+    To `told`, what was assumed is added.
 
     Refused if some pictures have tags and others have none, these contradict the spacing that is given, or nothing is
     said of the resolution, which the pixels of a map do not tell.
@@ -83,12 +85,13 @@ def from_map(
         )
     shapes = [(one.values.image.shape[0], one.values.image.shape[1]) for one in seen]
     if placed:
-        affines = on_ground(shapes, placed, -azimuth_offset_deg, names)
+        affines, place = on_ground(shapes, placed, -azimuth_offset_deg, names)
         told.append(_told_of_map(placed[0]))
         for one, affine in zip(seen, affines, strict=True):
             pitch = np.hypot(*affine[:, :2])
             check_spacing(one.picture.name, (float(pitch[0]), float(pitch[1])), one.picture.spacing_m, "east × north")
     else:
+        place = None
         affines = [
             _around_middle(table, one, shape, azimuth_offset_deg) for one, shape in zip(seen, shapes, strict=True)
         ]
@@ -109,7 +112,7 @@ def from_map(
         )
         for one, affine in zip(seen, affines, strict=True)
     ]
-    return resampled(pictures, ground)
+    return resampled(pictures, ground), place
 
 
 def _on_map(one: Seen) -> Georeference | None:
@@ -124,7 +127,7 @@ def _around_middle(
     east, north = lengths(table, one.picture, "spacing", one.picture.spacing_m, 1.0)
     columns, rows = (shape[1] - 1) / 2, (shape[0] - 1) / 2
     system = Georeference(np.array([[east, 0, -east * columns], [0, -north, north * rows]]), "projected", None, 1.0)
-    return on_ground([shape], [system], -azimuth_offset_deg, [str(one.picture.path)])[0]
+    return on_ground([shape], [system], -azimuth_offset_deg, [str(one.picture.path)])[0][0]
 
 
 def _told_of_map(system: Georeference) -> str:

@@ -17,12 +17,9 @@ from scipy.ndimage import map_coordinates, minimum_filter, spline_filter
 
 from sarsplat.data.georeference import Georeference
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.extras import extra_with, install_command
-from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.extras import install_command
+from sarsplat.geometry import ImageGrid, Place, Terrain, View
 from sarsplat.importers.images import MeasuredImage
-
-_SAME = 1e-3
-"""Relative difference of pitches that are meant to be the same."""
 
 _FEWEST = 8
 """Pixels along a side of what is left."""
@@ -31,6 +28,9 @@ _BENT = 0.1
 """Share of a pixel by which a map may be bent between the middle and the corners of the pictures."""
 
 _SPLINE = 3
+
+_WGS_84 = 4326
+"""Number of longitude and latitude in EPSG's list."""
 
 Lattice = Float64[np.ndarray, "rows columns"]
 
@@ -83,11 +83,11 @@ class MapPicture:
 
 def on_ground(
     shapes: Sequence[tuple[int, int]], georeferences: Sequence[Georeference], x_towards_deg: float, names: Sequence[str]
-) -> list[Float64[np.ndarray, "2 3"]]:
+) -> tuple[list[Float64[np.ndarray, "2 3"]], Place | None]:
     """Where pictures lie in the scene, m (`MapPicture.to_ground`): its origin is the middle of what all of them show.
 
-    `shapes` are their rows and columns; the scene's x axis points to a compass bearing. Refused if they lie in several
-    systems, or have nothing in common.
+    `shapes` are their rows and columns; the scene's x axis points to a compass bearing. Also where on earth the origin
+    is, unless their system has no number. Refused if they lie in several systems, or have nothing in common.
     """
     first = georeferences[0]
     for other, name in zip(georeferences, names, strict=True):
@@ -102,61 +102,63 @@ def on_ground(
     if (low >= high).any():
         raise SarsplatError("the pictures have no place on the map in common; give pictures of one spot")
     middle = (low + high) / 2
-    finest = min(min(one.pitch) for one in georeferences)
-    axes = metres_on_map(first, middle, (high - low) / 2, finest, names[0])
-    bearing = math.radians(x_towards_deg)
-    turn = np.array([[math.sin(bearing), math.cos(bearing)], [-math.cos(bearing), math.sin(bearing)]])
-    made = []
-    for one in georeferences:
-        centred = one.affine - np.array([[0.0, 0.0, middle[0]], [0.0, 0.0, middle[1]]])
-        made.append(turn @ axes @ centred)
-    return made
+    if first.epsg is None and first.kind == "projected":  # neither scale nor convergence are known
+        bearing, place = math.radians(x_towards_deg), None
+        turn = np.array([[math.sin(bearing), math.cos(bearing)], [-math.cos(bearing), math.sin(bearing)]])
+        axes = first.unit_m * turn
+    else:
+        finest = min(min(one.pitch) for one in georeferences)
+        axes, place = _axes_on_earth(first, middle, (high - low) / 2, finest, x_towards_deg, names[0])
+    centred = [one.affine - np.array([[0.0, 0.0, middle[0]], [0.0, 0.0, middle[1]]]) for one in georeferences]
+    return [axes @ one for one in centred], place
 
 
-def metres_on_map(
+def _axes_on_earth(
     georeference: Georeference,
     middle: Float64[np.ndarray, " 2"],
     half: Float64[np.ndarray, " 2"],
     pitch: float,
+    x_towards_deg: float,
     name: str,
-) -> Float64[np.ndarray, "2 2"]:
-    """East and true north, m, for each unit of a map around its `middle`.
+) -> tuple[Float64[np.ndarray, "2 2"], Place]:
+    """(x, y) of the scene, m, for each unit of a map around its `middle`, and where on earth that is.
 
-    A map without a number is taken to have neither scale nor convergence. Refused if the map is bent by a good part of
-    its `pitch` within `half`, or pyproj is missing.
+    Refused if the map is bent by a good part of its `pitch` within `half`, or what it needs is missing.
     """
-    if georeference.epsg is None and georeference.kind == "projected":
-        return georeference.unit_m * np.eye(2)
-    try:
-        import pyproj
-    except ImportError as error:
-        remedy = install_command(extra_with("pyproj") or "earth")
-        raise SarsplatError(f"{name} lies in {georeference.system}, which needs pyproj; {remedy}") from error
-    try:
-        system = pyproj.CRS.from_epsg(georeference.epsg or 4326)
-        longitude, latitude = pyproj.Transformer.from_crs(system, 4326, always_xy=True).transform(*middle)
-        local = pyproj.CRS.from_proj4(
-            f"+proj=aeqd +lat_0={latitude:.12f} +lon_0={longitude:.12f} +datum=WGS84 +units=m"
-        )
-        across = pyproj.Transformer.from_crs(system, local, always_xy=True)
-        steps = np.array([[1, -1, 0, 0, 1, 1, -1, -1], [0, 0, 1, -1, 1, -1, 1, -1]]) * half[:, None]
-        places = np.stack(across.transform(*(middle[:, None] + steps)))
-    except pyproj.exceptions.ProjError as error:
+    steps = np.array([[0, 1, -1, 0, 0, 1, 1, -1, -1], [0, 0, 0, 1, -1, 1, -1, 1, -1]]) * half[:, None]
+    degrees = _geodetic(georeference, middle[:, None] + steps, name)
+    if not np.isfinite(degrees).all() or np.abs(degrees[1]).max() > 90 or np.abs(degrees[0]).max() > 360:
         raise SarsplatError(
-            f"{name} lies in {georeference.system}, which pyproj does not place; use another"
-        ) from error
-    if not np.isfinite(places).all():
-        raise SarsplatError(
-            f"{name} lies at {tuple(middle)} in {georeference.system}, which is nowhere; correct its tags"
+            f"{name} lies at {middle[0]:g}, {middle[1]:g} in {georeference.system}, which is nowhere; correct its tags"
         )
-    axes = np.stack([(places[:, 0] - places[:, 1]) / half[0], (places[:, 2] - places[:, 3]) / half[1]], axis=1) / 2
-    bent = np.abs(places - axes @ steps).max()
-    if bent > _BENT * pitch * np.hypot(*axes).min():
+    place = Place(float(degrees[1, 0]), float(degrees[0, 0]), 0.0, x_towards_deg, "unknown")
+    x, y, _ = place.from_geodetic(np.stack([degrees[1], degrees[0], np.zeros(degrees.shape[1])], axis=-1)).T
+    places = np.stack([x, y])
+    axes = np.stack([places[:, 1] - places[:, 2], places[:, 3] - places[:, 4]], axis=1) / (2 * half)
+    bent = float(np.abs(places - axes @ steps).max())
+    if bent > _BENT * pitch * float(np.hypot(*axes).min()):
         raise SarsplatError(
             f"{name} lies in {georeference.system}, which is bent by {bent:.2g} m within the pictures; cut them, or "
             "bring them into metres, as by gdalwarp -t_srs EPSG:326xx (the UTM zone)"
         )
-    return np.asarray(axes, np.float64)
+    return axes, place
+
+
+def _geodetic(georeference: Georeference, places: Float64[np.ndarray, "2 n"], name: str) -> Float64[np.ndarray, "2 n"]:
+    """Longitude and latitude of places on a map, degrees, WGS 84."""
+    if georeference.epsg in (None, _WGS_84):
+        return places
+    try:
+        import pyproj
+    except ImportError as error:
+        raise SarsplatError(
+            f"{name} lies in {georeference.system}, which needs pyproj; {install_command('gis')}"
+        ) from error
+    try:
+        across = pyproj.Transformer.from_crs(georeference.epsg, _WGS_84, always_xy=True)
+    except pyproj.exceptions.ProjError as error:
+        raise SarsplatError(f"{name} lies in {georeference.system}, which pyproj does not know; use another") from error
+    return np.stack(across.transform(*places))
 
 
 def _corners(shape: tuple[int, int], georeference: Georeference) -> Float64[np.ndarray, "2 4"]:
