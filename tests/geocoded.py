@@ -57,13 +57,16 @@ def write_maps(
     pitch_m: float,
     **more,
 ) -> Path:
-    """A folder of GeoTIFFs, each with the bearing of its radar and its incidence angle in the table."""
+    """A folder of GeoTIFFs, each with the bearing of its radar and its incidence angle in the table.
+
+    `height` is what the producer took for the ground; the map's unit is `unit_m` long.
+    """
     folder.mkdir(exist_ok=True)
-    height = more.pop("height", None)
+    height, unit_m = more.pop("height", None), more.pop("unit_m", 1.0)
     rows = ["file,azimuth,incidence"]
     for number, (image, view) in enumerate(zip(images, views, strict=True)):
         pixels = on_map(image, view, grid, side, pitch_m, height)
-        write_map(folder / f"{number:03d}.tif", pixels, pitch_m, **more)
+        write_map(folder / f"{number:03d}.tif", pixels, pitch_m / unit_m, **more)
         rows.append(f"{number:03d}.tif,{(view.azimuth_deg + 90) % 360},{view.incidence_deg}")
     (folder / "table.csv").write_text("\n".join(rows))
     return folder

@@ -15,7 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Terrain, View
 from sarsplat.importers.geocoded import MapPicture, on_ground, resampled
 from sarsplat.importers.images import MeasuredImage
-from sarsplat.importers.own_lengths import check_spacing, lengths
+from sarsplat.importers.own_lengths import check_spacing, lengths, spacing_beside
 from sarsplat.importers.table import ListedPicture
 from sarsplat.importers.values import Values
 from sarsplat.names import Projection
@@ -124,7 +124,10 @@ def _around_middle(
     table: Path, one: Seen, shape: tuple[int, int], azimuth_offset_deg: float
 ) -> Float64[np.ndarray, "2 3"]:
     """Where a picture without tags lies in the scene, its middle at the origin and north at its top."""
-    east, north = lengths(table, one.picture, "spacing", one.picture.spacing_m, 1.0)
+    stated = one.picture.spacing_m
+    if (tags := one.values.tags.georeference) is not None:  # of no map, but with the distance of pixels
+        stated = spacing_beside(str(one.picture.path), tags, "top", stated)
+    east, north = lengths(table, one.picture, "spacing", stated, 1.0)
     columns, rows = (shape[1] - 1) / 2, (shape[0] - 1) / 2
     system = Georeference(np.array([[east, 0, -east * columns], [0, -north, north * rows]]), "projected", None, 1.0)
     return on_ground([shape], [system], -azimuth_offset_deg, [str(one.picture.path)])[0][0]
