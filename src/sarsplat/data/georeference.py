@@ -14,8 +14,8 @@ from sarsplat.errors import SarsplatError, shown
 
 PIXEL_SCALE, TIEPOINT, TRANSFORMATION, KEYS = 33550, 33922, 34264, 34735
 _MODEL, _RASTER, _GEOGRAPHIC_CODE, _PROJECTED_CODE, _LENGTH = 1024, 1025, 2048, 3072, 3076
-_PROJECTED, _GEOGRAPHIC, _POINT, _DEFINED_ELSEWHERE = 1, 2, 2, 32767
-_METRES = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+_PROJECTED, _GEOGRAPHIC, _POINT, _DEFINED_ELSEWHERE, _METRE = 1, 2, 2, 32767, 9001
+_METRES = {_METRE: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Of EPSG's units of length: metre, foot, US survey foot."""
 
 MapKind = Literal["projected", "geographic"]
@@ -34,14 +34,15 @@ class Georeference:
         pixels need not lie on a map at all.
     epsg : int or None
         Its number in EPSG's list, if it has one.
-    unit_m : float
-        Length of the map's unit, m; of degrees, nothing is known of it here.
+    unit_m : float or None
+        Length of the map's unit, m, by the file alone, of degrees meaningless; None if it is none of the usual
+        ones.
     """
 
     affine: Float64[np.ndarray, "2 3"]
     kind: MapKind | None
     epsg: int | None
-    unit_m: float
+    unit_m: float | None
 
     @property
     def on_map(self) -> bool:
@@ -85,7 +86,7 @@ def georeference_of(tags: Mapping[int, Any], name: str) -> Georeference | None:
     number = code if kind and code is not None and 1024 <= code < _DEFINED_ELSEWHERE else None
     if keys.get(_RASTER) != _POINT:  # places are those of corners
         affine[:, 2] += affine[:, :2] @ (0.5, 0.5)
-    return Georeference(affine, kind, number, _METRES.get(keys.get(_LENGTH, 9001), 1.0))
+    return Georeference(affine, kind, number, _METRES.get(keys.get(_LENGTH, _METRE)))
 
 
 def _affine(tags: Mapping[int, Any]) -> Float64[np.ndarray, "2 3"] | None:

@@ -22,7 +22,7 @@ from sarsplat.importers.images import AboutImages, MeasuredImage, assume, datase
 from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
-from sarsplat.importers.tiffs import says_lengths
+from sarsplat.importers.tiffs import first_georeference
 from sarsplat.importers.values import read_values
 from sarsplat.names import Backscatter, Projection, Quantity, RadarSide, Side, Transmit
 from sarsplat.radiometry import beta0_of_gamma0, beta0_of_sigma0
@@ -165,7 +165,7 @@ def import_folder(
         columns or {},
         target_class=target_class,
         grazing=grazing_deg is None,
-        spacing=spacing_m is None and not says_lengths(folder),
+        spacing=spacing_m is None and first_georeference(sorted(folder.rglob("*"))) is None,
         looking=look is not None,
     )
     if recording is None and lists_stacks(listed):

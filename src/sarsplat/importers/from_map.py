@@ -134,7 +134,8 @@ def _around_middle(
 
 
 def _told_of_map(system: Georeference) -> str:
-    north = "true north" if system.epsg is not None or system.kind == "geographic" else "the north of the map"
+    known = system.epsg is not None or system.kind == "geographic"
+    north = "true north" if known else "the north of the map, whose lengths are taken for true ones"
     return (
         f"the pictures lie on a map in {system.system}; the scene's origin is the middle of what all of them show, and "
         f"azimuths are counted from {north}"

@@ -103,6 +103,11 @@ def on_ground(
         raise SarsplatError("the pictures have no place on the map in common; give pictures of one spot")
     middle = (low + high) / 2
     if first.epsg is None and first.kind == "projected":  # neither scale nor convergence are known
+        if first.unit_m is None:
+            raise SarsplatError(
+                f"{names[0]} lies in {first.system}, whose unit of length is not known; bring it into metres, as by "
+                "gdalwarp -t_srs EPSG:326xx (the UTM zone)"
+            )
         bearing, place = math.radians(x_towards_deg), None
         turn = np.array([[math.sin(bearing), math.cos(bearing)], [-math.cos(bearing), math.sin(bearing)]])
         axes = first.unit_m * turn

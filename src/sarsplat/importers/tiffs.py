@@ -6,7 +6,7 @@ import io
 import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,12 +39,15 @@ class Tags:
         The value of pixels that were not measured.
     scale, offset : float or None
         What they are multiplied by, and what is then added, to be what they stand for.
+    white_is_zero : bool
+        Brighter ones had smaller numbers, which was mended.
     """
 
     georeference: Georeference | None = None
     no_data: float | None = None
     scale: float | None = None
     offset: float | None = None
+    white_is_zero: bool = False
 
 
 def unknown(pixels: Shaped[np.ndarray, "*shape"], no_data: float | None) -> Bool[np.ndarray, "*shape"]:
@@ -80,13 +83,13 @@ def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]
     return _black_is_zero(path, pixels, page, tags), _tags(path, page, tags)
 
 
-def says_lengths(folder: Path) -> bool:
-    """Whether the first TIFF of a folder says how far its pixels are apart; what cannot be read says nothing."""
-    first = next((path for path in sorted(folder.rglob("*")) if path.suffix.lower() in TIFF and path.is_file()), None)
+def first_georeference(paths: Iterable[Path]) -> Georeference | None:
+    """Where the pixels of the first TIFF among files lie, by its tags; what cannot be read says nothing."""
+    first = next((path for path in paths if path.suffix.lower() in TIFF and path.is_file()), None)
     try:
-        return first is not None and read_tiff_of_others(first)[1].georeference is not None
+        return None if first is None else read_tiff_of_others(first)[1].georeference
     except SarsplatError:
-        return False
+        return None
 
 
 def refuse_bomb(path: Path, unpacked: int, size: int, packed: bool) -> None:
@@ -122,9 +125,9 @@ def _refuse_meanings(path: Path, page: Any, tags: Mapping[int, Any]) -> None:
         )
     if tags.get(_PHOTOMETRIC) == _PALETTE:
         raise SarsplatError(f"{path} holds numbers of colours in a palette; give the measured values, in grey")
-    if (orientation := tags.get(_ORIENTATION, 1)) != 1:
+    if (orientation := int(tags.get(_ORIENTATION, 1))) != 1:
         raise SarsplatError(
-            f"{path} says that it is to be turned or mirrored before it is shown (orientation {shown(orientation)}); "
+            f"{path} says that it is to be turned or mirrored before it is shown (orientation {orientation}); "
             "save it as it is to be seen, with orientation 1"
         )
 
@@ -160,7 +163,8 @@ def _tags(path: Path, page: Any, tags: Mapping[int, Any]) -> Tags:
         if tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
             no_data = _white(page) - no_data
     scale, offset = (_item(path, tags, role) for role in ("scale", "offset"))
-    return Tags(georeference_of(tags, str(path)), no_data, scale, offset)
+    inverted = tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO
+    return Tags(georeference_of(tags, str(path)), no_data, scale, offset, inverted)
 
 
 def _item(path: Path, tags: Mapping[int, Any], role: str) -> float | None:

@@ -51,6 +51,8 @@ def read_values(path: Path, quantity: Quantity | None, scale: float, offset: flo
     found = quantity or likely_quantity(pixels, name)
     if found == "complex" and (bands := meaning_of(pixels, name)):
         said.append(f"the two bands of complex pictures are {bands}")
+    if tags.white_is_zero:
+        said.append("zero is white in the files, as their tags say, and numbers were turned round")
     if (scale, offset) == (1.0, 0.0) and (tags.scale, tags.offset) != (None, None):
         scale, offset = 1.0 if tags.scale is None else tags.scale, tags.offset or 0.0
         said.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as tags of the files say")
