@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Real
@@ -30,7 +30,7 @@ from sarsplat.regions.outlines import levels_db, outline
 
 @dataclass(frozen=True)
 class OnMap:
-    """What images say of lying on a map; near range of images as they are, and after turning each by its azimuth."""
+    """What images say of lying on a map; near range as they are, and after turning each by its azimuth in one sense."""
 
     stays: Evidence
     """By how much neighbouring images match better as they are than turned, in whichever sense."""
@@ -86,15 +86,13 @@ def on_map(
 ) -> OnMap:
     """What images (β⁰, linear power) say of lying on a map, given what they say of their orientation."""
     levels = levels_db(power, grid, ground)
-    turned = _turned(levels, views)
-    none = turned[:0]
-    return OnMap(
-        seen.stays,
-        seen.shadow,
-        shadow_sides(turned if ground else none),
-        seen.edge,
-        edge_sides(turned, [outline(level) for level in turned]),
-    )
+    senses = []
+    for sense in (1, -1):
+        turned = _turned(levels, [replace(view, azimuth_deg=sense * view.azimuth_deg) for view in views])
+        edge = edge_sides(turned, [outline(level) for level in turned])
+        senses.append((shadow_sides(turned if ground else turned[:0]), edge))
+    shadow, edge = max(senses, key=lambda sides: max(sides[not ground].mean))
+    return OnMap(seen.stays, seen.shadow, shadow, seen.edge, edge)
 
 
 def _turned(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[View]) -> Float64[np.ndarray, "v m m"]:
