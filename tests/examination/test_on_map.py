@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,9 +12,9 @@ import pytest
 
 from datasets import dataset_of
 from geocoded import on_map
-from sarsplat import ScatteringLaw, add_speckle, import_mstar, simulate_raycast
-from sarsplat.cli import main
+from sarsplat import ScatteringLaw, add_speckle, import_folder, import_mstar, simulate_raycast
 from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatWarning
 from sarsplat.examination.contradictions import examine
 from sarsplat.geometry import ImageGrid, View
 
@@ -106,36 +107,37 @@ def test_azimuths_from_elsewhere_or_the_other_way(tmp_path: Path) -> None:
             assert called_geocoded(replace(dataset, entries=entries)) == expected
 
 
-def test_the_import_says_it_and_its_remedy_mends_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_import_says_it_and_its_remedy_mends_it(tmp_path: Path) -> None:
     """Pictures without tags, as tables of bearings; of headings that are taken for these, the check tells."""
     radar = simulated(lorry, ROUND, 1.0)
-    rows = ["file,azimuth,grazing"]
+    rows = []
     for number, (image, view) in enumerate(zip(radar.power, radar.views, strict=True)):
         np.save(tmp_path / f"{number}.npy", on_map(image, view, radar.grid, 60, 0.3))
-        rows.append(f"{number}.npy,{(view.azimuth_deg + 90) % 360},{view.grazing_deg}")
-    (tmp_path / "t.csv").write_text("\n".join(rows))
-    words = ["import", "folder", str(tmp_path), "--out", str(tmp_path / "out"), "--quantity", "power", "--overwrite"]
-    words += ["--spacing", "0.3", "--resolution", "0.4", "0.35"]
-    assert main(words) == 1
-    told = " ".join(capsys.readouterr().err.split())
-    assert "the images seem to be geocoded, for " in told and "import them with --geocoded level, or" in told
-    assert main([*words, "--geocoded", "level"]) == 0
-    assert "ready" in capsys.readouterr().out
-    headings = "\n".join(rows).replace("azimuth", "heading")
-    for row, view in zip(rows[1:], radar.views, strict=True):
-        headings = headings.replace(row, f"{row.split(',')[0]},{(view.azimuth_deg + 180) % 360},{view.grazing_deg}")
-    (tmp_path / "t.csv").write_text(headings)
-    assert main([*words, "--geocoded", "level", "--columns", "azimuth=heading"]) == 1
-    assert "(--columns heading=NAME --look right)" in " ".join(capsys.readouterr().err.split())
-    assert main([*words, "--geocoded", "level", "--look", "right"]) == 0
+        rows.append((f"{number}.npy", (view.azimuth_deg + 90) % 360, view.grazing_deg))
+
+    def contradictions(**options) -> list[str]:
+        lengths = {"spacing_m": (0.3, 0.3), "resolution_m": (0.4, 0.35)}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SarsplatWarning)  # which say the same
+            made = import_folder(tmp_path, tmp_path / "out", quantity="power", overwrite=True, **lengths, **options)
+        return made.source.get("contradictions", [])
+
+    lines = [f"{name},{bearing},{grazing}" for name, bearing, grazing in rows]
+    (tmp_path / "t.csv").write_text("\n".join(["file,azimuth,grazing", *lines]))
+    (said,) = contradictions()
+    assert "the images seem to be geocoded, for " in said and "import them with --geocoded level, or" in said
+    assert contradictions(geocoded="level") == []
+    lines = [f"{name},{(bearing + 90) % 360},{grazing}" for name, bearing, grazing in rows]
+    (tmp_path / "t.csv").write_text("\n".join(["file,heading,grazing", *lines]))
+    (said,) = contradictions(geocoded="level", columns={"azimuth": "heading"})
+    assert "(--columns heading=NAME --look right)" in said
+    assert contradictions(geocoded="level", look="right") == []
 
 
 @pytest.mark.skipif(not CHIPS.is_dir(), reason="no measured chips")
 def test_measured_chips(tmp_path: Path) -> None:
-    for count in (12, 36):
-        chips = import_mstar(
-            CHIPS, tmp_path / "out", labels=CHIPS / "labels.csv", target_class="T72", train_views=count, test=False,
-            overwrite=True,
-        )  # fmt: skip
-        assert not called_geocoded(chips)
-        assert called_geocoded(geocoded(chips))
+    chips = import_mstar(
+        CHIPS, tmp_path / "out", labels=CHIPS / "labels.csv", target_class="T72", train_views=18, test=False
+    )
+    assert not called_geocoded(chips)
+    assert called_geocoded(geocoded(chips))
