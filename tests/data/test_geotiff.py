@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
 
 from datasets import small_dataset
-from sarsplat import Terrain, read_terrain, write_terrain
+from sarsplat import Place, SarsplatError, SarsplatWarning, Terrain, View, read_terrain, write_terrain
 from sarsplat.data import read_dataset, write_dataset
 from sarsplat.examination.plausible import suspicions
+from sarsplat.importers import MeasuredImage, dataset_of
 from terrains import hill, write_geotiff
 
 HEIGHTS = np.arange(12.0).reshape(3, 4)
@@ -70,3 +74,94 @@ def test_other_programs_read_it(tmp_path):
         assert tags["ModelPixelScale"][:2] == [0.5, 0.4]
         assert tags["GTModelTypeGeoKey"] == 1
         assert tags["ModelTiepoint"][3:5] == [-15.0, 12.0]
+
+
+def on_map(path: Path, epsg: int, east: float, north: float, *more: int, heights: np.ndarray = HEIGHTS) -> Path:
+    """Heights of 20 × 30 m, or as many pixels as there are, whose first pixel begins at a corner of a map."""
+    keys = (1, 1, 0, 3 + len(more) // 4, 1024, 0, 1, 1, 3072, 0, 1, epsg, 3076, 0, 1, 9001, *more)
+    tags = [(33922, "d", 6, (0.0, 0.0, 0.0, east, north, 0.0), True), (33550, "d", 3, (20.0, 30.0, 0.0), True)]
+    tifffile.imwrite(path, heights, metadata=None, extratags=[*tags, (34735, "H", len(keys), keys, True)])
+    return path
+
+
+ZONES = [(32632, 7.0, 47.3), (32756, 151.2, -33.9), (32660, 179.99, 64.0), (2056, 8.5, 47.3), (3857, 8.5, 60.0)]
+
+
+@pytest.mark.parametrize(("epsg", "longitude", "latitude"), ZONES)
+def test_a_map_says_where_the_terrain_is(tmp_path, epsg, longitude, latitude):
+    """By places that pyproj moves there from longitude and latitude: a corner, and steps on the ground."""
+    pyproj = pytest.importorskip("pyproj")
+    forward = pyproj.Transformer.from_crs("EPSG:4326", epsg, always_xy=True)
+    east, north = forward.transform(longitude, latitude)
+    made = read_terrain(on_map(tmp_path / "a.tif", epsg, east, north))
+    place = made.centred().place
+    assert place.height_m == pytest.approx(made.height_m(np.zeros(1), np.zeros(1))[0])
+    assert place.height_above == "unknown"
+    corner = np.array([-made.half_m[0] - made.pitch_m[0] / 2, made.half_m[1] + made.pitch_m[1] / 2, 0.0])
+    found = replace(place, height_m=0.0).to_geodetic(corner)
+    assert forward.transform(found[1], found[0]) == pytest.approx((east, north), abs=2e-3)
+    stretch = np.sqrt(np.divide(*np.array([made.pitch_m, (20.0, 30.0)])).prod())
+    assert stretch == pytest.approx(0.5 if epsg == 3857 else 1.0, abs=1e-3)
+
+
+def test_points_are_middles_of_pixels_if_the_file_says_so(tmp_path):
+    pytest.importorskip("pyproj")
+    area = read_terrain(on_map(tmp_path / "a.tif", 32632, 5e5, 5e6)).place
+    point = read_terrain(on_map(tmp_path / "b.tif", 32632, 5e5, 5e6, 1025, 0, 1, 2)).place
+    assert area.from_ecef(point.ecef)[:2] == pytest.approx((-10.0, 15.0), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("code", "above"), [(5773, "sea level"), (3855, "sea level"), (5030, "ellipsoid"), (32767, "unknown")]
+)
+def test_what_heights_are_above(tmp_path, code, above):
+    pytest.importorskip("pyproj")
+    assert read_terrain(on_map(tmp_path / "a.tif", 32632, 5e5, 5e6, 4096, 0, 1, code)).place.height_above == above
+
+
+def test_a_map_that_is_nowhere_is_told(tmp_path, monkeypatch):
+    pytest.importorskip("pyproj")
+    for epsg, east, why in ((1500, 5e5, "does not know that system"), (32632, 5e30, "is nowhere in that system")):
+        with pytest.warns(SarsplatWarning, match=why):
+            assert read_terrain(on_map(tmp_path / "a.tif", epsg, east, 5e6)).place is None
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    with pytest.warns(SarsplatWarning, match=r"stays unknown: pyproj is not installed; .*sarsplat\[gis\]"):
+        read = read_terrain(on_map(tmp_path / "a.tif", 32632, 5e5, 5e6))
+    assert (read.place, read.pitch_m) == (None, (20.0, 30.0))
+
+
+def test_terrain_is_laid_out_around_another_place(tmp_path):
+    """A plane that rises by 0.1 to the north-east of the map, whose north is not the true one there."""
+    pyproj = pytest.importorskip("pyproj")
+    rows, columns = np.mgrid[0:80, 0:100]
+    slope = 0.1 * (20.0 * columns - 30.0 * rows) / np.sqrt(2) + 500
+    made = read_terrain(on_map(tmp_path / "a.tif", 32632, 2e5, 5e6, heights=slope)).centred()
+    east, north = 2e5 + 20 * 30.5, 5e6 - 30 * 50.5  # the middle of a pixel
+    longitude, latitude = pyproj.Transformer.from_crs(32632, 4326, always_xy=True).transform(east, north)
+    spot = Place(latitude, longitude, 470.0, 33.0)
+    around = made.around(spot, 300.0).centred()
+    assert min(around.half_m) >= 300
+    assert around.place.height_m == pytest.approx(slope[50, 30], abs=0.01)
+    point = np.array([120.0, -70.0, 0.0])
+    there = spot.to_geodetic(point)
+    moved = pyproj.Transformer.from_crs(4326, 32632, always_xy=True).transform(there[1], there[0])
+    rise = 0.1 * (moved[0] - east + moved[1] - north) / np.sqrt(2)
+    assert around.height_m(point[:1], point[1:2])[0] == pytest.approx(rise, abs=0.02)
+    with pytest.raises(SarsplatError, match=r"the scene is at 46\..* m from there; give terrain that shows it"):
+        made.around(replace(spot, latitude_deg=46.0), 300.0)
+
+
+def test_a_dataset_takes_the_place_of_its_terrain():
+    place = Place(10.0, 20.0, 30.0)
+    relief = replace(hill(), place=place)
+    image = MeasuredImage("a", np.ones((16, 16), np.float32), View(0, 40), (0.5, 0.5), (0.6, 0.6))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SarsplatWarning)
+        made = dataset_of([image], target="a", source={}, terrain=relief)
+        turned = dataset_of([image], target="a", source={}, terrain=relief, place=replace(place, x_towards_deg=0.0))
+    assert made.place == place
+    assert made.terrain is relief
+    assert turned.place.x_towards_deg == 0.0  # north, which is to the left of the other's x
+    assert turned.terrain.height_m(np.zeros(1), np.array([-1.0])) == pytest.approx(
+        relief.height_m(np.ones(1), np.zeros(1)) - relief.height_m(np.zeros(1), np.zeros(1)), abs=0.08
+    )

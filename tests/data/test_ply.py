@@ -145,6 +145,22 @@ def test_points_round_trip(tmp_path):
     assert read_points_ply(tmp_path / "none.ply")[0].shape == (0, 3)
 
 
+@pytest.mark.parametrize(("kind", "exact"), [("double", True), ("float", False)])
+def test_coordinates_of_maps_keep_their_millimetres(tmp_path, kind, exact):
+    places = np.array([[462200.545, 5238624.111, 420.0], [462200.546, 5238624.999, 421.5]])
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 2\n"
+    head += "".join(f"property {kind} {axis}\n" for axis in "xyz") + "property float gamma0\nend_header\n"
+    number = np.dtype("<f8" if exact else "<f4")
+    table = np.zeros(2, [("x", number), ("y", number), ("z", number), ("gamma0", "<f4")])
+    for axis, column in zip("xyz", places.T, strict=True):
+        table[axis] = column
+    (tmp_path / "p.ply").write_bytes(head.encode() + table.tobytes())
+    read, columns = read_points_ply(tmp_path / "p.ply")
+    assert read.dtype == number
+    np.testing.assert_array_equal(read, places.astype(number))
+    assert list(columns) == ["gamma0"]
+
+
 def test_a_million_points_are_read_at_once(tmp_path):
     write_points_ply(tmp_path / "p.ply", np.zeros((1_000_000, 3)))
     begun = time.process_time()

@@ -94,7 +94,8 @@ _SHARED = {
         OptionalFile,
         lambda path, _: heights(path),
         default=None,
-        help="Heights of the ground (GeoTIFF, metres), its middle at the scene's origin; level without it.",
+        help="Heights of the ground (GeoTIFF, metres), its middle at the scene's origin unless both say where on earth "
+        "they are; level without it.",
     ),
     "target_box_m": Option(
         TargetBox,

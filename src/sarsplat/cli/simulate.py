@@ -322,6 +322,7 @@ def simulate(
         looks=looks,
         clean_tests=clean_tests,
         terrain=relief,
+        place=None if relief is None else relief.place,
         **about,
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
         source={**record, **_apart(bistatic), "reflectivity_db": reflectivity, "scale": scale},

@@ -13,12 +13,15 @@ import tifffile
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
+from sarsplat.data.georeference import georeference_of
+from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Terrain
 
 _PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _NO_DATA = 33550, 33922, 34264, 34735, 42113
 _MODEL, _PROJECTED, _GEOGRAPHIC = 1024, 1, 2
 _UNITS = {3076: "lengths", 4099: "heights"}
+_VERTICAL = 4096
 _METRE, _DEFINED_ELSEWHERE = 9001, 32767
 _TWICE = 64
 """Heights that unpack to more than this many times the file's size are no heights."""
@@ -36,13 +39,20 @@ def read_terrain(path: str | Path) -> Terrain:
     Returns
     -------
     Terrain
-        Heights as they are stored; `Terrain.centred` measures them from the origin.
+        Heights as they are stored; `Terrain.centred` measures them from the origin. If its system has a number in
+        EPSG's list, its `place` is that of the middle, x axis along the columns, and its pitch in metres on the ground,
+        not in those of the map.
 
     Raises
     ------
     SarsplatError
         If it cannot be read, has several bands, is in degrees or feet, is turned, says nowhere how far its pixels are
         apart, has fewer than 2 × 2 heights, or there are some that are not known.
+
+    Warns
+    -----
+    SarsplatWarning
+        If its system has a number, but where that is cannot be found out, for instance without pyproj.
     """
     path = Path(path)
     with open_file(path) as file:
@@ -68,9 +78,13 @@ def read_terrain(path: str | Path) -> Terrain:
     _check_unknown(path, heights, tags.get(_NO_DATA))
     table = heights.astype(np.float64)
     try:
-        return Terrain(np.ascontiguousarray(table if upwards else table[::-1]), (dx, dy))
+        terrain = Terrain(np.ascontiguousarray(table if upwards else table[::-1]), (dx, dy))
     except SarsplatError as error:
         raise SarsplatError(f"{path}: {error}") from error
+    where = _where(path, tags, (heights.shape[0], heights.shape[1]))
+    if where is None:
+        return terrain
+    return Terrain(terrain.heights_m, (dx * where.metres[0], dy * where.metres[1]), where.place)
 
 
 def terrain_bytes(terrain: Terrain) -> bytes:
@@ -102,8 +116,7 @@ def write_terrain(path: str | Path, terrain: Terrain) -> None:
 
 def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]:
     """Distances of pixels along x and y, m, and whether rows go upwards (north)."""
-    numbers = [int(number) for number in tags.get(_KEYS, ())]
-    keys = {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}
+    keys = _keys(tags)
     if keys.get(_MODEL) == _GEOGRAPHIC:
         raise SarsplatError(
             f"{path} is in degrees of latitude and longitude; bring it into metres, as by "
@@ -118,6 +131,8 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
         a, b, _, _, d, e, *_ = map(float, tags[_TRANSFORMATION])
         if b or d:
             raise SarsplatError(f"{path} is turned against its system's axes; straighten it, as by gdalwarp")
+        if a < 0:
+            raise SarsplatError(f"{path} has columns that run west; straighten it, as by gdalwarp")
         pitch, upwards = (abs(a), abs(e)), e > 0
     elif _PIXEL_SCALE in tags:
         scale = [float(number) for number in tags[_PIXEL_SCALE]]
@@ -128,6 +143,21 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
             "gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT BOTTOM"
         )
     return pitch, upwards
+
+
+def _where(path: Path, tags: dict[int, Any], shape: tuple[int, int]) -> MapPlace | None:
+    """Where its middle is on earth, if its system has a number."""
+    lies = georeference_of(tags, str(path))
+    if lies is None or lies.kind != "projected" or lies.epsg is None:
+        return None
+    x, y = lies.affine @ ((shape[1] - 1) / 2, (shape[0] - 1) / 2, 1.0)
+    return place_on_map(lies.epsg, (float(x), float(y)), str(path), height_above_of(_keys(tags).get(_VERTICAL)))
+
+
+def _keys(tags: dict[int, Any]) -> dict[int, int]:
+    """GeoKeys whose values are in the directory itself."""
+    numbers = [int(number) for number in tags.get(_KEYS, ())]
+    return {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}
 
 
 def _check_unknown(path: Path, heights: np.ndarray, no_data: Any) -> None:

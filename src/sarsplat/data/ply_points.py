@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Real
+from jaxtyping import Float, Real
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import new_file, open_file
@@ -192,13 +192,13 @@ def _triples(name: str, values: Any) -> Real[np.ndarray, "p 3"]:
 
 
 @checks_arguments
-def read_points_ply(path: str | Path) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
+def read_points_ply(path: str | Path) -> tuple[Float[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
     """Read points.
 
     Returns
     -------
     points : numpy.ndarray, float32 [P, 3]
-        Positions, m.
+        Positions, m; float64 if they are numbers that float32 does not hold, as coordinates of maps may be.
     columns : dict of str to numpy.ndarray, float32 [P]
         Every other scalar of the file.
 
@@ -208,8 +208,11 @@ def read_points_ply(path: str | Path) -> tuple[Float32[np.ndarray, "p 3"], dict[
         If the file is missing, damaged or truncated, has no x, y, z, or a point is farther than 10⁹ m from the origin.
     """
     path = Path(path)
-    columns, _ = read_ply(path)
-    points = stacked(path, columns, ["x", "y", "z"])
+    axes = ["x", "y", "z"]
+    columns, _ = read_ply(path, exact=axes)
+    points = stacked(path, columns, axes)
     if (farthest := np.abs(points).max(initial=0)) > _FARTHEST:
         raise SarsplatError(f"{path} holds a point {farthest:.3g} m from the origin; create it again, in metres")
-    return points, {name: column for name, column in columns.items() if name not in ("x", "y", "z")}
+    short = points.astype(np.float32)
+    points = short if np.array_equal(short, points) else points
+    return points, {name: column for name, column in columns.items() if name not in axes}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from sarsplat.errors import SarsplatError
+from sarsplat.geometry.place import Place
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,8 @@ class Terrain:
         written to.
     pitch_m : (float, float)
         Distance of the places along x and y, m.
+    place : Place, optional
+        Where on earth its origin is, at z = 0, if that is known.
 
     Raises
     ------
@@ -33,6 +36,7 @@ class Terrain:
 
     heights_m: Float[np.ndarray, "ny nx"]
     pitch_m: tuple[float, float]
+    place: Place | None = None
 
     def __post_init__(self) -> None:
         heights = self.heights_m
@@ -82,7 +86,35 @@ class Terrain:
 
     def centred(self) -> Terrain:
         """The same with z = 0 at the origin."""
-        return Terrain(self.heights_m - float(self.height_m(np.zeros(1), np.zeros(1))[0]), self.pitch_m)
+        middle = float(self.height_m(np.zeros(1), np.zeros(1))[0])
+        place = None if self.place is None else replace(self.place, height_m=self.place.height_m + middle)
+        return Terrain(self.heights_m - middle, self.pitch_m, place)
+
+    def around(self, place: Place, reach_m: float) -> Terrain:
+        """The same ground in the frame of another place on it, as far from there as asked for or as it reaches.
+
+        Heights stay as they are stored, whatever they are measured from.
+
+        Raises
+        ------
+        SarsplatError
+            If its own place is not known, or the other one is not on it.
+        """
+        if self.place is None:
+            raise SarsplatError("the terrain does not say where on earth it is; give one with a coordinate system")
+        other = replace(place, height_m=self.place.height_m, height_above=self.place.height_above)
+        away = self.place.from_ecef(other.ecef)[:2]
+        margins = np.subtract(self.half_m, np.abs(away))
+        if not margins.min() > 0:
+            raise SarsplatError(
+                f"the terrain is {2 * self.half_m[0]:.4g} m × {2 * self.half_m[1]:.4g} m around {self.place}, but the "
+                f"scene is at {place}, {math.hypot(*away):.4g} m from there; give terrain that shows it"
+            )
+        counts = [max(1, math.ceil(min(reach_m, *margins) / pitch)) for pitch in self.pitch_m]
+        xs, ys = (np.arange(-count, count + 1) * pitch for count, pitch in zip(counts, self.pitch_m, strict=True))
+        places = np.stack([*np.meshgrid(xs, ys), np.zeros((len(ys), len(xs)))], axis=-1)
+        own = self.place.from_ecef(other.to_ecef(places)).reshape(-1, 3)
+        return Terrain(self.height_m(own[:, 0], own[:, 1]).reshape(places.shape[:2]), self.pitch_m, other)
 
     def padded(self, reach_m: float) -> Float64[np.ndarray, "ny nx 3"]:
         """Its places (x, y, z), m, with more at ±`reach_m` where they end before."""

@@ -23,6 +23,7 @@ from sarsplat.errors import AssumptionWarning, SarsplatError, counted
 from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
+from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.importers.band_limited import resample
 from sarsplat.radiometry import to_db
 
@@ -190,7 +191,8 @@ def dataset_of(
     calibration : {"absolute", "relative"}
         See `Dataset`. Relative power has mean 1 over the training views; that of noise is in the same unit.
     place : Place, optional
-        Where on earth the origin is.
+        Where on earth the origin is; that of the terrain, if it knows one, unless given. With both, the terrain is laid
+        out around this place.
     **about
         Looks, ground, terrain and the target's box: see `AboutImages`.
 
@@ -211,6 +213,7 @@ def dataset_of(
     if len({image.pixels.dtype.kind for image in images}) > 1:
         raise SarsplatError("some images are complex and others are not; import images of one kind")
     assumptions = [*source.get("assumptions", ())]
+    place, about["terrain"] = _on_earth(place, about.get("terrain"), images, assumptions)
     _refuse_other_channels(images)
     images = _with_sets(images, train_views)
     grid = _common_grid(images, assumptions)
@@ -259,6 +262,19 @@ def dataset_of(
         **about,
         source={**source, "assumptions": assumptions},
     )
+
+
+def _on_earth(
+    place: Place | None, terrain: Terrain | None, images: Sequence[MeasuredImage], assumptions: list[str]
+) -> tuple[Place | None, Terrain | None]:
+    """Where the origin is, and the terrain around it."""
+    if terrain is None or terrain.place is None:
+        return place, terrain
+    if place is None:
+        return terrain.place, terrain
+    reach = max(ground_radius_m([image.view], image.grid) for image in images)
+    assumptions.append("the terrain is laid out around the place of the images, whose height is that of the terrain")
+    return place, terrain.around(place, reach).centred()
 
 
 def write_imported(out: str | Path, dataset: Dataset, *, overwrite: bool) -> Dataset:

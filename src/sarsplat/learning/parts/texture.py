@@ -157,8 +157,8 @@ class Maps:
 
 def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
     count = len(tensors["view_deg"])
-    given = tensors["view_deg"].shape[-1:]
-    known = given[0] if given in ((4,), (6,)) else 2
+    given = tensors["view_deg"].shape
+    known = given[-1] if given[-1:] in ((4,), (6,)) else 2
     expected = {
         "ratio": (torch.float32, (count, grid.rows, grid.columns)),
         "shift_m": (torch.float32, (count, 2)),

@@ -1,0 +1,106 @@
+"""A corner reflector in SICDs comes out of a LAS file where the SICDs' own projection has it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("sarkit")
+pytest.importorskip("laspy")
+pytest.importorskip("pyproj")
+
+import laspy
+import pyproj
+import sarkit.sicd
+import sarkit.wgs84
+from sarkit.sicd import projection
+
+from sarsplat import Dataset, Run, SarsplatWarning, View, preset, reconstruct
+from sarsplat.exports import export
+from sarsplat.importers import import_sicd
+from sarsplat.importers.sicd_file import read_sicd
+from sicds import SPOT, Recording, Track, axes, ecef, write_sicd
+from upright import upright
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*_text is deprecated:DeprecationWarning")  # sarkit reads its schemas
+
+CORNER = (6.0, -4.0, 1.5)  # m east, north and above the spot
+HEIGHT = float(sarkit.wgs84.cartesian_to_geodetic(ecef(CORNER))[2])
+TRACKS = [Track(20.0, 35.0, "R"), Track(140.0, 45.0, "L"), Track(260.0, 40.0, "R")]
+
+
+def imported(folder: Path, recording: Recording) -> tuple[Dataset, np.ndarray]:
+    """A dataset of three directions, x towards north-east, and where on earth the files say that the reflector is."""
+    files = [write_sicd(folder / f"{k}.nitf", track, [CORNER], recording) for k, track in enumerate(TRACKS)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SarsplatWarning)
+        made = import_sicd(files, folder / "set", size_m=24.0, around=SPOT, heading_deg=45.0, looks=None, ground=False)
+    return made, np.array([projected(path) for path in files])
+
+
+def projected(path: Path) -> np.ndarray:
+    """The brightest place of a SICD, projected by sarkit to the height of the reflector, ECEF."""
+    with path.open("rb") as file, sarkit.sicd.NitfReader(file) as reader:
+        image = np.abs(reader.read_image())
+    pixel = peak(image)
+    sicd = read_sicd(path)
+    seen = projection.compute_projection_sets(sicd.projection, sicd.place_of(pixel))
+    ground, _, _ = projection.r_rdot_to_constant_hae_surface(
+        sicd.projection.LOOK, sicd.projection.SCP, seen, HEIGHT, delta_hae_max=1e-3, nlim=20
+    )
+    return np.squeeze(ground)
+
+
+def peak(image: np.ndarray) -> np.ndarray:
+    """Row and column of the brightest place, by parabolas."""
+    at = np.unravel_index(image.argmax(), image.shape)
+    found = []
+    for axis in (0, 1):
+        line, k = image.take(at[1 - axis], axis=1 - axis), at[axis]
+        before, here, after = line[k - 1 : k + 2]
+        found.append(k + (before - after) / (2 * (before - 2 * here + after)))
+    return np.array(found)
+
+
+def las_of(run: Run, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """ECEF of the points of a LAS file, by the system that it states, and their γ⁰."""
+    export(run, path)
+    read = laspy.read(path)
+    system = read.header.parse_crs()
+    assert system.to_2d().to_epsg() == 32632
+    back = pyproj.Transformer.from_crs(system.to_2d(), "EPSG:4326", always_xy=True)
+    longitude, latitude = back.transform(read.x, read.y)
+    return sarkit.wgs84.geodetic_to_cartesian(np.column_stack([latitude, longitude, read.z])), read["gamma0"]
+
+
+def test_a_reflector_found_in_the_images(tmp_path: Path) -> None:
+    """By the frames of the views alone: least squares of its azimuths and ranges."""
+    dataset, truth = imported(tmp_path, Recording())
+    grid, rows, seen = dataset.grid, [], []
+    for image, view in zip(dataset.power, dataset.views, strict=True):
+        row, column = peak(np.sqrt(image))
+        seen += [grid.azimuth_m[0] + column * grid.spacing_m[0], grid.range_m[0] + row * grid.spacing_m[1]]
+        rows.append(view.look.gradients)
+    place = np.linalg.lstsq(np.concatenate(rows), np.array(seen), rcond=None)[0]
+    run = replace(Run.from_gaussians(upright(place[None]), views=[View(0.0, 40.0)]), place=dataset.place)
+    up = np.array([[0.0, 0.0, 1.0]], np.float32)
+    run.__dict__.update(points=place[None].astype(np.float32), normals=up, points_gamma0=np.ones(1, np.float32))
+    found, _ = las_of(run, tmp_path / "a.las")
+    assert np.abs((truth - ecef(CORNER)) @ axes()[:2].T).max() < 0.1  # parabolas are no more exact
+    off = (found - truth.mean(axis=0)) @ axes().T
+    assert np.hypot(*off[0, :2]) < 0.1
+    assert abs(off[0, 2]) < 0.1
+
+
+@pytest.mark.slow
+def test_a_reflector_that_was_reconstructed(tmp_path: Path) -> None:
+    """From three directions much is left open, but what is bright is at its place."""
+    dataset, truth = imported(tmp_path, Recording())
+    found, gamma0 = las_of(reconstruct(dataset, preset("quick"), quiet=True), tmp_path / "a.las")
+    bright = found[gamma0 >= np.percentile(gamma0, 90)]
+    east, north, _ = np.median((bright - truth.mean(axis=0)) @ axes().T, axis=0)
+    assert np.hypot(east, north) < 0.2
