@@ -10,7 +10,7 @@ import tifffile
 
 from geocoded import UTM_33N, on_map, write_map, write_maps
 from sarsplat.cli import main
-from sarsplat.data import Dataset, read_dataset, write_terrain
+from sarsplat.data import Dataset, read_dataset, read_terrain, write_terrain
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.importers import import_folder
@@ -53,7 +53,7 @@ def offsets(image: np.ndarray, view: View, grid: ImageGrid, points: np.ndarray) 
     found = []
     expected = [seen(points[[k]], view, grid) - 0.05 for k in range(len(points))]
     for k, alone in enumerate(expected):
-        others = sum(expected[:k] + expected[k + 1 :])
+        others = np.sum(expected[:k] + expected[k + 1 :], axis=0)
         row, column = np.unravel_index(alone.argmax(), alone.shape)
         inside = 4 <= row < grid.rows - 4 and 4 <= column < grid.columns - 4
         if not inside or others[row, column] > 0.02:
@@ -106,11 +106,13 @@ def test_a_plane_above_the_ground(tmp_path: Path) -> None:
     check_places(wrong, lower, 20)
 
 
+def hill(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 1.8 * np.exp(-((x - 2) ** 2 + (y + 1) ** 2) / 3.0) + 0.05 * x
+
+
 def test_terrain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Hills with slopes that lie over, as one sees them from some sides."""
-    hills = terrain(
-        lambda x, y: 1.8 * np.exp(-((x - 2) ** 2 + (y + 1) ** 2) / 3.0) + 0.05 * x, (14.0, 14.0), (0.5, 0.5)
-    ).centred()
+    hills = terrain(hill, (14.0, 14.0), (0.25, 0.25)).centred()
     folder = write(tmp_path / "in", height=hills.height_m)
     made = imported(folder, geocoded="terrain", terrain=hills)
     check_places(made, POINTS, 20)
@@ -120,6 +122,23 @@ def test_terrain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*words, "--calibrated"]) == 0
     np.testing.assert_array_equal(read_dataset(tmp_path / "typed").power, made.power)
     assert "projected them from the terrain" in capsys.readouterr().out
+
+
+def test_terrain_that_lies_elsewhere_on_the_same_map(tmp_path: Path) -> None:
+    """A larger one, whose middle is not that of the pictures, is laid where the map says."""
+    pytest.importorskip("pyproj")
+    x, y = (np.arange(-60, 60.5, 0.5) for _ in range(2))
+    heights = 100 + 1.8 * np.exp(-((x - 2) ** 2 + (y[:, None] + 1) ** 2) / 3.0) + 0.05 * x
+    middle = (5e5 + SIDE * PITCH / 2, 5e6 - SIDE * PITCH / 2)
+    corner = (middle[0] - 60.25 + 7.0, middle[1] + 60.25 - 4.0)
+    path = write_map(
+        tmp_path / "dem.tif", np.roll(heights, (8, -14), (0, 1))[::-1], 0.5, corner=corner
+    )  # the same hill
+    dem = read_terrain(path).centred()
+    folder = write(tmp_path / "in", height=lambda x, y: hill(x, y) - hill(0 * x, 0 * y), unit_m=1 / 0.9996)
+    made = imported(folder, geocoded="terrain", terrain=dem)
+    assert any("which lies where the map says" in text for text in made.source["assumptions"])
+    check_places(made, POINTS, 20)
 
 
 def test_degrees_turned_maps_and_points(tmp_path: Path) -> None:

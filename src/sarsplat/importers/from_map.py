@@ -96,7 +96,6 @@ def from_map(
             _around_middle(table, one, shape, azimuth_offset_deg) for one, shape in zip(seen, shapes, strict=True)
         ]
         told.append("north is at the top of the geocoded pictures, and their middles are one place")
-    told.append(_told_of_ground(ground))
     if any(one.values.image.dtype.kind == "c" for one in seen):
         told.append("of complex pictures the power is taken, for geocoding leaves no phase that is of use")
     pictures = [
@@ -112,6 +111,10 @@ def from_map(
         )
         for one, affine in zip(seen, affines, strict=True)
     ]
+    around = False
+    if place is not None and isinstance(ground, Terrain) and ground.place is not None:
+        ground, around = ground.around(place, 2 * max(picture.half_m for picture in pictures)).centred(), True
+    told.append(_told_of_ground(ground, around))
     return resampled(pictures, ground), place
 
 
@@ -142,11 +145,13 @@ def _told_of_map(system: Georeference) -> str:
     )
 
 
-def _told_of_ground(ground: float | Terrain) -> str:
+def _told_of_ground(ground: float | Terrain, around: bool) -> str:
+    """What was taken for the producer's ground; `around`: terrain is where the map says."""
     if isinstance(ground, Terrain):
+        middle = "which lies where the map says" if around else "whose middle is the scene's origin"
         return (
-            "their producer projected them from the terrain, whose middle is the scene's origin, and so they are "
-            "brought back to azimuth and slant range"
+            f"their producer projected them from the terrain, {middle}, and so they are brought back to azimuth and "
+            "slant range"
         )
     level = "level ground" if not ground else f"a level plane {ground:g} m above the ground"
     return f"their producer projected them from {level}, and so they are brought back to azimuth and slant range"
