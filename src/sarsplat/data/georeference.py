@@ -18,6 +18,9 @@ _PROJECTED, _GEOGRAPHIC, _POINT, _DEFINED_ELSEWHERE, _METRE = 1, 2, 2, 32767, 90
 _METRES = {_METRE: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Of EPSG's units of length: metre, foot, US survey foot."""
 
+_SMALLEST, _FARTHEST, _FLATTEST = 1e-12, 1e12, 1e-3
+"""In a map's units; the last is a sine."""
+
 MapKind = Literal["projected", "geographic"]
 
 
@@ -78,7 +81,7 @@ def georeference_of(tags: Mapping[int, Any], name: str) -> Georeference | None:
         ) from error
     if affine is None:
         return None
-    if not np.isfinite(affine).all() or not abs(np.linalg.det(affine[:, :2])) > 0:
+    if not _sizes_pixels(affine):
         raise SarsplatError(f"{name} has GeoTIFF tags by which its pixels have no size; write them again")
     kinds: dict[int | None, MapKind] = {_PROJECTED: "projected", _GEOGRAPHIC: "geographic"}
     kind = kinds.get(keys.get(_MODEL))
@@ -87,6 +90,15 @@ def georeference_of(tags: Mapping[int, Any], name: str) -> Georeference | None:
     if keys.get(_RASTER) != _POINT:  # places are those of corners
         affine[:, 2] += affine[:, :2] @ (0.5, 0.5)
     return Georeference(affine, kind, number, _METRES.get(keys.get(_LENGTH, _METRE)))
+
+
+def _sizes_pixels(affine: Float64[np.ndarray, "2 3"]) -> bool:
+    """Whether pixels have a size that numbers can be made of, and columns do not run as rows do."""
+    if not np.isfinite(affine).all() or not np.abs(affine).max() < _FARTHEST:
+        return False
+    (a, b, _), (d, e, _) = affine
+    pitches = math.hypot(a, d), math.hypot(b, e)
+    return min(pitches) > _SMALLEST and abs(a * e - b * d) > _FLATTEST * pitches[0] * pitches[1]
 
 
 def _affine(tags: Mapping[int, Any]) -> Float64[np.ndarray, "2 3"] | None:
