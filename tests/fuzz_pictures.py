@@ -22,6 +22,15 @@ from sarsplat.importers import import_folder, import_sample
 _POWER = np.random.default_rng(3).gamma(1.0, size=(10, 12)).astype(np.float32) + 0.1
 _SIGNAL = (np.sqrt(_POWER) * np.exp(1j * np.arange(12))).astype(np.complex64)
 
+_TAGS = [
+    (33550, "d", 3, (0.1, 0.3, 0.0), True),
+    (33922, "d", 6, (0.0, 0.0, 0.0, 5e5, 5e6, 0.0), True),
+    (34735, "H", 8, (1, 1, 0, 1, 1025, 0, 1, 1), True),
+    (42112, "s", 0, '<GDALMetadata><Item name="SCALE" sample="0" role="scale">0.5</Item></GDALMetadata>', True),
+    (42113, "s", 0, "0", True),
+]
+"""Where pixels lie, what they are multiplied by and which were not measured."""
+
 # ---- tables ----
 
 
@@ -75,6 +84,8 @@ def pictures() -> list[bytes]:
         (np.stack([_POWER, _POWER]), {"photometric": "minisblack", "planarconfig": "separate"}),
         (_POWER.astype(np.float64), {"tile": (16, 16)}),
         (zeros, {"compression": "zlib"}),
+        (_SIGNAL, {"photometric": "minisblack"}),
+        (eight, {"photometric": "miniswhite", "extratags": _TAGS}),
     ):
         buffer = io.BytesIO()
         tifffile.imwrite(buffer, pixels, **{"metadata": None, **options})

@@ -29,6 +29,12 @@ Transmit = Literal["each", "one"]
 CrossPolarised = Literal["mean", "both"]
 """Whether HV and VH of one antenna become one channel, or stay two."""
 
+Backscatter = Literal["beta0", "sigma0", "gamma0"]
+"""What the power of an image is per unit of: of slant plane, ground, or ground seen from the radar."""
+
+Projection = Literal["level", "terrain"]
+"""What the producer of geocoded pictures took for the ground."""
+
 RadarSide = Literal["right", "left"]
 """Sides of its flight to which a radar looks."""
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
 from made_imports import AZIMUTHS, PHASE, POWER, import_pictures, write_pictures
@@ -374,3 +375,36 @@ def test_what_the_ray_caster_shows_of_two_ways_comes_back_through_a_table(tmp_pa
     assert [view.unusual for view in made.views] == [", bistatic by 35.8°"] * 4
     again = np.stack([simulate_raycast(box, view, made.grid, **law) for view in made.views])
     np.testing.assert_allclose(made.power, again, atol=1e-4 * power.max())
+
+
+def scaled_pictures(folder: Path, scale: tuple[float, float]) -> Path:
+    """TIFFs that say how far their pixels are apart, and nothing of a map."""
+    write_pictures(folder, POWER, [[f"{k}.tif", azimuth, 30] for k, azimuth in enumerate(AZIMUTHS)], ending="tif")
+    for k, power in enumerate(POWER):
+        tags = [(33550, "d", 3, (*scale, 0.0), True), (33922, "d", 6, (0.0,) * 6, True)]
+        tifffile.imwrite(folder / f"{k}.tif", power, metadata=None, extratags=tags)
+    return folder
+
+
+def test_the_spacing_of_tags(tmp_path):
+    """Columns and rows, whichever of them is range; what is given and contradicts it is refused."""
+    folder = scaled_pictures(tmp_path / "in", (0.1, 0.3))
+    assert import_pictures(folder, spacing_m=None).grid.spacing_m == (0.1, 0.3)
+    assert import_pictures(folder, spacing_m=None, near="left").grid.spacing_m == (0.3, 0.1)
+    assert import_pictures(folder, spacing_m=(0.1, 0.3)).grid.spacing_m == (0.1, 0.3)
+    with pytest.raises(SarsplatError, match=r"are 0\.1 m × 0\.3 m \(azimuth × range\), but 0\.2 × 0\.3 is given"):
+        import_pictures(folder, spacing_m=(0.2, 0.3))
+
+
+def test_pixels_without_data_are_said(tmp_path):
+    folder = write_pictures(tmp_path / "in", POWER, ending="tif")
+    holes = POWER.copy()
+    holes[:, :2] = -9999
+    for k, power in enumerate(holes):
+        tifffile.imwrite(folder / f"{k}.tif", power, metadata=None, extratags=[(42113, "s", 0, "-9999", True)])
+    rows = (folder / "angles.csv").read_text().replace(".npy", ".tif")
+    (folder / "angles.csv").write_text(rows)
+    with pytest.warns(SarsplatWarning) as told:
+        made = import_pictures(folder)
+    assert any("208 pixels hold what their files call no data" in str(one.message) for one in told)
+    np.testing.assert_array_equal(made.power[:, 2:], POWER[:, 2:])

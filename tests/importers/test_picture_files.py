@@ -15,7 +15,9 @@ from PIL import Image
 
 from fuzz import watched
 from sarsplat.errors import SarsplatError
-from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
+from sarsplat.importers.bands import meaning_of
+from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_picture, read_pixels
+from sarsplat.importers.values import read_values
 
 EIGHT = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
 SIXTEEN = EIGHT.astype(np.uint16) * 250
@@ -89,6 +91,105 @@ def test_two_bands_are_real_and_imaginary_part(tmp_path, axis):
         pixels = read_pixels(written(tmp_path, name, bands, **options))
         assert likely_quantity(pixels, "it") == "complex"
         np.testing.assert_allclose(power_or_signal(pixels, "complex", "it"), COMPLEX, rtol=1e-6)
+
+
+def tagged(folder: Path, pixels: np.ndarray, *tags: tuple, **options) -> Path:
+    return written(folder, "a.tif", pixels, metadata=None, extratags=tags, **options)
+
+
+@pytest.mark.parametrize(("bits", "order"), [(32, "<"), (32, ">"), (64, "<")])
+def test_complex_whole_numbers(tmp_path, bits, order):
+    """Two integers each, as GDAL's CInt16 and CInt32, are half as long as what they become; guards count these."""
+    signal = np.round(COMPLEX * 3000)
+    body = np.stack([signal.real, signal.imag], axis=-1).astype(f"{order}i{bits // 16}").tobytes()
+    path = tmp_path / "a.tif"
+    fields = [(256, 4, 4), (257, 4, 3), (258, 3, bits), (259, 3, 1), (262, 3, 1), (273, 4, 8), (277, 3, 1)]
+    fields += [(278, 4, 3), (279, 4, len(body)), (339, 3, 5)]
+    entries = b"".join(
+        struct.pack(order + ("HHIHxx" if kind == 3 else "HHII"), code, kind, 1, value) for code, kind, value in fields
+    )
+    head = struct.pack(order + "2sHI", b"II" if order == "<" else b"MM", 42, 8 + len(body))
+    path.write_bytes(head + body + struct.pack(order + "H", len(fields)) + entries + bytes(4))
+    np.testing.assert_array_equal(read_pixels(path), signal)
+    rows, more = (struct.pack(order + "HHII", 257, 4, 1, count) for count in (3, 99))
+    path.write_bytes(path.read_bytes().replace(rows, more))
+    with pytest.raises(SarsplatError, match="claims to hold"):
+        read_pixels(path)
+
+
+def test_white_is_zero(tmp_path):
+    for pixels, white in ((EIGHT, 255), (SIXTEEN, 65535)):
+        path = tagged(tmp_path, (white - pixels.astype(int)).astype(pixels.dtype), photometric="miniswhite")
+        np.testing.assert_array_equal(read_pixels(path), pixels)
+        assert any("zero is white" in text for text in read_values(path, None, 1.0, 0.0).assumptions)
+    with pytest.raises(SarsplatError, match=r"zero is white .*, which float32 numbers are not measured by"):
+        read_pixels(tagged(tmp_path, REAL, photometric="miniswhite"))
+
+
+def test_pixels_without_data_are_zero_and_known(tmp_path):
+    holes = REAL.copy()
+    holes[1, 2] = -9999
+    for hole, text in ((-9999, "-9999"), (np.nan, "nan"), (-3.4028234663852886e38, "-3.4028234663852886e+38")):
+        holes[1, 2] = hole
+        for quantity in ("power", "amplitude", "db"):
+            values = read_values(tagged(tmp_path, holes, (42113, "s", 0, text, True)), quantity, 1.0, 0.0)
+            assert np.argwhere(values.unknown).tolist() == [[1, 2]]
+            assert values.image[1, 2] == 0
+            expected = power_or_signal(REAL, quantity, "it")
+            np.testing.assert_array_equal(values.image[~values.unknown], expected[~values.unknown])
+    with pytest.raises(SarsplatError, match="holds nothing but"):
+        read_values(tagged(tmp_path, REAL * 0, (42113, "s", 0, "0", True)), "power", 1.0, 0.0)
+    with pytest.raises(SarsplatError, match="names the value of pixels without data as 'none'"):
+        read_picture(tagged(tmp_path, REAL, (42113, "s", 0, "none", True)))
+
+
+def test_scale_and_offset_of_the_file(tmp_path):
+    """Those of the user come first."""
+    text = '<GDALMetadata><Item name="OFFSET" sample="0" role="offset">-60</Item>'
+    text += '<Item name="SCALE" sample="0" role="scale">0.25</Item></GDALMetadata>'
+    path = tagged(tmp_path, EIGHT, (42112, "s", 0, text, True))
+    values = read_values(path, "db", 1.0, 0.0)
+    np.testing.assert_allclose(values.image, 10 ** ((EIGHT * 0.25 - 60) / 10), rtol=1e-5)
+    assert values.assumptions == ("pixels are multiplied by 0.25, and -60 is added, as tags of the files say",)
+    np.testing.assert_allclose(read_values(path, "db", 0.1, 0.0).image, 10 ** (EIGHT * 0.1 / 10), rtol=1e-5)
+    with pytest.raises(SarsplatError, match="names 'x' as the scale"):
+        read_picture(tagged(tmp_path, EIGHT, (42112, "s", 0, text.replace("0.25", "x"), True)))
+
+
+@pytest.mark.parametrize(
+    ("pixels", "options", "words"),
+    [
+        (
+            EIGHT,
+            {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)},
+            "numbers of colours in a palette",
+        ),
+        (EIGHT, {"extratags": [(274, "H", 1, 6, True)]}, r"to be turned or mirrored .* \(orientation 6\)"),
+        (EIGHT, {"extratags": [(33550, "d", 3, (0.0, 0.3, 0.0), True)]}, "by which its pixels have no size"),
+        (EIGHT, {"extratags": [(33550, "d", 1, 0.3, True)]}, "GeoTIFF tags that cannot be read"),
+    ],
+)
+def test_tags_that_change_the_meaning(tmp_path, pixels, options, words):
+    with pytest.raises(SarsplatError, match=words):
+        read_pixels(written(tmp_path, "a.tif", pixels, metadata=None, **options))
+
+
+@pytest.mark.parametrize("axis", [0, -1])
+def test_what_two_bands_are(axis):
+    phase = np.linspace(-np.pi, np.pi, REAL.size).reshape(REAL.shape)
+    turned = REAL * np.exp(1j * phase)
+    for bands, meaning in (
+        ((turned.real, turned.imag), "real and imaginary part"),
+        ((REAL, phase), "amplitude and phase in radians"),
+        ((REAL, np.degrees(phase)), "amplitude and phase in degrees"),
+    ):
+        pixels = np.stack(bands, axis=axis).astype(np.float32)
+        assert meaning_of(pixels, "it") == meaning
+        np.testing.assert_allclose(power_or_signal(pixels, "complex", "it"), turned, atol=1e-4)
+    for bands in ((REAL, REAL), (REAL, phase / 4), (phase, REAL), (REAL, 3 * phase)):
+        with pytest.raises(SarsplatError, match=r"it has two bands, of which .* negative"):
+            power_or_signal(np.stack(bands, axis=axis).astype(np.float32), "complex", "it")
+    assert meaning_of(REAL, "it") is None
 
 
 def test_quantities_are_one_power():

@@ -507,7 +507,7 @@ PIXELS: Refusals = [
     (quantity(np.where(REAL[1, 2] == REAL, np.nan, REAL), "amplitude"), r"holds nan at \(1, 2\)"),
     (quantity(REAL * 1e4, "db"), "holds .* as db"),
     (quantity(COMPLEX.astype(complex) * 1e300, "complex"), "as complex"),
-    (quantity(np.full((3, 4, 2), 1e300), "complex"), "as complex"),
+    (quantity(np.full((3, 4, 2), -1e300), "complex"), "as complex"),
     (quantity(REAL, "power", scale=math.nan), r"at \(0, 0\), times nan plus 0, as power"),
     *(
         (quantity(REAL * 0 - 18.5, name), r"holds -18\.5 at \(0, 0\) as .*; if .* decibels, give --quantity db")

@@ -68,6 +68,7 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     """Pictures and a table, which may lack columns or not be readable."""
     from sarsplat.data.csv_table import read_table
     from sarsplat.importers.table import WAYS, chosen_columns
+    from sarsplat.importers.tiffs import first_georeference
 
     facts = {"pictures": str(pictures)}
     try:
@@ -81,6 +82,8 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
         facts["columns"] = ", ".join(f"{meaning} = {name}" for meaning, name in columns.items())
     angles = WAYS if any(way in columns for way in WAYS) else ("azimuth",)
     lacking = [meaning for meaning in ("file", *angles) if meaning not in columns]
+    if "heading" in columns and "azimuth" in lacking:
+        lacking.remove("azimuth")
     if lacking:
         facts["missing"] = f"which column is the {' and which the '.join(lacking)}; it has {', '.join(table.columns)}"
     classes = dict.fromkeys(row[columns["class"]] for _, row in table.rows) if "class" in columns else {}
@@ -90,12 +93,21 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     stacks = bool(columns.keys() & {"baseline", "polarisation"}) and len(set(views)) < len(views)
     if stacks:
         facts["stacks"] = f"{counted(len(set(views)), 'view')} of several channels"
-    command = _command(contents.path, columns, lacking, next(iter(classes)) if len(classes) > 1 else None, stacks)
+    lies = first_georeference(contents.files)
+    if lies is not None:
+        at = f"on a map, {lies.system}: geocoded" if lies.on_map else "in no map's system"
+        facts["GeoTIFF"] = f"{at}, pixels of {lies.pitch[0]:.5g} × {lies.pitch[1]:.5g} (columns × rows)"
+    more = [] if lies is None else ["--geocoded", "GROUND", "--resolution", "METRES"] * lies.on_map
+    target_class = next(iter(classes)) if len(classes) > 1 else None
+    command = _command(contents.path, columns, lacking, target_class, stacks, more if lies is not None else None)
     certainty = 1.0 if not lacking else 0.2 if columns else _LEAST_CERTAIN
     return Recognised(f"pictures with a table{'' if lacking else ' of their angles'}", facts, command, certainty)
 
 
-def _command(folder: Path, columns: Columns, lacking: list[str], target_class: str | None, stacks: bool) -> str:
+def _command(
+    folder: Path, columns: Columns, lacking: list[str], target_class: str | None, stacks: bool, of_map: list[str] | None
+) -> str:
+    """What to type; `of_map` is what GeoTIFFs need, None if there are none, and then a spacing is needed."""
     words = ["folder", str(folder)]
     if target_class is not None:
         words += ["--class", target_class]
@@ -103,11 +115,13 @@ def _command(folder: Path, columns: Columns, lacking: list[str], target_class: s
         words += ["--columns", ",".join(f"{meaning}=NAME" for meaning in lacking)]
     if not columns.keys() & {"grazing", "incidence", "transmit-grazing"}:
         words += ["--grazing", "DEGREES"]
-    if not any("spacing" in meaning for meaning in columns):
+    if of_map is None and not any("spacing" in meaning for meaning in columns):
         words += ["--spacing", "METRES"]
+    if "heading" in columns and "look" not in columns:
+        words += ["--look", "SIDE"]
     if stacks:
         words += ["--wavelength", "METRES"]
-    return typed_import(*words, out=dataset_name(folder))
+    return typed_import(*words, *(of_map or []), out=dataset_name(folder))
 
 
 def _without_table(contents: Contents, pictures: int, endings: tuple[str, ...], tables: list[Path]) -> Recognised:

@@ -18,7 +18,7 @@ _PROJECTED, _GEOGRAPHIC, _POINT, _DEFINED_ELSEWHERE, _METRE = 1, 2, 2, 32767, 90
 _METRES = {_METRE: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Of EPSG's units of length: metre, foot, US survey foot."""
 
-_SMALLEST, _FARTHEST, _FLATTEST = 1e-12, 1e12, 1e-3
+_SMALLEST, _LARGEST, _FLATTEST = 1e-12, 1e12, 1e-3
 """In a map's units; the last is a sine."""
 
 MapKind = Literal["projected", "geographic"]
@@ -94,7 +94,7 @@ def georeference_of(tags: Mapping[int, Any], name: str) -> Georeference | None:
 
 def _sizes_pixels(affine: Float64[np.ndarray, "2 3"]) -> bool:
     """Whether pixels have a size that numbers can be made of, and columns do not run as rows do."""
-    if not np.isfinite(affine).all() or not np.abs(affine).max() < _FARTHEST:
+    if not np.isfinite(affine).all() or not np.abs(affine[:, :2]).max() < _LARGEST:
         return False
     (a, b, _), (d, e, _) = affine
     pitches = math.hypot(a, d), math.hypot(b, e)

@@ -13,6 +13,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.image import power_of
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.errors import counted
+from sarsplat.examination.on_map import OnMap, on_map
 from sarsplat.examination.orientation import Orientation, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
@@ -30,6 +31,16 @@ _EMPTY = 1e-6
 
 _FALL: dict[Side, str] = {"top": "downwards", "right": "to the left", "bottom": "upwards", "left": "to the right"}
 """Side that is near → where shadows fall."""
+
+_WAS_MAP = "cannot be determined from neighbours: resampled from a map, they match by whatever angles are given"
+
+_BEARINGS: dict[Side, str] = {
+    "top": "check the table's azimuths",
+    "right": "name the column of azimuths a heading (--columns heading=NAME --look left), or add 90° to them",
+    "bottom": "add 180° to the table's azimuths, which must be bearings of the radar, not of its look",
+    "left": "name the column of azimuths a heading (--columns heading=NAME --look right), or take 90° from them",
+}
+"""Side that is near → what mends azimuths of geocoded pictures."""
 
 TWINS = (
     "Images with --mirrored and azimuths in the other sense would match as well, as those of a mirrored target: "
@@ -58,11 +69,11 @@ def examine(dataset: Dataset) -> Examination:
     Returns
     -------
     Examination
-        Contradictions: angles that look like radians; images that are constant or the same; near range that is not row
-        0; azimuths that only count the images; azimuths in the opposite sense, or mirrored images; grazing angles that
-        are incidence angles; ground in images that are said to show none; values that are not power; speckle of another
-        number of looks; a resolution that the images do not have. The zero of the azimuth cannot be determined from
-        images.
+        Contradictions: angles that look like radians; images that are constant or the same; images that lie on a map;
+        near range that is not row 0; azimuths that only count the images; azimuths in the opposite sense, or mirrored
+        images; grazing angles that are incidence angles; ground in images that are said to show none; values that are
+        not power; speckle of another number of looks; a resolution that the images do not have. The zero of the azimuth
+        cannot be determined from images.
     """
     examined = Examination()
     angles = suspicious_angles(dataset.select("train").views)
@@ -120,12 +131,19 @@ def _upright(
         examined.contradictions.append(_counts(counts, seen))
         examined.checks["azimuths"] = "see below"
         return dataset  # of wrong azimuths nothing else follows
+    if not seen.by_shadow:
+        mapped = on_map(dataset.power, dataset.views, dataset.grid, seen, ground=ground)
+        if mapped.certain:
+            examined.contradictions.append(_on_map(mapped))
+            examined.checks["geometry"] = "see below"
+            return dataset  # neither side is near range
     near = seen.near or "top"
     examined.checks["near range"] = _near_range(seen)
-    examined.checks["azimuths"] = _azimuths(seen)
-    examined.checks["grazing angles"] = _grazing(seen)
+    geocoded = bool(dataset.source.get("geocoded"))
+    examined.checks["azimuths"] = _WAS_MAP if geocoded else _azimuths(seen)
+    examined.checks["grazing angles"] = _WAS_MAP if geocoded else _grazing(seen)
     if near != "top" or seen.opposite:
-        examined.contradictions.append(_orientation(dataset, seen, near, layout))
+        examined.contradictions.append(_orientation(dataset, seen, near, layout, geocoded))
     if seen.incidence:
         examined.contradictions.append(_incidence(dataset, seen))
     examined.orientations.extend(_table(seen, layout or Layout()))
@@ -162,7 +180,14 @@ def _edges(power: np.ndarray) -> np.ndarray:
     return np.concatenate([power[:, [0, -1]].ravel(), power[:, :, [0, -1]].ravel()])
 
 
-def _orientation(dataset: Dataset, seen: Orientation, near: Side, layout: Layout | None) -> str:
+def _on_map(mapped: OnMap) -> str:
+    return (
+        f"the images seem to be geocoded, for {mapped}; import them with --geocoded level, or --geocoded terrain with "
+        "--terrain FILE, by what their producer took for the ground"
+    )
+
+
+def _orientation(dataset: Dataset, seen: Orientation, near: Side, layout: Layout | None, geocoded: bool) -> str:
     """Contradictions in orientation with their remedy, a half turn rather than a mirror where both would do."""
     opposite = seen.opposite is True
     wrong = []
@@ -176,7 +201,8 @@ def _orientation(dataset: Dataset, seen: Orientation, near: Side, layout: Layout
         wrong.append(f"images of neighbouring azimuths match better if azimuths run the other way ({higher})")
     unsure = "" if seen.near else " (which side is near cannot be determined)"
     tilted = any(view.tilt_deg for view in dataset.views)
-    return f"{', and '.join(wrong)}; {_mend(near, opposite, layout, tilted)}{unsure}"
+    remedy = _BEARINGS[near] if geocoded else _mend(near, opposite, layout, tilted)
+    return f"{', and '.join(wrong)}; {remedy}{unsure}"
 
 
 def _mend(near: Side, opposite: bool, layout: Layout | None, tilted: bool) -> str:

@@ -81,8 +81,8 @@ def match(
     """Correlate pairs of images on the ground.
 
     `bright` is decibels above the ground, or above what counts as nothing, not negative: shadows do not turn with the
-    target. `sense` is 1 if azimuths run as given, −1 if they run the other way; `within` is the radius of the ground
-    that is compared, of the largest that every image shows.
+    target. `sense` is 1 if azimuths run as given, −1 if they run the other way, 0 if nothing turns; `within` is the
+    radius of the ground that is compared, of the largest that every image shows.
     """
     half = reach(grid)
     axis = np.linspace(-half, half, _PLACES)

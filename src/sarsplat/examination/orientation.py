@@ -28,10 +28,10 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import Side
 from sarsplat.regions.outlines import Outline, levels_db, outline
 
-_LEAST_SHADOW_DB = 0.2
-_LEAST_EDGE = 0.05
+LEAST_SHADOW_DB = 0.2
+LEAST_EDGE = 0.05
 _LEAST_LAYOVER = 0.005
-_LEAST_SENSE = 0.01
+LEAST_SENSE = 0.01
 _LEAST_GRAZING = 0.01
 """Differences of decibels, skewness and correlation below these are no evidence, however many images show them."""
 
@@ -64,6 +64,8 @@ class Orientation:
     """By how much that is higher with azimuths as given."""
     grazing: Evidence
     """By how much it is higher with grazing angles as given than with 90° less them."""
+    stays: Evidence
+    """By how much neighbouring images match better without being turned by their azimuths than in either sense."""
     spread: Evidence
     """By how much it is higher, in either sense, if azimuths that only count images are spread all round; of no images
     if they do not."""
@@ -71,14 +73,14 @@ class Orientation:
     @property
     def by_shadow(self) -> bool:
         """Whether shadow alone tells which side is near."""
-        return self.shadow.side(_LEAST_SHADOW_DB) is not None
+        return self.shadow.side(LEAST_SHADOW_DB) is not None
 
     @property
     def opposite(self) -> bool | None:
         """Whether azimuths run the other way, or the images are mirrored; None if they do not tell."""
-        if self.sense.supports(_LEAST_SENSE):
+        if self.sense.supports(LEAST_SENSE):
             return False
-        return True if self.sense.against(_LEAST_SENSE) else None
+        return True if self.sense.against(LEAST_SENSE) else None
 
     @property
     def incidence(self) -> bool:
@@ -88,7 +90,7 @@ class Orientation:
     @property
     def counted(self) -> bool:
         """Whether azimuths only count images that were taken all round."""
-        return self.spread.supports(_LEAST_SENSE)
+        return self.spread.supports(LEAST_SENSE)
 
 
 def orientation(
@@ -129,6 +131,7 @@ def orientation(
         {side: (float(best[k % 2][0].mean()), float(best[k % 2][1].mean())) for k, side in enumerate(SIDES) if pairs},
         Evidence(best[axis][0] - best[axis][1]),
         Evidence(given - swapped),
+        Evidence(match(bright[0], views, grid, pairs, sense=0).best() - _highest([*best[0], *best[1]])),
         Evidence(_by_spread(frames, bright, pairs, best, spread) if spread and pairs else np.empty(0)),
     )
 
@@ -165,12 +168,12 @@ def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centr
 
     Layover alone might be targets that do not lie in the middle of their images.
     """
-    certain = shadow.side(_LEAST_SHADOW_DB) or (layover.side(_LEAST_LAYOVER) if centred else None)
+    certain = shadow.side(LEAST_SHADOW_DB) or (layover.side(_LEAST_LAYOVER) if centred else None)
     if certain is not None:
         return certain
     significance = math.sqrt(CHANCE)  # of each of the two
     by_layover = layover.side(_LEAST_LAYOVER, significance)
-    agree = by_layover == edge.side(_LEAST_EDGE, significance) and (not shadow.count or shadow.strongest == by_layover)
+    agree = by_layover == edge.side(LEAST_EDGE, significance) and (not shadow.count or shadow.strongest == by_layover)
     return by_layover if agree else None
 
 

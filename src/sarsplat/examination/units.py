@@ -83,7 +83,8 @@ def examine_units(dataset: Dataset, examined: Examination) -> None:
     else:
         examined.checks["unit"] = "cannot be determined: there is no ground whose speckle could be measured"
     if smooth.any() and "resolution" not in examined.checks:
-        widths = sharpest_widths_m(dataset.power[smooth], dataset.grid)
+        resampled = bool(dataset.source.get("geocoded"))  # from a map: splines may be sharper than any response
+        widths = None if resampled else sharpest_widths_m(dataset.power[smooth], dataset.grid)
         _resolution(dataset, widths or (None, None), "structure", examined)
     if "resolution" not in examined.checks:
         _resolution(dataset, (None, None), "speckle", examined)

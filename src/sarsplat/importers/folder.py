@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Unpack
 
+import numpy as np
+from jaxtyping import Shaped
+
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.header import Calibration
 from sarsplat.data.orientation import Layout, oriented
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import View
-from sarsplat.importers.images import AboutImages, MeasuredImage, dataset_of, view_of, write_imported
+from sarsplat.importers.from_map import EAST_DEG, Seen, from_map, producers_ground
+from sarsplat.importers.images import AboutImages, MeasuredImage, assume, dataset_of, view_of, write_imported
+from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
-from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
-from sarsplat.importers.table import ListedPicture, read_picture_table
-from sarsplat.names import Quantity, Side, Transmit
+from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
+from sarsplat.importers.tiffs import first_georeference
+from sarsplat.importers.values import read_values
+from sarsplat.names import Backscatter, Projection, Quantity, RadarSide, Side, Transmit
+from sarsplat.radiometry import beta0_of_gamma0, beta0_of_sigma0
 
 Pair = tuple[float, float]
 
@@ -42,12 +50,16 @@ def import_folder(
     grazing_deg: float | None = None,
     near: Side = "top",
     mirrored: bool = False,
-    azimuth_offset_deg: float = 0.0,
+    azimuth_offset_deg: float | None = None,
     counter_clockwise: bool = False,
     azimuth_std_deg: float = 0.0,
     train_views: int | None = None,
     target: str | None = None,
     calibration: Calibration = "relative",
+    backscatter: Backscatter = "beta0",
+    look: RadarSide | None = None,
+    geocoded: Projection | None = None,
+    geocoded_height_m: float = 0.0,
     wavelength_m: float | None = None,
     transmit: Transmit = "each",
     noise: float | None = None,
@@ -67,7 +79,8 @@ def import_folder(
     table : Path, optional
         Table (CSV) with a row for each picture, of stacks for each channel; without it, the only one in the folder.
     columns : mapping of str to str, optional
-        What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth, grazing or incidence,
+        What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth or heading (of the
+        flight, degrees clockwise from north), grazing or incidence,
         spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
         tilt, scale and offset, of bistatic images transmit-azimuth, transmit-grazing, receive-azimuth and
         receive-grazing, and of stacks view, baseline and polarisation. Usual names are recognised without it.
@@ -81,7 +94,8 @@ def import_folder(
     offset : float
         Added to the pixels after that.
     spacing_m : (float, float), optional
-        Pixel spacing in the slant plane (azimuth, range), m.
+        Pixel spacing in the slant plane (azimuth, range), m; of GeoTIFFs it is that of their tags unless given. Of
+        geocoded pictures, that of columns and rows on the map.
     resolution_m : (float, float), optional
         3 dB width (azimuth, range), m; without it, the pixel spacing.
     ground_range : bool
@@ -94,7 +108,8 @@ def import_folder(
         The pictures, turned with the near side up, are mirror images; so are columns in the order of time of a radar
         that looks to the left, which a column look says picture by picture.
     azimuth_offset_deg : float
-        What the azimuth 0 of the table is here, degrees clockwise from the target's nose.
+        What the azimuth 0 of the table is here, degrees clockwise from the target's nose: 0 unless given; of geocoded
+        pictures −90, so that x points east.
     counter_clockwise : bool
         Azimuths of the table grow counter-clockwise, seen from above.
     azimuth_std_deg : float
@@ -106,6 +121,17 @@ def import_folder(
         What is shown; without it, the pictures' class, or else the folder's name.
     calibration : {"absolute", "relative"}
         Whether the power is β⁰ itself, or only up to a factor.
+    backscatter : {"beta0", "sigma0", "gamma0"}
+        What the power is: σ⁰ and γ⁰ become β⁰ by the factor of level ground.
+    look : {"right", "left"}, optional
+        Side of its flight to which the radar looks, if no column says it: azimuths follow from it where the table has
+        headings, and to the left, columns are mirrored.
+    geocoded : {"level", "terrain"}, optional
+        The pictures lie on a map (geocoded, north up), onto which their producer projected them from level ground, or
+        from the terrain that is given. They are resampled to azimuth and slant range; azimuths of the table are then
+        compass bearings of the radar, and the origin is the middle of what all pictures show.
+    geocoded_height_m : float
+        Height of that level ground, m above the ground of the scene.
     wavelength_m : float, optional
         Of stacks, m. Rows with the same view are then its channels, coregistered and complex: passes, with b/R in
         radians in the column baseline, or polarisations, received and transmitted, in the column polarisation (see
@@ -143,43 +169,54 @@ def import_folder(
         columns or {},
         target_class=target_class,
         grazing=grazing_deg is None,
-        spacing=spacing_m is None,
+        spacing=spacing_m is None and first_georeference(sorted(folder.rglob("*"))) is None,
+        looking=look is not None,
     )
     if recording is None and lists_stacks(listed):
         raise SarsplatError(
             f"{listed.path} has several rows for one view, channels of a stack; give its wavelength with --wavelength "
             "METRES, or a name of its own to each view"
         )
+    if azimuth_offset_deg is None:
+        azimuth_offset_deg = EAST_DEG if geocoded else 0.0
     guessed = quantity
-    images = []
+    seen: list[Seen] = []
     for picture in listed.pictures:
-        pixels = read_pixels(picture.path)
-        guessed = guessed or likely_quantity(pixels, str(picture.path))
-        image = power_or_signal(
-            pixels, guessed, str(picture.path), _either(picture.scale, scale), _either(picture.offset, offset)
-        )
+        picture = replace(picture, looks_left=look == "left") if look and picture.looks_left is None else picture
+        values = read_values(picture.path, guessed, _either(picture.scale, scale), _either(picture.offset, offset))
+        guessed = values.quantity
         left = mirrored if picture.looks_left is None else picture.looks_left
-        view = _view(listed.path, picture, (azimuth_offset_deg, counter_clockwise), grazing_deg, left)
-        slant = view.look.slant_range(1.0) if ground_range else 1.0
-        spacing = _lengths(listed.path, picture, "spacing", spacing_m, slant)
-        stated = resolution_m is not None or any(picture.resolution_m)
-        resolution = _lengths(listed.path, picture, "resolution", resolution_m, slant) if stated else spacing
-        images.append(
-            MeasuredImage(
-                picture.name,
-                oriented(image, near, mirrored != bool(picture.looks_left)),
-                view,
-                spacing,
-                resolution,
-                azimuth_std_deg=_either(picture.azimuth_std_deg, azimuth_std_deg),
-                split=picture.split,
+        view = _view(listed, picture, (azimuth_offset_deg, counter_clockwise), grazing_deg, left)
+        if view.apart_deg and (geocoded or backscatter != "beta0"):
+            raise SarsplatError(
+                f"{listed.path}: {picture.name} has a transmitter and a receiver apart; --geocoded and --backscatter "
+                "are for images of one radar"
             )
-        )
+        values = replace(values, image=_beta0(values.image, view, backscatter))
+        seen.append(Seen(_stated(picture, spacing_m, resolution_m, azimuth_std_deg), values, view, ground_range))
+    told = list(dict.fromkeys(text for one in seen for text in one.values.assumptions))
+    if without := sum(int(one.values.unknown.sum()) for one in seen):
+        assume(told, f"{counted(without, 'pixel')} hold what their files call no data, and are taken for zero")
+    if geocoded:
+        _refuse_layout(near, mirrored, recording)
+        ground = producers_ground(geocoded, geocoded_height_m, about.get("terrain"))
+        images, place = from_map(listed.path, seen, ground, azimuth_offset_deg, told)
+    else:
+        place = None
+        if geocoded_height_m:
+            raise SarsplatError(
+                "--geocoded-height is for geocoded pictures; give --geocoded level too, or leave it out"
+            )
+        images = [_in_range(listed.path, one, near, mirrored) for one in seen]
+        told.append(f"the radar is at the {near} of the pictures, which are {'' if mirrored else 'not '}mirrored")
     if recording is not None:
         images = stacks_of(listed, images, recording)
     apart = any(image.view.apart_deg for image in images)
-    looks = {bool(picture.looks_left) for picture in listed.pictures}
-    layout = {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))} if len(looks) == 1 else {}
+    looks = {bool(one.picture.looks_left) for one in seen}
+    layout: dict[str, Any] = {"geocoded": geocoded} if geocoded else {}
+    if len(looks) == 1 and not geocoded:
+        layout = {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))}
+    headings = "heading" in listed.columns and "azimuth" not in listed.columns
     resolution_known = resolution_m is not None or any("resolution" in meaning for meaning in listed.columns)
     source: dict[str, Any] = {
         "kind": "folder",
@@ -193,10 +230,12 @@ def import_folder(
         "assumptions": [
             "columns of the table: " + ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items()),
             *([f"the numbers are {guessed}"] if quantity is None else []),
-            f"the radar is at the {near} of the pictures, which are {'' if mirrored else 'not '}mirrored",
+            *told,
+            *(["azimuths are 90° to the left of headings, or to the right where the radar looks left"] * headings),
             f"azimuths are directions to the radar, {'counter-' if counter_clockwise else ''}clockwise; 0 is "
             f"{azimuth_offset_deg:g}° from the target's nose",
             *(["slant ranges are half of the way from the transmitter to the receiver"] if apart else []),
+            *([f"the power is {backscatter}, and became β⁰ as on level ground"] * (backscatter != "beta0")),
             *([] if resolution_known else ["the resolution is the pixel spacing"]),
             *([] if recording is None else _said_of_phases(recording)),
         ],
@@ -207,6 +246,7 @@ def import_folder(
         source=source,
         train_views=train_views,
         calibration=calibration,
+        place=place,
         **about,
     )
     return write_imported(out, dataset, overwrite=overwrite)
@@ -237,14 +277,92 @@ def _either(own: float | None, common: float) -> float:
     return common if own is None else own
 
 
+def _refuse_layout(near: Side, mirrored: bool, recording: Recording | None) -> None:
+    """Refuse what is said of pictures in range and azimuth if they are geocoded."""
+    given = {"near": near != "top", "mirrored": mirrored, "wavelength": recording is not None}
+    if named := [name for name, value in given.items() if value]:
+        raise SarsplatError(f"--{named[0]} is for pictures in range and azimuth; leave it out, or --geocoded")
+
+
+def _stated(
+    picture: ListedPicture, spacing_m: Pair | None, resolution_m: Pair | None, azimuth_std_deg: float
+) -> ListedPicture:
+    """The picture with what is said of all where its row says nothing."""
+
+    def filled(own: tuple[float | None, float | None], common: Pair | None) -> tuple[float | None, float | None]:
+        azimuth, slant = (b if a is None else a for a, b in zip(own, common or (None, None), strict=True))
+        return azimuth, slant
+
+    return replace(
+        picture,
+        spacing_m=filled(picture.spacing_m, spacing_m),
+        resolution_m=filled(picture.resolution_m, resolution_m),
+        azimuth_std_deg=_either(picture.azimuth_std_deg, azimuth_std_deg),
+    )
+
+
+def _azimuth(listed: PictureTable, picture: ListedPicture, counter_clockwise: bool) -> float:
+    """The direction to the radar, degrees clockwise, as the table counts: of a flight's heading, to its side."""
+    if picture.azimuth_deg is not None:
+        return -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
+    column = shown(listed.columns["heading"])
+    if picture.looks_left is None:
+        raise SarsplatError(
+            f"{listed.path} has no azimuths but headings of the flight ({column}), and does not say to which side "
+            f"{picture.name} looks; give it with --look or a column look (right or left), or name a column of azimuths "
+            "with --columns azimuth=NAME"
+        )
+    if counter_clockwise:
+        raise SarsplatError(
+            f"{listed.path} has headings ({column}), which run clockwise; leave out --counter-clockwise, or name a "
+            "column of azimuths with --columns azimuth=NAME"
+        )
+    assert picture.heading_deg is not None  # a column of either is there
+    return picture.heading_deg + (90 if picture.looks_left else -90)
+
+
+def _beta0(
+    image: Shaped[np.ndarray, "rows columns"], view: View, backscatter: Backscatter
+) -> Shaped[np.ndarray, "rows columns"]:
+    """Power, or complex amplitude, as that of β⁰."""
+    if backscatter == "beta0":
+        return image
+    factor = {"sigma0": beta0_of_sigma0, "gamma0": beta0_of_gamma0}[backscatter](1.0, view.grazing_deg)
+    made: Shaped[np.ndarray, "rows columns"] = image * image.real.dtype.type(
+        math.sqrt(factor) if image.dtype.kind == "c" else factor
+    )
+    return made
+
+
+def _in_range(table: Path, one: Seen, near: Side, mirrored: bool) -> MeasuredImage:
+    """A picture in range and azimuth."""
+    picture, georeference = one.picture, one.values.tags.georeference
+    stated = picture.spacing_m
+    if georeference is not None:
+        if georeference.on_map:
+            refuse_map(str(picture.path), georeference)
+        stated = spacing_beside(str(picture.path), georeference, near, stated)
+    spacing = lengths(table, picture, "spacing", stated, one.slant)
+    resolution = lengths(table, picture, "resolution", picture.resolution_m, one.slant) if one.resolved else spacing
+    return MeasuredImage(
+        picture.name,
+        oriented(one.values.image, near, mirrored != bool(picture.looks_left)),
+        one.view,
+        spacing,
+        resolution,
+        azimuth_std_deg=picture.azimuth_std_deg or 0.0,
+        split=picture.split,
+    )
+
+
 def _view(
-    table: Path, picture: ListedPicture, azimuths: tuple[float, bool], grazing_deg: float | None, left: bool
+    listed: PictureTable, picture: ListedPicture, azimuths: tuple[float, bool], grazing_deg: float | None, left: bool
 ) -> View:
     """The view of a picture, which is mirrored if the radar looks to the left: then it is one that looks right.
 
     `azimuths` are the offset of the table's azimuths, degrees, and whether they run counter-clockwise.
     """
-    name, (offset, counter_clockwise) = f"{table}: {picture.name}", azimuths
+    name, (offset, counter_clockwise) = f"{listed.path}: {picture.name}", azimuths
 
     def clockwise(azimuth_deg: float) -> float:
         return offset + (-azimuth_deg if counter_clockwise else azimuth_deg)
@@ -256,11 +374,10 @@ def _view(
     grazing = grazing_deg if picture.grazing_deg is None else picture.grazing_deg
     if grazing is None:
         raise SarsplatError(
-            f"{table} does not say from what grazing angle {picture.name} is; name the column with "
+            f"{listed.path} does not say from what grazing angle {picture.name} is; name the column with "
             "--columns grazing=NAME (or incidence=NAME), or give one angle for all with --grazing"
         )
-    assert picture.azimuth_deg is not None  # the table was refused
-    return view_of(name, clockwise(picture.azimuth_deg), grazing, tilt)
+    return view_of(name, offset + _azimuth(listed, picture, counter_clockwise), grazing, tilt)
 
 
 def _of_two_ways(
@@ -296,15 +413,3 @@ def _of_two_ways(
                 f"{halfway:.5g}°; leave its cell empty, or correct one of them"
             )
     return view
-
-
-def _lengths(table: Path, picture: ListedPicture, what: str, common: Pair | None, slant: float) -> Pair:
-    """Spacing or resolution in the slant plane, m; those of the picture first."""
-    own: tuple[float | None, float | None] = getattr(picture, f"{what}_m")
-    azimuth, slant_range = (a if b is None else b for a, b in zip(common or (None, None), own, strict=True))
-    if azimuth is None or slant_range is None:
-        raise SarsplatError(
-            f"{table} does not say what the pixel {what} of {picture.name} is; give it with --{what}, or name its "
-            f"column with --columns {what}=NAME"
-        )
-    return azimuth, slant_range * slant

@@ -6,43 +6,48 @@ Pixels are those that are stored; a header is believed only if it fits.
 from __future__ import annotations
 
 import io
-import itertools
 import math
 from pathlib import Path
 
 import numpy as np
-import tifffile
 from jaxtyping import Shaped
 
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.extras import install_command
+from sarsplat.importers.bands import joined
 from sarsplat.importers.mat import read_mat
+from sarsplat.importers.tiffs import TIFF, Tags, read_tiff_of_others, refuse_bomb
 from sarsplat.names import Quantity
 from sarsplat.radiometry import from_db
 
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy", ".mat")
 """Files that `read_pixels` reads."""
 
-_FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
-"""Measured images do not compress much: what unpacks to more than this, and so many times its size, is a bomb."""
-_MOST_PAGES = 16
 _MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError)
-_TIFF = (".tif", ".tiff")
 
 
 def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
+    """The pixels alone of `read_picture`."""
+    return read_picture(path)[0]
+
+
+def read_picture(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     """The pixels of one image: [rows, columns], or with a third dimension of 2 on either side of these: two bands.
 
-    Grey pictures that are stored in colour are grey here; of a GeoTIFF, reduced copies (overviews) and where it lies on
-    the earth are not looked at. Refused if it cannot be read, is damaged or of another format, in colour, of several
+    Grey pictures that are stored in colour are grey here; of a GeoTIFF, reduced copies (overviews) are not looked at,
+    and its tags are handed back. Numbers are as they are stored,
+    but larger ones are brighter. Refused if it cannot be read, is damaged or of another format, in colour, of several
     pages or matrices, holds Python objects, or unpacks to far more than its size.
     """
     ending = path.suffix.lower()
     if ending not in PICTURE_ENDINGS:
         raise SarsplatError(f"{path} does not end in one of {', '.join(PICTURE_ENDINGS)}; save it as one of these")
-    reads = {".npy": _npy, ".mat": _mat, **dict.fromkeys(_TIFF, _tiff)}
-    pixels = reads.get(ending, _picture)(path)
+    tags = Tags()
+    if ending in TIFF:
+        pixels, tags = read_tiff_of_others(path)
+    else:
+        pixels = {".npy": _npy, ".mat": _mat}.get(ending, _picture)(path)
     if pixels.ndim == 3 and 1 in pixels.shape[::2]:
         pixels = pixels[0] if pixels.shape[0] == 1 else pixels[..., 0]
     bands = pixels.ndim == 3 and 2 in pixels.shape[::2]
@@ -51,7 +56,7 @@ def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
             f"{path} holds {pixels.dtype} of shape {shown(pixels.shape)}; give numbers in rows and columns (or two "
             "bands of them, the real and the imaginary part)"
         )
-    return pixels
+    return pixels, tags
 
 
 def _npy(path: Path) -> Shaped[np.ndarray, "*shape"]:
@@ -79,33 +84,6 @@ def _mat(path: Path) -> Shaped[np.ndarray, "*shape"]:
     return np.asarray(variables[matrices[0]])
 
 
-def _tiff(path: Path) -> Shaped[np.ndarray, "*shape"]:
-    with open_file(path) as file:
-        data = file.read()
-    try:
-        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            pages_read = [page.aspage() for page in itertools.islice(tiff.pages, _MOST_PAGES)]
-            pages = [page for page in pages_read if not page.is_reduced]
-            if len(pages) != 1:
-                what = "several pages" if pages else "no image in it"
-                raise SarsplatError(f"{path} has {what}; give one image for each file")
-            page = pages[0]
-            if {tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA} & set(page.extrasamples):
-                raise SarsplatError(
-                    f"{path} has a band for transparency, which is not read; save it again without transparency"
-                )
-            whole, part = (math.prod(shape) * np.dtype(page.dtype).itemsize for shape in (page.shape, page.chunks))
-            packed = page.compression != tifffile.COMPRESSION.NONE
-            _refuse_bomb(path, max(whole, part), len(data), packed)
-            return np.asarray(page.asarray(maxworkers=1))
-    except SarsplatError:
-        raise
-    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
-        raise SarsplatError(
-            f"{path} is not a readable TIFF ({shown(str(error))}); write it again, without compression"
-        ) from error
-
-
 def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
     try:
         from PIL import Image, UnidentifiedImageError
@@ -115,7 +93,7 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
         data = file.read()
     try:
         image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
-        _refuse_bomb(path, math.prod(image.size) * len(image.getbands()) * 2, len(data), True)
+        refuse_bomb(path, math.prod(image.size) * len(image.getbands()) * 2, len(data), True)
         if (image.mode == "L" and "transparency" not in image.info) or image.mode[0] in "IF":
             return np.asarray(image)
         coloured = np.asarray(image.convert("RGBA"))
@@ -131,14 +109,6 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
             "image, or save it without transparency if they hold measured values too"
         )
     return colours[..., 0]
-
-
-def _refuse_bomb(path: Path, unpacked: int, size: int, packed: bool) -> None:
-    if unpacked > (max(_FREE_BYTES, _BYTES_PER_BYTE * size) if packed else size):
-        raise SarsplatError(
-            f"{path} has {size} bytes but claims to hold {unpacked}; it is damaged or no measured image: write it "
-            "again, without compression"
-        )
 
 
 def likely_quantity(pixels: Shaped[np.ndarray, "*shape"], name: str) -> Quantity:
@@ -161,7 +131,7 @@ def power_or_signal(
 ) -> Shaped[np.ndarray, "rows columns"]:
     """Linear power (float32), or complex amplitude (complex64) where the phase is available.
 
-    Pixels are [rows, columns], or two bands: the real and the imaginary part, before or after the other dimensions;
+    Pixels are [rows, columns], or two bands (`bands.joined`), before or after the other dimensions;
     `quantity` is what `scale`·pixels + `offset` is, for decibels in 8 bits, for example, 60/255 and −60. Refused if
     they are of another kind than the quantity, or one is not finite, too large, or negative; `name` is what to call the
     image.
@@ -175,7 +145,7 @@ def power_or_signal(
     value: Shaped[np.ndarray, "rows columns"]
     with np.errstate(over="ignore", invalid="ignore"):
         if quantity == "complex":
-            value = _joined(pixels).astype(np.complex64) * np.float32(scale)
+            value = joined(pixels, name).astype(np.complex64) * np.float32(scale)
         else:
             value = pixels.astype(np.float32) * np.float32(scale) + np.float32(offset)
         if quantity == "db":
@@ -196,11 +166,3 @@ def power_or_signal(
         )
         raise SarsplatError(f"{name} holds {shown(pixels[place].tolist())} at {place}{scaled} as {quantity}; {remedy}")
     return value
-
-
-def _joined(pixels: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "rows columns"]:
-    """Complex numbers, if need be of two bands."""
-    if pixels.ndim == 2:
-        return pixels
-    real, imaginary = pixels if pixels.shape[0] == 2 else np.moveaxis(pixels, -1, 0)
-    return real + np.complex64(1j) * imaginary

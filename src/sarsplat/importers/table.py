@@ -19,6 +19,7 @@ from sarsplat.importers.pictures import PICTURE_ENDINGS
 MEANINGS: dict[str, tuple[str, ...]] = {
     "file": ("filename", "path", "image", "imagefile", "imagepath", "chip", "picture"),
     "azimuth": ("az", "azim", "aspect", "bearing"),
+    "heading": ("platformheading", "flightheading", "flightdirection", "track", "course"),
     "grazing": ("graz", "elevation", "elev", "el", "depression", "measureddepression"),
     "incidence": ("inc", "incident"),
     "spacing": ("pixelspacing", "pixel"),
@@ -80,7 +81,8 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
     if elevations <= set(chosen):
         raise SarsplatError("--columns names both a grazing and an incidence angle; name one of them")
     for meaning in MEANINGS:
-        otherwise_named = meaning in elevations and elevations & set(chosen)
+        others = elevations if meaning in elevations else {"azimuth"} if meaning == "heading" else set()
+        otherwise_named = bool(others & set(chosen))
         if meaning not in (*chosen, *_ONLY_IF_NAMED) and not otherwise_named:
             usual = _recognised(table, meaning, chosen)
             if usual is not None:
@@ -113,11 +115,21 @@ def _recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
     return candidates[0] if candidates else None
 
 
-def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool) -> None:
-    """Refuse a table that lacks columns, and name all of them; `grazing`, `spacing`: whether its cells are needed."""
+def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, looking: bool = False) -> None:
+    """Refuse a table that lacks columns, and name all of them; `grazing`, `spacing`: whether its cells are needed.
+
+    Headings serve as azimuths if it is known to which side the radar looks: `looking`, or by a column.
+    """
     apart = any(way in columns for way in WAYS)
     lacking = [meaning for meaning in ("file", *(WAYS if apart else ("azimuth",))) if meaning not in columns]
     also = []
+    if "heading" in columns and "azimuth" in lacking:
+        if looking or "look" in columns:
+            lacking.remove("azimuth")
+        else:
+            also.append(
+                f"the side to which the radar looks with --look, if {shown(columns['heading'])} is its flight's"
+            )
     if grazing and not apart and not columns.keys() & {"grazing", "incidence"}:
         lacking.append("grazing")
         also.append("one grazing angle for all with --grazing")
@@ -162,7 +174,9 @@ class ListedPicture:
     """As the table names it."""
     path: Path
     azimuth_deg: float | None
-    """As it stands in the table."""
+    """As it stands in the table; None if a heading or two ways stand there instead."""
+    heading_deg: float | None
+    """Of the radar's flight, as it stands in the table."""
     grazing_deg: float | None
     ways_deg: tuple[float, float, float, float] | None
     """Azimuth and grazing angle of the transmitter, then of the receiver, as they stand in the table."""
@@ -208,18 +222,20 @@ def read_picture_table(
     target_class: str | None = None,
     grazing: bool = True,
     spacing: bool = True,
+    looking: bool = False,
 ) -> PictureTable:
     """Read a table (None: the only one in the folder) and find its pictures, in subfolders or not.
 
     `named` is that of `chosen_columns`; `target_class` is the one whose pictures are wanted; `grazing` and `spacing`
-    say whether the table must have columns of these. Rows without a picture and pictures without a row are warned of.
-    Refused if the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
-    folder, several classes are in it of which none is chosen, or a cell is not what its column should hold.
+    say whether the table must have columns of these, `looking` whether it is known to which side the radar looks. Rows
+    without a picture and pictures without a row are warned of. Refused if the table is missing, damaged or lacks a
+    column, names a file twice, none that exists or one outside the folder, several classes are in it of which none is
+    chosen, or a cell is not what its column should hold.
     """
     inside = files_in(folder, "the pictures")
     table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
     columns = chosen_columns(table, named)
-    require(table, columns, grazing, spacing)
+    require(table, columns, grazing, spacing, looking)
     column = columns["file"]
     row_of: dict[Path, Row] = {}
     for row, picture in listed_files(folder, table, table.rows, column, of="picture", endings=PICTURE_ENDINGS):
@@ -283,7 +299,7 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         return (both if azimuth is None else azimuth), (both if slant is None else slant)
 
     ways = _ways(table, row, {way: number(way) for way in WAYS})
-    if ways is None and "azimuth" not in columns:
+    if ways is None and not columns.keys() & {"azimuth", "heading"}:
         raise SarsplatError(
             f"{table.path}, line {row[0]} says nothing of its angles; fill all four of {', '.join(WAYS)}"
         )
@@ -291,7 +307,10 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
     return ListedPicture(
         name=text("file"),
         path=path,
-        azimuth_deg=number("azimuth") if ways is not None else table.number(row, columns["azimuth"]),
+        azimuth_deg=number("azimuth")
+        if ways is not None or "azimuth" not in columns
+        else table.number(row, columns["azimuth"]),
+        heading_deg=table.number(row, columns["heading"]) if "heading" in columns else None,
         grazing_deg=number("grazing") if incidence is None else 90 - incidence,
         ways_deg=ways,
         spacing_m=pair("spacing"),

@@ -1,0 +1,265 @@
+"""Geocoded pictures, which lie on a map, are brought back into azimuth and slant range.
+
+Whoever geocoded them asked, for each place of the map, at which azimuth and slant range the radar sees the ground
+there, and took the value of the image at these. That is undone place by place: with the same heights of the ground,
+layover and shadow are again where the radar had them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+from scipy.ndimage import map_coordinates, minimum_filter, spline_filter
+
+from sarsplat.data.georeference import Georeference
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.extras import install_command
+from sarsplat.geometry import ImageGrid, Place, Terrain, View
+from sarsplat.importers.images import MeasuredImage
+
+_FEWEST = 8
+"""Pixels along a side of what is left."""
+
+_BENT = 0.1
+"""Share of a pixel by which a map may be bent between the middle and the corners of the pictures."""
+
+_SPLINE = 3
+
+_WGS_84 = 4326
+"""Number of longitude and latitude in EPSG's list."""
+
+Lattice = Float64[np.ndarray, "rows columns"]
+
+
+@dataclass(frozen=True)
+class MapPicture:
+    """One geocoded picture.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    power : numpy.ndarray, float32 [rows, columns]
+        Linear power.
+    unknown : numpy.ndarray, bool [rows, columns]
+        Pixels that were not measured.
+    view : View
+        From where it was taken.
+    to_ground : numpy.ndarray, float64 [2, 3]
+        (x, y) in the scene of the pixel in a column and a row, m: `to_ground @ (column, row, 1)`.
+    resolution_m : (float, float)
+        3 dB widths (azimuth, slant range) of the image that was geocoded, m.
+    azimuth_std_deg, split
+        As of a `MeasuredImage`.
+    """
+
+    name: str
+    power: Float32[np.ndarray, "rows columns"]
+    unknown: Bool[np.ndarray, "rows columns"]
+    view: View
+    to_ground: Float64[np.ndarray, "2 3"]
+    resolution_m: tuple[float, float]
+    azimuth_std_deg: float = 0.0
+    split: str | None = None
+
+    @property
+    def pitch_m(self) -> float:
+        """Distance of its pixels, the smaller of the two, m."""
+        return float(np.hypot(*self.to_ground[:, :2]).min())
+
+    @property
+    def half_m(self) -> float:
+        """How far from the origin what it shows reaches at least along its rows and columns, m."""
+        inverse = np.linalg.inv(self.to_ground[:, :2])
+        column, row = -inverse @ self.to_ground[:, 2]  # of the origin
+        wide, high = np.hypot(*self.to_ground[:, :2])
+        rows, columns = self.power.shape
+        return float(min(column * wide, (columns - 1 - column) * wide, row * high, (rows - 1 - row) * high))
+
+
+def on_ground(
+    shapes: Sequence[tuple[int, int]], georeferences: Sequence[Georeference], x_towards_deg: float, names: Sequence[str]
+) -> tuple[list[Float64[np.ndarray, "2 3"]], Place | None]:
+    """Where pictures lie in the scene, m (`MapPicture.to_ground`): its origin is the middle of what all of them show.
+
+    `shapes` are their rows and columns; the scene's x axis points to a compass bearing. Also where on earth the origin
+    is, unless their system has no number. Refused if they lie in several systems, or have nothing in common.
+    """
+    first = georeferences[0]
+    for other, name in zip(georeferences, names, strict=True):
+        if (other.kind, other.epsg, other.unit_m) != (first.kind, first.epsg, first.unit_m):
+            raise SarsplatError(
+                f"{names[0]} lies in {first.system} and {name} in {other.system}; bring all into one, as by "
+                "gdalwarp -t_srs"
+            )
+    corners = [_corners(shape, one) for shape, one in zip(shapes, georeferences, strict=True)]
+    low = np.max([place.min(axis=1) for place in corners], axis=0)
+    high = np.min([place.max(axis=1) for place in corners], axis=0)
+    if (low >= high).any():
+        raise SarsplatError("the pictures have no place on the map in common; give pictures of one spot")
+    middle = (low + high) / 2
+    if first.epsg is None and first.kind == "projected":  # neither scale nor convergence are known
+        if first.unit_m is None:
+            raise SarsplatError(
+                f"{names[0]} lies in {first.system}, whose unit of length is not known; bring it into metres, as by "
+                "gdalwarp -t_srs EPSG:326xx (the UTM zone)"
+            )
+        bearing, place = math.radians(x_towards_deg), None
+        turn = np.array([[math.sin(bearing), math.cos(bearing)], [-math.cos(bearing), math.sin(bearing)]])
+        axes = first.unit_m * turn
+    else:
+        finest = min(min(one.pitch) for one in georeferences)
+        axes, place = _axes_on_earth(first, middle, (high - low) / 2, finest, x_towards_deg, names[0])
+    centred = [one.affine - np.array([[0.0, 0.0, middle[0]], [0.0, 0.0, middle[1]]]) for one in georeferences]
+    return [axes @ one for one in centred], place
+
+
+def _axes_on_earth(
+    georeference: Georeference,
+    middle: Float64[np.ndarray, " 2"],
+    half: Float64[np.ndarray, " 2"],
+    pitch: float,
+    x_towards_deg: float,
+    name: str,
+) -> tuple[Float64[np.ndarray, "2 2"], Place]:
+    """(x, y) of the scene, m, for each unit of a map around its `middle`, and where on earth that is.
+
+    Refused if the map is bent by a good part of its `pitch` within `half`, or what it needs is missing.
+    """
+    steps = np.array([[0, 1, -1, 0, 0, 1, 1, -1, -1], [0, 0, 0, 1, -1, 1, -1, 1, -1]]) * half[:, None]
+    degrees = _geodetic(georeference, middle[:, None] + steps, name)
+    if not np.isfinite(degrees).all() or np.abs(degrees[1]).max() > 90 or np.abs(degrees[0]).max() > 360:
+        raise SarsplatError(
+            f"{name} lies at {middle[0]:g}, {middle[1]:g} in {georeference.system}, which is nowhere; correct its tags"
+        )
+    place = Place(float(degrees[1, 0]), float(degrees[0, 0]), 0.0, x_towards_deg, "unknown")
+    x, y, _ = place.from_geodetic(np.stack([degrees[1], degrees[0], np.zeros(degrees.shape[1])], axis=-1)).T
+    places = np.stack([x, y])
+    axes = np.stack([places[:, 1] - places[:, 2], places[:, 3] - places[:, 4]], axis=1) / (2 * half)
+    bent = float(np.abs(places - axes @ steps).max())
+    if bent > _BENT * pitch * float(np.hypot(*axes).min()):
+        raise SarsplatError(
+            f"{name} lies in {georeference.system}, which is bent by {bent:.2g} m within the pictures; cut them, or "
+            "bring them into metres, as by gdalwarp -t_srs EPSG:326xx (the UTM zone)"
+        )
+    return axes, place
+
+
+def _geodetic(georeference: Georeference, places: Float64[np.ndarray, "2 n"], name: str) -> Float64[np.ndarray, "2 n"]:
+    """Longitude and latitude of places on a map, degrees, WGS 84."""
+    if georeference.epsg in (None, _WGS_84):
+        return places
+    try:
+        import pyproj
+    except ImportError as error:
+        raise SarsplatError(
+            f"{name} lies in {georeference.system}, which needs pyproj; {install_command('gis')}"
+        ) from error
+    try:
+        across = pyproj.Transformer.from_crs(georeference.epsg, _WGS_84, always_xy=True)
+    except pyproj.exceptions.ProjError as error:
+        raise SarsplatError(f"{name} lies in {georeference.system}, which pyproj does not know; use another") from error
+    return np.stack(across.transform(*places))
+
+
+def _corners(shape: tuple[int, int], georeference: Georeference) -> Float64[np.ndarray, "2 4"]:
+    """Middles of a picture's corner pixels, on the map."""
+    rows, columns = shape
+    places = np.array([[0, columns - 1, 0, columns - 1], [0, 0, rows - 1, rows - 1], [1, 1, 1, 1]], np.float64)
+    return np.asarray(georeference.affine @ places)
+
+
+def resampled(pictures: Sequence[MapPicture], ground: float | Terrain) -> list[MeasuredImage]:
+    """The pictures in azimuth and slant range, all on one grid, as large as they show whole of every look.
+
+    `ground` is what their producer took for the ground: level at a height, m above the scene's z = 0, or terrain.
+    Refused if too little is left, a pixel that is used was not measured, or terrain is under a tilted look.
+    """
+    grid = _grid(pictures, ground)
+    return [_image(picture, grid, ground) for picture in pictures]
+
+
+def _grid(pictures: Sequence[MapPicture], ground: float | Terrain) -> ImageGrid:
+    """What of azimuth and slant range every picture shows, in pixels as close as the map's are."""
+    half_azimuth, half_range, slants = [], [], []
+    for picture in pictures:
+        frame = picture.view.look.gradients
+        if isinstance(ground, Terrain) and not picture.view.look.level:
+            raise SarsplatError(
+                f"{picture.name} is tilted, and was geocoded on terrain, which is not undone; give it as it was before"
+            )
+        x_axis = picture.to_ground[:, 0] / np.hypot(*picture.to_ground[:, 0])
+        turned = abs(float(x_axis @ frame[0, :2])) / float(np.hypot(*frame[0, :2]))
+        reach = picture.half_m / (turned + math.sqrt(max(1 - turned**2, 0.0)))  # half a square that is turned
+        slant = float(np.hypot(*frame[1, :2]))
+        half_azimuth.append(reach)
+        half_range.append(reach * slant - _highest(ground, picture.half_m) * abs(float(frame[1, 2])))
+        slants.append(slant)
+    pitch = min(picture.pitch_m for picture in pictures)
+    spacing = (pitch, pitch * min(slants))
+    columns, rows = (
+        2 * math.floor(min(half) / step) + 1 for half, step in zip((half_azimuth, half_range), spacing, strict=True)
+    )
+    if min(columns, rows) < _FEWEST:
+        raise SarsplatError(
+            f"of the geocoded pictures {max(columns, 0)} × {max(rows, 0)} pixels (azimuth × range) remain that all of "
+            "them show around their common middle, turned as the radar looks; give larger ones"
+        )
+    return ImageGrid(rows, columns, spacing, pictures[0].resolution_m)
+
+
+def _highest(ground: float | Terrain, half_m: float) -> float:
+    """Largest distance from z = 0 of the ground within so many metres, m."""
+    if not isinstance(ground, Terrain):
+        return abs(ground)
+    reach = np.linspace(-half_m, half_m, 257)
+    return float(np.abs(ground.height_m(*np.meshgrid(reach, reach))).max())
+
+
+def _image(picture: MapPicture, grid: ImageGrid, ground: float | Terrain) -> MeasuredImage:
+    places = _places(picture, grid, ground)
+    inverse = np.linalg.inv(picture.to_ground[:, :2])
+    column, row = np.tensordot(inverse, places - picture.to_ground[:, 2][:, None, None], 1)
+    missing = map_coordinates(picture.unknown.astype(np.float32), [row, column], order=1, mode="nearest") > 0
+    if missing.any():
+        raise SarsplatError(
+            f"{picture.name} has {counted(int(missing.sum()), 'pixel')} of {missing.size} in azimuth and range that "
+            "were not measured; cut the pictures to what all of them show"
+        )
+    known = np.where(picture.unknown, 0.0, picture.power.astype(np.float64))
+    smooth = map_coordinates(
+        spline_filter(known, _SPLINE, mode="mirror"), [row, column], order=_SPLINE, mode="mirror", prefilter=False
+    )
+    least = map_coordinates(minimum_filter(known, 3), [row, column], order=0, mode="nearest")
+    # a spline undershoots beside what is bright
+    power = np.maximum(smooth, least).astype(np.float32)
+    return MeasuredImage(
+        picture.name,
+        power,
+        picture.view,
+        grid.spacing_m,
+        picture.resolution_m,
+        azimuth_std_deg=picture.azimuth_std_deg,
+        split=picture.split,
+    )
+
+
+def _places(picture: MapPicture, grid: ImageGrid, ground: float | Terrain) -> Float64[np.ndarray, "2 m n"]:
+    """(x, y) of the ground whose azimuth and slant range pixels have; where several have them, the nearest ones."""
+    frame = picture.view.look.gradients
+    azimuth, slant = np.meshgrid(grid.azimuth_m, grid.range_m)
+    if not isinstance(ground, Terrain):
+        shown = np.stack([azimuth, slant]) - frame[:, 2][:, None, None] * ground
+        return np.tensordot(np.linalg.inv(frame[:, :2]), shown, 1)
+    across, away = np.linalg.inv(frame[:, :2]).T  # for each metre of azimuth, and of slant range on level ground
+    reach = grid.range_m[-1] + _highest(ground, picture.half_m) * abs(float(frame[1, 2]))
+    ahead = np.arange(-reach, reach + grid.spacing_m[1], grid.spacing_m[1] / 2)
+    x, y = across[:, None, None] * grid.azimuth_m + away[:, None, None] * ahead[:, None]
+    seen = ahead[:, None] + frame[1, 2] * ground.height_m(x, y)  # slant range, which falls where the ground lays over
+    seen = np.maximum.accumulate(seen, axis=0)
+    found = np.stack([np.interp(grid.range_m, seen[:, k], ahead) for k in range(grid.columns)], axis=1)
+    return across[:, None, None] * azimuth + away[:, None, None] * found

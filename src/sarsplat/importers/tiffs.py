@@ -1,0 +1,183 @@
+"""Pixels of a TIFF that someone else wrote, and the tags that change what they mean."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from jaxtyping import Bool, Shaped
+
+from sarsplat.data.files import open_file
+from sarsplat.data.georeference import Georeference, georeference_of
+from sarsplat.errors import SarsplatError, shown
+
+TIFF = (".tif", ".tiff")
+_MOST_PAGES = 16
+_PHOTOMETRIC, _ORIENTATION, _GDAL_METADATA, _NO_DATA = 262, 274, 42112, 42113
+_WHITE_IS_ZERO, _PALETTE = 0, 3
+_FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
+"""Measured images do not compress much: what unpacks to more than this, and so many times its size, is a bomb."""
+
+
+@dataclass(frozen=True)
+class Tags:
+    """What a file says of its pixels beside their values; usually nothing.
+
+    Parameters
+    ----------
+    georeference : Georeference or None
+        Where they lie.
+    no_data : float or None
+        The value of pixels that were not measured.
+    scale, offset : float or None
+        What they are multiplied by, and what is then added, to be what they stand for.
+    white_is_zero : bool
+        Brighter ones had smaller numbers, which was mended.
+    """
+
+    georeference: Georeference | None = None
+    no_data: float | None = None
+    scale: float | None = None
+    offset: float | None = None
+    white_is_zero: bool = False
+
+
+def unknown(pixels: Shaped[np.ndarray, "*shape"], no_data: float | None) -> Bool[np.ndarray, "*shape"]:
+    """Pixels that hold the value of what was not measured."""
+    if no_data is None:
+        return np.zeros(pixels.shape, bool)
+    if math.isnan(no_data):
+        return np.isnan(pixels)
+    # as its own type holds it: −3.4028234663852886e38 is float32's lowest
+    with np.errstate(over="ignore"):
+        return pixels == (pixels.dtype.type(no_data) if pixels.dtype.kind in "fc" else no_data)
+
+
+def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
+    """The pixels of the one image in a file, and its tags; of overviews nothing is read."""
+    with open_file(path) as file:
+        data = file.read()
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+            page = _the_page(path, tiff)
+            tags = {tag.code: tag.value for tag in page.tags.values()}
+            _refuse_meanings(path, page, tags)
+            whole, part = (_stored_bytes(page, shape) for shape in (page.shape, page.chunks))
+            packed = page.compression != tifffile.COMPRESSION.NONE
+            refuse_bomb(path, max(whole, part), len(data), packed)
+            pixels = np.asarray(page.asarray(maxworkers=1))
+    except SarsplatError:
+        raise
+    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+        raise SarsplatError(
+            f"{path} is not a readable TIFF ({shown(str(error))}); write it again, without compression"
+        ) from error
+    return _black_is_zero(path, pixels, page, tags), _tags(path, page, tags)
+
+
+def first_georeference(paths: Iterable[Path]) -> Georeference | None:
+    """Where the pixels of the first TIFF among files lie, by its tags; what cannot be read says nothing."""
+    first = next((path for path in paths if path.suffix.lower() in TIFF and path.is_file()), None)
+    try:
+        return None if first is None else read_tiff_of_others(first)[1].georeference
+    except SarsplatError:
+        return None
+
+
+def refuse_bomb(path: Path, unpacked: int, size: int, packed: bool) -> None:
+    """Refuse a file that claims to hold far more than it can."""
+    if unpacked > (max(_FREE_BYTES, _BYTES_PER_BYTE * size) if packed else size):
+        raise SarsplatError(
+            f"{path} has {size} bytes but claims to hold {unpacked}; it is damaged or no measured image: write it "
+            "again, without compression"
+        )
+
+
+def _the_page(path: Path, tiff: tifffile.TiffFile) -> Any:
+    pages_read = [page.aspage() for page in itertools.islice(tiff.pages, _MOST_PAGES)]
+    pages = [page for page in pages_read if not page.is_reduced]
+    if len(pages) != 1:
+        what = "several pages" if pages else "no image in it"
+        raise SarsplatError(f"{path} has {what}; give one image for each file")
+    return pages[0]
+
+
+def _stored_bytes(page: Any, shape: tuple[int, ...]) -> int:
+    """Bytes of so many numbers before they are compressed: integers of complex numbers are shorter than what they
+    become.
+    """
+    return math.prod(shape) * int(page.bitspersample) // 8
+
+
+def _refuse_meanings(path: Path, page: Any, tags: Mapping[int, Any]) -> None:
+    """Refuse what would be read as something else than it is."""
+    if {tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA} & set(page.extrasamples):
+        raise SarsplatError(
+            f"{path} has a band for transparency, which is not read; save it again without transparency"
+        )
+    if tags.get(_PHOTOMETRIC) == _PALETTE:
+        raise SarsplatError(f"{path} holds numbers of colours in a palette; give the measured values, in grey")
+    if (orientation := int(tags.get(_ORIENTATION, 1))) != 1:
+        raise SarsplatError(
+            f"{path} says that it is to be turned or mirrored before it is shown (orientation {orientation}); "
+            "save it as it is to be seen, with orientation 1"
+        )
+
+
+def _black_is_zero(
+    path: Path, pixels: Shaped[np.ndarray, "*shape"], page: Any, tags: Mapping[int, Any]
+) -> Shaped[np.ndarray, "*shape"]:
+    """Brighter pixels have larger numbers, whichever way the file has it."""
+    if tags.get(_PHOTOMETRIC) != _WHITE_IS_ZERO or page.samplesperpixel != 1:
+        return pixels
+    if pixels.dtype.kind != "u":
+        raise SarsplatError(
+            f"{path} says that zero is white (photometric interpretation 0), which {pixels.dtype} numbers are not "
+            "measured by; write it again with black as zero"
+        )
+    inverted: Shaped[np.ndarray, "*shape"] = (_white(page) - pixels).astype(pixels.dtype)
+    return inverted
+
+
+def _white(page: Any) -> int:
+    return (1 << int(page.bitspersample)) - 1
+
+
+def _tags(path: Path, page: Any, tags: Mapping[int, Any]) -> Tags:
+    no_data = None
+    if _NO_DATA in tags:
+        try:
+            no_data = float(tags[_NO_DATA])
+        except (TypeError, ValueError) as error:
+            raise SarsplatError(
+                f"{path} names the value of pixels without data as {shown(tags[_NO_DATA])}; give a number"
+            ) from error
+        if tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
+            no_data = _white(page) - no_data
+    scale, offset = (_item(path, tags, role) for role in ("scale", "offset"))
+    inverted = tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO
+    return Tags(georeference_of(tags, str(path)), no_data, scale, offset, inverted)
+
+
+def _item(path: Path, tags: Mapping[int, Any], role: str) -> float | None:
+    """What GDAL's metadata say of the first band."""
+    items = re.findall(rf'<Item[^<>]*role="{role}"[^<>]*>([^<>]*)</Item>', str(tags.get(_GDAL_METADATA, "")))
+    if not items:
+        return None
+    try:
+        value = float(items[0])
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise SarsplatError(
+            f"{path} names {shown(items[0])} as the {role} of its numbers; write it again with a finite one"
+        )
+    return value

@@ -1,0 +1,287 @@
+"""Geocoded pictures, made by a producer that shares no code, come back to azimuth and slant range."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from geocoded import UTM_33N, on_map, write_map, write_maps
+from sarsplat.cli import main
+from sarsplat.data import Dataset, read_dataset, read_terrain, write_terrain
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, View
+from sarsplat.importers import import_folder
+from terrains import terrain
+
+RESOLUTION = (0.5, 0.45)
+GRID = ImageGrid(150, 150, (0.2, 0.2), RESOLUTION)
+VIEWS = [View(float(azimuth), 30.0 + azimuth % 20) for azimuth in range(0, 360, 72)]
+SIDE, PITCH = 100, 0.2
+POINTS = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 0.0], [-2.0, 2.5, 1.5], [1.0, -3.0, 2.0], [-3.5, -2.0, 0.8]])
+DEGREES = (1, 1, 0, 2, 1024, 0, 1, 2, 2048, 0, 1, 4326)
+LOCAL = (1, 1, 0, 1, 1024, 0, 1, 1)
+FEET = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9002)
+
+
+def seen(points: np.ndarray, view: View, grid: ImageGrid) -> np.ndarray:
+    """An image of points and of what lies around them: power, with a floor."""
+    phi, theta = np.radians(view.azimuth_deg), np.radians(view.grazing_deg)
+    azimuth = -np.sin(phi) * points[:, 0] - np.cos(phi) * points[:, 1]
+    to_radar = np.array([np.cos(phi) * np.cos(theta), -np.sin(phi) * np.cos(theta), np.sin(theta)])
+    away = -points @ to_radar
+    image = np.full((grid.rows, grid.columns), 0.05)
+    for at, far in zip(azimuth, away, strict=True):
+        across = (grid.azimuth_m - at) / grid.resolution_m[0]
+        along = (grid.range_m - far) / grid.resolution_m[1]
+        image += np.exp(-4 * np.log(2) * (along[:, None] ** 2 + across**2))
+    return image.astype(np.float32)
+
+
+IMAGES = [seen(POINTS, view, GRID) for view in VIEWS]
+OPTIONS = {"quantity": "power", "resolution_m": RESOLUTION, "looks": None, "calibration": "absolute", "overwrite": True}
+
+
+def imported(folder: Path, **options) -> Dataset:
+    return import_folder(folder, folder.parent / "out", **{**OPTIONS, "geocoded": "level", **options})
+
+
+def offsets(image: np.ndarray, view: View, grid: ImageGrid, points: np.ndarray) -> np.ndarray:
+    """By how much of a cell points are shown elsewhere than the radar sees them; those that it shows."""
+    found = []
+    expected = [seen(points[[k]], view, grid) - 0.05 for k in range(len(points))]
+    for k, alone in enumerate(expected):
+        others = np.sum(expected[:k] + expected[k + 1 :], axis=0)
+        row, column = np.unravel_index(alone.argmax(), alone.shape)
+        inside = 4 <= row < grid.rows - 4 and 4 <= column < grid.columns - 4
+        if not inside or others[row, column] > 0.02:
+            continue
+        for axis in (0, 1):
+            window = [slice(row - 1, row + 2), slice(column, column + 1)]
+            line = tuple(window if axis == 0 else [slice(row, row + 1), slice(column - 1, column + 2)])
+            tops = []
+            for power in (alone, np.maximum(image - 0.05, 1e-6)):
+                low, middle, high = np.log(power[line].ravel())
+                tops.append((low - high) / 2 / (low - 2 * middle + high))
+            found.append((tops[1] - tops[0]) * grid.spacing_m[1 - axis] / grid.resolution_m[1 - axis])
+    return np.array(found)
+
+
+def check_places(made: Dataset, points: np.ndarray, least: int = 30) -> None:
+    found = np.concatenate([offsets(image, view, made.grid, points) for image, view in zip(made.power, made.views)])
+    assert len(found) >= least
+    assert np.abs(found).max() < 0.05  # of a resolution cell
+
+
+def write(folder: Path, images=IMAGES, **options) -> Path:
+    return write_maps(folder, images, VIEWS, GRID, SIDE, PITCH, **options)
+
+
+@pytest.mark.parametrize(
+    ("system", "unit_m"),
+    [(UTM_33N, 1 / 0.9996), (FEET, 0.3048), (LOCAL, 1.0), (None, 1.0)],  # the last has only a scale of its pixels
+    ids=["UTM", "feet", "without a number", "none"],
+)
+def test_level_ground(tmp_path: Path, system, unit_m: float) -> None:
+    """Points above the ground are where the radar shows them, nearer than they stand."""
+    made = imported(write(tmp_path / "in", keys=system, unit_m=unit_m), spacing_m=None if system else (PITCH, PITCH))
+    assert [view.azimuth_deg for view in made.views] == pytest.approx([view.azimuth_deg for view in VIEWS])
+    assert [view.grazing_deg for view in made.views] == pytest.approx([view.grazing_deg for view in VIEWS])
+    assert made.grid.spacing_m == pytest.approx((PITCH, PITCH * np.cos(np.radians(max(v.grazing_deg for v in VIEWS)))))
+    check_places(made, POINTS)
+    assert (made.place is not None) == (system is UTM_33N)
+    assert any("projected them from level ground" in text for text in made.source["assumptions"])
+    assert read_dataset(tmp_path / "out").source["geocoded"] == "level"
+
+
+def test_a_plane_above_the_ground(tmp_path: Path) -> None:
+    """Told of the plane on which its producer projected, z = 0 is the ground again; without it, that is off."""
+    folder = write(tmp_path / "in", height=lambda x, y: 0 * x + 2.0)
+    check_places(imported(folder, geocoded_height_m=2.0), POINTS, 20)
+    wrong = imported(folder)
+    assert [view.azimuth_deg for view in wrong.views] == pytest.approx([view.azimuth_deg for view in VIEWS])
+    lower = POINTS - np.array([0.0, 0.0, 2.0])  # of a scene whose z = 0 is that plane
+    check_places(wrong, lower, 20)
+
+
+def hill(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 1.8 * np.exp(-((x - 2) ** 2 + (y + 1) ** 2) / 3.0) + 0.05 * x
+
+
+def test_terrain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Hills with slopes that lie over, as one sees them from some sides."""
+    hills = terrain(hill, (14.0, 14.0), (0.25, 0.25)).centred()
+    folder = write(tmp_path / "in", height=hills.height_m)
+    made = imported(folder, geocoded="terrain", terrain=hills)
+    check_places(made, POINTS, 20)
+    write_terrain(tmp_path / "hills.tif", hills)
+    words = ["import", "folder", str(folder), "--out", str(tmp_path / "typed"), "--quantity", "power", "--looks", "0"]
+    words += ["--resolution", "0.5", "0.45", "--geocoded", "terrain", "--terrain", str(tmp_path / "hills.tif")]
+    assert main([*words, "--calibrated"]) == 0
+    np.testing.assert_array_equal(read_dataset(tmp_path / "typed").power, made.power)
+    assert "projected them from the terrain" in capsys.readouterr().out
+
+
+def test_terrain_that_lies_elsewhere_on_the_same_map(tmp_path: Path) -> None:
+    """A larger one, whose middle is not that of the pictures, is laid where the map says."""
+    pytest.importorskip("pyproj")
+    x, y = (np.arange(-60, 60.5, 0.5) for _ in range(2))
+    heights = 100 + 1.8 * np.exp(-((x - 2) ** 2 + (y[:, None] + 1) ** 2) / 3.0) + 0.05 * x
+    middle = (5e5 + SIDE * PITCH / 2, 5e6 - SIDE * PITCH / 2)
+    corner = (middle[0] - 60.25 + 7.0, middle[1] + 60.25 - 4.0)
+    path = write_map(
+        tmp_path / "dem.tif", np.roll(heights, (8, -14), (0, 1))[::-1], 0.5, corner=corner
+    )  # the same hill
+    dem = read_terrain(path).centred()
+    folder = write(tmp_path / "in", height=lambda x, y: hill(x, y) - hill(0 * x, 0 * y), unit_m=1 / 0.9996)
+    made = imported(folder, geocoded="terrain", terrain=dem)
+    assert any("which lies where the map says" in text for text in made.source["assumptions"])
+    check_places(made, POINTS, 20)
+
+
+def test_degrees_turned_maps_and_points(tmp_path: Path) -> None:
+    """A map in longitude and latitude at 60° north, one that is turned, and pixels that are points, are the same."""
+    folder = write(tmp_path / "in")
+    straight = imported(folder)
+    per_degree = (
+        np.pi
+        / 180
+        * np.array([0.5 * 6378137 / np.sqrt(1 - 0.00669438 * 0.75), 6335439 / (1 - 0.00669438 * 0.75) ** 1.5])
+    )
+    for number, view in enumerate(VIEWS):
+        pixels = on_map(IMAGES[number], view, GRID, SIDE, PITCH)
+        dx, dy = PITCH / per_degree
+        tags = [(33550, "d", 3, (dx, dy, 0.0), True), (33922, "d", 6, (0.0, 0.0, 0.0, 15.0, 60.0, 0.0), True)]
+        write_tags(folder / f"{number:03d}.tif", pixels, [*tags, (34735, "H", len(DEGREES), DEGREES, True)])
+    made = imported(folder)
+    assert made.place is not None
+    assert made.place.latitude_deg == pytest.approx(60 - SIDE * dy / 2, abs=1e-9)
+    assert made.grid.spacing_m == pytest.approx(straight.grid.spacing_m, rel=1e-3)
+    check_places(made, POINTS)
+    for number, view in enumerate(VIEWS):  # rows run north, columns east: a quarter turn and a mirror
+        pixels = on_map(IMAGES[number], view, GRID, SIDE, PITCH)[::-1].T
+        matrix = (0, PITCH, 0, 5e5, PITCH, 0, 0, 5e6, 0, 0, 0, 0, 0, 0, 0, 1)
+        keys = (*LOCAL[:3], 2, *LOCAL[4:], 1025, 0, 1, 2)
+        write_tags(
+            folder / f"{number:03d}.tif", pixels, [(34264, "d", 16, matrix, True), (34735, "H", len(keys), keys, True)]
+        )
+    check_places(imported(folder), POINTS)
+
+
+def write_tags(path: Path, pixels: np.ndarray, tags: list[tuple]) -> None:
+    tifffile.imwrite(path, pixels, metadata=None, extratags=tags)
+
+
+def test_true_north_is_not_that_of_the_map(tmp_path: Path) -> None:
+    """At the edge of a UTM zone, far north, a grid is turned by degrees: bearings count from true north."""
+    pyproj = pytest.importorskip("pyproj")
+    x, y = pyproj.Transformer.from_crs(4326, 32633, always_xy=True).transform(18.0, 60.0)
+    turn = pyproj.Proj(32633).get_factors(18.0, 60.0).meridian_convergence
+    assert turn > 2.5
+    views = [View(view.azimuth_deg - turn, view.grazing_deg) for view in VIEWS]  # as the map shows them
+    images = [seen(POINTS, view, GRID) for view in views]
+    folder = write_maps(tmp_path / "in", images, views, GRID, SIDE, PITCH, corner=(x, y))
+    rows = [f"{k:03d}.tif,{view.azimuth_deg + 90},{view.incidence_deg}" for k, view in enumerate(VIEWS)]
+    (folder / "table.csv").write_text("\n".join(["file,azimuth,incidence", *rows]))
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    east = POINTS @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    check_places(imported(folder), east)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"geocoded": None}, r"000.tif is geocoded \(EPSG:32633\): .*; say what .* --geocoded level or"),
+        ({"resolution_m": None}, "what the resolution of 000.tif is, which the pixels of a map do not tell"),
+        ({"spacing_m": (0.3, 0.3)}, r"its pixels are 0.2.* m × 0.2.* m \(east × north\), but 0.3 × 0.3 is given"),
+        ({"near": "left"}, "--near is for pictures in range and azimuth"),
+        ({"geocoded": "terrain"}, "--geocoded terrain needs the heights that its producer took"),
+        ({"geocoded": "terrain", "geocoded_height_m": 3.0}, "terrain has its own heights"),
+    ],
+)
+def test_what_is_not_said_or_contradicts(tmp_path: Path, options: dict, words: str) -> None:
+    with pytest.raises(SarsplatError, match=words):
+        imported(write(tmp_path / "in"), **options)
+
+
+def test_maps_that_do_not_fit(tmp_path: Path) -> None:
+    folder = write(tmp_path / "in")
+    pixels = tifffile.imread(folder / "000.tif")
+    path = folder / "000.tif"
+    for change, words in (
+        ({"corner": (6e5, 5e6)}, "no place on the map in common"),
+        ({"keys": FEET}, "bring all into one"),
+        ({"keys": None}, "000.tif has no GeoTIFF tags, and others say where they lie"),
+        ({"corner": (5e5 + 18.5, 5e6)}, "remain that all of them show around their common middle"),
+    ):
+        write_map(path, pixels, PITCH, **change)
+        with pytest.raises(SarsplatError, match=words):
+            imported(folder)
+    unknown = write(folder, keys=(*UTM_33N[:-1], 1025))
+    with pytest.raises(SarsplatError, match="lies in EPSG:1025, which pyproj does not know"):
+        imported(unknown)
+    write(folder)
+    pixels[40, 40] = -9999
+    write_map(path, pixels, PITCH, extra=[(42113, "s", 0, "-9999", True)])
+    with (
+        pytest.raises(SarsplatError, match="that were not measured; cut the pictures"),
+        pytest.warns(match="call no data"),
+    ):
+        imported(folder)
+    wide = (1, 1, 0, 2, 1024, 0, 1, 2, 2048, 0, 1, 4326)
+    for number in range(len(VIEWS)):
+        tags = [(33550, "d", 3, (1e-2, 1e-2, 0.0), True), (33922, "d", 6, (0.0, 0.0, 0.0, 15.0, 60.0, 0.0), True)]
+        write_tags(
+            folder / f"{number:03d}.tif", np.ones((SIDE, SIDE), np.float32), [*tags, (34735, "H", 12, wide, True)]
+        )
+    with pytest.raises(SarsplatError, match=r"which is bent by .* m within the pictures"):
+        imported(folder)
+
+
+def test_power_of_ground_by_its_own_unit(tmp_path: Path) -> None:
+    """σ⁰ and γ⁰ become β⁰ by the grazing angle of each view."""
+    folder = write(tmp_path / "in")
+    plain = imported(folder)
+    for backscatter, factor in (
+        ("sigma0", [1 / np.cos(np.radians(view.grazing_deg)) for view in VIEWS]),
+        ("gamma0", [np.tan(np.radians(view.grazing_deg)) for view in VIEWS]),
+    ):
+        made = imported(folder, backscatter=backscatter)
+        np.testing.assert_allclose(made.power, plain.power * np.array(factor)[:, None, None], rtol=1e-5)
+        assert any(f"the power is {backscatter}" in text for text in made.source["assumptions"])
+
+
+def test_headings_tell_where_the_radar_is(tmp_path: Path) -> None:
+    """A radar is 90° to the left of its flight if it looks to the right, and to the right if it looks left."""
+    folder = write(tmp_path / "in")
+    straight = imported(folder)
+    rows = ["file,Platform Heading (deg),look,incidence"]
+    for number, view in enumerate(VIEWS):
+        left = number % 2 == 1
+        bearing = view.azimuth_deg + 90
+        rows.append(
+            f"{number:03d}.tif,{bearing + (-90 if left else 90)},{'left' if left else 'right'},{view.incidence_deg}"
+        )
+    (folder / "table.csv").write_text("\n".join(rows))
+    made = imported(folder)
+    assert [view.azimuth_deg for view in made.views] == pytest.approx([view.azimuth_deg for view in straight.views])
+    np.testing.assert_allclose(made.power, straight.power, rtol=1e-6)
+    assert any("azimuths are 90° to the left of headings" in text for text in made.source["assumptions"])
+    (folder / "table.csv").write_text("\n".join(",".join(np.array(row.split(","))[[0, 1, 3]]) for row in rows))
+    with pytest.raises(SarsplatError, match="or give the side to which the radar looks with --look"):
+        imported(folder)
+    assert imported(folder, look="right").views[0].azimuth_deg == pytest.approx(straight.views[0].azimuth_deg)
+    with pytest.raises(SarsplatError, match=r"headings .*, which run clockwise"):
+        imported(folder, look="right", counter_clockwise=True)
+
+
+def test_complex_pictures_keep_their_power(tmp_path: Path) -> None:
+    folder = write(tmp_path / "in")
+    plain = imported(folder)
+    for path in folder.glob("*.tif"):
+        write_map(path, (np.sqrt(tifffile.imread(path)) * np.complex64(1j)).astype(np.complex64), PITCH)
+    made = imported(folder, quantity=None)
+    assert made.signal is None
+    np.testing.assert_allclose(made.power, plain.power, rtol=1e-5)
