@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -13,11 +15,12 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.renderer.checks import check_values
 from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting, added, left_in_sight
+from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.operation import Tensors
-from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.engines.passes import NewPass, Pass
 from sarsplat.renderer.engines.problem import ARRAYS
-from sarsplat.renderer.engines.stages import Attenuate, PressedFlat, Project, Render, Splat
+from sarsplat.renderer.engines.stages import Attenuate, Bounce, PressedFlat, Project, Render, Splat
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.lobes import amplitudes_towards
 from sarsplat.renderer.rendering import RayMap, Rendering
@@ -129,6 +132,38 @@ def pressed_flat_with(
     g = gaussians
     flat = PressedFlat(new_pass(), views, grid, RayGrid.for_image(grid), 0.0)
     return Footprints(*flat.of(g.means, g.quaternions, g.scales, g.optical_depth, None, None, shift)[5:7])
+
+
+def bounced_with(
+    kernel: Pass,
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    rays: RayGrid,
+    amplitudes: Float[Tensor, "v n 1"] | None,
+    shift: Float[Tensor, "v 2"] | None,
+    lit_area: Float[Tensor, "v n"],
+    ends: RayEnds,
+    height_m: float,
+    factor: float,
+) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
+    """What returns by way of a mirror at a height, of Gaussians that were rendered: lit so far, and so far rays came.
+
+    Power is the factor times √(lit · lit by way of the mirror) times amplitudes; without these, of harmonics.
+    """
+    g, (dx, dy) = gaussians, rays.spacing_m
+    lattices = [
+        api.lattice(round(x / dx - 0.5), round(y / dy - 0.5), *size)
+        for size, (x, y) in zip(ends.sizes, ends.origins, strict=True)
+    ]
+    step = Bounce(kernel, views, grid, rays, g.scattering.p_min, lattices, height_m, factor)
+    harmonics = g.scattering.parameters if amplitudes is None else None
+    # at the foot, at this height
+    of_height = torch.from_numpy(np.array([height_m * view.look.gradients[:, 2] for view in views])).to(g.means)
+    moved = of_height if shift is None else of_height + shift
+    arrays = g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, moved
+    return step.of(*arrays, ends.transmittance, lit_area)[0]
 
 
 def attenuate_with(
