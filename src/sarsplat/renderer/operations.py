@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -17,9 +15,10 @@ from sarsplat.renderer.checks import check_values
 from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting, added, left_in_sight
 from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import Bounds
+from sarsplat.renderer.engines.chosen_views import by_view
 from sarsplat.renderer.engines.operation import Tensors
 from sarsplat.renderer.engines.passes import NewPass, Pass
-from sarsplat.renderer.engines.problem import ARRAYS
+from sarsplat.renderer.engines.problem import ARRAYS, foot_shift
 from sarsplat.renderer.engines.stages import Attenuate, Bounce, PressedFlat, Project, Render, Splat
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.lobes import amplitudes_towards
@@ -126,12 +125,19 @@ def project_with(
 
 
 def pressed_flat_with(
-    new_pass: NewPass, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, *, shift: Float[Tensor, "v 2"]
+    new_pass: NewPass,
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    shift: Float[Tensor, "v 2"] | None,
+    height_m: float,
 ) -> Footprints:
-    """On the imaging plane, of Gaussians pressed flat onto the plane z = 0."""
-    g = gaussians
+    """On the imaging plane, of Gaussians pressed flat onto a plane of this height."""
+    g, at_foot = gaussians, by_view(foot_shift, views, height_m, gaussians.means.device)
+    moved = at_foot if shift is None else at_foot + shift
     flat = PressedFlat(new_pass(), views, grid, RayGrid.for_image(grid), 0.0)
-    return Footprints(*flat.of(g.means, g.quaternions, g.scales, g.optical_depth, None, None, shift)[5:7])
+    return Footprints(*flat.of(g.means, g.quaternions, g.scales, g.optical_depth, None, None, moved)[5:7])
 
 
 def bounced_with(
@@ -159,9 +165,8 @@ def bounced_with(
     ]
     step = Bounce(kernel, views, grid, rays, g.scattering.p_min, lattices, height_m, factor)
     harmonics = g.scattering.parameters if amplitudes is None else None
-    # at the foot, at this height
-    of_height = torch.from_numpy(np.array([height_m * view.look.gradients[:, 2] for view in views])).to(g.means)
-    moved = of_height if shift is None else of_height + shift
+    at_foot = by_view(foot_shift, views, height_m, g.means.device)
+    moved = at_foot if shift is None else at_foot + shift
     arrays = g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, moved
     return step.of(*arrays, ends.transmittance, lit_area)[0]
 

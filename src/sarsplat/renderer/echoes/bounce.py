@@ -29,6 +29,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.view import check_monostatic
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.engines.chosen_views import by_view
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.problem import level_direction
 from sarsplat.renderer.footprints import Footprints, footprints_of
@@ -180,10 +181,7 @@ class _Steps(Steps):
     ) -> Footprints:
         if self.new_pass is None:
             return feet(gaussians, views, grid, height_m, shift)
-        of_height = np.array([height_m * view.look.gradients[:, 2] for view in views])
-        moved = torch.from_numpy(of_height).to(gaussians.means)
-        moved = moved if shift is None else moved + shift
-        return pressed_flat_with(self.new_pass, gaussians, views, grid, shift=moved)
+        return pressed_flat_with(self.new_pass, gaussians, views, grid, shift=shift, height_m=height_m)
 
 
 class _Sections(torch.autograd.Function):
@@ -258,5 +256,5 @@ def _check_views(views: Sequence[View]) -> None:
 
 def _gamma0(new_pass: NewPass | None, gaussians: Gaussians, views: Sequence[View]) -> Float[Tensor, "v n"]:
     """What Gaussians return between u and M u."""
-    middles = torch.from_numpy(np.array([level_direction(view) for view in views])).to(gaussians.means)
+    middles = by_view(level_direction, views, gaussians.means.dtype, gaussians.means.device)
     return amplitudes_along(new_pass, gaussians, middles)[..., gaussians.scattering.power_channel]

@@ -71,16 +71,27 @@ def mirror_offset(view: View, height_m: float, device: torch.device) -> Float[Te
     return torch.from_numpy(view.look.frame[:2, 2] * (2 * height_m)).float().to(device)
 
 
-def level_direction(view: View) -> Float[np.ndarray, " 3"]:
+@kept_on_device(maxsize=4096)
+def foot_shift(view: View, height_m: float, device: torch.device) -> Float[Tensor, " 2"]:
+    """By how much a foot at this height is imaged elsewhere than the one at z = 0, m."""
+    return torch.from_numpy(view.look.gradients[:, 2] * height_m).float().to(device)
+
+
+@kept_on_device(maxsize=4096)
+def level_direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " 3"]:
     """The unit vector in the middle between that towards the radar and its mirror image: level."""
-    flat = view.look.way_out * np.array([1.0, 1.0, 0.0])
-    return flat / np.linalg.norm(flat)
+    return torch.from_numpy(_level(view)).to(device, dtype)
 
 
 @kept_on_device(maxsize=4096)
 def level_basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
     """Harmonics along that."""
-    return harmonic_basis(torch.from_numpy(level_direction(view)), degree).float().to(device)
+    return harmonic_basis(torch.from_numpy(_level(view)), degree).float().to(device)
+
+
+def _level(view: View) -> Float[np.ndarray, " 3"]:
+    flat = view.look.way_out * (1.0, 1.0, 0.0)
+    return flat / np.linalg.norm(flat)
 
 
 @kept_on_device(maxsize=4096)
