@@ -5,8 +5,8 @@ the way to the foot (x, y, ground) and back, whatever the height: a Gaussian is 
 the ground. The amplitudes of both orders add: four times the power of one.
 
 What returns is lit both ways. Along M u the scene is seen as its mirror image is along u: rays go on through the image
-with what is left of them behind the scene, for all of that is before the ground. An engine that can does so in one call;
-to the steps of a rendering the scene and its image are one scene of 2 N Gaussians. The area of both ways is
+with what is left of them behind the scene, for all of that is before the ground. The CPU engine does so in one call; to
+the steps of a rendering the scene and its image are one scene of 2 N Gaussians. The area of both ways is
 √(lit(u)·lit(M u)), because what Gaussians of one surface take from each other is the same either way, and counts once.
 """
 
