@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -44,7 +44,7 @@ class Stage(Call):
 class _OfGaussians(Stage):
     """A stage whose inputs are the arrays of a problem."""
 
-    names = ARRAYS
+    names: ClassVar[tuple[str, ...]] = ARRAYS
     peak = False
     of_views: int | None = None
     """Of so many views these are a part; None: they are all."""
@@ -171,14 +171,13 @@ class Bounce(_OfGaussians):
         self.height_m, self.factor = height_m, factor
 
     def pose(self, inputs: Tensors) -> Any:
-        problem, (means, *_, harmonics, _, _) = super().pose(inputs[: len(ARRAYS)]), inputs[: len(ARRAYS)]
+        problem, means = super().pose(inputs[: len(ARRAYS)]), inputs[0]
         assert means is not None
         device = means.device
         frames, feet = (by_view(of, self.views, device) for of in (mirrored_frame, flat_frame))
-        offset = by_view(mirror_offset, self.views, self.height_m, device)
-        basis = None
-        if harmonics is not None:
-            basis = by_view(level_basis, self.views, math.isqrt(harmonics.shape[1]) - 1, device)
+        offset, basis = by_view(mirror_offset, self.views, self.height_m, device), None
+        if problem.coefficients:
+            basis = by_view(level_basis, self.views, math.isqrt(problem.coefficients) - 1, device)
         self.constants = frames, feet, offset, basis
         problem.frames, problem.basis = pointer(frames), pointer(basis)
         return problem
@@ -199,10 +198,6 @@ class Bounce(_OfGaussians):
         addresses = ends.data_ptr(), lit.data_ptr()
         self.kernel.backward("bounce", self.problem, self._another_way(saved), gradients, *addresses)
         return [*results, ends, lit]
-
-    def new_gradients(self, saved: list[Any]) -> list[Tensor | None]:
-        results = super().new_gradients(saved)
-        return [result if k != 5 or self.needed[5] else None for k, result in enumerate(results)]
 
     def _another_way(self, inputs: Tensors) -> Any:
         """With the addresses of its arrays."""
