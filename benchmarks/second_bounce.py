@@ -1,19 +1,22 @@
-"""The second bounce by way of the ground: the renderer's against the ray caster's, from twelve directions.
+"""The second bounce by way of the ground: the renderer's against the ray caster's, from twelve directions; its cost.
 
-`python benchmarks/second_bounce.py [box] [t72] [building-a] …`; a T-72 takes some minutes. Levels are rendered over
-traced power.
+`python benchmarks/second_bounce.py [box] [t72] [building-a] … [cost]`; a T-72 takes some minutes. Levels are rendered
+over traced power; costs are those of ground and bounce over those of ground alone.
 """
 
 from __future__ import annotations
 
 import sys
+from functools import partial
 
 import numpy as np
 import torch
+from clock import in_turn, ratio, spread
+from recipes import halfway
 
 from sarsplat import Ground, ImageGrid, RayGrid, ScatteringLaw, View, mstar_grid, paper_grid, render, target_mesh
 from sarsplat.renderer import GroundBounce
-from sarsplat.scenes import law_by_ground, law_scattering, surface_gaussians
+from sarsplat.scenes import law_by_ground, law_scattering, paper_views, surface_gaussians
 from sarsplat.scenes._second_bounce import BY_GROUND
 from sarsplat.scenes._shapes import box
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
@@ -56,6 +59,32 @@ def compare(name: str) -> None:
         print(f"{where}: level {splatted.sum() / traced.sum():.4f}, correlation {alike:.5f}", flush=True)
 
 
+def cost() -> None:
+    """Print what four views of a training's Gaussians, halfway through, take with and without it."""
+    views, grid = [view for view, split in paper_views() if split == "train"][::6], paper_grid()
+    gaussians = halfway().target(3)
+    leaves = [tensor.detach().requires_grad_() for tensor in gaussians.tensors().values()]
+    scene = gaussians.with_tensors(**dict(zip(gaussians.tensors(), leaves, strict=True)))
+    ground = Ground(torch.tensor(0.05))
+    weights = torch.randn(len(views), 1, grid.rows, grid.columns, generator=torch.Generator().manual_seed(0))
+
+    def forward(*echoes: GroundBounce) -> None:
+        with torch.no_grad():
+            render(scene, views, grid, ground=ground, echoes=echoes)
+
+    def backward(*echoes: GroundBounce) -> None:
+        images = render(scene, views, grid, ground=ground, echoes=echoes).images
+        torch.autograd.grad((images * weights).sum(), leaves)
+
+    bounce = GroundBounce(ground, torch.tensor(0.5))
+    for name, program in {"forward": forward, "and backward": backward}.items():
+        times = in_turn({"with": partial(program, bounce), "without": program}, 40)
+        quotient = ratio(times["with"], times["without"])
+        print(
+            f"{name}: {1e3 * spread(times['without'])['median']:.1f} ms, with the bounce {quotient['median']:.2f} times"
+        )
+
+
 if __name__ == "__main__":
-    for target in sys.argv[1:] or ["box", "building-a", "t72"]:
-        compare(target)
+    for target in sys.argv[1:] or ["box", "building-a", "t72", "cost"]:
+        cost() if target == "cost" else compare(target)

@@ -2,10 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
+from emulated_cuda import Emulator, render_on
 from named_scenes import GRID, VIEWS, cloud
+from test_cpu_engine import relative
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
@@ -36,6 +40,14 @@ class Haze(Echo):
         rays = [rows * columns for rows, columns in sighting.ends.sizes]
         left = torch.stack([part.mean() for part in sighting.ends.transmittance.split(rays)])
         return (self.power * left)[:, None, None].expand(-1, sighting.grid.rows, sighting.grid.columns)
+
+
+class Glow(Echo):
+    """Power that grows with the square of the areas over which Gaussians are seen."""
+
+    def seen(self, sighting: Sighting, by_view: Tensor | None) -> Tensor:
+        glow = sighting.lit_area.square().sum(1)
+        return glow[:, None, None].expand(-1, sighting.grid.rows, sighting.grid.columns)
 
 
 @dataclass(frozen=True)
@@ -123,3 +135,18 @@ def test_what_an_echo_gets_wrong_is_said(engine: str, method: str, wrong: object
     own = type("Own", (Mirrored,), {method: wrong})(0.5)
     with pytest.raises(SarsplatError, match=message):
         render(cloud(3, 0), VIEWS, GRID, echoes=[own], engine=engine)
+
+
+def test_lit_areas_that_echoes_are_told_are_differentiable(library: Path) -> None:
+    scene, found = cloud(12, 0), []
+    for dtype, renderer in (
+        (torch.float64, partial(render, engine="reference")),
+        (torch.float32, render),
+        (torch.float32, partial(render_on, Emulator(library))),
+    ):
+        leaves = {name: t.to(dtype, copy=True).requires_grad_() for name, t in scene.tensors().items()}
+        images = renderer(scene.with_tensors(**leaves), VIEWS, GRID, echoes=[Glow()]).images
+        found.append(torch.autograd.grad(images.square().sum(), list(leaves.values())))
+    for gradients in found[1:]:
+        for given, expected in zip(gradients, found[0], strict=True):
+            assert relative(given, expected) <= 1e-4

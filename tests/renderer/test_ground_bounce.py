@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from emulated_cuda import Emulator, render_on
-from named_scenes import GRID, VIEWS, cloud, wall, with_scales
+from named_scenes import GRID, UNUSUAL, VIEWS, cloud, wall, with_scales
 from test_cpu_engine import AVAILABLE, relative
 from test_reference_gradients import check_gradients
 from torch import Tensor
@@ -19,7 +19,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.renderer import GroundBounce, Rendering, render
+from sarsplat.renderer import GroundBounce, Rendering, render, splat
 from sarsplat.renderer.echoes.bounce import _Steps, feet, lit_both_ways
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.reference import render_reference
@@ -139,18 +139,28 @@ SCENES = {
 }
 
 
-def _everything(scene: Gaussians, dtype: torch.dtype, renderer: Callable[..., Rendering]) -> dict[str, Tensor]:
+def _everything(
+    scene: Gaussians,
+    dtype: torch.dtype,
+    renderer: Callable[..., Rendering],
+    views: tuple[View, ...] = VIEWS,
+    given: bool = False,
+) -> dict[str, Tensor]:
     leaves = {name: tensor.to(dtype, copy=True).requires_grad_() for name, tensor in scene.tensors().items()}
+    own = None
+    if given:
+        own = leaves["own"] = torch.linspace(0.2, 1.0, 3 * len(scene)).view(3, -1).to(dtype).requires_grad_()
     leaves["shift"] = (0.1 * torch.arange(6.0).view(3, 2)).to(dtype).requires_grad_()
     leaves["reflectivity"] = torch.tensor(0.6, dtype=dtype, requires_grad=True)
     fields = {name: leaves[name] for name in scene.tensors()}
     ground = level(dtype)
-    echoes = [GroundBounce(ground, leaves["reflectivity"])]
+    echoes = [GroundBounce(ground, leaves["reflectivity"], own)]
     how = {"shift": leaves["shift"], "ground": ground, "echoes": echoes}
-    image = renderer(scene.with_tensors(**fields), VIEWS, GRID, **how).echoes[1]
+    image = renderer(scene.with_tensors(**fields), views, GRID, **how).echoes[1]
     cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
-    found = torch.autograd.grad((image * cotangent.to(dtype)).sum(), list(leaves.values()))
-    return {"image": image.detach(), **dict(zip(leaves, found, strict=True))}
+    found = torch.autograd.grad((image * cotangent.to(dtype)).sum(), list(leaves.values()), allow_unused=given)
+    named = {name: value for name, value in zip(leaves, found, strict=True) if value is not None}
+    return {"image": image.detach(), **named}
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -163,6 +173,28 @@ def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
         for argument, value in expected.items():
             assert float(value.norm()) > 0, argument
             assert relative(found[argument], value) <= 1e-4, (argument, instruction_set)
+
+
+@pytest.mark.parametrize(("views", "given"), [(UNUSUAL, False), (VIEWS, True)], ids=["tilted and left", "amplitudes"])
+def test_other_views_and_given_amplitudes_agree_with_the_reference(views: tuple[View, ...], given: bool) -> None:
+    scene = cloud(60, 41, kappa=(4.0, 12.0))
+    expected = _everything(scene, torch.float64, partial(render, engine="reference"), views, given)
+    found = _everything(scene, torch.float32, render, views, given)
+    assert ("own" in expected) is given
+    assert relative(found["image"], expected["image"]) <= 1e-5
+    for argument, value in expected.items():
+        assert relative(found[argument], value) <= 1e-4, argument
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (2.0, -1.5, 1.2), (30.0, 0.0, 0.0)])
+def test_one_call_of_the_engine_is_its_steps(place: tuple[float, float, float]) -> None:
+    """Also where rays through the mirror image and those through the scene are few in common, or none."""
+    scene = cloud(500, 12, scale=0.06, kappa=(1.0, 6.0))
+    scene = replace(scene, means=scene.means * 0.3 + torch.tensor([*place[:2], HEIGHT + 0.5 + place[2]]))
+    bounce, rays, grid = GroundBounce(level(), ONE), RayGrid.for_image(GRID), replace(GRID, center_m=place[:2])
+    image = render(scene, VIEWS, grid, rays=rays, echoes=[bounce]).echoes[0]
+    sections, places = bounce.parts(scene, VIEWS, grid, rays)
+    assert relative(image.detach(), splat(places, sections[..., None], grid)[:, 0].double().detach()) <= 1e-5
 
 
 def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:

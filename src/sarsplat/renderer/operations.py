@@ -13,11 +13,13 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.processes import Processes
 from sarsplat.renderer.checks import check_values
 from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting, added, left_in_sight
+from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import Bounds
+from sarsplat.renderer.engines.chosen_views import by_view
 from sarsplat.renderer.engines.operation import Tensors
-from sarsplat.renderer.engines.passes import NewPass
-from sarsplat.renderer.engines.problem import ARRAYS
-from sarsplat.renderer.engines.stages import Attenuate, PressedFlat, Project, Render, Splat
+from sarsplat.renderer.engines.passes import NewPass, Pass
+from sarsplat.renderer.engines.problem import ARRAYS, foot_shift
+from sarsplat.renderer.engines.stages import Attenuate, Bounce, PressedFlat, Project, Render, Splat
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.lobes import amplitudes_towards
 from sarsplat.renderer.rendering import RayMap, Rendering
@@ -123,12 +125,50 @@ def project_with(
 
 
 def pressed_flat_with(
-    new_pass: NewPass, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, *, shift: Float[Tensor, "v 2"]
+    new_pass: NewPass,
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    shift: Float[Tensor, "v 2"] | None,
+    height_m: float,
 ) -> Footprints:
-    """On the imaging plane, of Gaussians pressed flat onto the plane z = 0."""
-    g = gaussians
+    """On the imaging plane, of Gaussians pressed flat onto a plane of this height."""
+    g, at_foot = gaussians, by_view(foot_shift, views, height_m, gaussians.means.device)
+    moved = at_foot if shift is None else at_foot + shift
     flat = PressedFlat(new_pass(), views, grid, RayGrid.for_image(grid), 0.0)
-    return Footprints(*flat.of(g.means, g.quaternions, g.scales, g.optical_depth, None, None, shift)[5:7])
+    return Footprints(*flat.of(g.means, g.quaternions, g.scales, g.optical_depth, None, None, moved)[5:7])
+
+
+def bounced_with(
+    kernel: Pass,
+    gaussians: Gaussians,
+    views: Sequence[View],
+    grid: ImageGrid,
+    *,
+    rays: RayGrid,
+    amplitudes: Float[Tensor, "v n 1"] | None,
+    shift: Float[Tensor, "v 2"] | None,
+    lit_area: Float[Tensor, "v n"],
+    ends: RayEnds,
+    height_m: float,
+    factor: float,
+) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
+    """What returns by way of a mirror at a height, of Gaussians that were rendered: lit so far, and so far rays came.
+
+    Power is the factor times √(lit · lit by way of the mirror) times amplitudes; without these, of harmonics.
+    """
+    g, (dx, dy) = gaussians, rays.spacing_m
+    lattices = [
+        api.lattice(round(x / dx - 0.5), round(y / dy - 0.5), *size)
+        for size, (x, y) in zip(ends.sizes, ends.origins, strict=True)
+    ]
+    step = Bounce(kernel, views, grid, rays, g.scattering.p_min, lattices, height_m, factor)
+    harmonics = g.scattering.parameters if amplitudes is None else None
+    at_foot = by_view(foot_shift, views, height_m, g.means.device)
+    moved = at_foot if shift is None else at_foot + shift
+    arrays = g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, moved
+    return step.of(*arrays, ends.transmittance, lit_area)[0]
 
 
 def attenuate_with(

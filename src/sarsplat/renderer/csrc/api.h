@@ -45,6 +45,7 @@ struct sg_gradients {
   const float* images;          // dL/dS [V, C, rows, columns]
   const float* cross_sections;  // dL/dsigma [V, N, C], or null
   const float* transmittance;   // dL/dT_end of all views' lattices one after the other, or null
+  const float* lit_area;        // dL/d(lit area) [V, N] beside that through dL/dsigma, or null
   float *means, *quaternions, *scales, *kappa;  // out
   float* harmonics;             // out [N, K], or null
   float* amplitudes;            // out [V, N, C], or null
@@ -55,6 +56,15 @@ struct sg_gradients {
 struct sg_lattice {       // rays of one view: ((k0x + column + 1/2) dx, (k0y + row + 1/2) dy)
   int64_t k0x, k0y;
   int32_t rows, columns;
+};
+
+struct sg_bounce {        // what a pass along another way needs; see bounce.h
+  const float* image_frames;    // [V, 9] for the imaging plane; the problem's frames are for the computation plane
+  const float* offset;          // [V, 2] of footprints on the computation plane, m
+  const float* transmittance;   // T_end of the first pass, of all views' lattices one after the other
+  const sg_lattice* lattices;   // [V] those
+  const float* lit_area;        // [V, N] of the first pass
+  float factor;                 // on the geometric mean of both lit areas
 };
 
 struct sg_statistics {    // of the last forward: for the benchmarks
@@ -242,6 +252,9 @@ struct sg_engine {        // one per instruction set; functions with a status re
   int32_t (*splat)(sg_context*, const sg_problem*, const sg_projection*, const sg_channels*, float* images, int64_t* culprit);
   int32_t (*splat_backward)(sg_context*, const sg_problem*, const sg_channels*, const float* d_images, const sg_projection* out, float* d_cross_sections,
                             float* d_elevation);
+  // a pass along another way, from where the rays of one along the line of sight end
+  int32_t (*bounce)(sg_context*, const sg_problem*, const sg_bounce*, float* images, int64_t* culprit);
+  int32_t (*bounce_backward)(sg_context*, const sg_problem*, const sg_bounce*, const sg_gradients*, float* d_transmittance, float* d_lit_area);
   // of the last forward pass
   void (*lattice)(const sg_context*, int32_t view, sg_lattice*);
   int32_t (*trace)(const sg_context*, const sg_problem*, int32_t view, float depth, float* transmittance, float* first_return);

@@ -77,7 +77,6 @@ static void attenuate_in_batches(const RayEntry* entries, const int32_t* list, i
                                  float min_transmittance, float* T, int32_t* stop, float* partial) {
   const F floor = splat(min_transmittance);
   const Listed of{entries, list, n, b, 1, partial};
-  begin_rays(s, T, stop);
   auto touch = [&](const Footprint& g, const Offset<F>& d, int64_t at, int, Block& block) {
     block.tau = log_depth(g, d);
     return any((block.tau >= min_log_tau) & (load_anywhere(T + at) >= floor));  // T before the batch: it only falls

@@ -91,7 +91,8 @@ extern "C" __global__ void __launch_bounds__(kThreads) light_gaussians(sg_proble
   for (int64_t k = j * a.count; k < (j + 1) * a.count; k++) out.cross_sections[k] = a.cross_sections[k] * lit;
 }
 
-// The adjoint, to dL/dw and dL/da. Either d_lit_area, or null, is given, or dL/dsigma through the images and, or null, on its own.
+// The adjoint, to dL/dw and dL/da, of d_lit_area, or null, and in a whole rendering of dL/dsigma through the images and, or null,
+// on its own.
 extern "C" __global__ void __launch_bounds__(kThreads)
 light_gaussians_backward(sg_problem p, State s, sg_channels a, const float* d_lit_area, const float* through_images,
                          const float* d_cross_sections, float* d_amplitudes) {

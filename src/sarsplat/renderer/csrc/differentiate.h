@@ -45,6 +45,12 @@ SG_FN BodyGradient<F> no_gradient() {
   return g;
 }
 
+// Both rows of a view, the first in units of the optical depth.
+SG_FN void sums_of(const ViewState& s, const Backward& scratch, int64_t i, int real, F (&sums)[kFields]) {
+  gather(real, [&](int k) { return ray_row(s, scratch, i + k); }, [&](int k) { return pixel_row(scratch, i + k); }, sums);
+  for (int k = 0; k < 6; k++) sums[k] *= kLn2;  // tau is in units of log2(e)
+}
+
 // Numbers of a Gaussian that views have a gradient for: mean, scales, quaternion, optical depth, harmonics.
 constexpr int kNumbers = 11 + kFields;
 
@@ -96,10 +102,14 @@ void add_shifts(int views, int chunks, const float* sums, float* shift) {
 // found for kappa, and for the sum of harmonics.
 struct Share { Projection<F> proj; F planes[4]; Sym2<F> gc, gi; F m0, kappa, harmonics; };
 
-// The Gaussians [first, end): share_of(v, i, real, bodies, frame) in every view, and end_of(kappa, its share).
-template <class ShareOf, class EndOf>
-void differentiate(const sg_problem& p, const sg_gradients& g, int64_t first, int64_t end, float* shift_sums, ShareOf share_of, EndOf end_of) {
-  const PlaneUnits u = units(p);
+// dL/dkappa of what is found for kappa, kappa' dL/dkappa'.
+SG_FN F per_depth(F kappa, F sum) { return choose(kappa > 0.0f, sum / choose(kappa > 0.0f, kappa, splat(1.0f)), splat(0.0f)); }
+
+// The Gaussians [first, end): share_of(v, i, real, bodies, frame) in every view, spread_share(share, v, frame, gradient), and
+// end_of(kappa, its share).
+template <class ShareOf, class EndOf, class SpreadShare>
+void differentiate(const sg_problem& p, const sg_gradients& g, int64_t first, int64_t end, float* shift_sums, ShareOf share_of, EndOf end_of,
+                   SpreadShare spread_share) {
   for (int k = 0; k < 2 * p.views; k++) shift_sums[k] = 0.0f;
   for (int64_t i = first; i < end; i += kWidth) {
     const int real = smaller(kWidth, (int)(end - i));
@@ -107,9 +117,9 @@ void differentiate(const sg_problem& p, const sg_gradients& g, int64_t first, in
     ViewSum sum_of_views(11 + p.coefficients);
     for (int v = 0; v < p.views; v++) {
       const ViewFrame frame = frame_of(p, v);
-      const Share share = share_of(v, i, real, bodies, frame);
+      const auto share = share_of(v, i, real, bodies, frame);
       BodyGradient<F> own = no_gradient();
-      spread(share.proj, frame, u, share.planes, share.gc, share.gi, share.m0, own);
+      spread_share(share, v, frame, own);
       F* numbers = sum_of_views.next();
       for (int k = 0; k < 3; k++) numbers[k] = own.mean[k];
       finish(bodies.body, bodies.unit, bodies.norm, own, numbers + 3, numbers + 6);
@@ -122,6 +132,15 @@ void differentiate(const sg_problem& p, const sg_gradients& g, int64_t first, in
     }
     write_gradients(p, sum_of_views.total(), g, i, real);
   }
+}
+
+// As usual: both planes are of one frame.
+template <class ShareOf, class EndOf>
+void differentiate(const sg_problem& p, const sg_gradients& g, int64_t first, int64_t end, float* shift_sums, ShareOf share_of, EndOf end_of) {
+  const PlaneUnits u = units(p);
+  differentiate(p, g, first, end, shift_sums, share_of, end_of, [&](const Share& share, int, const ViewFrame& frame, BodyGradient<F>& own) __attribute__((always_inline)) {
+    spread(share.proj, frame, u, share.planes, share.gc, share.gi, share.m0, own);
+  });
 }
 
 // All Gaussians; differentiate_chunk(first, end, shift_sums)

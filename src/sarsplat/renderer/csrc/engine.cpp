@@ -5,6 +5,7 @@
 
 #define SG_KERNELS
 #include "api.h"
+#include "bounce.h"
 #include "export.h"
 #include "inspect.h"
 #include "steps.h"
@@ -26,7 +27,7 @@ int32_t forward(sg_context& c, const sg_problem& p, const sg_outputs* out, int64
   int32_t status = worst(c.faults, chunks, culprit);
   if (!status) status = arrange(c, p, kRays | kPixels, culprit);
   if (status) return status;
-  attenuate_rays(c, p);
+  attenuate_rays(c, p, {});
   over_chunks(p, [&](int64_t v, int64_t first, int64_t end) {
     const ViewState& s = c.views[v];
     const Amplitudes amplitudes = channels.of(v, n);
@@ -47,8 +48,7 @@ SG_FN Share share_of(const sg_context& c, const sg_problem& p, const Backward& s
                      const ViewFrame& frame) {
   const PlaneUnits u = units(p);
   F sums[kFields];
-  gather(real, [&](int k) { return ray_row(c.views[v], scratch, i + k); }, [&](int k) { return pixel_row(scratch, i + k); }, sums);
-  for (int k = 0; k < 6; k++) sums[k] *= kLn2;  // tau is in units of log2(e)
+  sums_of(c.views[v], scratch, i, real, sums);
   const Moments<F> rays = moments_of(sums), pixels = moments_of(sums + kSums);
   Share share;
   share.proj = project(bodies.body, frame, u);
@@ -72,6 +72,7 @@ int32_t backward(sg_context& c, const sg_problem& p, const sg_gradients* gradien
   // dL/dsigma to dL/dw and to dL/dP(u)
   ViewState* const views = c.views;
   float* const d_amplitudes = g.amplitudes;
+  const float* const d_lit_area = g.lit_area;
   const float cell_area = p.ray[0] * p.ray[1];
   auto unlight = [=](int64_t v, int64_t id, const PixelEntry& e, Eight& sum, const float* d_sections) {
     float along = d_sections[0] * e.gamma0;
@@ -80,18 +81,19 @@ int32_t backward(sg_context& c, const sg_problem& p, const sg_gradients* gradien
       along = 0.0f;
       for (int64_t k = 0; k < C; k++) along += d_sections[k] * amplitudes[k];
     }
+    if (d_lit_area) along += d_lit_area[v * n + id];
     views[v].on_rays[id].h = along * cell_area;
     sum[6] = d_sections[0] * e.lit;
     sum[7] = e.slope;
     for (int64_t k = 0; d_amplitudes && k < C; k++) d_amplitudes[(v * n + id) * C + k] = d_sections[k] * e.lit;
   };
   int32_t status = splat_images_backward(c, p, channels, g.images, g.cross_sections, scratch, unlight);
-  if (!status) status = attenuate_rays_backward(c, p, g.transmittance, scratch);
+  if (!status) status = attenuate_rays_backward(c, p, g.transmittance, scratch, {}, nullptr);
   if (status) return status;
   return differentiate_all(c, p, g.shift, [&](int64_t first, int64_t end, float* shift_sums) {
     differentiate(p, g, first, end, shift_sums, [&](int v, int64_t i, int real, const Bodies& bodies, const ViewFrame& frame) __attribute__((always_inline)) {
       return share_of(c, p, scratch[v], v, i, real, bodies, frame);
-    }, [](F kappa, F sum) { return choose(kappa > 0.0f, sum / choose(kappa > 0.0f, kappa, splat(1.0f)), splat(0.0f)); });
+    }, per_depth);
   });
 }
 
@@ -123,4 +125,5 @@ const sg_engine SG_JOIN(sg_engine_, SG_ISA) = {
     SG_TEXT(SG_ISA), create, destroy, run<forward>, run_back<backward>,
     run<project_step, worth_waking_to_project>, run<project_step_backward, worth_waking_to_project>,
     run<attenuate_step>, run_back<attenuate_step_backward>, run<splat_step>, run_back<splat_step_backward>,
+    run<bounce>, run_back<bounce_backward>,
     lattice, trace, statistics, SG_OPERATIONS(SG_ENTRY)};

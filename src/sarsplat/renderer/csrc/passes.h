@@ -112,12 +112,11 @@ static void begin_rays(const Strips& s, float* T, int32_t* stop) {
 // Where band b writes what it finds of a Gaussian. It is asked for early: a store that waits for memory holds up all after it.
 SG_FN int64_t slot_of(const RayEntry& e, int b) { return e.slot + b - e.first_band; }
 
-// Front to back over the list of band b, whose rays are s. stop: the place in the list after which a ray is no longer
+// Front to back over the list of band b, whose rays are s and have begun. stop: the place in the list after which a ray is no longer
 // followed. partial: by slot.
 static void attenuate_band(const RayEntry* entries, const int32_t* list, int n, const Strips& s, int b, float min_log_tau,
                            float min_transmittance, float* T, int32_t* stop, float* partial) {
   const F floor = splat(min_transmittance);
-  begin_rays(s, T, stop);
   for (int k = 0; k < n; k++) {
     __builtin_prefetch(entries + list[smaller(k + 2 * kAhead, n - 1)]);
     __builtin_prefetch(partial + slot_of(entries[list[smaller(k + kAhead, n - 1)]], b), 1);

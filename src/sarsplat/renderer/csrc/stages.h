@@ -69,15 +69,39 @@ int32_t arrange(sg_context& c, const sg_problem& p, int planes, int64_t* culprit
 }
 
 // ---- computation plane -------------------------------------------------------------------------------------------------
-void attenuate_rays(const sg_context& c, const sg_problem& p) {
+// T with which rays begin, of other lattices one after the other; beyond these, and without any, it is 1.
+struct Beginnings {
+  const float* transmittance;
+  const sg_lattice* lattices;     // [V]
+
+  // visit(index in a band of a view, index among the others' rays) where there are both
+  template <class Visit> void each(int v, const Strips& band, Visit visit) const {
+    if (!transmittance) return;
+    int64_t before = 0;           // rays of the views before this one
+    for (int u = 0; u < v; u++) before += (int64_t)lattices[u].rows * lattices[u].columns;
+    const sg_lattice& l = lattices[v];
+    const int left = larger(band.x0, (int)l.k0x), right = smaller(band.x0 + band.columns, (int)l.k0x + l.columns);
+    const int top = larger(band.y0, (int)l.k0y), bottom = smaller(band.y0 + band.rows, (int)l.k0y + l.rows);
+    for (int y = top; y < bottom; y++)
+      for (int x = left; x < right; x++) visit(band.at(x, y), before + (y - l.k0y) * l.columns + (x - l.k0x));
+  }
+};
+
+void attenuate_rays(const sg_context& c, const sg_problem& p, const Beginnings& from) {
   over_parts(c, p, &ViewState::ray_parts, [&](int v, int b) {
     const ViewState& s = c.views[v];
     Part& band = c.views[v].ray_bands[b];
     band.first = b * p.gaussians;
     band.end = band.first + list_band(s, b, s.ray_list + band.first);
+    float* T = s.T + band.start;
+    int32_t* stop = s.stop + band.start;
+    begin_rays(band.strips, T, stop);
+    from.each(v, band.strips, [&](int64_t at, int64_t other) {
+      T[at] = from.transmittance[other];
+      if (T[at] < p.min_transmittance) stop[at] = -1;
+    });
     const auto loops = s.in_batches() ? attenuate_in_batches : attenuate_band;
-    loops(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, min_log_tau(p), p.min_transmittance, s.T + band.start,
-          s.stop + band.start, s.partial);
+    loops(s.on_rays, s.ray_list + band.first, band.count(), band.strips, b, min_log_tau(p), p.min_transmittance, T, stop, s.partial);
   });
 }
 
@@ -97,8 +121,10 @@ struct Backward {                 // scratch of one backward pass, per view: row
   float* elevation;               // [N, 3] sums of dL/d(elevation) times 1, u and v; null where no phase changes
 };
 
-// dL/dw is in the entries; d_transmittance: of the views' lattices one after the other, or null.
-int32_t attenuate_rays_backward(sg_context& c, const sg_problem& p, const float* d_transmittance, Backward* scratch) {
+// dL/dw is in the entries; d_transmittance: of the views' lattices one after the other, or null. d_from: out, of where rays began,
+// zero where none did.
+int32_t attenuate_rays_backward(sg_context& c, const sg_problem& p, const float* d_transmittance, Backward* scratch, const Beginnings& from,
+                                float* d_from) {
   for (int v = 0; v < p.views; v++) {
     const ViewState& s = c.views[v];
     scratch[v].ray_moments = c.arena.take<float>(kSums * (int64_t)p.gaussians * s.ray_parts);
@@ -121,6 +147,10 @@ int32_t attenuate_rays_backward(sg_context& c, const sg_problem& p, const float*
       }
     const auto loops = s.in_batches() ? attenuate_in_batches_backward : attenuate_band_backward;
     loops(s.on_rays, s.ray_list + band.first, band.count(), rays, b, min_log_tau(p), T, s.stop + band.start, B, scratch[v].ray_moments);
+    from.each(v, rays, [&](int64_t at, int64_t other) {
+      const float begun = from.transmittance[other];
+      d_from[other] = begun >= p.min_transmittance ? B[at] / begun : 0.0f;
+    });
   });
   return SG_OK;
 }

@@ -153,7 +153,7 @@ int32_t attenuate_step(sg_context& c, const sg_problem& p, const sg_projection* 
   if (!status) status = place_all(c, p, culprit, [&](int v, int64_t first, int64_t end) { return place_rays(c, p, *in, v, first, end); });
   if (!status) status = arrange(c, p, kRays, culprit);
   if (status) return status;
-  attenuate_rays(c, p);
+  attenuate_rays(c, p, {});
   over_chunks(p, [&](int64_t v, int64_t first, int64_t end) {
     for (int64_t i = first; i < end; i++) lit_area[v * p.gaussians + i] = lit_area_of(c.views[v], p, i);
   });
@@ -167,7 +167,7 @@ int32_t attenuate_step_backward(sg_context& c, const sg_problem& p, const float*
   over_chunks(p, [&](int64_t v, int64_t first, int64_t end) {
     for (int64_t i = first; i < end; i++) c.views[v].on_rays[i].h = d_lit_area ? d_lit_area[v * p.gaussians + i] * (p.ray[0] * p.ray[1]) : 0.0f;
   });
-  if (const int32_t status = attenuate_rays_backward(c, p, d_transmittance, scratch)) return status;
+  if (const int32_t status = attenuate_rays_backward(c, p, d_transmittance, scratch, {}, nullptr)) return status;
   over_chunks(p, [&](int v, int64_t first, int64_t end) {
     const ViewState& s = c.views[v];
     for (int64_t i = first; i < end; i += kWidth) {

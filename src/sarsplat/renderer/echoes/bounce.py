@@ -4,9 +4,10 @@ The way in is the line of sight u, the way out its mirror image M u at the groun
 the way to the foot (x, y, ground) and back, whatever the height: a Gaussian is imaged as if it were pressed flat onto
 the ground. The amplitudes of both orders add: four times the power of one.
 
-What returns is lit both ways, over √(lit(u)·lit(M u)). Along M u the scene is seen as its mirror image is along u, so
-the scene and its image are one scene of 2 N Gaussians, attenuated once: all real ones are before the ground, and so
-before all mirrored ones.
+What returns is lit both ways. Along M u the scene is seen as its mirror image is along u: rays go on through the image
+with what is left of them behind the scene, for all of that is before the ground. The CPU engine does so in one call; to
+the steps of a rendering the scene and its image are one scene of 2 N Gaussians. The area of both ways is
+√(lit(u)·lit(M u)) (`both_ways.py`).
 """
 
 from __future__ import annotations
@@ -29,10 +30,13 @@ from sarsplat.geometry.view import check_monostatic
 from sarsplat.renderer.both_ways import both_ways
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.engines.chosen_views import by_view
+from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.engines.problem import level_direction
 from sarsplat.renderer.footprints import Footprints, footprints_of
 from sarsplat.renderer.lobes import amplitudes_along
 from sarsplat.renderer.one_by_one import Steps
-from sarsplat.renderer.operations import pressed_flat_with
+from sarsplat.renderer.operations import bounced_with, pressed_flat_with
 
 _COHERENT = 4.0
 """Power of two equal amplitudes over that of one."""
@@ -63,6 +67,7 @@ class GroundBounce(Echo):
     amplitudes: Float[Tensor, "v n"] | None = None
 
     way: ClassVar[str] = "by way of the ground"
+    wants_ray_ends: ClassVar[bool] = True
     within_bounds: ClassVar[bool] = False  # the mirror image is below
 
     def __post_init__(self) -> None:
@@ -98,6 +103,22 @@ class GroundBounce(Echo):
     def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
         """As if the ground reflected everything."""
         s = sighting
+        if s.new_pass is not None and (kernel := s.new_pass()).has("bounce", {}):
+            _check_views(s.views)
+            assert s.ends is not None  # asked for
+            return bounced_with(
+                kernel,
+                s.gaussians,
+                s.views,
+                s.grid,
+                rays=s.rays,
+                amplitudes=self._amplitudes(s, by_view),
+                shift=s.shift,
+                lit_area=s.lit_area,
+                ends=s.ends,
+                height_m=self._height,
+                factor=_COHERENT,
+            )
         steps = _Steps(s.new_pass, s.cuts)
         sections, places = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift, by_view)
         return steps.splat(places, sections[..., None], s.grid)[:, 0]
@@ -129,11 +150,17 @@ class GroundBounce(Echo):
         shift: Float[Tensor, "v 2"] | None,
         amplitudes: Float[Tensor, "v n"] | None,
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
-        check_monostatic(views, "the bounce off the ground is that of one radar")
+        _check_views(views)
         if amplitudes is None:
-            amplitudes = steps.gamma0(gaussians, _middles(views, gaussians.means))
+            amplitudes = _gamma0(steps.new_pass, gaussians, views)
         lit = both_ways(*lit_both_ways(steps, gaussians, views, grid, rays, self._height))
         return lit * amplitudes * _COHERENT, steps.feet(gaussians, views, grid, self._height, shift)
+
+    def _amplitudes(self, s: Sighting, by_view: Tensor | None) -> Float[Tensor, "v n 1"] | None:
+        """None for harmonics, which engines evaluate themselves."""
+        if by_view is None and isinstance(s.gaussians.scattering, Harmonics):
+            return None
+        return (_gamma0(s.new_pass, s.gaussians, s.views) if by_view is None else by_view)[..., None]
 
     @property
     def _height(self) -> float:
@@ -143,10 +170,6 @@ class GroundBounce(Echo):
 
 class _Steps(Steps):
     """Those of a bounce, too."""
-
-    def gamma0(self, gaussians: Gaussians, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n"]:
-        amplitudes = amplitudes_along(self.new_pass, gaussians, directions)
-        return amplitudes[..., gaussians.scattering.power_channel]
 
     def feet(
         self,
@@ -158,10 +181,7 @@ class _Steps(Steps):
     ) -> Footprints:
         if self.new_pass is None:
             return feet(gaussians, views, grid, height_m, shift)
-        of_height = np.array([height_m * view.look.gradients[:, 2] for view in views])
-        moved = torch.from_numpy(of_height).to(gaussians.means)
-        moved = moved if shift is None else moved + shift
-        return pressed_flat_with(self.new_pass, gaussians, views, grid, shift=moved)
+        return pressed_flat_with(self.new_pass, gaussians, views, grid, shift=shift, height_m=height_m)
 
 
 def lit_both_ways(
@@ -212,7 +232,11 @@ def _with_mirror_image(gaussians: Gaussians, height_m: float) -> Gaussians:
     )
 
 
-def _middles(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
-    """Unit vectors in the middle between u and M u: level, towards the radar."""
-    u = np.array([view.look.way_out for view in views]) * (1.0, 1.0, 0.0)
-    return torch.from_numpy(u / np.linalg.norm(u, axis=1, keepdims=True)).to(like)
+def _check_views(views: Sequence[View]) -> None:
+    check_monostatic(views, "the bounce off the ground is that of one radar")
+
+
+def _gamma0(new_pass: NewPass | None, gaussians: Gaussians, views: Sequence[View]) -> Float[Tensor, "v n"]:
+    """What Gaussians return between u and M u."""
+    middles = by_view(level_direction, views, gaussians.means.dtype, gaussians.means.device)
+    return amplitudes_along(new_pass, gaussians, middles)[..., gaussians.scattering.power_channel]

@@ -131,7 +131,7 @@ class Pass(Arrays):
         else:
             d_amplitudes = gradients.amplitudes
         self._splat_tiles_backward(problem, channels, gradients.images, through_images)
-        seeds = (c_void_p(p) for p in (None, through_images, gradients.cross_sections, d_amplitudes))
+        seeds = (c_void_p(p) for p in (gradients.lit_area, through_images, gradients.cross_sections, d_amplitudes))
         self._attenuate_tiles_backward(problem, channels, gradients.transmittance, *seeds)
         self._project_backward(problem, self._gamma0("gamma0 gradient"), gradients)
 

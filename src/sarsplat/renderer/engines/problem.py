@@ -60,6 +60,41 @@ def flat_frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
 
 
 @kept_on_device(maxsize=4096)
+def mirrored_frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
+    """The frame in which a scene has the coordinates that its image in the plane z = 0 has in the view's."""
+    return torch.from_numpy(view.look.frame * (1.0, 1.0, -1.0)).float().to(device)
+
+
+@kept_on_device(maxsize=4096)
+def mirror_offset(view: View, height_m: float, device: torch.device) -> Float[Tensor, " 2"]:
+    """By how much its image in the plane z = height lies elsewhere on the computation plane, m."""
+    return torch.from_numpy(view.look.frame[:2, 2] * (2 * height_m)).float().to(device)
+
+
+@kept_on_device(maxsize=4096)
+def foot_shift(view: View, height_m: float, device: torch.device) -> Float[Tensor, " 2"]:
+    """By how much a foot at this height is imaged elsewhere than the one at z = 0, m."""
+    return torch.from_numpy(view.look.gradients[:, 2] * height_m).float().to(device)
+
+
+@kept_on_device(maxsize=4096)
+def level_direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " 3"]:
+    """The unit vector in the middle between that towards the radar and its mirror image: level."""
+    return torch.from_numpy(_level(view)).to(device, dtype)
+
+
+@kept_on_device(maxsize=4096)
+def level_basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
+    """Harmonics along that."""
+    return harmonic_basis(torch.from_numpy(_level(view)), degree).float().to(device)
+
+
+def _level(view: View) -> Float[np.ndarray, " 3"]:
+    flat = view.look.way_out * (1.0, 1.0, 0.0)
+    return flat / np.linalg.norm(flat)
+
+
+@kept_on_device(maxsize=4096)
 def _basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
     """Harmonics towards the radar."""
     return harmonic_basis(torch.from_numpy(view.look.facing), degree).float().to(device)

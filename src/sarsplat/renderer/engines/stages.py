@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
@@ -17,7 +18,17 @@ from sarsplat.renderer.engines.chosen_views import by_view
 from sarsplat.renderer.engines.cpu import FAULTS
 from sarsplat.renderer.engines.operation import Call, Tensors
 from sarsplat.renderer.engines.passes import Pass
-from sarsplat.renderer.engines.problem import ARRAYS, flat_frame, new_problem, point_at, pointer, problem_of
+from sarsplat.renderer.engines.problem import (
+    ARRAYS,
+    flat_frame,
+    level_basis,
+    mirror_offset,
+    mirrored_frame,
+    new_problem,
+    point_at,
+    pointer,
+    problem_of,
+)
 from sarsplat.renderer.footprints import deviations
 
 _WIDTHS = (2, 3, None, None, 2, 2, 3, None)  # of the tensors [V, N, …] of a projection, as in csrc/api.h
@@ -33,7 +44,7 @@ class Stage(Call):
 class _OfGaussians(Stage):
     """A stage whose inputs are the arrays of a problem."""
 
-    names = ARRAYS
+    names: ClassVar[tuple[str, ...]] = ARRAYS
     peak = False
     of_views: int | None = None
     """Of so many views these are a part; None: they are all."""
@@ -51,7 +62,7 @@ class _OfGaussians(Stage):
     def new_gradients(self, saved: list[Any]) -> list[Tensor | None]:
         """Room for the gradients: of what is given, and of the shift, which takes a kernel of its own, if needed."""
         *others, shift = [None if t is None else torch.empty_like(t) for t in saved]
-        return [*others, shift if self.needed[-1] else None]
+        return [*others, shift if self.needed[len(ARRAYS) - 1] else None]
 
     def accept(self, inputs: Tensors, fault: str, index: int) -> None:
         """Raise what the kernel rejected, if anything."""
@@ -77,7 +88,7 @@ class Render(_OfGaussians):
     in_sight: Float[Tensor, "v n"] | None = None
     planes: Float[Tensor, "v n 4"] | None = None
     """Filled with dL/d(mu_C, mu_I) on the way back."""
-    constant = (2, 4)
+    constant = (4,)
 
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
         problem, means = self.pose(inputs), inputs[0]
@@ -92,12 +103,12 @@ class Render(_OfGaussians):
         return images, cross_sections, lit_area, *_traced(self.kernel, problem, self.depth, self.ends, lit_area)
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
-        d_images, d_cross_sections, _, d_transmittance, _ = grads
+        d_images, d_cross_sections, d_lit_area, d_transmittance, _ = grads
         if d_images is None:
             shape = self.problem.views, self.problem.channels, self.grid.rows, self.grid.columns
             d_images = saved[0].new_zeros(shape)
         results = self.new_gradients(saved)
-        seeds = d_images, d_cross_sections, d_transmittance
+        seeds = d_images, d_cross_sections, d_transmittance, d_lit_area
         gradients = api.gradients(*map(pointer, (*seeds, *results, self.planes)))
         point_at(self.problem, saved)
         self.kernel.backward("render", self.problem, gradients)
@@ -137,6 +148,69 @@ class PressedFlat(Project):
         self.constants = (*self.constants, frames)
         problem.frames = pointer(frames)
         return problem
+
+
+class Bounce(_OfGaussians):
+    """One call each way for all views: images of what returns by way of a mirror on the ground, of one channel."""
+
+    names = (*ARRAYS, "transmittance", "lit_area")
+
+    def __init__(
+        self,
+        kernel: Pass,
+        views: Sequence[View],
+        grid: ImageGrid,
+        rays: RayGrid,
+        p_min: float,
+        lattices: Sequence[Any],
+        height_m: float,
+        factor: float,
+    ) -> None:
+        super().__init__(kernel, views, grid, rays, p_min)
+        self.lattices = (api.lattice * len(lattices))(*lattices)
+        self.height_m, self.factor = height_m, factor
+
+    def pose(self, inputs: Tensors) -> Any:
+        problem, means = super().pose(inputs[: len(ARRAYS)]), inputs[0]
+        assert means is not None
+        device = means.device
+        frames, feet = (by_view(of, self.views, device) for of in (mirrored_frame, flat_frame))
+        offset, basis = by_view(mirror_offset, self.views, self.height_m, device), None
+        if problem.coefficients:
+            basis = by_view(level_basis, self.views, math.isqrt(problem.coefficients) - 1, device)
+        self.constants = frames, feet, offset, basis
+        problem.frames, problem.basis = pointer(frames), pointer(basis)
+        return problem
+
+    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
+        problem, means = self.pose(inputs), inputs[0]
+        assert means is not None
+        images = means.new_empty(problem.views, self.grid.rows, self.grid.columns)
+        self.accept(inputs, *self.kernel.forward("bounce", problem, self._another_way(inputs), images.data_ptr()))
+        return (images,)
+
+    def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
+        arrays, (transmittance, lit_area) = saved[: len(ARRAYS)], saved[len(ARRAYS) :]
+        results = self.new_gradients(arrays)
+        gradients = api.gradients(images=pointer(grads[0]), **dict(zip(ARRAYS, map(pointer, results), strict=True)))
+        ends, lit = torch.zeros_like(transmittance), torch.empty_like(lit_area)
+        point_at(self.problem, arrays)
+        addresses = ends.data_ptr(), lit.data_ptr()
+        self.kernel.backward("bounce", self.problem, self._another_way(saved), gradients, *addresses)
+        return [*results, ends, lit]
+
+    def _another_way(self, inputs: Tensors) -> Any:
+        """With the addresses of its arrays."""
+        _, feet, offset, _ = self.constants
+        transmittance, lit_area = inputs[len(ARRAYS) :]
+        return api.bounce(
+            image_frames=pointer(feet),
+            offset=pointer(offset),
+            transmittance=pointer(transmittance),
+            lattices=self.lattices,
+            lit_area=pointer(lit_area),
+            factor=self.factor,
+        )
 
 
 class Attenuate(Stage):
