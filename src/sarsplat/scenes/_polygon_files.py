@@ -121,7 +121,7 @@ def _fan(polygon: Polygon) -> list[tuple[int, int, int]]:
     return [(0, k, k + 1) for k in range(1, len(polygon) - 1)]
 
 
-# ---- PLY ---------------------------------------------------------------------------------------------------------------
+# ---- PLY -----------------------------------------------------------------------------------------------------------
 Element = tuple[str, int, list[tuple[str, str, str]]]
 """Name, number, and properties: type of the number in a list or nothing, type of the values, name."""
 

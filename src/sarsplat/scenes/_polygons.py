@@ -145,7 +145,7 @@ class _Outline:
         one, other = sides[2], np.roll(sides[2], -1, axis=2)
         crosses = (np.abs(one) > least) & (np.abs(other) > least) & ((one > 0) != (other > 0))
         crosses &= (np.abs(from_a) > least) & (np.abs(from_c) > least) & ((from_a > 0) != (from_c > 0))
-        ear = (_area(a, b, c) > self.least[:, None]) & ~inside.any(axis=2) & ~crosses.any(axis=2)
+        ear = (_area(a, b, c) > self.least[:, None]) & ~inside.any(axis=-1) & ~crosses.any(axis=-1)
         start, end = (np.take_along_axis(self.centred, which[:, :, None], 1) for which in (before, after))
         length = np.linalg.norm(end - start, axis=2) + _TIE * ((start + end) @ _ASIDE)
         return np.where(ear, length, np.inf)
