@@ -26,7 +26,7 @@ def export(
     Parameters
     ----------
     run
-        Folder written by `sarsplat reconstruct`, or a PLY file of Gaussians.
+        Folder written by `sarsplat reconstruct`, or a PLY or .splat file of Gaussians.
     file
         File to write. Its ending decides the format: .ply (Gaussians, unless --format says otherwise); .splat
         (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .npz (all arrays, for numpy).

@@ -41,6 +41,7 @@ from sarsplat.gaussians import (
     Scattering,
     scattering_named,
 )
+from sarsplat.gaussians.strays import strays
 from sarsplat.names import Colour
 
 _VERSION = "sarsplat gaussians 2"
@@ -199,13 +200,15 @@ def far_from_origin(means: Float[np.ndarray, "n 3"], scales: Float[np.ndarray, "
     """What to subtract from places (m) for them to lie around the origin: zeros where they do, for their size."""
     if not len(means):
         return np.zeros(3)
-    low, high = np.quantile(means.astype(np.float64), (_OUTLIERS, 1 - _OUTLIERS), axis=0)
-    size = float(np.linalg.norm(high - low)) + 2 * float(np.median(scales.max(axis=1)))
+    middle = np.median(means.astype(np.float64), axis=0)
+    kept = ~strays(means - middle, scales)
+    low, high = np.quantile(means[kept].astype(np.float64), (_OUTLIERS, 1 - _OUTLIERS), axis=0)
+    size = float(np.linalg.norm(high - low)) + 2 * float(np.median(scales[kept].max(axis=1)))
     if np.abs([low, high]).max() <= _FAR * size:
         return np.zeros(3)
     unit = 10.0 ** math.floor(math.log10(size / 10))  # whole numbers of it are short to say
-    middle: Float64[np.ndarray, " 3"] = unit * np.round(np.array([*(low + high)[:2] / 2, low[2]]) / unit)
-    return middle
+    moved: Float64[np.ndarray, " 3"] = unit * np.round(np.array([*(low + high)[:2] / 2, low[2]]) / unit)
+    return moved
 
 
 def _our_own(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
