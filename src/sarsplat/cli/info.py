@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -15,9 +16,13 @@ from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.cli.info_run import describe_contents, describe_run, extent
 from sarsplat.errors import SarsplatError, counted
 
+if TYPE_CHECKING:
+    import trimesh
+
 _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
 
+_SUNK = 0.02  # of the size of a mesh: wheels may sink in
 _UNDERSTOOD = (
     "a dataset, a run, rendered images, generated chips, images to import, a PLY of Gaussians or points, a power TIFF "
     "or a mesh"
@@ -189,4 +194,17 @@ def _mesh(path: Path) -> tuple[str, dict[str, str]]:
         "closed": "yes" if merged.is_watertight else "no (fine for ray casting)",
         "unit": "assumed to be metres; +x nose, +y left, +z up, ground at z = 0",
     }
+    if (place := _place(mesh)) is not None:
+        rows["place"] = place
     return "a mesh", rows
+
+
+def _place(mesh: trimesh.Trimesh) -> str | None:
+    """What is odd about where a mesh stands, if anything is."""
+    low, high = mesh.bounds
+    size = math.dist(low, high)
+    if max(abs(low[:2] + high[:2])) / 2 > size or low[2] > size:
+        return "away from the origin, on which images are centred; simulate it with --recentre"
+    if low[2] < -_SUNK * size:
+        return f"reaches {-low[2]:.3g} m below z = 0, where the ground is; raise it, or simulate it with --recentre"
+    return None
