@@ -84,7 +84,13 @@ SOCKET += ("Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protoco
 @pytest.mark.parametrize(
     "host",
     [
-        *("evil.example", "evil.example:{port}", "127.0.0.1.evil.example:{port}", "localhost.evil.example", "192.168.0.7"),
+        *(
+            "evil.example",
+            "evil.example:{port}",
+            "127.0.0.1.evil.example:{port}",
+            "localhost.evil.example",
+            "192.168.0.7",
+        ),
         *("localhost.:{port}", "127.0.0.1:{port}@evil.example", "0.0.0.0:{port}", "[::2]:{port}", "", "localhost:port"),
     ],
 )

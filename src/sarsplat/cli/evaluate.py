@@ -32,8 +32,8 @@ def evaluate(
     Parameters
     ----------
     run
-        Folder written by `sarsplat reconstruct`, or a PLY or .splat file of Gaussians, which is scored on --dataset, or without
-        images against --mesh; its scores are printed only.
+        Folder written by `sarsplat reconstruct`, or a PLY or .splat file of Gaussians, which is scored on --dataset, or
+        without images against --mesh; its scores are printed only.
     mesh
         A model of the target to hold the points against, metres, in the frame of the views (x towards the nose, z up,
         ground at z = 0); without it, the dataset's true mesh, if it has one.

@@ -267,7 +267,8 @@ def simulate(
         raise SarsplatError(f"{problem} given; give exactly one of them, e.g. --target t72")
     surface = scaled(surface, scale)
     looked, gamma0 = [view for view, _ in views], ScatteringLaw(*law)
-    odd, moved = lost_digits(surface, grid), None
+    exact = mesh is None or mesh.suffix.lower() in (".obj", ".off")  # in text are as many digits as were written
+    odd, moved = [] if exact else lost_digits(surface, grid), None
     if recentre:
         surface, moved = recentred(surface, aloft=bool(isar))
         console.say("subtracted from the target's coordinates: " + ", ".join(f"{value:.10g}" for value in moved) + " m")

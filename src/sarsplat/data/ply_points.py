@@ -63,7 +63,7 @@ def read_ply(
     """Read the properties of vertices, by name, as float32 or those named `exact` as float64, and the comments.
 
     `wanted` says, of a name and the comments, what to read; vertices are read some at a time, for a file can be several
-    times as large as what is wanted of it. Another `element` may be read, which may be `missing`: then there is nothing.
+    times as large as what is wanted of it. Another `element` may be read, which may be `missing`: then nothing is.
     """
     with open_file(path) as file:
         data = file.read(_LONGEST_HEADER)

@@ -19,7 +19,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.harmonics import CONSTANTS
 
 SPLAT = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
-"""One Gaussian of a `.splat` file: m, standard deviations (m), colour and opacity, 128 + 128·q of the quaternion wxyz."""
+"""One Gaussian of a `.splat` file: m, standard deviations (m), colour and opacity, and 128 + 128·q of wxyz."""
 
 PACKED = "packed_position"
 """A property of the vertices of SuperSplat's compressed PLY."""
@@ -70,7 +70,7 @@ def unpacked(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
     chunks, _ = read_ply(path, element="chunk")
     if any(word not in packed for word in words) or any(end not in chunks for end in _ENDS):
         raise SarsplatError(f"{path} is a compressed PLY without some of its properties; export it again, uncompressed")
-    position, rotation, scale, colour = (packed[word].astype(np.uint32) for word in words)
+    position, rotation, scale, colour = (packed[word].astype(np.int64) for word in words)
     count, many = len(position), len(chunks["min_x"])
     if count > _CHUNK * many:
         raise SarsplatError(f"{path} has {many} chunks for {count} Gaussians, of {_CHUNK} at most; export it again")
@@ -110,7 +110,7 @@ def _quaternions(largest: Int[np.ndarray, " n"], others: Float64[np.ndarray, "n 
     rows = np.arange(len(others))
     rest = np.arange(4)[None] != largest[:, None]
     whole[rest] = others.reshape(-1)
-    whole[rows, largest.astype(int)] = np.sqrt(np.maximum(1 - (others**2).sum(axis=1), 0.0))
+    whole[rows, largest] = np.sqrt(np.maximum(1 - (others**2).sum(axis=1), 0.0))
     return whole
 
 

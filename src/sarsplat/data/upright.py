@@ -58,7 +58,7 @@ def _shortest(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
 
 def turned(harmonics: Float[np.ndarray, "n k"], matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "n k"]:
     """Coefficients of a function on the sphere that is turned with everything else."""
-    degree = int(round(harmonics.shape[1] ** 0.5)) - 1
+    degree = round(harmonics.shape[1] ** 0.5) - 1
     directions = np.random.default_rng(0).normal(size=(_DIRECTIONS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     before, after = (harmonic_basis(torch.from_numpy(u), degree).numpy() for u in (directions @ matrix, directions))

@@ -68,7 +68,7 @@ def outside_images(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid
 
 
 def lost_digits(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
-    """A sentence if the coordinates of a mesh are float32 and so far from the origin that this is coarse, or nothing."""
+    """A sentence if coordinates of a mesh are float32 and so far from the origin that this is coarse, or nothing."""
     vertices = np.asarray(mesh.vertices)
     step = float(np.spacing(np.float32(np.abs(vertices).max())))
     if step <= _ROUNDED * min(grid.resolution_m) or (vertices != vertices.astype(np.float32)).any():
@@ -109,4 +109,3 @@ def _share_below(height: Float64[np.ndarray, "f 3"]) -> Float64[np.ndarray, " f"
         [low >= 0, high <= 0, middle <= 0], [np.zeros_like(low), np.ones_like(low), one_above], one_below
     )
     return share
-
