@@ -282,7 +282,7 @@ def simulate(
     about: dict[str, Any] = {"target": name, "ground": ground is not None, "target_box_m": box_m}
     if stack is not None:
         signals = simulated_signals(surface, looked, grid, stack, gamma0, ground, seed)
-        record = {"kind": "scatterers", "law": gamma0.as_dict(), "ground_gamma0": ground, "seed": seed}
+        record: dict[str, Any] = {"kind": "scatterers", "law": gamma0.as_dict(), "ground_gamma0": ground, "seed": seed}
         record |= {"mechanisms": "by slope", "scale": scale} if polarimetric else {"scale": scale}
         record |= _moved(moved)
         dataset = Dataset.of_complex(grid, _entries(views, stack), signals, looks=1.0, source=record, **about)

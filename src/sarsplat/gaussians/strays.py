@@ -39,19 +39,21 @@ def strays(
     if count < _FEWEST:
         return none
     means = means.astype(np.float64)
-    extents = np.zeros((count, 3)) if scales is None else SIGMAS * scales.astype(np.float64)
+    extents: Float64[np.ndarray, "n 3"] = np.zeros((count, 3))
+    if scales is not None:
+        extents = SIGMAS * scales.astype(np.float64)
     axes = np.broadcast_to(np.eye(3), (count, 3, 3))
     if quaternions is not None:
         axes = Rotation.from_quat(quaternions.astype(np.float64)[:, [1, 2, 3, 0]]).as_matrix().transpose(0, 2, 1)
-    largest = extents.max(axis=1)
+    largest: Float64[np.ndarray, " n"] = extents.max(axis=1)
     body = _bodies(means, extents, axes, largest)
-    apart = _apart(np.linalg.norm(means, axis=1), body)
+    distance: Float64[np.ndarray, " n"] = np.linalg.norm(means, axis=1)
+    apart = _apart(distance, body)
     if apart.mean() > _MOST:
         return none
-    reach = np.linalg.norm(means, axis=1) + largest
     usual = np.quantile(largest[~apart], _USUAL)
-    whole = (np.linalg.norm(means, axis=1) + np.minimum(largest, usual))[~apart].max()
-    huge = ~apart & (reach > _COARSER * whole)
+    whole = (distance + np.minimum(largest, usual))[~apart].max()
+    huge = ~apart & (distance + largest > _COARSER * whole)
     if (apart | huge).mean() > _MOST:
         return apart
     return apart | huge
@@ -66,7 +68,7 @@ def _bodies(
     """The number of the connected body that each Gaussian is part of."""
     some = means[:: max(len(means) // _SAMPLE, 1)]
     gaps = cKDTree(means).query(some, k=2)[0][:, 1]
-    step = max(_GAPS * float(np.median(gaps)), _EXTENTS * float(np.median(largest)), np.finfo(np.float32).tiny)
+    step = max(_GAPS * float(np.median(gaps)), _EXTENTS * float(np.median(largest)), float(np.finfo(np.float32).tiny))
     places = [means]
     for axis in range(3):
         for k in range(1, _LONGEST + 1):
