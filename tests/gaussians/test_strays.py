@@ -35,6 +35,7 @@ def test_one_far_gaussian_is_a_stray(far_m):
         (body(5, (100, 0, 0)), "a clump"),
         (body(30, (1e5, 0, 0)), "a clump so far away that nothing is seen"),
         (np.array([[0.0, 0, 5000]]), "above"),
+        (np.random.default_rng(1).normal(size=(80, 3)) * 3000, "a fifth of all"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -48,6 +49,7 @@ def test_what_floats_apart_is_a_stray(apart, which):
         ([VEHICLE], "one vehicle"),
         ([body(400, (-30, 0, 1)), body(401, (30, 0, 1))], "two vehicles"),
         ([VEHICLE, body(40, (60, 0, 1))], "a vehicle and one of few Gaussians"),
+        ([VEHICLE, body(30, (120, 0, 1))], "a vehicle and one farther away"),
         ([body(3000, (0, 0, 3), (30, 30, 3)), body(25, (150, 0, 3), (5, 5, 3))], "a village and a far house"),
         ([VEHICLE, np.column_stack([np.zeros(40), np.zeros(40), np.linspace(2, 40, 40)])], "a mast"),
         ([np.random.default_rng(0).uniform(-50, 50, (60, 3))], "single scatterers"),
@@ -76,3 +78,5 @@ def test_a_gaussian_far_larger_than_the_scene_is_a_stray_and_long_ones_are_not()
     assert found(VEHICLE, scales=scales) == 0
     scales[-1] = np.exp(30)
     assert found(VEHICLE, scales=scales) == 1
+    scales[-30:, 1] = 400
+    assert found(VEHICLE, scales=scales) == 30

@@ -37,6 +37,13 @@ def test_a_mesh_outside_of_some_images_is_said():
     assert f"{shown.count(False)} images of 8 cannot show it" in said
 
 
+def test_a_mesh_that_is_cut_off_though_it_would_fit_is_said():
+    edge = min(GRID.columns * GRID.spacing_m[0], GRID.rows * GRID.spacing_m[1]) / 2
+    (said,) = outside_images(box(edge), VIEWS, GRID)
+    assert "% of the target's surface is outside of an image, though it would fit" in said
+    assert outside_images(box(edge / 2), VIEWS, GRID) == []
+
+
 def test_coordinates_that_lost_their_digits_are_said():
     assert lost_digits(box(5e5 + 0.3, 5.2e6), GRID) == []  # float64
     rounded = box(5e5 + 0.3, 5.2e6)

@@ -136,7 +136,7 @@ def _elements(path: Path, header: list[str]) -> list[tuple[str, int, list[tuple[
     """Name, count and properties (name, numpy type) of each element."""
     elements: list[tuple[str, int, list[tuple[str, str]]]] = []
     if header[:1] != [_FORMAT]:
-        raise SarsplatError(f"{path} is a PLY of {shown(header[:1])}; only {_FORMAT!r} is read")
+        raise SarsplatError(f"{path} is a PLY of {shown(header[:1])}; only {_FORMAT!r} is read; export it as binary")
     for line in header[1:]:
         match line.split():
             case ["comment" | "obj_info", *_]:

@@ -20,12 +20,11 @@ SIGMAS = 2.5
 
 _FEWEST = 10  # Gaussians of which something can be said
 _HANDFUL = 8  # that are no body by themselves
-_MOST = 0.1  # of all that may be strays
-_COARSER, _INVISIBLE = 3.0, 20.0  # times: by a handful, and by a body
+_MOST, _MOST_OF_BODIES = 0.25, 0.1  # of all that may be strays: in all, and in bodies or by their size
+_COARSER, _INVISIBLE = 3.0, 50.0  # times: by a handful, and by a body
 _GAPS, _EXTENTS = 10.0, 2.0  # of the usual distance of neighbours, and of the usual extent
 _SAMPLE = 5_000  # Gaussians of which the usual distance is taken
 _LONGEST = 8  # links along an axis of a Gaussian: beyond, its size is what is odd
-_USUAL = 0.95  # of the extents
 
 
 def strays(
@@ -51,12 +50,10 @@ def strays(
     apart = _apart(distance, body)
     if apart.mean() > _MOST:
         return none
-    usual = np.quantile(largest[~apart], _USUAL)
+    usual = np.quantile(largest[~apart], 1 - _MOST_OF_BODIES)
     whole = (distance + np.minimum(largest, usual))[~apart].max()
     huge = ~apart & (distance + largest > _COARSER * whole)
-    if (apart | huge).mean() > _MOST:
-        return apart
-    return apart | huge
+    return apart if huge.mean() > _MOST_OF_BODIES else apart | huge
 
 
 def _bodies(
@@ -95,5 +92,8 @@ def _apart(distance: Float64[np.ndarray, " n"], body: Int[np.ndarray, " n"]) -> 
     bodies = (members >= _HANDFUL) & (reach <= _INVISIBLE * main)
     bodies[members.argmax()] = True
     far = np.full(len(distance), _COARSER * reach[bodies].max())
-    far[(members >= _HANDFUL)[body]] = 0.0
+    many = (members >= _HANDFUL)[body]
+    if (many & ~bodies[body]).mean() > _MOST_OF_BODIES:
+        return np.zeros(len(distance), bool)
+    far[many] = 0.0
     return ~bodies[body] & (distance > far)

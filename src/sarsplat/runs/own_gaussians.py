@@ -28,6 +28,7 @@ _DEGREES = (3, 2, 1, 0)
 """Of the harmonics, largest first."""
 
 _PIXELS = 128
+_COARSEST_M = 1e6
 _FILLED = 0.7
 """Of an image's width, by the Gaussians that are not faint."""
 
@@ -59,6 +60,11 @@ def usual_grid(gaussians: Gaussians) -> ImageGrid:
     outside = _strays(shown)
     coarse_m = _CELL_SIGMAS * float(shown.scales.amax(dim=1).median())
     spacing_m = float(f"{max(2 * float(reach[~outside.to(reach.device)].max()) / (_FILLED * _PIXELS), coarse_m):.2g}")
+    if spacing_m > _COARSEST_M:
+        raise SarsplatError(
+            f"the Gaussians reach {float(reach[~outside.to(reach.device)].max()):.3g} m from the origin, farther than "
+            "any image shows; check their unit and their scales, or give a grid"
+        )
     if outside.any():
         warnings.warn(
             f"{_described(shown, outside)}; images are {_PIXELS * spacing_m:.3g} m wide, for the others: remove those, "

@@ -159,6 +159,9 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
         data = path.read_bytes()
     except (OSError, MemoryError) as error:
         raise SarsplatError(f"cannot read '{path}': {error}; check the path and its permissions") from error
+    if kind == ".ply" and re.match(rb"ply\r[^\n]", data):  # lines that end in CR alone
+        header, end, body = data.partition(b"end_header\r")
+        data = (header + end).replace(b"\r", b"\n") + body
     if kind == ".glb":
         _check_glb(path, data)
     elif not _is_binary(kind, data):

@@ -10,6 +10,7 @@ from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.scenes.meshes import is_larger
 
 if TYPE_CHECKING:
     import trimesh
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 _SUNK_CELLS = 0.5  # resolution cells below the ground: wheels and tracks may sink in
 _LITTLE = 0.01  # of the surface
 _FOUNDATIONS = 0.25  # of the surface: on terrain, what houses have below it
+_CUT_OFF = 0.25  # of the surface
 _LEANS = 0.02  # of the height: how well a mesh stands on y = 0, and lies evenly about z = 0, if y is up in it
 _ROUNDED = 0.1  # resolution cells that float32 may be off
 
@@ -54,7 +56,7 @@ def outside_images(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid
     """
     shown = shown_in(mesh, views, grid)
     if all(shown):
-        return []
+        return _cut_off(mesh, views, grid)
     where = "the target lies around (" + ", ".join(f"{value:.10g}" for value in mesh.bounds.mean(axis=0)) + ") m"
     if not any(shown):
         raise SarsplatError(
@@ -64,6 +66,24 @@ def outside_images(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid
     return [
         f"{where}: {counted(shown.count(False), 'image')} of {len(shown)} cannot show it, for they are centred on the "
         "origin; give --recentre, or more --pixels"
+    ]
+
+
+def _cut_off(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]:
+    """A sentence if a good part of a mesh that would fit is outside of an image, or nothing."""
+    left, right, far, near = grid.extent_m
+    places = np.concatenate([np.asarray(mesh.triangles), np.asarray(mesh.triangles_center)[:, None]], axis=1)
+    outside = []
+    for view in views:
+        azimuth, slant_range = np.moveaxis(places @ view.look.gradients.T, -1, 0)
+        out = (azimuth < min(left, right)) | (azimuth > max(left, right))
+        out |= (slant_range < min(near, far)) | (slant_range > max(near, far))
+        outside.append(float(out.mean(axis=1) @ mesh.area_faces / mesh.area))
+    if max(outside) < _CUT_OFF or is_larger(mesh, grid):
+        return []
+    return [
+        f"{max(outside):.0%} of the target's surface is outside of an image, though it would fit; give --recentre, or "
+        "more --pixels"
     ]
 
 
