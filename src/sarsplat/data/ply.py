@@ -29,6 +29,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json
 from sarsplat.data.ply_points import named, read_ply, stacked, write_ply
 from sarsplat.data.splat_files import PACKED, refuse_foreign, splat_columns, unpacked
+from sarsplat.data.strays import strays
 from sarsplat.data.upright import upright
 from sarsplat.data.viewer_colours import ODD, viewer_colours
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
@@ -41,7 +42,6 @@ from sarsplat.gaussians import (
     Scattering,
     scattering_named,
 )
-from sarsplat.gaussians.strays import strays
 from sarsplat.names import Colour
 
 _VERSION = "sarsplat gaussians 2"

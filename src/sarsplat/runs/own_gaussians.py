@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from sarsplat.data.ply import far_from_origin
+from sarsplat.data.strays import SIGMAS, strays
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.initialise import Region
-from sarsplat.gaussians.strays import SIGMAS, strays
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.target import law

@@ -14,9 +14,9 @@ from jaxtyping import Float, Float32
 from scipy.spatial import cKDTree
 
 from sarsplat.data import Dataset
+from sarsplat.data.strays import strays
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Ground
-from sarsplat.gaussians.strays import strays
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning import Trainer
 from sarsplat.learning.model import SceneModel

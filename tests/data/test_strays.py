@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sarsplat.gaussians.strays import strays
+from sarsplat.data.strays import strays
 
 
 def body(count: int, middle: tuple[float, ...] = (0, 0, 1), half: tuple[float, ...] = (3, 1, 1)) -> np.ndarray:
