@@ -157,7 +157,7 @@ class Maps:
 
 def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
     count = len(tensors["view_deg"])
-    given = tensors["view_deg"].shape[-1:]
+    given: tuple[int, ...] = tuple(tensors["view_deg"].shape[-1:])
     known = given[0] if given in ((4,), (6,)) else 2
     expected = {
         "ratio": (torch.float32, (count, grid.rows, grid.columns)),
