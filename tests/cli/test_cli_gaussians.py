@@ -40,8 +40,13 @@ def test_a_stray_gaussian_neither_sets_the_pixels_nor_goes_unsaid(tmp_path, stra
     image = rendered(tmp_path / "a.ply")
     said = capsys.readouterr().err
     assert "1 of 60 Gaussians lies apart or is far larger than all others: up to " in said
-    assert "% of the power without shadows; they are left out of images" in said
+    assert "% of the power without shadows; they are left out" in said
     np.testing.assert_array_equal(image, rendered(tmp_path / "b.ply"))
+    assert main(["export", str(tmp_path / "a.ply"), str(tmp_path / "a.xyz")]) == 0
+    assert np.abs(np.loadtxt(tmp_path / "a.xyz")[:, :3]).max() < 5
+    if stray == "far":  # Gaussians are exported as they are
+        assert main(["export", str(tmp_path / "a.ply"), str(tmp_path / "all.ply")]) == 0
+        assert b"element vertex 60\n" in (tmp_path / "all.ply").read_bytes()
     assert main(["info", str(tmp_path / "a.ply")]) == 0
     assert "apart          1 of 60 Gaussians" in capsys.readouterr().out
 

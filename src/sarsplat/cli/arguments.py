@@ -197,7 +197,7 @@ def gaussians_around_origin(path: Path, *, strays: bool) -> Gaussians:
     if not strays:
         gaussians, left_out = without_strays(gaussians)
         if left_out:
-            console.warn(f"{left_out}; they are left out of images")
+            console.warn(f"{left_out}; they are left out")
     return gaussians
 
 

@@ -41,8 +41,8 @@ def export(
     from sarsplat import exports
     from sarsplat.data.folders import refuse_other_kinds
 
-    kind, _ = exports.format_of(file, format)
-    done = run_at(run)
+    kind, content = exports.format_of(file, format)
+    done = run_at(run, strays=content not in ("points", "mesh"))  # nothing is as fine as the rest, and as wide as they
     warn_if_beaten(done.metrics)
     refuse_existing(file, overwrite)
     refuse_other_kinds(file, run, kind.recognises)
