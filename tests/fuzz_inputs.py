@@ -39,6 +39,7 @@ from sarsplat.data import (
     write_gaussians_ply,
     write_points_ply,
 )
+from sarsplat.data.splat_files import SPLAT
 from sarsplat.errors import SarsplatWarning
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
@@ -222,8 +223,29 @@ def _ply_fits(data: bytes, rng: random.Random) -> bytes:
     return b"\n".join(lines) + end + (body + fill * size)[:size]
 
 
+def _splat() -> bytes:
+    table = np.zeros(5, SPLAT)
+    table["position"], table["scale"] = np.arange(15).reshape(5, 3), 0.5
+    table["rgba"], table["rotation"] = 99, 200
+    return table.tobytes()
+
+
+def _compressed() -> bytes:
+    """SuperSplat's compressed PLY: three Gaussians with harmonics of degree 1."""
+    ends = [f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("min", "max") for axis in "xyz"]
+    words = [f"packed_{word}" for word in ("position", "rotation", "scale", "color")]
+    head = ["ply", "format binary_little_endian 1.0", "element chunk 1", *(f"property float {name}" for name in ends)]
+    head += ["element vertex 3", *(f"property uint {word}" for word in words), "element sh 3"]
+    head += [*(f"property uchar f_rest_{k}" for k in range(9)), "end_header", ""]
+    chunk = np.array([0, 0, 0, 1, 1, 1, -3, -3, -3, -1, -1, -1], "<f4").tobytes()
+    return "\n".join(head).encode() + chunk + np.arange(12, dtype="<u4").tobytes() + bytes(range(27))
+
+
 def _read_gaussians(folder: Path) -> object:
-    gaussians = read_gaussians_ply(folder / "g.ply")
+    return _finite(read_gaussians_ply(folder / "g.ply"))
+
+
+def _finite(gaussians: Gaussians) -> object:
     assert all(torch.isfinite(tensor).all() for tensor in gaussians.tensors().values())
     return gaussians
 
@@ -312,7 +334,10 @@ def _mesh(kind: str) -> list[bytes]:
         case "obj":
             text = "mtllib a.mtl\nv 0 0 0\nv 2 0 0\nv 2 2 0 1 0 0\nv 0 2 1\nvt 0 0\nvn 0 0 1\n"
             faces = "f 1 2 3\nusemtl b\nf 1/1/1 2/1/1 3/1/1\nf 1//1 3//1 4//1\nf 1 2 3 4\n"
-            return [box.export(file_type="obj").encode(), (text + faces).encode()]
+            concave = (
+                "v 0 0 0\nv 4 0 0\nv 4 1 0\nv 1 1 0\nv 1 4 0\nv 0 4 0\nf 2 3 4 5 6 1\nf 1/1 2/1 4/1 6/1\nf 1 2 3\n"
+            )
+            return [box.export(file_type="obj").encode(), (text + faces).encode(), concave.encode()]
         case "stl":
             return [box.export(file_type="stl"), box.export(file_type="stl_ascii").encode()]
         case "ply":
@@ -320,9 +345,15 @@ def _mesh(kind: str) -> list[bytes]:
             head = "ply\nformat ascii 1.0\ncomment TextureFile a.png\nelement vertex 4\nproperty float x\n"
             head += "property float y\nproperty float z\nelement face 2\nproperty list uchar int vertex_indices\n"
             ascii_ply = head + "end_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n4 0 1 2 3\n"
-            return [box.export(file_type="ply"), box.export(file_type="ply", encoding="ascii"), ascii_ply.encode()]
+            binary = head.replace("ascii", "binary_big_endian") + "end_header\n"
+            corners = np.array([(0, 0, 0), (4, 0, 0), (1, 1, 0), (0, 4, 0)], ">f4").tobytes()
+            lists = [b"\x03" + np.arange(3, dtype=">i4").tobytes(), b"\x04" + np.arange(4, dtype=">i4").tobytes()]
+            mixed = binary.encode() + corners + b"".join(lists)
+            plain = [box.export(file_type="ply"), box.export(file_type="ply", encoding="ascii")]
+            return [*plain, ascii_ply.encode(), mixed]
         case "off":
-            return [box.export(file_type="off").encode(), b"OFF\n4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n"]
+            square = b"OFF\n4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n"
+            return [box.export(file_type="off").encode(), square, square.replace(b"1 1 0\n", b".2 .2 0\n")]
     return [scene.export(file_type="glb"), _instances(scene.export(file_type="glb"))]
 
 
@@ -454,6 +485,8 @@ READERS = (
     Reader("dataset.json", "set/dataset.json", _read_dataset, _dataset_header, (spoil_json,), prepare_dataset),
     Reader("image.tif", "image.tif", _read_tiff, _tiffs, (_spoil_tiff,)),
     Reader("gaussians.ply", "g.ply", _read_gaussians, lambda: [_gaussians(0), _gaussians(2)], (_ply_fits,)),
+    Reader("g.splat", "g.splat", lambda folder: _finite(read_gaussians_ply(folder / "g.splat")), lambda: [_splat()]),
+    Reader("compressed.ply", "g.ply", _read_gaussians, lambda: [_compressed()]),
     Reader("points.ply", "p.ply", lambda folder: read_points_ply(folder / "p.ply"), lambda: [_points()], (_ply_fits,)),
     Reader(
         "checkpoint",

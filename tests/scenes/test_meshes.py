@@ -32,6 +32,13 @@ def test_clean_file_comes_back_unchanged(tmp_path):
     assert mesh.bounds == pytest.approx(box.bounds)
 
 
+@pytest.mark.parametrize("ends", [b"\r\n", b"\r"])
+def test_a_ply_header_may_have_other_line_ends(tmp_path, ends):
+    header, end, body = trimesh.creation.box((4, 2, 1)).export(file_type="ply").partition(b"end_header\n")
+    (tmp_path / "box.ply").write_bytes((header + end).replace(b"\n", ends) + body)
+    assert load_mesh(tmp_path / "box.ply").area == pytest.approx(28)
+
+
 def test_parts_of_a_scene_become_one_mesh(tmp_path):
     boxes = [trimesh.creation.box((1, 1, 1)).apply_translation((shift, 0, 0)) for shift in (0.0, 5.0)]
     trimesh.Scene(boxes).export(tmp_path / "two.glb")

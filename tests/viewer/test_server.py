@@ -69,6 +69,74 @@ def test_another_site_may_neither_click_nor_listen(served):
     assert refused.value.response.status_code == 403
 
 
+def raw(port: int, *lines: str) -> bytes:
+    """The status line of the answer to a request as it goes over the wire."""
+    with socket.create_connection(("127.0.0.1", port), timeout=30) as plug:
+        plug.sendall("\r\n".join([*lines, "", ""]).encode("latin-1"))
+        return plug.recv(200).partition(b"\r\n")[0]
+
+
+SOCKET = ("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13")
+SOCKET += ("Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protocol: viser-v1.1.1")
+
+
+@pytest.mark.parametrize("kind", ["page", "pick", "socket"])
+@pytest.mark.parametrize(
+    "host",
+    [
+        *(
+            "evil.example",
+            "evil.example:{port}",
+            "127.0.0.1.evil.example:{port}",
+            "localhost.evil.example",
+            "192.168.0.7",
+        ),
+        *("localhost.:{port}", "127.0.0.1:{port}@evil.example", "0.0.0.0:{port}", "[::2]:{port}", "", "localhost:port"),
+    ],
+)
+def test_a_name_that_is_not_this_machines_is_not_answered(served, host, kind):
+    """A stranger's name that was made to mean 127.0.0.1, so that the browser takes its page and ours for one site."""
+    port, picked = served
+    host = host.format(port=port)
+    path = {"page": "/", "pick": "/pick?x=0.25&y=0.5", "socket": "/"}[kind]
+    lines = [f"GET {path} HTTP/1.1", f"Host: {host}", f"Origin: http://{host}", *(SOCKET if kind == "socket" else ())]
+    assert raw(port, *lines).startswith(b"HTTP/1.1 403")
+    assert picked == []
+
+
+def test_requests_without_a_name_or_with_two_are_not_answered(served):
+    port, _ = served
+    for hosts in ([], [f"Host: localhost:{port}", "Host: evil.example"]):
+        assert raw(port, "GET / HTTP/1.1", *hosts).startswith((b"HTTP/1.1 403", b"HTTP/1.1 400"))
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost", "LOCALHOST", "[::1]"])
+@pytest.mark.parametrize("other_port", [None, 9000])
+def test_pages_and_sockets_of_this_machine_are_answered_also_through_a_tunnel(served, name, other_port):
+    """`ssh -L 9000:localhost:8765` shows the page at another port."""
+    port, _ = served
+    host = f"{name}:{other_port or port}"
+    assert raw(port, "GET / HTTP/1.1", f"Host: {host}").startswith(b"HTTP/1.1 200")
+    socket_lines = ("GET / HTTP/1.1", f"Host: {host}", *SOCKET)
+    assert raw(port, *socket_lines, f"Origin: http://{host}").startswith(b"HTTP/1.1 101")
+    assert raw(port, *socket_lines).startswith(b"HTTP/1.1 101")  # of a program that is no browser
+    policy = ask(port, "/", Host=host).headers["Content-Security-Policy"]
+    assert f"connect-src 'self' ws://{host} " in policy
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["https://evil.example", "null", "http://evil.example:{port}", "http://localhost", "http://127.0.0.1:{port}"],
+)
+def test_pages_of_other_sites_open_no_socket_and_click_nothing(served, origin):
+    """Nor those of another program on this machine, which another port or name tells apart."""
+    port, picked = served
+    lines = [f"Host: localhost:{port}", f"Origin: {origin.format(port=port)}"]
+    assert raw(port, "GET / HTTP/1.1", *lines, *SOCKET).startswith(b"HTTP/1.1 403")
+    assert raw(port, "GET /pick?x=0.25&y=0.5 HTTP/1.1", *lines).startswith(b"HTTP/1.1 403")
+    assert picked == []
+
+
 def test_no_other_machine_can_connect(served):
     port, _ = served
     with socket.socket(socket.AF_INET) as probe:  # every other address of this machine is another interface

@@ -24,7 +24,7 @@ MARKERS = (tyro.conf.FlagCreatePairsOff,)
 
 RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 RunOrFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|PLY")]
-"""A run's folder, or a PLY file of Gaussians; see `run_at`."""
+"""A run's folder, or a PLY or .splat file of Gaussians; see `run_at`."""
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
@@ -165,29 +165,39 @@ def views_from(
     return views
 
 
-def is_ply(path: Path) -> bool:
-    """Whether a path is that of Gaussians in a PLY file, not of a run."""
-    return path.suffix.lower() == ".ply" and not path.is_dir()
+def is_gaussians(path: Path) -> bool:
+    """Whether a path is that of Gaussians in a file, not of a run; refused if their format is not read."""
+    from sarsplat.data.splat_files import refuse_foreign
+
+    if path.is_dir():
+        return False
+    refuse_foreign(path)
+    return path.suffix.lower() in (".ply", ".splat")
 
 
-def run_at(path: Path) -> Run:
-    """The run in a folder, or a run in memory of the Gaussians in a PLY file."""
+def run_at(path: Path, *, strays: bool = True) -> Run:
+    """The run in a folder, or a run in memory of the Gaussians in a file, with or without strays among them."""
     from sarsplat.runs import Run
 
-    if not is_ply(path):
+    if not is_gaussians(path):
         return trained_so_far(path)
     with console.busy(f"reading {path}"):
-        return Run.from_gaussians(gaussians_around_origin(path))
+        return Run.from_gaussians(gaussians_around_origin(path, strays=strays))
 
 
-def gaussians_around_origin(path: Path) -> Gaussians:
-    """The Gaussians in a PLY file; says so if they had to be moved there."""
+def gaussians_around_origin(path: Path, *, strays: bool) -> Gaussians:
+    """The Gaussians in a file; says so if they had to be moved there, and if strays among them are left out."""
     from sarsplat.data.ply import read_centred_gaussians
+    from sarsplat.runs.own_gaussians import without_strays
 
     gaussians, moved = read_centred_gaussians(path)
     if moved.any():
         middle = ", ".join(f"{value:.10g}" for value in moved)
         console.say(f"the Gaussians lie around ({middle}) m; that was subtracted, for images are centred on the origin")
+    if not strays:
+        gaussians, left_out = without_strays(gaussians)
+        if left_out:
+            console.warn(f"{left_out}; they are left out")
     return gaussians
 
 

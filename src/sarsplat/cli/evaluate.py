@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import OptionalFile, OptionalFolder, RunOrFile, is_ply
+from sarsplat.cli.arguments import OptionalFile, OptionalFolder, RunOrFile, is_gaussians
 from sarsplat.cli.beaten import warn_if_beaten
 from sarsplat.errors import SarsplatError
 
@@ -32,8 +32,8 @@ def evaluate(
     Parameters
     ----------
     run
-        Folder written by `sarsplat reconstruct`, or a PLY file of Gaussians, which is scored on --dataset, or without
-        images against --mesh; its scores are printed only.
+        Folder written by `sarsplat reconstruct`, or a PLY or .splat file of Gaussians, which is scored on --dataset, or
+        without images against --mesh; its scores are printed only.
     mesh
         A model of the target to hold the points against, metres, in the frame of the views (x towards the nose, z up,
         ground at z = 0); without it, the dataset's true mesh, if it has one.
@@ -84,7 +84,7 @@ def _run(run: Path, dataset: Path | None, mesh: Path | None) -> Run:
     from sarsplat.report.write import refuse_linked_report
     from sarsplat.runs import Run
 
-    if is_ply(run):
+    if is_gaussians(run):
         return _of_gaussians(run, dataset, mesh)
     done = Run.load(run, dataset=None if dataset is None else read_dataset(dataset))
     refuse_linked_report(run)

@@ -37,8 +37,8 @@ def export(
     Parameters
     ----------
     run
-        Folder written by `sarsplat reconstruct`, or a PLY file of Gaussians; for layover and shadow also a GeoTIFF of
-        heights.
+        Folder written by `sarsplat reconstruct`, or a PLY or .splat file of Gaussians; for layover and shadow also a
+        GeoTIFF of heights.
     file
         File to write. Its ending decides the format: .ply (Gaussians, unless --format says otherwise); .splat
         (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .tif (a map of the surface from above:
@@ -81,7 +81,8 @@ def export(
         with console.busy(f"writing {file}"):
             written = exports.export_terrain(run, file, view)
     else:
-        done = run_at(run)
+        # of points, meshes and maps: nothing is as fine as the rest, and as wide as strays
+        done = run_at(run, strays=holds in ("gaussians", "everything"))
         warn_if_beaten(done.metrics)
         refuse_other_kinds(file, run, kind.recognises)
         with console.busy(f"writing {file}"):

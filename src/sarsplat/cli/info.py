@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -15,9 +16,13 @@ from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.cli.info_run import describe_contents, describe_run, extent
 from sarsplat.errors import SarsplatError, counted
 
+if TYPE_CHECKING:
+    import trimesh
+
 _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
 
+_SUNK = 0.02  # of the size of a mesh: wheels may sink in
 _UNDERSTOOD = (
     "a dataset, a run, rendered images, generated chips, images to import, a PLY of Gaussians or points, a power TIFF "
     "or a mesh"
@@ -90,6 +95,8 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
             return _tiff(path)
         case ".ply":
             return _ply(path)
+        case ".splat":
+            return _gaussians(path)
         case ".png" | ".jpg" | ".jpeg":
             raise SarsplatError(
                 f"{path} is a picture without units; give its folder, and info reports whether it can be imported"
@@ -141,35 +148,63 @@ def _ply(path: Path) -> tuple[str, dict[str, str]]:
         header = file.read(65_536).partition(b"end_header")[0]
     if b"property list" in header:
         return _mesh(path)
-    if b" f_dc_0" in header:
-        from sarsplat.data import read_gaussians_ply
-
-        gaussians = read_gaussians_ply(path)
-        rows = {
-            "centres": extent(gaussians.means.numpy()),
-            "scales": f"median {gaussians.scales.median():.3g} m" if len(gaussians) else "none",
-            "optical depth": f"median {gaussians.optical_depth.median():.3g} (two-way, peak)"
-            if len(gaussians)
-            else "–",
-            "scattering": f"{gaussians.scattering.kind}, {gaussians.scattering.parameters.shape[1]} numbers each; "
-            f"p_min {gaussians.scattering.p_min:g} (γ⁰)",
-        }
-        return f"{len(gaussians)} Gaussians", rows
+    if b" f_dc_0" in header or b" packed_" in header:
+        return _gaussians(path)
     from sarsplat.data import read_points_ply
 
     points, columns = read_points_ply(path)
     return "points", {"points": extent(points), "other columns": ", ".join(columns) or "none"}
 
 
+def _gaussians(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.data.ply import read_centred_gaussians
+    from sarsplat.runs.own_gaussians import without_strays
+
+    centred, moved = read_centred_gaussians(path)
+    near, left_out = without_strays(centred)
+    some = len(centred) > 0
+    rows = {
+        "centres": extent(centred.means.double().numpy() + moved),
+        **({"of the others": extent(near.means.double().numpy() + moved), "apart": left_out} if left_out else {}),
+        "scales": f"median {centred.scales.median():.3g} m" if some else "none",
+        "optical depth": f"median {centred.optical_depth.median():.3g} (two-way, peak)" if some else "–",
+        "scattering": f"{centred.scattering.kind}, {centred.scattering.parameters.shape[1]} numbers each; "
+        f"p_min {centred.scattering.p_min:g} (γ⁰)",
+    }
+    if moved.any():
+        middle = ", ".join(f"{value:.10g}" for value in moved)
+        rows["place"] = f"far from the origin; images are made after ({middle}) m has been subtracted"
+    if path.suffix.lower() == ".splat":
+        rows["colours"] = "taken as γ⁰; .splat keeps no more than a shade of it, a .ply of ours keeps all"
+    return f"{len(centred)} Gaussians", rows
+
+
 def _mesh(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.data.splat_files import refuse_foreign
     from sarsplat.scenes import load_mesh
 
+    refuse_foreign(path)
     mesh = load_mesh(path)
+    merged = mesh.copy()
+    merged.merge_vertices(merge_tex=True, merge_norm=True)  # an STL repeats each in every face
     rows = {
         "vertices": extent(mesh.vertices),
         "faces": str(len(mesh.faces)),
         "surface": f"{mesh.area:.4g} m²",
-        "closed": "yes" if mesh.is_watertight else "no (fine for ray casting)",
+        "closed": "yes" if merged.is_watertight else "no (fine for ray casting)",
         "unit": "assumed to be metres; +x nose, +y left, +z up, ground at z = 0",
     }
+    if (place := _place(mesh)) is not None:
+        rows["place"] = place
     return "a mesh", rows
+
+
+def _place(mesh: trimesh.Trimesh) -> str | None:
+    """What is odd about where a mesh stands, if anything is."""
+    low, high = mesh.bounds
+    size = math.dist(low, high)
+    if max(abs(low[:2] + high[:2])) / 2 > size or low[2] > size:
+        return "away from the origin, on which images are centred; simulate it with --recentre"
+    if low[2] < -_SUNK * size:
+        return f"reaches {-low[2]:.3g} m below z = 0, where the ground is; raise it, or simulate it with --recentre"
+    return None

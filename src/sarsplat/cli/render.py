@@ -60,7 +60,7 @@ def render(
     Parameters
     ----------
     run
-        Folder written by `sarsplat reconstruct`, or a PLY file of Gaussians.
+        Folder written by `sarsplat reconstruct`, or a PLY or .splat file of Gaussians.
     out
         What to write. A folder: float32 TIFFs (β⁰), PNGs (dB) and a contact sheet. A .mp4, .gif or .webp file: an
         animation. A .png or .tif file: one image.
@@ -83,7 +83,8 @@ def render(
         How long an animation takes.
     pixels
         Rows (slant range) and columns (azimuth) (default: as many as show what the run's images show, of which an
-        animation shows the part with the target).
+        animation shows the part with the target). Gaussians of a file that lie apart from all others are in images
+        only if both these and the spacing are given.
     spacing
         Pixel spacing in azimuth and slant range (default: the run's).
     resolution
@@ -103,7 +104,8 @@ def render(
     from sarsplat.report.rendered import FILES, SHEET, Rendered, asked_grid, require_distinct, require_output
     from sarsplat.tiles import tiles_kept_in
 
-    done = run_at(run)
+    # of the size and number of pixels, whoever gives both decides what they show
+    done = run_at(run, strays=pixels is not None and spacing is not None)
     views = None if sweep else views_from(azimuth, grazing, incidence, like=done.snapshot.views)
     require_output(out, frames if views is None else len(views))
     recognises = FILES.get(out.suffix.lower())

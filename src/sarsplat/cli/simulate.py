@@ -57,6 +57,7 @@ def simulate(
     target: Annotated[TargetName | None, one_of(TargetName)] = None,
     mesh: OptionalFile = None,
     scale: float = 1.0,
+    recentre: bool = False,
     protocol: Literal["paper", "mstar"] = "paper",
     azimuth: Angles = (),
     grazing: Angles = (),
@@ -109,6 +110,9 @@ def simulate(
         A mesh file instead: metres, +x nose, +y left, +z up, ground at z = 0 but for --isar.
     scale
         Factor on the target's size, such as 0.001 for a mesh in millimetres.
+    recentre
+        Bring the middle of the target above the origin, where images are centred, and its lowest place to z = 0, such
+        as one in map coordinates; with --isar its middle to the origin.
     protocol
         Views and pixels: 24 training + 48 test views at 15, 45, 75° incidence (paper), or 36 + 72 at 17 and 15° grazing
         (mstar).
@@ -206,6 +210,7 @@ def simulate(
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import is_larger, scaled, side_m, suspicious_size
+    from sarsplat.scenes.placement import below_ground, lost_digits, outside_images, recentred
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db, raycast_masks
     from sarsplat.scenes.scattering import check_bounces, check_terrain, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
@@ -261,16 +266,25 @@ def simulate(
         problem = "both --target and --mesh were" if target else "neither --target nor --mesh was"
         raise SarsplatError(f"{problem} given; give exactly one of them, e.g. --target t72")
     surface = scaled(surface, scale)
+    looked, gamma0 = [view for view, _ in views], ScatteringLaw(*law)
+    exact = mesh is None or mesh.suffix.lower() in (".obj", ".off")  # in text are as many digits as were written
+    odd, moved = [] if exact else lost_digits(surface, grid), None
+    if recentre:
+        surface, moved = recentred(surface, aloft=bool(isar))
+        console.say("subtracted from the target's coordinates: " + ", ".join(f"{value:.10g}" for value in moved) + " m")
+    warn([*odd, *outside_images(surface, looked, grid)])
+    if ground is not None:
+        warn(below_ground(surface, grid, relief))
     odd = suspicious_size(surface, grid)
     if odd and is_larger(surface, grid) and not pixels and not spacing:
         raise SarsplatError(odd[0])  # not minutes of work for images of a part that nobody chose
     warn(odd)
-    looked, gamma0 = [view for view, _ in views], ScatteringLaw(*law)
     about: dict[str, Any] = {"target": name, "ground": ground is not None, "target_box_m": box_m}
     if stack is not None:
         signals = simulated_signals(surface, looked, grid, stack, gamma0, ground, seed)
-        record = {"kind": "scatterers", "law": gamma0.as_dict(), "ground_gamma0": ground, "seed": seed}
+        record: dict[str, Any] = {"kind": "scatterers", "law": gamma0.as_dict(), "ground_gamma0": ground, "seed": seed}
         record |= {"mechanisms": "by slope", "scale": scale} if polarimetric else {"scale": scale}
+        record |= _moved(moved)
         dataset = Dataset.of_complex(grid, _entries(views, stack), signals, looks=1.0, source=record, **about)
         _finish(out, dataset, surface, None, overwrite)
         return
@@ -325,13 +339,17 @@ def simulate(
         place=None if relief is None else relief.place,
         **about,
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
-        source={**record, **_apart(bistatic), "reflectivity_db": reflectivity, "scale": scale},
+        source={**record, **_apart(bistatic), "reflectivity_db": reflectivity, "scale": scale, **_moved(moved)},
     )
     _finish(out, dataset, surface, true_masks, overwrite)
 
 
 def _apart(bistatic_deg: float | None) -> dict[str, float]:
     return {} if bistatic_deg is None else {"bistatic_deg": bistatic_deg}
+
+
+def _moved(moved_m: tuple[float, float, float] | None) -> dict[str, list[float]]:
+    return {} if moved_m is None else {"subtracted_m": [*moved_m]}
 
 
 def _entries(views: list[tuple[View, str]], stack: Stack | None = None) -> tuple[DatasetEntry, ...]:

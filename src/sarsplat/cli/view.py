@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import DEFAULT_PORT, gaussians_around_origin, is_ply
+from sarsplat.cli.arguments import DEFAULT_PORT, gaussians_around_origin, is_gaussians
 from sarsplat.cli.beaten import warn_if_beaten
 
 _LOOK_AGAIN_S = 0.5
@@ -25,7 +25,7 @@ def view(
     Parameters
     ----------
     path
-        Folder of a run or of a dataset, or a PLY file of Gaussians.
+        Folder of a run or of a dataset, or a PLY or .splat file of Gaussians.
     port
         Port of 127.0.0.1 for the page, which no other machine can open; 0 takes any that is free.
     """
@@ -33,8 +33,8 @@ def view(
     from sarsplat.viewer import Viewer, subject_at
 
     with console.busy(f"reading {path}"):
-        viewer = Viewer(gaussians_around_origin(path) if is_ply(path) else subject_at(path), port)
-    if not is_ply(path):
+        viewer = Viewer(gaussians_around_origin(path, strays=False) if is_gaussians(path) else subject_at(path), port)
+    if not is_gaussians(path):
         warn_if_beaten(RunFolder(path).metrics)
     try:
         console.say(f"open {viewer.address} in a browser on this machine; Ctrl-C ends it")

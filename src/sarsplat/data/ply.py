@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,11 @@ from torch import Tensor
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json
 from sarsplat.data.ply_points import named, read_ply, stacked, write_ply
+from sarsplat.data.splat_files import PACKED, refuse_foreign, splat_columns, unpacked
+from sarsplat.data.strays import strays
+from sarsplat.data.upright import upright
 from sarsplat.data.viewer_colours import ODD, viewer_colours
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.gaussians import (
     MAX_OPTICAL_DEPTH,
     MIN_SCALE,
@@ -45,6 +49,8 @@ _LAW = "scattering "
 _FOR_VIEWERS = ("n", "f_", "opacity", "scale_0", "scale_1", "scale_2")  # of our own files; we read none of these
 _FAR = 20.0  # from the origin, in sizes: of images that show both, what is farther fills two pixels of 128
 _OUTLIERS = 0.002  # of the centres, on either side
+_UNUSED = ("nx", "ny", "nz")
+_SMALLEST_LOG, _LARGEST_LOG = math.log(MIN_SCALE), 80.0  # of lengths, m; e^80 is near the end of float32
 _MIN_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
 
 
@@ -98,7 +104,9 @@ def write_gaussians_ply(
 def read_gaussians_ply(path: str | Path) -> Gaussians:
     """Read Gaussians: our own files exactly, those of other 3DGS programs as well as they translate.
 
-    Of a foreign file, κ = −ln(1 − opacity) and the harmonics are the mean over the three colours; p_min is 0.
+    Of a foreign file, κ = −ln(1 − opacity) and the harmonics are the mean over the three colours; p_min is 0. Those may
+    be PLY, also as SuperSplat compresses it, or `.splat`, which has no more than a colour: of our own exports, that is
+    a shade of grey for decibels.
 
     Returns
     -------
@@ -109,6 +117,12 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
     ------
     SarsplatError
         If the file is missing, damaged, truncated, no 3DGS file, or holds values outside their range.
+
+    Warns
+    -----
+    SarsplatWarning
+        If Gaussians were left out that hold NaN or an infinity or have no orientation, or if the header states a
+        vertical axis other than z: such Gaussians are turned upright.
     """
     return _read(Path(path), ())[0]
 
@@ -124,36 +138,77 @@ def read_centred_gaussians(path: Path) -> tuple[Gaussians, Float64[np.ndarray, "
 
 def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
     """Gaussians, and how far they were moved: not at all unless coordinates are read `exact`."""
-    columns, comments = read_ply(path, lambda name, of: _VERSION not in of or not name.startswith(_FOR_VIEWERS), exact)
+    refuse_foreign(path)
+    if path.suffix.lower() == ".splat":
+        columns, comments = splat_columns(path), list[str]()
+    else:
+        columns, comments = read_ply(
+            path, lambda name, of: _VERSION not in of or not name.startswith(_FOR_VIEWERS), exact
+        )
+    if PACKED in columns:
+        columns = unpacked(path)
     ours = _VERSION in comments
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
         raise SarsplatError(f"{path} has the format {shown(foreign)} but this program reads {_VERSION!r}; update it")
+    columns = _usable(path, columns)
     values = {
         "means": stacked(path, columns, ["x", "y", "z"]),
         "quaternions": stacked(path, columns, [f"rot_{k}" for k in range(4)]),
         **(_our_own(path, columns) if ours else _of_3dgs(path, columns)),
     }
     del columns
+    if not ours:
+        values = upright(values, path, comments)
     _check_gaussians(values, str(path))
     moved = far_from_origin(values["means"], values["scales"]) if exact else np.zeros(3)
-    values["means"] = (values["means"] - moved).astype(np.float32) if exact else values["means"]
-    tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in values.items()}
+    values["means"] = values["means"] - moved
+    tensors = {name: torch.from_numpy(np.ascontiguousarray(value, np.float32)) for name, value in values.items()}
     law = _law(path, comments, tensors.pop("scattering")) if ours else Harmonics(tensors.pop("scattering"))
     return Gaussians(**tensors, scattering=law), moved
+
+
+def _usable(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Without the Gaussians of which anything that is needed is not a number, which are counted in a warning.
+
+    An opacity of 0 or 1 has an infinite logit, and a length of 0 an infinite logarithm: both are meant.
+    """
+    needed = {name: column for name, column in columns.items() if not name.startswith(_UNUSED)}
+    if "opacity" in needed:
+        columns = columns | {"opacity": np.clip(needed["opacity"], -MAX_OPTICAL_DEPTH, MAX_OPTICAL_DEPTH)}
+        needed["opacity"] = columns["opacity"]
+    lengths = {f"scale_{k}" for k in range(3)} & needed.keys()
+    columns = columns | {name: np.maximum(needed[name], _SMALLEST_LOG) for name in lengths}
+    needed |= {name: np.where(columns[name] < _LARGEST_LOG, columns[name], np.nan) for name in lengths}
+    count = len(next(iter(needed.values()), ()))
+    good = np.ones(count, bool)
+    for column in needed.values():
+        good &= np.isfinite(column)
+    turns = [needed[name] for name in (f"rot_{k}" for k in range(4)) if name in needed]
+    if turns:
+        good &= np.any([turn != 0 for turn in turns], axis=0)
+    if good.all():
+        return columns
+    said = f"{counted(count - int(good.sum()), 'Gaussian')} of {count:,} hold NaN or an infinity, or no orientation"
+    if not good.any():
+        raise SarsplatError(f"{path}: {said}, so that none is left; create it again")
+    warnings.warn(f"{path}: {said}; they were left out", SarsplatWarning, stacklevel=4)
+    return {name: column[good] for name, column in columns.items()}
 
 
 def far_from_origin(means: Float[np.ndarray, "n 3"], scales: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
     """What to subtract from places (m) for them to lie around the origin: zeros where they do, for their size."""
     if not len(means):
         return np.zeros(3)
-    low, high = np.quantile(means.astype(np.float64), (_OUTLIERS, 1 - _OUTLIERS), axis=0)
-    size = float(np.linalg.norm(high - low)) + 2 * float(np.median(scales.max(axis=1)))
+    middle = np.median(means.astype(np.float64), axis=0)
+    kept = ~strays(means - middle, scales)
+    low, high = np.quantile(means[kept].astype(np.float64), (_OUTLIERS, 1 - _OUTLIERS), axis=0)
+    size = float(np.linalg.norm(high - low)) + 2 * float(np.median(scales[kept].max(axis=1)))
     if np.abs([low, high]).max() <= _FAR * size:
         return np.zeros(3)
     unit = 10.0 ** math.floor(math.log10(size / 10))  # whole numbers of it are short to say
-    middle: Float64[np.ndarray, " 3"] = unit * np.round(np.array([*(low + high)[:2] / 2, low[2]]) / unit)
-    return middle
+    moved: Float64[np.ndarray, " 3"] = unit * np.round(np.array([*(low + high)[:2] / 2, low[2]]) / unit)
+    return moved
 
 
 def _our_own(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -53,25 +53,33 @@ def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comment
 
 
 def read_ply(
-    path: Path, wanted: Callable[[str, list[str]], bool] | None = None, exact: Collection[str] = ()
+    path: Path,
+    wanted: Callable[[str, list[str]], bool] | None = None,
+    exact: Collection[str] = (),
+    *,
+    element: str = "vertex",
+    missing: bool = False,
 ) -> tuple[dict[str, Float[np.ndarray, " n"]], list[str]]:
     """Read the properties of vertices, by name, as float32 or those named `exact` as float64, and the comments.
 
     `wanted` says, of a name and the comments, what to read; vertices are read some at a time, for a file can be several
-    times as large as what is wanted of it.
+    times as large as what is wanted of it. Another `element` may be read, which may be `missing`: then nothing is.
     """
     with open_file(path) as file:
         data = file.read(_LONGEST_HEADER)
-        head, end, _ = data.partition(b"\nend_header\n")
+        newline = re.match(rb"ply(\r\n|\n|\r)", data)
+        ends = newline[1] if newline else b"\n"
+        head, end, _ = data.partition(ends + b"end_header" + ends)
         size = file.seek(0, 2)
-        if not head.startswith(b"ply\n") or not end:
+        if newline is None or not end:
             raise SarsplatError(f"{path} is not a PLY file; give one made by `sarsplat export` or a 3DGS program")
-        if not re.fullmatch(rb"[\n\t -~]*", head):
-            raise SarsplatError(
-                f"{path} has a PLY header that is not plain ASCII text with LF line ends; create it again"
-            )
-        header = head.decode("ascii").split("\n")[1:]
-        offset, count, dtype = _vertices(path, header, len(head) + len(end), size)
+        lines = head.split(ends)
+        if not all(re.fullmatch(rb"[\t -~]*", line) for line in lines):
+            raise SarsplatError(f"{path} has a PLY header that is not plain ASCII text; create it again")
+        header = [line.decode("ascii") for line in lines[1:]]
+        if missing and not any(line.split()[:2] == ["element", element] for line in header):
+            return {}, []
+        offset, count, dtype = _vertices(path, header, len(head) + len(end), size, element)
         file.seek(offset)
         comments = [line.removeprefix("comment").strip() for line in header if line.split()[:1] == ["comment"]]
         names = [name for name in dtype.names or () if wanted is None or wanted(name, comments)]
@@ -95,25 +103,29 @@ def stacked(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Flo
     for name in names:
         if name not in columns:
             raise SarsplatError(f"{path} is missing the vertex property {name!r}; give a PLY file of the right kind")
-        if not np.isfinite(columns[name]).all():
-            raise SarsplatError(f"{path} holds NaN or an infinity in {name!r}; create it again")
+        if bad := int((~np.isfinite(columns[name])).sum()):
+            raise SarsplatError(
+                f"{path} holds NaN or an infinity in {name!r} in {bad:,} of its {len(columns[name]):,} rows; remove "
+                "those, or create it again"
+            )
     rows = len(next(iter(columns.values()), ()))
     return np.stack([columns[name] for name in names], axis=1) if names else np.empty((rows, 0), np.float32)
 
 
-def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[int, int, np.dtype]:
-    """Offset, number and type of the vertices in a file of `size` bytes, in which the data begin at `offset`."""
+def _vertices(path: Path, header: list[str], offset: int, size: int, element: str) -> tuple[int, int, np.dtype]:
+    """Offset, number and type of an element in a file of `size` bytes, in which the data begin at `offset`."""
     elements = _elements(path, header)
     names = [name for name, _, _ in elements]
-    if names.count("vertex") != 1:
-        raise SarsplatError(f"{path} has the elements {shown(names)} in its PLY header, not one of vertices")
+    if names.count(element) != 1:
+        what = "vertices" if element == "vertex" else f"the kind {element!r}"
+        raise SarsplatError(f"{path} has the elements {shown(names)} in its PLY header, not one of {what}")
     sizes = [count * sum(np.dtype(kind).itemsize for _, kind in properties) for _, count, properties in elements]
     if size != offset + sum(sizes):
         state = "is truncated" if size < offset + sum(sizes) else "is too long"
         raise SarsplatError(
             f"{path} {state}: {size} bytes where its header asks for {offset + sum(sizes)}; create it again"
         )
-    place = names.index("vertex")
+    place = names.index(element)
     _, count, properties = elements[place]
     if len({name for name, _ in properties}) < len(properties):
         raise SarsplatError(f"{path} has two vertex properties with the same name in its PLY header; create it again")
@@ -124,7 +136,7 @@ def _elements(path: Path, header: list[str]) -> list[tuple[str, int, list[tuple[
     """Name, count and properties (name, numpy type) of each element."""
     elements: list[tuple[str, int, list[tuple[str, str]]]] = []
     if header[:1] != [_FORMAT]:
-        raise SarsplatError(f"{path} is a PLY of {shown(header[:1])}; only {_FORMAT!r} is read")
+        raise SarsplatError(f"{path} is a PLY of {shown(header[:1])}; only {_FORMAT!r} is read; export it as binary")
     for line in header[1:]:
         match line.split():
             case ["comment" | "obj_info", *_]:

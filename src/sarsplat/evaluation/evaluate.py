@@ -40,6 +40,7 @@ from sarsplat.examination.plausible import warn, weakest_direction
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.runs import Run
+from sarsplat.scenes.placement import shown_in
 from sarsplat.scenes.surface_samples import blocks_of_samples
 
 if TYPE_CHECKING:
@@ -172,6 +173,12 @@ def _evaluate(
             f"nothing can be scored: {dataset} has no test images and {lacks}; simulate it with --test-azimuth"
         )
     true_mesh = read_truth_mesh(dataset.truth_mesh) if points and dataset.truth_mesh is not None else None
+    if true_mesh is not None and not any(shown_in(true_mesh, dataset.views, dataset.grid)):
+        where = ", ".join(f"{value:.10g}" for value in true_mesh.bounds.mean(axis=0))
+        raise SarsplatError(
+            f"the true mesh {dataset.truth_mesh} lies around ({where}) m, outside of all images, which are centred on "
+            "the origin; subtract from its coordinates what was subtracted for the images"
+        )
     weights = lpips_weights(weights_dir)
     network = None if weights is None else Lpips(weights)
     parameters = image_parameters(dataset)

@@ -92,6 +92,9 @@ class Points:
 def content_of(run: Run, content: Content) -> tuple[Any, str]:
     """A run's Gaussians, `Points`, mesh, or the run ("everything"), and what it is in words; refused if empty."""
     name = "the run in memory" if run.path is None else str(run.path)
+    longer = "train it longer, or look at its report"
+    if run.path is None:
+        longer = "export the Gaussians themselves, as .ply or .splat, or more and denser ones"
     match content:
         case "gaussians":
             gaussians = run.gaussians
@@ -105,19 +108,17 @@ def content_of(run: Run, content: Content) -> tuple[Any, str]:
             return gaussians, counted(len(gaussians), "Gaussian")
         case "points":
             if len(run.points) == 0:
-                raise SarsplatError(f"{name} has no points of a surface yet; train it longer, or look at its report")
+                raise SarsplatError(f"{name} has no points of a surface yet; {longer}")
             points = Points(run.points.astype(np.float32), run.normals, run.points_gamma0, run.place)
             return points, f"{counted(len(run.points), 'point')}, metres, in the target's own frame"
         case "mesh":
             mesh = run.mesh()
             if len(mesh.faces) == 0:
-                raise SarsplatError(
-                    f"{name} has too few points of a surface for a mesh; train it longer, or look at its report"
-                )
+                raise SarsplatError(f"{name} has too few points of a surface for a mesh; {longer}")
             return mesh, f"{counted(len(mesh.faces), 'triangle')}, metres, z up"
         case "everything":
             if len(run.points if run.gaussians is None else run.gaussians) == 0:
-                raise SarsplatError(f"{name} has no surface yet; train it longer, or look at its report")
+                raise SarsplatError(f"{name} has no surface yet; {longer}")
             return run, "all that was learned, as arrays"
         case _:
             raise AssertionError(f"{content} is a map")

@@ -10,13 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from sarsplat.data import write_bytes
+from sarsplat.data.splat_files import SPLAT
 from sarsplat.data.viewer_colours import viewer_colours
 from sarsplat.exports.format import Format
 from sarsplat.gaussians import Gaussians
 from sarsplat.names import Colour
-
-RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
-"""One Gaussian."""
 
 
 def splat_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
@@ -25,7 +23,7 @@ def splat_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
     opacity = -np.expm1(-values["optical_depth"])
     rgba = np.column_stack([viewer_colours(gaussians, colour).mean, opacity])
     turn = values["quaternions"] / np.linalg.norm(values["quaternions"], axis=1, keepdims=True)
-    table = np.empty(len(gaussians), RECORD)
+    table = np.empty(len(gaussians), SPLAT)
     table["position"], table["scale"] = values["means"], values["scales"]
     table["rgba"] = np.round(255 * rgba)
     table["rotation"] = np.clip(np.round(128 + 128 * turn), 0, 255)
@@ -36,5 +34,5 @@ def splat_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
 FORMAT = Format(
     writers={"gaussians": lambda gaussians, path, colour: write_bytes(path, splat_bytes(gaussians, colour))},
     opened_with={"gaussians": "a web viewer of .splat files"},
-    recognises=lambda _, size: size % RECORD.itemsize == 0,  # it has no signature
+    recognises=lambda _, size: size % SPLAT.itemsize == 0,  # it has no signature
 )

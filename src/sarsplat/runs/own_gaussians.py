@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,8 +10,10 @@ import torch
 from torch import Tensor
 
 from sarsplat.data.ply import far_from_origin
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.data.strays import SIGMAS, strays
+from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.model import SceneModel
@@ -21,13 +24,11 @@ from sarsplat.renderer import channel_of
 from sarsplat.settings.config import OWN_LOOP, Config
 from sarsplat.tiles import at_once
 
-_SIGMAS = 2.5
-"""Standard deviations of a Gaussian that count as its extent."""
-
 _DEGREES = (3, 2, 1, 0)
 """Of the harmonics, largest first."""
 
 _PIXELS = 128
+_COARSEST_M = 1e6
 _FILLED = 0.7
 """Of an image's width, by the Gaussians that are not faint."""
 
@@ -41,7 +42,8 @@ _AROUND = tuple(View(azimuth, grazing) for grazing in (15.0, 45.0, 75.0) for azi
 def usual_grid(gaussians: Gaussians) -> ImageGrid:
     """128 × 128 square pixels as wide as their resolution, which show the Gaussians from any direction.
 
-    No pixel is much finer than the Gaussians: points and meshes are as fine as the pixels, and would be huge.
+    No pixel is much finer than the Gaussians: points and meshes are as fine as the pixels, and would be huge. What
+    lies apart of the scene, or is far larger than it, may lie outside; a warning says how much that is.
     """
     shown = gaussians[gaussians.optical_depth > _FAINT]
     shown = (shown if len(shown) else gaussians).detach()
@@ -54,10 +56,56 @@ def usual_grid(gaussians: Gaussians) -> ImageGrid:
             f"the Gaussians lie around ({middle}) m, too far from the origin for an image around it; subtract "
             "that from their means, or give a grid"
         )
-    reach = shown.means.norm(dim=1) + _SIGMAS * shown.scales.amax(dim=1)  # images are centred on the world's origin
+    reach = shown.means.norm(dim=1) + SIGMAS * shown.scales.amax(dim=1)  # images are centred on the world's origin
+    outside = _strays(shown)
     coarse_m = _CELL_SIGMAS * float(shown.scales.amax(dim=1).median())
-    spacing_m = float(f"{max(2 * float(reach.max()) / (_FILLED * _PIXELS), coarse_m):.2g}")
+    spacing_m = float(f"{max(2 * float(reach[~outside.to(reach.device)].max()) / (_FILLED * _PIXELS), coarse_m):.2g}")
+    if spacing_m > _COARSEST_M:
+        raise SarsplatError(
+            f"the Gaussians reach {float(reach[~outside.to(reach.device)].max()):.3g} m from the origin, farther than "
+            "any image shows; check their unit and their scales, or give a grid"
+        )
+    if outside.any():
+        warnings.warn(
+            f"{_described(shown, outside)}; images are {_PIXELS * spacing_m:.3g} m wide, for the others: remove those, "
+            "or give a grid",
+            SarsplatWarning,
+            stacklevel=3,
+        )
     return ImageGrid(_PIXELS, _PIXELS, (spacing_m, spacing_m), (spacing_m, spacing_m))
+
+
+def without_strays(gaussians: Gaussians) -> tuple[Gaussians, str]:
+    """Gaussians without those that lie apart from the scene or are far larger, and a sentence of these or nothing."""
+    outside = _strays(gaussians)
+    return (gaussians[~outside], _described(gaussians, outside)) if outside.any() else (gaussians, "")
+
+
+def _strays(gaussians: Gaussians) -> Tensor:
+    parts = (gaussians.means, gaussians.scales, gaussians.quaternions)
+    return torch.from_numpy(strays(*(part.detach().cpu().numpy() for part in parts)))
+
+
+def _described(gaussians: Gaussians, outside: Tensor) -> str:
+    """How many are outside, how far they reach, and what share of the power is theirs."""
+    reach = (gaussians.means.norm(dim=1) + SIGMAS * gaussians.scales.amax(dim=1))[outside].max()
+    power = torch.stack([_returned(gaussians.detach(), view) for view in _AROUND[::5]]).sum(0).cpu()
+    share = float(power[outside].sum() / power.sum().clamp_min(torch.finfo(torch.float64).tiny))
+    many = int(outside.sum())
+    are = "lies apart or is" if many == 1 else "lie apart or are"
+    return (
+        f"{many:,} of {len(gaussians):,} Gaussians {are} far larger than all others: up to {float(reach):.3g} m from "
+        f"the origin, {100 * share:.2g} % of the power without shadows"
+    )
+
+
+def _returned(gaussians: Gaussians, view: View) -> Tensor:
+    """What each Gaussian returns where nothing shadows it, up to a factor [N]."""
+    towards = torch.from_numpy(view.direction)
+    exact = gaussians.to(torch.float64)
+    inside = torch.einsum("nij,i->nj", rotation_matrix(exact.quaternions), towards.to(exact.means.device))
+    areas = exact.scales.prod(dim=1, keepdim=True) / exact.scales * inside
+    return areas.norm(dim=1) * -torch.expm1(-exact.optical_depth) * exact.gamma0(towards[None])[0]
 
 
 def own_scene(

@@ -20,8 +20,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid
+from sarsplat.scenes._polygon_files import of_triangles
 
 if TYPE_CHECKING:
     import trimesh
@@ -138,6 +139,7 @@ def _first_of_equals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, 
 def read_mesh(path: Path) -> trimesh.Trimesh:
     """All triangles of a self-contained .obj, .stl, .ply, .off or .glb file, unchanged; parts of a scene become one.
 
+    Polygons become triangles, the same ones wherever their outline begins, concave ones too.
     Materials and textures are ignored. Every face refers to existing vertices, which may be NaN or infinite. Raises
     `SarsplatError` if the file is missing, of another format or damaged, or expands to far more than its size.
     """
@@ -157,10 +159,24 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
         data = path.read_bytes()
     except (OSError, MemoryError) as error:
         raise SarsplatError(f"cannot read '{path}': {error}; check the path and its permissions") from error
+    if kind == ".ply" and re.match(rb"ply\r[^\n]", data):  # lines that end in CR alone
+        header, end, body = data.partition(b"end_header\r")
+        data = (header + end).replace(b"\r", b"\n") + body
     if kind == ".glb":
         _check_glb(path, data)
     elif not _is_binary(kind, data):
         data = _plain_text(path, kind, data)
+    try:
+        data, crossed = of_triangles(kind, data)
+    except SarsplatError as error:
+        raise SarsplatError(f"'{path}': {error}") from error
+    if crossed:
+        warnings.warn(
+            f"'{path}': the outlines of {counted(crossed, 'face')} cross themselves, so that their surface is a guess; "
+            "repair the mesh",
+            SarsplatWarning,
+            stacklevel=2,
+        )
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")

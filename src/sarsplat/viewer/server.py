@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -12,7 +13,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, shown
 
 if TYPE_CHECKING:
     import viser
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 HOST = "127.0.0.1"
+_NAMES = (HOST, "localhost", "[::1]")
+"""What a browser on this machine may call it; also one at the other end of a tunnel, whose port may be another."""
+
 _TITLE = "sarsplat"
 
 _POLICY = (
@@ -30,6 +34,7 @@ _POLICY = (
 """Content-Security-Policy: whatever the page's scripts would like, the browser asks nobody but this server."""
 
 
+_OWN = re.compile(rf"(?:{'|'.join(map(re.escape, _NAMES))})(?::[0-9]{{1,5}})?", re.IGNORECASE | re.ASCII)
 _STARTING = threading.Lock()
 
 
@@ -80,14 +85,13 @@ def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, f
     """While viser starts: it serves on this socket, and not on the next free port as it otherwise would.
 
     Its pages then say what the browser may load, and only they may open a connection: any site that is open in the
-    same browser could otherwise listen in. viser passes nothing of this on to websockets, so its call of `serve` is
-    intercepted: that with our port alone, one start at a time. Whoever else serves something meanwhile is unaffected.
+    same browser could otherwise listen in. Nor is anything answered that was asked of another name: a stranger's name
+    can be made to mean this machine (DNS rebinding), and then its pages would be ours. viser passes nothing of this on
+    to websockets, so its call of `serve` is intercepted: that with our port alone, one start at a time. Whoever else
+    serves something meanwhile is unaffected.
     """
     from websockets.asyncio import server as library
-    from websockets.typing import Origin
 
-    own = [Origin(f"http://{name}:{number}") for name in (HOST, "localhost")]
-    policy = _POLICY.format(sockets=" ".join(origin.replace("http", "ws") for origin in own))
     real, addition = library.serve, files("sarsplat.viewer").joinpath("page.html").read_bytes()
 
     def serve(handler: Any, host: str | None = None, port: int | None = None, **options: Any) -> Any:
@@ -96,6 +100,8 @@ def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, f
         process_request = options.pop("process_request")
 
         def asked(connection: ServerConnection, request: Request) -> Response | None:
+            if (refusal := _foreign(request)) is not None:
+                return connection.respond(403, refusal)
             if urlsplit(request.path).path == "/pick":
                 return _picked(connection, request, on_pick)
             if "Accept-Encoding" in request.headers:
@@ -109,17 +115,30 @@ def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, f
                 response.body = response.body.replace(b"</head>", addition + b"</head>", 1)
                 response.headers.pop("Content-Length")
                 response.headers["Content-Length"] = str(len(response.body))
-                response.headers["Content-Security-Policy"] = policy
+                response.headers["Content-Security-Policy"] = _POLICY.format(sockets=f"ws://{request.headers['Host']}")
                 response.headers["Referrer-Policy"] = "no-referrer"
 
         own_options: dict[str, Any] = {"process_request": asked, "process_response": answered}
-        return real(handler, sock=listener, origins=[None, *own], **own_options, **options)
+        return real(handler, sock=listener, **own_options, **options)
 
     library.serve = serve  # type: ignore[misc, assignment]
     try:
         yield
     finally:
         library.serve = real  # type: ignore[misc]
+
+
+def _foreign(request: Request) -> str | None:
+    """Why a request is not answered, if it was asked of another name than this machine's, or by another site's page.
+
+    A page says what site it is of whenever it opens a socket; programs that are no browsers say nothing.
+    """
+    hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+    if len(hosts) != 1 or not _OWN.fullmatch(hosts[0]):
+        return f"this page is at http://{HOST} or http://localhost only, not {shown(', '.join(hosts) or 'nowhere')}\n"
+    if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
+        return f"a page of {shown(', '.join(origins))} may not ask for this\n"
+    return None
 
 
 def _picked(connection: ServerConnection, request: Request, on_pick: Callable[[float, float], None]) -> Response:

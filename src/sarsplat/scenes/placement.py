@@ -1,0 +1,131 @@
+"""Where a mesh stands: in its images, which are centred on the origin, and on the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.geometry import ImageGrid, Terrain, View
+from sarsplat.scenes.meshes import is_larger
+
+if TYPE_CHECKING:
+    import trimesh
+
+_SUNK_CELLS = 0.5  # resolution cells below the ground: wheels and tracks may sink in
+_LITTLE = 0.01  # of the surface
+_FOUNDATIONS = 0.25  # of the surface: on terrain, what houses have below it
+_CUT_OFF = 0.25  # of the surface
+_LEANS = 0.02  # of the height: how well a mesh stands on y = 0, and lies evenly about z = 0, if y is up in it
+_ROUNDED = 0.1  # resolution cells that float32 may be off
+
+
+def recentred(mesh: trimesh.Trimesh, *, aloft: bool = False) -> tuple[trimesh.Trimesh, tuple[float, float, float]]:
+    """The mesh with its middle above the origin and its lowest place at z = 0, and what was subtracted, m.
+
+    Aloft, where there is no ground, its middle is brought to the origin.
+    """
+    low, high = mesh.bounds
+    x, y, z = (float(value) for value in (low + high) / 2)
+    moved = (x, y, z if aloft else float(low[2]))
+    return mesh.copy().apply_translation([-value for value in moved]), moved
+
+
+def shown_in(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[bool]:
+    """Whether each image could show any of a mesh: whether the box around it reaches into the image."""
+    left, right, far, near = grid.extent_m
+    corners = np.stack(np.meshgrid(*mesh.bounds.T), axis=-1).reshape(-1, 3)
+    shown = []
+    for view in views:
+        azimuth, slant_range = view.look.gradients @ corners.T
+        across = azimuth.max() >= min(left, right) and azimuth.min() <= max(left, right)
+        shown.append(bool(across and slant_range.max() >= min(near, far) and slant_range.min() <= max(near, far)))
+    return shown
+
+
+def outside_images(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]:
+    """A sentence if some images cannot show a mesh, or nothing; refused if none can.
+
+    Raises
+    ------
+    SarsplatError
+        If the mesh is outside of every image.
+    """
+    shown = shown_in(mesh, views, grid)
+    if all(shown):
+        return _cut_off(mesh, views, grid)
+    where = "the target lies around (" + ", ".join(f"{value:.10g}" for value in mesh.bounds.mean(axis=0)) + ") m"
+    if not any(shown):
+        raise SarsplatError(
+            f"{where}, outside of all images, which are centred on the origin; give --recentre, which brings it there, "
+            "or subtract that from its coordinates"
+        )
+    return [
+        f"{where}: {counted(shown.count(False), 'image')} of {len(shown)} cannot show it, for they are centred on the "
+        "origin; give --recentre, or more --pixels"
+    ]
+
+
+def _cut_off(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]:
+    """A sentence if a good part of a mesh that would fit is outside of an image, or nothing."""
+    left, right, far, near = grid.extent_m
+    places = np.concatenate([np.asarray(mesh.triangles), np.asarray(mesh.triangles_center)[:, None]], axis=1)
+    outside = []
+    for view in views:
+        azimuth, slant_range = np.moveaxis(places @ view.look.gradients.T, -1, 0)
+        out = (azimuth < min(left, right)) | (azimuth > max(left, right))
+        out |= (slant_range < min(near, far)) | (slant_range > max(near, far))
+        outside.append(float(out.mean(axis=1) @ mesh.area_faces / mesh.area))
+    if max(outside) < _CUT_OFF or is_larger(mesh, grid):
+        return []
+    return [
+        f"{max(outside):.0%} of the target's surface is outside of an image, though it would fit; give --recentre, or "
+        "more --pixels"
+    ]
+
+
+def lost_digits(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
+    """A sentence if coordinates of a mesh are float32 and so far from the origin that this is coarse, or nothing."""
+    vertices = np.asarray(mesh.vertices)
+    step = float(np.spacing(np.float32(np.abs(vertices).max())))
+    if step <= _ROUNDED * min(grid.resolution_m) or (vertices != vertices.astype(np.float32)).any():
+        return []
+    return [
+        f"the coordinates of the target are multiples of {step:.3g} m, as float32 is so far from the origin; subtract "
+        f"{np.abs(mesh.bounds.mean(axis=0)).max():.3g} m or so before it is exported"
+    ]
+
+
+def below_ground(mesh: trimesh.Trimesh, grid: ImageGrid, terrain: Terrain | None) -> list[str]:
+    """A sentence if a good part of a mesh is below the ground, which hides it, or nothing."""
+    corners = np.asarray(mesh.triangles, np.float64)
+    height = corners[..., 2]
+    if terrain is not None:
+        height = height - terrain.height_m(corners[..., 0], corners[..., 1])
+    share = float((mesh.area_faces * _share_below(height)).sum() / mesh.area)
+    deepest = -float(height.min())
+    if deepest <= _SUNK_CELLS * max(grid.resolution_m) or share < (_LITTLE if terrain is None else _FOUNDATIONS):
+        return []
+    low, high = mesh.bounds
+    level = _LEANS * float(mesh.extents.max())
+    lying = terrain is None and abs(low[1]) < level and abs(low[2] + high[2]) < level
+    remedy = "if y is up in the file, export it with z up; otherwise " if lying else ""
+    return [
+        f"{share:.0%} of the target's surface is below the ground, up to {deepest:.3g} m, where nothing shows it; "
+        f"{remedy}give --recentre, or raise it by {deepest:.3g} m"
+    ]
+
+
+def _share_below(height: Float64[np.ndarray, "f 3"]) -> Float64[np.ndarray, " f"]:
+    """Which part of each triangle's area is below 0, of the heights of its corners."""
+    low, middle, high = np.sort(height, axis=1).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one_above = 1 - high**2 / ((high - low) * (high - middle))
+        one_below = low**2 / ((middle - low) * (high - low))
+    share: Float64[np.ndarray, " f"] = np.select(
+        [low >= 0, high <= 0, middle <= 0], [np.zeros_like(low), np.ones_like(low), one_above], one_below
+    )
+    return share

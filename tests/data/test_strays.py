@@ -1,0 +1,82 @@
+"""Which Gaussians lie apart from a scene, and which far structures are part of it."""
+
+import numpy as np
+import pytest
+
+from sarsplat.data.strays import strays
+
+
+def body(count: int, middle: tuple[float, ...] = (0, 0, 1), half: tuple[float, ...] = (3, 1, 1)) -> np.ndarray:
+    return np.random.default_rng(count).uniform(-1, 1, (count, 3)) * half + middle
+
+
+def found(*parts: np.ndarray, scales: np.ndarray | None = None) -> int:
+    """How many strays there are, which must be the last ones."""
+    means = np.concatenate(parts)
+    quaternions = np.tile([1.0, 0, 0, 0], (len(means), 1))
+    scales = np.full(means.shape, 0.05) if scales is None else scales
+    stray = strays(means, scales, quaternions)
+    assert not stray[: len(means) - int(stray.sum())].any()
+    return int(stray.sum())
+
+
+VEHICLE = body(400)
+
+
+@pytest.mark.parametrize("far_m", [150, 1e6, 1e12, 1e30])
+def test_one_far_gaussian_is_a_stray(far_m):
+    assert found(VEHICLE, np.array([[far_m, 0, 0]])) == 1
+
+
+@pytest.mark.parametrize(
+    ("apart", "which"),
+    [
+        (np.random.default_rng(1).normal(size=(20, 3)) * 300, "all around"),
+        (body(5, (100, 0, 0)), "a clump"),
+        (body(30, (1e5, 0, 0)), "a clump so far away that nothing is seen"),
+        (np.array([[0.0, 0, 5000]]), "above"),
+        (np.random.default_rng(1).normal(size=(80, 3)) * 3000, "a fifth of all"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_what_floats_apart_is_a_stray(apart, which):
+    assert found(VEHICLE, apart) == len(apart)
+
+
+@pytest.mark.parametrize(
+    ("parts", "which"),
+    [
+        ([VEHICLE], "one vehicle"),
+        ([body(400, (-30, 0, 1)), body(401, (30, 0, 1))], "two vehicles"),
+        ([VEHICLE, body(40, (60, 0, 1))], "a vehicle and one of few Gaussians"),
+        ([VEHICLE, body(30, (120, 0, 1))], "a vehicle and one farther away"),
+        ([body(3000, (0, 0, 3), (30, 30, 3)), body(25, (150, 0, 3), (5, 5, 3))], "a village and a far house"),
+        ([VEHICLE, np.column_stack([np.zeros(40), np.zeros(40), np.linspace(2, 40, 40)])], "a mast"),
+        ([np.random.default_rng(0).uniform(-50, 50, (60, 3))], "single scatterers"),
+        ([np.column_stack([np.arange(30) * 10.0, np.zeros(30), np.zeros(30)])], "a line"),
+        ([body(3000), np.random.default_rng(0).uniform(-50, 50, (2000, 3)) * (1, 1, 0)], "a vehicle on ground"),
+        ([np.zeros((20, 3))], "all at one place"),
+        ([np.array([[60.0, 0, 0], [0, 0, 0]])], "two Gaussians"),
+        ([np.empty((0, 3))], "none"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_far_structure_is_part_of_the_scene(parts, which):
+    assert found(*parts) == 0
+
+
+def test_a_mast_of_a_few_long_gaussians_is_part_of_the_scene():
+    mast = np.column_stack([np.zeros(8), np.zeros(8), np.linspace(2, 40, 8)])
+    scales = np.full((408, 3), 0.05)
+    scales[400:, 2] = 1.5
+    assert found(VEHICLE, mast, scales=scales) == 0
+
+
+def test_a_gaussian_far_larger_than_the_scene_is_a_stray_and_long_ones_are_not():
+    scales = np.full((400, 3), 0.05)
+    scales[:3, 0] = 2
+    assert found(VEHICLE, scales=scales) == 0
+    scales[-1] = np.exp(30)
+    assert found(VEHICLE, scales=scales) == 1
+    scales[-30:, 1] = 400
+    assert found(VEHICLE, scales=scales) == 30
