@@ -23,6 +23,7 @@ from jaxtyping import Real
 from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.errors import SarsplatWarning, counted
+from sarsplat.examination.repeated import repeated_images
 from sarsplat.geometry import View
 from sarsplat.geometry.shown import ground_radius_m
 
@@ -134,7 +135,7 @@ def _multiples(values: np.ndarray, of: float) -> bool:
 
 def suspicious_images(dataset: Dataset) -> list[str]:
     """What is odd about the images: constant, all the same, zero where they are measured, or trained and tested on."""
-    return [*_images(dataset), *_tested_on_training(dataset)]
+    return [*_images(dataset), *repeated_images(dataset), *_tested_on_training(dataset)]
 
 
 def suspicious_coverage(views: Sequence[View]) -> list[str]:

@@ -45,6 +45,9 @@ _SHORT = {
     **{"pol": "polarisation", "polarization": "polarisation"},
 }
 _UNITS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters", "angle"}
+_ROUNDED_DEG = 1.0 + 1e-6
+"""By which grazing and incidence angles of whole degrees may miss a right angle together."""
+
 _ONLY_IF_NAMED = ("scale", "offset")
 """Too many things are called that."""
 
@@ -70,10 +73,11 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
             )
         chosen[meaning] = column
     elevations = {"grazing", "incidence"}
+    named_elevation = elevations & set(chosen)
     if elevations <= set(chosen):
         raise SarsplatError("--columns names both a grazing and an incidence angle; name one of them")
     for meaning in MEANINGS:
-        otherwise_named = meaning in elevations and elevations & set(chosen)
+        otherwise_named = meaning in elevations and named_elevation
         if meaning not in (*chosen, *_ONLY_IF_NAMED) and not otherwise_named:
             usual = _recognised(table, meaning, chosen)
             if usual is not None:
@@ -261,12 +265,13 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         azimuth, slant = number(f"azimuth-{meaning}"), number(f"range-{meaning}")
         return (both if azimuth is None else azimuth), (both if slant is None else slant)
 
-    incidence = number("incidence")
+    _refuse_other_sum(table, row, columns)
+    grazing, incidence = number("grazing"), number("incidence")
     return ListedPicture(
         name=text("file"),
         path=path,
         azimuth_deg=table.number(row, columns["azimuth"]),
-        grazing_deg=number("grazing") if incidence is None else 90 - incidence,
+        grazing_deg=90 - incidence if grazing is None and incidence is not None else grazing,
         spacing_m=pair("spacing"),
         resolution_m=pair("resolution"),
         azimuth_std_deg=number("azimuth-std"),
@@ -279,6 +284,25 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         baseline_rad=number("baseline"),
         polarisation=text("polarisation").upper() or None,
     )
+
+
+def _refuse_other_sum(table: CsvTable, row: Row, columns: Columns) -> None:
+    """Of a table with both, grazing and incidence angles must be the same: then it does not matter which is taken.
+
+    Above the curved earth they are not if what is called grazing is a depression or an elevation at the radar.
+    """
+    if not {"grazing", "incidence"} <= columns.keys():
+        return
+    names = columns["grazing"], columns["incidence"]
+    if not all(row[1][name] for name in names):
+        return
+    grazing, incidence = (table.number(row, name) for name in names)
+    if abs(grazing + incidence - 90) > _ROUNDED_DEG:
+        raise SarsplatError(
+            f"{table.path}, line {row[0]}: {names[0]} is {grazing:g}° and {names[1]} is {incidence:g}°, which do not "
+            f"add to 90°; say which of them holds at the target with --columns grazing={names[0]} or "
+            f"--columns incidence={names[1]}"
+        )
 
 
 def _split(table: CsvTable, row: Row, text: str) -> str | None:

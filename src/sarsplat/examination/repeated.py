@@ -1,0 +1,63 @@
+"""One picture under two directions: the same pixels (of the same speckle see `copied`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sarsplat.data.dataset import Dataset
+from sarsplat.errors import counted
+from sarsplat.geometry import View
+
+_REMEDY = "so the file or the angles of one are wrong: correct them, or remove one"
+
+
+def repeated_images(dataset: Dataset) -> list[str]:
+    """Whether images of different directions are the same, pixel by pixel; a list of one sentence, or empty.
+
+    Images without speckle may be the same by the target's symmetry: then all that are as far apart are.
+    """
+    first: dict[bytes, int] = {}
+    pairs = []
+    for index, image in enumerate(dataset.power):
+        if (at := first.setdefault(image.tobytes(), index)) != index and np.ptp(image) > 0:
+            pairs.append((at, index))
+    pairs = [(i, j) for i, j in pairs if apart_deg(dataset.views[i], dataset.views[j]) > 0.01]
+    if dataset.looks is None:
+        pairs = [pair for pair in pairs if not _symmetric(dataset, *pair)]
+    return said_of_pairs(dataset, pairs, "")
+
+
+def apart_deg(one: View, other: View) -> float:
+    """Angle between two directions, degrees."""
+    return math.degrees(math.acos(min(max(float(one.direction @ other.direction), -1.0), 1.0)))
+
+
+def _symmetric(dataset: Dataset, i: int, j: int) -> bool:
+    """Whether all other pairs of images that are turned as far against each other are the same, too."""
+    views = dataset.views
+    if abs(views[i].grazing_deg - views[j].grazing_deg) > 1e-6:
+        return False
+    turn = views[j].azimuth_deg - views[i].azimuth_deg
+    at = {(round(view.azimuth_deg % 360, 4) % 360, round(view.grazing_deg, 4)): k for k, view in enumerate(views)}
+    others = [
+        (k, other)
+        for (azimuth, grazing), k in at.items()
+        if (other := at.get((round((azimuth + turn) % 360, 4) % 360, grazing))) is not None and {k, other} != {i, j}
+    ]
+    return bool(others) and all(np.array_equal(dataset.power[k], dataset.power[other]) for k, other in others)
+
+
+def said_of_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]], how: str) -> list[str]:
+    """A sentence that names the first of these pairs of images, which are the same in some way; or none."""
+    if not pairs:
+        return []
+    i, j = pairs[0]
+    one, other = (
+        f"{entry.name} (azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°)"
+        for entry in (dataset.entries[i], dataset.entries[j])
+    )
+    more = f" (and {counted(len(pairs) - 1, 'other pair')})" if len(pairs) > 1 else ""
+    return [f"{one} and {other} are one and the same picture{how}{more}, {_REMEDY}"]

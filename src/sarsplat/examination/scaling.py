@@ -1,0 +1,128 @@
+"""Whether images are on one scale, and hold all that was brighter: pixels cut off at the largest value, pictures that
+were stretched one by one, and single images of another scale.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64, Real
+
+from sarsplat.data import Dataset
+from sarsplat.errors import counted
+from sarsplat.examination.outcome import Examination
+from sarsplat.radiometry import to_db
+
+_CUT_OFF = 0.01
+"""Share of an image at its largest value from which on what is cut off is as large as a target: one or two per cent."""
+
+_SAID = 1e-3
+"""Share of all pixels from which on it is said that some are cut off."""
+
+_FEW = 4
+"""Pixels at the largest value of an image that say nothing."""
+
+_FEWEST = 5
+"""Images: of fewer, nothing is said of what they have in common."""
+
+_SAME_MEAN = 1e-4
+"""Relative difference of mean power, to which it is the same: it is rounded to 8 bits after that."""
+
+_OTHER_DB = 8.0
+_OTHER_DEVIATIONS = 8.0
+"""By how much the ground of one image may differ from that of the others: gains of measured chips differ by 3 dB."""
+
+_OWN_SCALES = ("mstar", "sample")
+"""Kinds of datasets whose images are known to have scales of their own, which are learned with `--preset measured`."""
+
+_ONE_SCALE = (
+    "give them on one scale, or the factor of each in a column of the table (--columns scale=NAME); if neither is "
+    "known, reconstruct with --preset measured, which learns a gain for each"
+)
+
+
+def examine_scaling(dataset: Dataset, examined: Examination, speckled: bool) -> None:
+    """Add contradictions of images that are cut off, stretched one by one, or of another scale than the others.
+
+    `speckled` says whether their ground has speckle: two images of it never have the same mean.
+    """
+    shares = np.array([share_at_top(image) for image in _parts(dataset)])
+    wrong = _cut_off(dataset, shares)
+    if not wrong and dataset.source.get("kind") not in _OWN_SCALES:
+        wrong = [*_stretched(dataset, speckled), *_other_level(dataset)]
+    examined.contradictions.extend(wrong)
+    share = float(shares.mean())
+    if wrong:
+        examined.checks["scale"] = "see below"
+    elif share >= _SAID:
+        examined.checks["scale"] = f"{share:.2%} of the pixels hold the largest value of their image: they were cut off"
+    else:
+        examined.checks["scale"] = "nothing is cut off at the largest value, and no image has another scale"
+
+
+def _parts(dataset: Dataset) -> Real[np.ndarray, "v rows columns"]:
+    """What would be cut off: power, or of complex amplitudes the larger of both parts."""
+    if dataset.signal is None:
+        return dataset.power
+    larger = np.maximum(np.abs(dataset.signal.real), np.abs(dataset.signal.imag))
+    return larger[:, 0] if dataset.passes else larger
+
+
+def share_at_top(image: Real[np.ndarray, "rows columns"]) -> float:
+    """Share of the pixels that hold the largest value, if more do than hold values just below it; 0 otherwise."""
+    largest = image.max()
+    count = int((image == largest).sum())
+    if count <= _FEW or count == image.size:
+        return 0.0
+    below = np.unique(image[image < largest], return_counts=True)[1][-_FEW:]
+    return count / image.size if count > 2 * below.mean() else 0.0
+
+
+def _cut_off(dataset: Dataset, shares: Float64[np.ndarray, " v"]) -> list[str]:
+    cut = shares >= _CUT_OFF
+    if not cut.any():
+        return []
+    worst = int(shares.argmax())
+    return [
+        f"{shares[worst]:.1%} of the pixels of {dataset.entries[worst].name} hold its largest value, and at least "
+        f"{_CUT_OFF:.0%} in {cut.sum()} of {counted(len(dataset), 'image')}: what is brighter was cut off, as large an "
+        "area as a target; save the images again with a smaller factor, or in more bits"
+    ]
+
+
+def _stretched(dataset: Dataset, speckled: bool) -> list[str]:
+    """Whether each image was scaled by its own brightest pixel, by a share of its pixels, or by its mean."""
+    if len(dataset) < _FEWEST or dataset.calibration != "relative":
+        return []
+    peaks = dataset.power.max(axis=(1, 2))
+    tops = np.array([(image == peak).sum() for image, peak in zip(dataset.power, peaks, strict=True)])
+    same_peak = float(np.ptp(peaks)) <= 1e-6 * float(peaks.max())
+    means = dataset.power.mean(axis=(1, 2), dtype=np.float64)
+    by = ""
+    if same_peak and np.median(tops) <= 2:
+        by = "the brightest pixel of each has the same value, and hardly any other pixel has it"
+    elif same_peak and np.ptp(tops) <= max(2, 0.1 * np.median(tops)):
+        by = f"as many pixels of each, {np.median(tops):g} of {dataset.power[0].size}, have the same largest value"
+    elif speckled and np.ptp(means) <= _SAME_MEAN * means.mean():
+        by = "all have the same mean power"
+    if not by:
+        return []
+    return [f"the images seem to be stretched one by one, for {by}; {_ONE_SCALE}"]
+
+
+def _other_level(dataset: Dataset) -> list[str]:
+    """Single images whose ground is far brighter or darker than that of all others."""
+    if len(dataset) < _FEWEST or not dataset.ground:
+        return []
+    levels = to_db(np.maximum(np.median(dataset.power, axis=(1, 2)).astype(np.float64), np.finfo(np.float32).tiny))
+    away = levels - np.median(levels)
+    usual = 1.4826 * float(np.median(np.abs(away)))
+    other = np.abs(away) > max(_OTHER_DB, _OTHER_DEVIATIONS * usual)
+    if not other.any() or 4 * other.sum() > len(dataset):
+        return []
+    worst = int(np.where(other, np.abs(away), 0).argmax())
+    many = f" ({counted(int(other.sum()), 'image')} of {len(dataset)} are that far off)" if other.sum() > 1 else ""
+    return [
+        f"the ground of {dataset.entries[worst].name} is {abs(away[worst]):.1f} dB "
+        f"{'brighter' if away[worst] > 0 else 'darker'} than that of the others{many}, so it seems to be of another "
+        f"scale or unit; {_ONE_SCALE}"
+    ]
