@@ -18,7 +18,7 @@ from sarsplat.examination.orientation import Orientation, orientation, turned_gr
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.running_numbers import Counting, counting
-from sarsplat.examination.scaling import examine_scaling
+from sarsplat.examination.scaling import examine_cut_off, examine_scaling
 from sarsplat.examination.single_values import examine_single_values
 from sarsplat.examination.units import examine_units
 from sarsplat.geometry import View
@@ -69,13 +69,15 @@ def examine(dataset: Dataset) -> Examination:
     differ = "the only one is not constant" if len(dataset) == 1 else f"all {len(dataset)} differ, none is constant"
     examined.checks["images"] = "see below" if wrong else differ
     examine_single_values(dataset, examined)
+    cut_off = examine_cut_off(dataset, examined)
     count = min(len(dataset), _MOST_IMAGES)
     places = [k * len(dataset) // count for k in range(count)]
     chosen = _of_one_channel(dataset.take(places))
     if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
         counts = counting(dataset.views)
         spread = None if counts is None else [counts.spread[k] for k in places]
-        speckled = examine_units(_upright(chosen, examined, counts, spread), examined)
+        upright = _upright(chosen, examined, counts, spread)
+        speckled = not cut_off and examine_units(upright, examined)
         examined.contradictions.extend(copied_images(dataset) if speckled else [])
         examine_scaling(dataset, examined, speckled)
     return examined

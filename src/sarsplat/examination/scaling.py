@@ -41,22 +41,25 @@ _ONE_SCALE = (
 
 
 def examine_scaling(dataset: Dataset, examined: Examination, speckled: bool) -> None:
-    """Add contradictions of images that are cut off, stretched one by one, or of another scale than the others.
+    """Add contradictions of images that are stretched one by one, or of another scale than the others.
 
     `speckled` says whether their ground has speckle: two images of it never have the same mean.
     """
+    if dataset.source.get("kind") in _OWN_SCALES:
+        return
+    wrong = [*_stretched(dataset, speckled), *_other_level(dataset)]
+    examined.contradictions.extend(wrong)
+    examined.checks["scale"] = "see below" if wrong else "no image seems to have another scale than the others"
+
+
+def examine_cut_off(dataset: Dataset, examined: Examination) -> bool:
+    """Add a contradiction if much is cut off at the largest value; returns whether it is."""
     shares = np.array([share_at_top(image) for image in _parts(dataset)])
     wrong = _cut_off(dataset, shares)
-    if not wrong and dataset.source.get("kind") not in _OWN_SCALES:
-        wrong = [*_stretched(dataset, speckled), *_other_level(dataset)]
     examined.contradictions.extend(wrong)
-    share = float(shares.mean())
-    if wrong:
-        examined.checks["scale"] = "see below"
-    elif share >= _SAID:
-        examined.checks["scale"] = f"{share:.2%} of the pixels hold the largest value of their image: they were cut off"
-    else:
-        examined.checks["scale"] = "nothing is cut off at the largest value, and no image has another scale"
+    some = f"{shares.mean():.2%} of the pixels, which hold the largest value of their image, were cut off"
+    examined.checks["largest values"] = "see below" if wrong else some if shares.mean() >= _SAID else "not cut off"
+    return bool(wrong)
 
 
 def _parts(dataset: Dataset) -> Real[np.ndarray, "v rows columns"]:

@@ -146,14 +146,15 @@ def _speckle_db(pixels: int) -> float:
 def _lines(dataset: Dataset, bright: float) -> list[str]:
     """Rows or columns that are brighter, as a whole, than both of their neighbours, beyond what a response can do."""
     found = []
+    usual = np.array([image[image <= np.quantile(image, 0.9)].mean() for image in dataset.power])[:, None]
+    usual = np.maximum(usual, np.finfo(np.float32).tiny)  # medians of coarsely quantised ground jump
     for name, axis, own in (("row", 2, 1), ("column", 1, 0)):
         medians = np.median(dataset.power, axis=axis)  # [v, lines]
         if medians.shape[1] < _FEWEST_LINES:
             continue
         padded = np.pad(medians, ((0, 0), (1, 1)))
-        beside = np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), np.finfo(np.float32).tiny)
-        least = np.median(dataset.power, axis=(1, 2))[:, None] if dataset.ground else bright
-        lead = np.where(medians >= least, to_db(medians, beside), -np.inf)
+        beside = np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), usual)
+        lead = np.where(medians >= (usual if dataset.ground else bright), to_db(medians, beside), -np.inf)
         limit = _next_db(dataset.grid, own) + _LINE_DB
         if lead.max() > limit:
             index, line = np.unravel_index(int(lead.argmax()), lead.shape)

@@ -16,7 +16,7 @@ from sarsplat.examination.significance import Evidence
 from sarsplat.examination.single_values import A_FEW, WIDEST_RANGE_DB, ranges_db
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import width_of
-from sarsplat.radiometry import brighter, to_db
+from sarsplat.radiometry import brighter
 from sarsplat.regions.outlines import Outline, levels_db, outline
 
 _SPECKLED = 0.4

@@ -24,6 +24,7 @@ from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
+from sarsplat.importers.common_part import common_part, without_empty_corners
 from sarsplat.radiometry import to_db
 
 if TYPE_CHECKING:
@@ -43,7 +44,6 @@ _FAINTEST = 1e-30
 
 _MARGIN = 3 / 16
 """Share of a side that is left out when speckled images are scored: around the target there is only ground."""
-
 
 _PIXELS = (8, 4096)
 """Fewest and most on a side of an image that is cut out or focused."""
@@ -210,6 +210,9 @@ def dataset_of(
     assumptions = [*source.get("assumptions", ())]
     _refuse_other_channels(images)
     images = _with_sets(images, train_views)
+    images, said = without_empty_corners(images) if about["ground"] else (images, "")
+    if said:
+        assume(assumptions, said)
     grid = _common_grid(images, assumptions)
     pixels = np.stack([_on(image, grid) for image in images])
     power = _power(pixels)
@@ -348,13 +351,11 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
     if any(grid.response != response for grid in grids):
         assume(assumptions, "responses differ in their shape, which is taken for that of a Gaussian")
         response = GAUSSIAN
-    low = np.max([(grid.azimuth_m[0], grid.range_m[0]) for grid in grids], axis=0)
-    high = np.min([(grid.azimuth_m[-1], grid.range_m[-1]) for grid in grids], axis=0)
+    low, high, deciding = common_part(images)
     columns, rows = np.floor((high - low) / finest + _SAME_PLACE).astype(int) + 1
-    if min(rows, columns) < 1:
-        raise SarsplatError("the images have no part in common; give images around one spot")
     if len({(grid.rows, grid.columns) for grid in grids}) > 1 or (rows, columns) < (grids[0].rows, grids[0].columns):
-        assume(assumptions, f"all images are cut to what they have in common, {rows} × {columns} pixels")
+        part = f"{rows} × {columns} pixels, by {', '.join(deciding)}"  # of at most four
+        assume(assumptions, f"all images are cut to what they have in common, {part}")
     return ImageGrid(int(rows), int(columns), tuple(finest), tuple(typical), tuple((low + high) / 2), response)
 
 

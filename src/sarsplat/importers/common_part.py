@@ -1,0 +1,158 @@
+"""The part of the scene that all images show: without corners that hold no data, and not what one file decides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float64, Shaped
+from scipy.ndimage import binary_opening, label
+
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.geometry import ImageGrid
+
+if TYPE_CHECKING:
+    from sarsplat.importers.images import MeasuredImage
+
+_CHANCE = 1e-4
+_THICK = 5
+"""Side of the smallest square of zeros that is no data, in pixels: single zeros are dark pixels."""
+
+_LEAST_SHARE, _MOST_SHARE = 0.003, 0.6
+"""Of an image: fewer zeros in its corners are left as they are; of more, too little is left of it."""
+
+_LOSS = 0.5
+"""Share of the common part that a few images may cost: a picture of another size is sooner a wrong file."""
+
+_FEW = 1 / 8
+_FEWEST_IMAGES = 3
+
+
+def without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[MeasuredImage], str]:
+    """Images cut to a rectangle that leaves out zeros that reach from a corner, and a sentence about it, or "".
+
+    Refused if they are most of an image: then it is the target that was cut out.
+    """
+    cut: list[MeasuredImage] = []
+    changed: list[str] = []
+    for image in images:
+        empty = _empty_corners((image.pixels == 0).reshape(-1, *image.pixels.shape[-2:]).all(axis=0))
+        share = float(empty.mean())
+        if share > _MOST_SHARE:
+            raise SarsplatError(
+                f"{share:.0%} of the pixels of {image.name} are zeros that reach from its corners, as where there are "
+                "no data; cut the image to what it shows, or, if it shows nothing around the target, say so "
+                "(--no-ground, ground=False)"
+            )
+        if share >= _LEAST_SHARE:
+            changed.append(image.name)
+            image = _cut(image, *_filled_rectangle(~empty))
+        cut.append(image)
+    if not changed:
+        return cut, ""
+    return cut, (
+        f"{counted(len(changed), 'image')} of {len(images)}, the first {changed[0]}, "
+        f"{'has' if len(changed) == 1 else 'have'} zeros that reach from the corners, where there are no data; cut to "
+        "a rectangle without them"
+    )
+
+
+def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
+    """Zeros that hang together with a corner, in pieces that are thicker than single dark pixels."""
+    nowhere = np.zeros_like(zeros)
+    if min(zeros.shape) < 2 * _THICK or not zeros[[0, 0, -1, -1], [0, -1, 0, -1]].any():
+        return nowhere
+    empty = _thick_corners(zeros, _THICK)
+    scattered = float(zeros[~empty].mean()) if not empty.all() else 0.0
+    if 0 < scattered < 1:  # dark pixels: squares of them that are there by chance are smaller than this
+        side = math.ceil(math.sqrt(math.log(zeros.size / _CHANCE) / -math.log(scattered)))
+        if side > _THICK:
+            return _thick_corners(zeros, side) if side < min(zeros.shape) else nowhere
+    return empty
+
+
+def _thick_corners(zeros: Bool[np.ndarray, "rows columns"], side: int) -> Bool[np.ndarray, "rows columns"]:
+    """Squares of zeros that hang together with a corner."""
+    padded = np.pad(zeros, side, mode="edge")  # thin wedges at an edge, too
+    thick = binary_opening(padded, np.ones((side, side)))[side:-side, side:-side]
+    pieces, _ = label(thick & zeros)
+    at = {int(pieces[corner]) for corner in ((0, 0), (0, -1), (-1, 0), (-1, -1))} - {0}
+    return np.isin(pieces, list(at)) if at else np.zeros_like(zeros)
+
+
+def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, slice]:
+    """A large rectangle without anything empty: lines at its sides are taken off, the emptiest first."""
+    top, bottom, left, right = 0, filled.shape[0], 0, filled.shape[1]
+    while not (inside := filled[top:bottom, left:right]).all():
+        lines = inside[0].mean(), inside[-1].mean(), inside[:, 0].mean(), inside[:, -1].mean()
+        match int(np.argmin(lines)):
+            case 0:
+                top += 1
+            case 1:
+                bottom -= 1
+            case 2:
+                left += 1
+            case _:
+                right -= 1
+    return slice(top, bottom), slice(left, right)
+
+
+def _cut(image: MeasuredImage, rows: slice, columns: slice) -> MeasuredImage:
+    grid = image.grid
+    center = (
+        float(grid.azimuth_m[columns].mean()),
+        float(grid.range_m[rows].mean()),
+    )
+    return replace(image, pixels=image.pixels[..., rows, columns], center_m=center)
+
+
+def common_part(
+    images: Sequence[MeasuredImage],
+) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"], list[str]]:
+    """Where the part that all images show begins and ends (azimuth, range), m, and the images that decide it.
+
+    Refused if there is none, or if without a few images it would be at least twice as large.
+    """
+    grids = [image.grid for image in images]
+    low, high = _overlap(grids)
+    kept = list(range(len(images)))
+    most = max(1, int(_FEW * len(images))) if len(images) >= _FEWEST_IMAGES else 0
+    without: list[int] = []
+    for _ in range(most):
+        rest = [[k for k in kept if k != out] for out in _at_its_ends(grids, kept)]
+        kept = max(rest, key=lambda some: _area(*_overlap([grids[k] for k in some])))
+        without = [k for k in range(len(images)) if k not in kept]
+        if (1 - _LOSS) * (larger := _area(*_overlap([grids[k] for k in kept]))) >= max(_area(low, high), 1e-30):
+            names = ", ".join(f"{images[k].name} ({_size(grids[k])})" for k in without[:3])
+            raise SarsplatError(
+                f"all images would be cut to {_area(low, high) / larger:.0%} of what the others have in common, for "
+                f"{names}{' and others' if len(without) > 3 else ''} where {images[kept[0]].name} has "
+                f"{_size(grids[kept[0]])}; leave out {'this image' if len(without) == 1 else 'these images'}, or cut "
+                "the others to that size yourself"
+            )
+    if (high < low).any():
+        raise SarsplatError("the images have no part in common; give images around one spot")
+    return low, high, [images[k].name for k in _at_its_ends(grids, range(len(images)))]
+
+
+def _overlap(grids: Sequence[ImageGrid]) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"]]:
+    low = np.max([(grid.azimuth_m[0], grid.range_m[0]) for grid in grids], axis=0)
+    high = np.min([(grid.azimuth_m[-1], grid.range_m[-1]) for grid in grids], axis=0)
+    return low, high
+
+
+def _at_its_ends(grids: Sequence[ImageGrid], kept: Sequence[int]) -> list[int]:
+    """The first of the images that ends where the part ends that all of them show, for each of its four ends."""
+    ends = [(-grids[k].azimuth_m[0], -grids[k].range_m[0], grids[k].azimuth_m[-1], grids[k].range_m[-1]) for k in kept]
+    return sorted({kept[int(k)] for k in np.argmin(ends, axis=0)})
+
+
+def _area(low: Shaped[np.ndarray, " 2"], high: Shaped[np.ndarray, " 2"]) -> float:
+    return float(np.prod(np.maximum(high - low, 0)))
+
+
+def _size(grid: ImageGrid) -> str:
+    return f"{grid.rows} × {grid.columns} pixels"
