@@ -68,8 +68,8 @@ def examine(dataset: Dataset) -> Examination:
     examined.contradictions.extend([*angles, *wrong])
     differ = "the only one is not constant" if len(dataset) == 1 else f"all {len(dataset)} differ, none is constant"
     examined.checks["images"] = "see below" if wrong else differ
-    examine_single_values(dataset, examined)
-    cut_off = examine_cut_off(dataset, examined)
+    hot = examine_single_values(dataset, examined)
+    cut_off = not hot and examine_cut_off(dataset, examined)  # a line of hot pixels is not what is bright
     count = min(len(dataset), _MOST_IMAGES)
     places = [k * len(dataset) // count for k in range(count)]
     chosen = _of_one_channel(dataset.take(places))
@@ -79,7 +79,8 @@ def examine(dataset: Dataset) -> Examination:
         upright = _upright(chosen, examined, counts, spread)
         speckled = not cut_off and examine_units(upright, examined)
         examined.contradictions.extend(copied_images(dataset) if speckled else [])
-        examine_scaling(dataset, examined, speckled)
+        if not hot:
+            examine_scaling(dataset, examined, speckled)
     return examined
 
 

@@ -22,9 +22,9 @@ _SIDE = 96
 _LOCAL = 5
 """Side of the mean that is taken out, in pixels: what is left is speckle, not the target."""
 
-_SAME_SPECKLE = 0.9
-"""Correlation of logarithms: measured chips have up to 0.6 between neighbouring azimuths, and a picture that was
-compressed again with much loss 0.93."""
+_SAME_SPECKLE = 0.7
+"""Correlation of logarithms: measured chips have up to 0.24, and apertures that share three quarters of their pulses
+0.56."""
 
 _UNLIKE = 0.3
 """Median over all pairs of images that have speckle."""

@@ -11,11 +11,12 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.errors import counted
 from sarsplat.geometry import View
 
+_SAME_DIRECTION_DEG = 0.01
 _REMEDY = "so the file or the angles of one are wrong: correct them, or remove one"
 
 
 def repeated_images(dataset: Dataset) -> list[str]:
-    """Whether images of different directions are the same, pixel by pixel; a list of one sentence, or empty.
+    """Whether images are the same, pixel by pixel, though of different directions, or twice in one set; a sentence each.
 
     Images without speckle may be the same by the target's symmetry: then all that are as far apart are.
     """
@@ -24,10 +25,21 @@ def repeated_images(dataset: Dataset) -> list[str]:
     for index, image in enumerate(dataset.power):
         if (at := first.setdefault(image.tobytes(), index)) != index and np.ptp(image) > 0:
             pairs.append((at, index))
-    pairs = [(i, j) for i, j in pairs if apart_deg(dataset.views[i], dataset.views[j]) > 0.01]
+    apart = [(i, j) for i, j in pairs if apart_deg(dataset.views[i], dataset.views[j]) > _SAME_DIRECTION_DEG]
+    twice = [(i, j) for i, j in pairs if (i, j) not in apart and dataset.entries[i].split == dataset.entries[j].split]
     if dataset.looks is None:
-        pairs = [pair for pair in pairs if not _symmetric(dataset, *pair)]
-    return said_of_pairs(dataset, pairs, "")
+        apart = [pair for pair in apart if not _symmetric(dataset, *pair)]
+    return [*said_of_pairs(dataset, apart, ""), *_said_of_twice(dataset, twice)]
+
+
+def _said_of_twice(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> list[str]:
+    if not pairs:
+        return []
+    one, other = (dataset.entries[k].name for k in pairs[0])
+    return [
+        f"{one} and {other} are one and the same picture from one direction{_more(pairs)}, which counts twice; remove "
+        "one"
+    ]
 
 
 def apart_deg(one: View, other: View) -> float:
@@ -59,5 +71,8 @@ def said_of_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]], how: str) 
         f"{entry.name} (azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°)"
         for entry in (dataset.entries[i], dataset.entries[j])
     )
-    more = f" (and {counted(len(pairs) - 1, 'other pair')})" if len(pairs) > 1 else ""
-    return [f"{one} and {other} are one and the same picture{how}{more}, {_REMEDY}"]
+    return [f"{one} and {other} are one and the same picture{how}{_more(pairs)}, {_REMEDY}"]
+
+
+def _more(pairs: Sequence[tuple[int, int]]) -> str:
+    return f" (and {counted(len(pairs) - 1, 'other pair')})" if len(pairs) > 1 else ""

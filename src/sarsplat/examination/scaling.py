@@ -5,7 +5,8 @@ were stretched one by one, and single images of another scale.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float64, Real
+from jaxtyping import Float64, Int, Real
+from scipy.special import bdtr
 
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
@@ -23,6 +24,9 @@ _FEW = 4
 
 _FEWEST = 5
 """Images: of fewer, nothing is said of what they have in common."""
+
+_UNLIKELY = 0.01
+"""Probability by chance: pictures of a common scale that is cut off at all are few already."""
 
 _SAME_MEAN = 1e-4
 """Relative difference of mean power, to which it is the same: it is rounded to 8 bits after that."""
@@ -101,15 +105,20 @@ def _stretched(dataset: Dataset, speckled: bool) -> list[str]:
     same_peak = float(np.ptp(peaks)) <= 1e-6 * float(peaks.max())
     means = dataset.power.mean(axis=(1, 2), dtype=np.float64)
     by = ""
-    if same_peak and np.median(tops) <= 2:
-        by = "the brightest pixel of each has the same value, and hardly any other pixel has it"
-    elif same_peak and np.ptp(tops) <= max(2, 0.1 * np.median(tops)):
+    if same_peak and _too_alike(tops, dataset.power[0].size) and tops.max() < dataset.power[0].size:
         by = f"as many pixels of each, {np.median(tops):g} of {dataset.power[0].size}, have the same largest value"
     elif speckled and np.ptp(means) <= _SAME_MEAN * means.mean():
         by = "all have the same mean power"
     if not by:
         return []
     return [f"the images seem to be stretched one by one, for {by}; {_ONE_SCALE}"]
+
+
+def _too_alike(counts: Int[np.ndarray, " v"], pixels: int) -> bool:
+    """Whether numbers of pixels that exceed one level differ less than they would by chance."""
+    share = float(counts.mean()) / pixels
+    within = bdtr(counts.max(), pixels, share) - bdtr(counts.min() - 1, pixels, share)
+    return bool(within ** len(counts) < _UNLIKELY)
 
 
 def _other_level(dataset: Dataset) -> list[str]:

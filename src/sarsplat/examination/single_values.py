@@ -35,13 +35,14 @@ _FEWEST_LINES = 3
 _FEWEST_IMAGES = 3
 
 
-def examine_single_values(dataset: Dataset, examined: Examination) -> None:
+def examine_single_values(dataset: Dataset, examined: Examination) -> bool:
     """Add contradictions of pixels and lines that no response can make, and of images with an impossible range.
 
-    Where most images have an impossible range, and not by a few pixels, their unit is wrong: see `examine_units`.
+    Returns whether there are any. Where most images have an impossible range, and not by a few pixels, it is their unit
+    that is wrong: see `examine_units`.
     """
     if 2 * (ranges_db(dataset, A_FEW) > WIDEST_RANGE_DB).sum() > len(dataset):
-        return
+        return False
     bright = bright_level(dataset.power)
     limit_db = _point_db(dataset.grid) + _speckle_db(dataset.power.size)
     alone = [peak for k, image in enumerate(dataset.power) for peak in _alone(image, k, bright, limit_db)]
@@ -50,6 +51,7 @@ def examine_single_values(dataset: Dataset, examined: Examination) -> None:
     wrong += _lines(dataset, bright)
     examined.contradictions.extend(wrong)
     examined.checks["single values"] = "see below" if wrong else "no pixel, row or column is too bright to be an echo"
+    return bool(wrong)
 
 
 def _said_of(alone: Sequence[_Peak], dataset: Dataset) -> list[str]:

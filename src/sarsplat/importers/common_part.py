@@ -62,23 +62,12 @@ def without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[Measure
 
 def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
     """Zeros that hang together with a corner, in pieces that are thicker than single dark pixels."""
-    nowhere = np.zeros_like(zeros)
-    if min(zeros.shape) < 2 * _THICK or not zeros[[0, 0, -1, -1], [0, -1, 0, -1]].any():
-        return nowhere
-    empty = _thick_corners(zeros, _THICK)
-    scattered = float(zeros[~empty].mean()) if not empty.all() else 0.0
-    if 0 < scattered < 1:  # dark pixels: squares of them that are there by chance are smaller than this
-        side = math.ceil(math.sqrt(math.log(zeros.size / _CHANCE) / -math.log(scattered)))
-        if side > _THICK:
-            return _thick_corners(zeros, side) if side < min(zeros.shape) else nowhere
-    return empty
-
-
-def _thick_corners(zeros: Bool[np.ndarray, "rows columns"], side: int) -> Bool[np.ndarray, "rows columns"]:
-    """Squares of zeros that hang together with a corner."""
-    padded = np.pad(zeros, side, mode="edge")  # thin wedges at an edge, too
-    thick = binary_opening(padded, np.ones((side, side)))[side:-side, side:-side]
-    pieces, _ = label(thick & zeros)
+    share = float(zeros.mean())
+    if not 0 < share < 1:
+        return np.zeros_like(zeros)
+    by_chance = math.sqrt(math.log(zeros.size / _CHANCE) / -math.log(share))  # side of squares of dark pixels
+    side = max(_THICK, math.ceil(by_chance))
+    pieces, _ = label(binary_opening(zeros, np.ones((side, side))))
     at = {int(pieces[corner]) for corner in ((0, 0), (0, -1), (-1, 0), (-1, -1))} - {0}
     return np.isin(pieces, list(at)) if at else np.zeros_like(zeros)
 
