@@ -16,7 +16,7 @@ _REMEDY = "so the file or the angles of one are wrong: correct them, or remove o
 
 
 def repeated_images(dataset: Dataset) -> list[str]:
-    """Whether images are the same, pixel by pixel, though of different directions, or twice in one set; a sentence each.
+    """Whether images are the same, pixel by pixel, though of other directions, or twice in one set; a sentence each.
 
     Images without speckle may be the same by the target's symmetry: then all that are as far apart are.
     """

@@ -27,6 +27,9 @@ _LEAST_SHARE, _MOST_SHARE = 0.003, 0.6
 _LOSS = 0.5
 """Share of the common part that a few images may cost: a picture of another size is sooner a wrong file."""
 
+_MOST_UNLIKE = 10.0
+"""Largest over smallest pixel spacing."""
+
 _FEW = 1 / 8
 _FEWEST_IMAGES = 3
 
@@ -106,6 +109,7 @@ def common_part(
     Refused if there is none, or if without a few images it would be at least twice as large.
     """
     grids = [image.grid for image in images]
+    _refuse_other_spacing(images)
     low, high = _overlap(grids)
     kept = list(range(len(images)))
     most = max(1, int(_FEW * len(images))) if len(images) >= _FEWEST_IMAGES else 0
@@ -125,6 +129,19 @@ def common_part(
     if (high < low).any():
         raise SarsplatError("the images have no part in common; give images around one spot")
     return low, high, [images[k].name for k in _at_its_ends(grids, range(len(images)))]
+
+
+def _refuse_other_spacing(images: Sequence[MeasuredImage]) -> None:
+    """Refuse pixels so much larger than others that they are of another unit sooner than of another image."""
+    spacing = np.array([image.spacing_m for image in images])
+    usual = np.median(spacing, axis=0)
+    if (spacing.max(axis=0) > _MOST_UNLIKE * spacing.min(axis=0)).any():
+        off = int(np.abs(np.log(spacing / usual)).max(axis=1).argmax())
+        own, others = (f"{pair[0]:.4g} m × {pair[1]:.4g} m" for pair in (spacing[off], usual))
+        raise SarsplatError(
+            f"{images[off].name} has pixels of {own} (azimuth × range), and others of {others}; correct its spacing, or "
+            "leave it out"
+        )
 
 
 def _overlap(grids: Sequence[ImageGrid]) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"]]:

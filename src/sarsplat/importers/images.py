@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 _SAME = 1e-3
 """Relative difference of lengths that are meant to be the same."""
 
-_MOST_UNLIKE = 10.0
 _SAME_PLACE = 1e-2
 """Images that lie no further apart than this share of a pixel are not moved."""
 
@@ -337,12 +336,6 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
     spacing = np.array([grid.spacing_m for grid in grids])
     resolution = np.array([grid.resolution_m for grid in grids])
     finest = spacing.min(axis=0)
-    if (spacing.max(axis=0) > _MOST_UNLIKE * finest).any():
-        off = int(np.abs(np.log(spacing / np.median(spacing, axis=0))).max(axis=1).argmax())
-        raise SarsplatError(
-            f"{images[off].name} has pixels of {_metres(spacing[off])}, and others have {_metres(np.median(spacing, 0))}, "
-            "which no resampling brings together; correct its spacing, or leave it out"
-        )
     if np.ptp(spacing, axis=0).max() > _SAME * finest.min():
         assume(assumptions, f"pixel spacings differ; all images are resampled to the finest, {_metres(finest)}")
     else:

@@ -38,6 +38,7 @@ _MOST_SEGMENTS = 100
 _LONGEST_XML = 4 << 20
 _HIGHEST_ORDER = 20
 _OTHERS = {
+    b"NITF": "a NITF file of another version than 2.1",
     b"CPHD": "phase history (CPHD)",
     b"CRSD": "raw radar data (CRSD)",
     b"II*\0": "a TIFF picture",

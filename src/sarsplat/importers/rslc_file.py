@@ -242,7 +242,7 @@ class _Fields:
         return values
 
     def axis(self, name: str) -> tuple[Float64[np.ndarray, " n"], int]:
-        """Numbers of a coarse grid, rising, and the step in which they have to be taken for that: 1, or −1 if they fall.
+        """Numbers of a coarse grid, rising, and the step in which they are taken for that: 1, or −1 if they fall.
 
         Neighbours may be the same, as rounded ones are.
         """
