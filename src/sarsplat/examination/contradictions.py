@@ -18,7 +18,7 @@ from sarsplat.examination.orientation import Orientation, orientation, turned_gr
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.running_numbers import Counting, counting
-from sarsplat.examination.scaling import examine_cut_off, examine_scaling
+from sarsplat.examination.scaling import MUCH, examine_cut_off, examine_scaling
 from sarsplat.examination.single_values import examine_single_values
 from sarsplat.examination.units import examine_units
 from sarsplat.geometry import View
@@ -69,7 +69,7 @@ def examine(dataset: Dataset) -> Examination:
     differ = "the only one is not constant" if len(dataset) == 1 else f"all {len(dataset)} differ, none is constant"
     examined.checks["images"] = "see below" if wrong else differ
     hot = examine_single_values(dataset, examined)
-    cut_off = not hot and examine_cut_off(dataset, examined)  # a line of hot pixels is not what is bright
+    cut_off = 0.0 if hot else examine_cut_off(dataset, examined)  # a line of hot pixels is not what is bright
     count = min(len(dataset), _MOST_IMAGES)
     places = [k * len(dataset) // count for k in range(count)]
     chosen = _of_one_channel(dataset.take(places))
@@ -77,10 +77,10 @@ def examine(dataset: Dataset) -> Examination:
         counts = counting(dataset.views)
         spread = None if counts is None else [counts.spread[k] for k in places]
         upright = _upright(chosen, examined, counts, spread)
-        speckled = not cut_off and examine_units(upright, examined)
+        speckled = cut_off < MUCH and examine_units(upright, examined)
         examined.contradictions.extend(copied_images(dataset) if speckled else [])
         if not hot:
-            examine_scaling(dataset, examined, speckled)
+            examine_scaling(dataset, examined, speckled, cut_off)
     return examined
 
 

@@ -16,6 +16,9 @@ from sarsplat.radiometry import to_db
 _CUT_OFF = 0.01
 """Share of an image at its largest value from which on what is cut off is as large as a target: one or two per cent."""
 
+MUCH = 0.1
+"""Share from which on ground is cut off, too, and its statistics say nothing."""
+
 _SAID = 1e-3
 """Share of all pixels from which on it is said that some are cut off."""
 
@@ -44,26 +47,27 @@ _ONE_SCALE = (
 )
 
 
-def examine_scaling(dataset: Dataset, examined: Examination, speckled: bool) -> None:
+def examine_scaling(dataset: Dataset, examined: Examination, speckled: bool, cut_off: float) -> None:
     """Add contradictions of images that are stretched one by one, or of another scale than the others.
 
-    `speckled` says whether their ground has speckle: two images of it never have the same mean.
+    `speckled` says whether their ground has speckle: two images of it never have the same mean. `cut_off` is the share
+    of pixels that hold the largest value: where they are a whole target, their number says nothing.
     """
     if dataset.source.get("kind") in _OWN_SCALES:
         return
-    wrong = [*_stretched(dataset, speckled), *_other_level(dataset)]
+    wrong = [*(_stretched(dataset, speckled) if cut_off < _CUT_OFF else ()), *_other_level(dataset)]
     examined.contradictions.extend(wrong)
     examined.checks["scale"] = "see below" if wrong else "no image seems to have another scale than the others"
 
 
-def examine_cut_off(dataset: Dataset, examined: Examination) -> bool:
-    """Add a contradiction if much is cut off at the largest value; returns whether it is."""
+def examine_cut_off(dataset: Dataset, examined: Examination) -> float:
+    """Add a contradiction if much is cut off at the largest value; returns the largest share of an image that is."""
     shares = np.array([share_at_top(image) for image in _parts(dataset)])
     wrong = _cut_off(dataset, shares)
     examined.contradictions.extend(wrong)
     some = f"{shares.mean():.2%} of the pixels, which hold the largest value of their image, were cut off"
     examined.checks["largest values"] = "see below" if wrong else some if shares.mean() >= _SAID else "not cut off"
-    return bool(wrong)
+    return float(shares.max())
 
 
 def _parts(dataset: Dataset) -> Real[np.ndarray, "v rows columns"]:

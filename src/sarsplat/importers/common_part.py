@@ -139,8 +139,8 @@ def _refuse_other_spacing(images: Sequence[MeasuredImage]) -> None:
         off = int(np.abs(np.log(spacing / usual)).max(axis=1).argmax())
         own, others = (f"{pair[0]:.4g} m × {pair[1]:.4g} m" for pair in (spacing[off], usual))
         raise SarsplatError(
-            f"{images[off].name} has pixels of {own} (azimuth × range), and others of {others}; correct its spacing, or "
-            "leave it out"
+            f"{images[off].name} has pixels of {own} (azimuth × range), and others of {others}; correct its spacing, "
+            "or leave it out"
         )
 
 
