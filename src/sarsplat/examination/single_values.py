@@ -115,17 +115,23 @@ def _alone(image: Real[np.ndarray, "rows columns"], index: int, bright: float, l
     """The bright pixels of an image that exceed all of their neighbours by more than the limit."""
     rows, columns = np.nonzero(image >= bright)
     padded = np.pad(image, 1)
-    beside = np.zeros(len(rows))
+    beside = np.full(len(rows), _usual(image))
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             if (down, right) != (0, 0):
                 beside = np.maximum(beside, padded[rows + 1 + down, columns + 1 + right])
-    leads = to_db(image[rows, columns], np.maximum(beside, np.finfo(np.float32).tiny))
+    leads = to_db(image[rows, columns], beside)
     return [
         _Peak(index, int(row), int(column), float(lead))
         for row, column, lead in zip(rows, columns, leads, strict=True)
         if lead > limit_db
     ]
+
+
+def _usual(image: Real[np.ndarray, "rows columns"]) -> float:
+    """Mean power but for the brightest tenth: where ground is quantised coarsely, single pixels and medians jump."""
+    dark = image[image <= np.quantile(image, 0.9)].mean(dtype=np.float64)
+    return max(float(dark), float(np.finfo(np.float32).tiny))
 
 
 def _point_db(grid: ImageGrid) -> float:
@@ -148,8 +154,7 @@ def _speckle_db(pixels: int) -> float:
 def _lines(dataset: Dataset, bright: float) -> list[str]:
     """Rows or columns that are brighter, as a whole, than both of their neighbours, beyond what a response can do."""
     found = []
-    usual = np.array([image[image <= np.quantile(image, 0.9)].mean() for image in dataset.power])[:, None]
-    usual = np.maximum(usual, np.finfo(np.float32).tiny)  # medians of coarsely quantised ground jump
+    usual = np.array([_usual(image) for image in dataset.power])[:, None]
     for name, axis, own in (("row", 2, 1), ("column", 1, 0)):
         medians = np.median(dataset.power, axis=axis)  # [v, lines]
         if medians.shape[1] < _FEWEST_LINES:
