@@ -61,7 +61,7 @@ def test_pixels_at_the_largest_value_were_cut_off(largest):
 
 def test_a_few_are_only_said():
     examined = Examination()
-    assert 0 < examine_cut_off(stored(pictures(), 29), examined) < 0.01
+    assert 0 < examine_cut_off(stored(pictures(), 35), examined) < 0.01
     assert (
         "of the pixels, which hold the largest value of their image, were cut off" in examined.checks["largest values"]
     )

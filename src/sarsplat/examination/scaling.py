@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float64, Int, Real
-from scipy.special import bdtr
 
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
@@ -19,7 +18,7 @@ _CUT_OFF = 0.01
 MUCH = 0.1
 """Share from which on ground is cut off, too, and its statistics say nothing."""
 
-_SAID = 1e-3
+CUT_OFF_SAID = 1e-3
 """Share of all pixels from which on it is said that some are cut off."""
 
 _FEW = 4
@@ -66,7 +65,9 @@ def examine_cut_off(dataset: Dataset, examined: Examination) -> float:
     wrong = _cut_off(dataset, shares)
     examined.contradictions.extend(wrong)
     some = f"{shares.mean():.2%} of the pixels, which hold the largest value of their image, were cut off"
-    examined.checks["largest values"] = "see below" if wrong else some if shares.mean() >= _SAID else "not cut off"
+    examined.checks["largest values"] = (
+        "see below" if wrong else some if shares.mean() >= CUT_OFF_SAID else "not cut off"
+    )
     return float(shares.max())
 
 
@@ -120,6 +121,8 @@ def _stretched(dataset: Dataset, speckled: bool) -> list[str]:
 
 def _too_alike(counts: Int[np.ndarray, " v"], pixels: int) -> bool:
     """Whether numbers of pixels that exceed one level differ less than they would by chance."""
+    from scipy.special import bdtr  # here: see `with_data`
+
     share = float(counts.mean()) / pixels
     within = bdtr(counts.max(), pixels, share) - bdtr(counts.min() - 1, pixels, share)
     return bool(within ** len(counts) < _UNLIKELY)

@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64, Shaped
-from scipy.ndimage import binary_opening, label
 
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.examination.scaling import CUT_OFF_SAID, share_at_top
 from sarsplat.geometry import ImageGrid
-
-if TYPE_CHECKING:
-    from sarsplat.importers.images import MeasuredImage
 
 _CHANCE = 1e-4
 _THICK = 5
@@ -34,12 +31,49 @@ _FEW = 1 / 8
 _FEWEST_IMAGES = 3
 
 
-def without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[MeasuredImage], str]:
+class _Measured(Protocol):
+    """What is needed here of a `MeasuredImage`."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def pixels(self) -> np.ndarray: ...
+    @property
+    def grid(self) -> ImageGrid: ...
+
+
+Image = TypeVar("Image", bound=_Measured)
+
+
+def with_data(images: Sequence[Image], ground: bool) -> tuple[list[Image], list[str]]:
+    """Images without corners that hold no data, if they show ground, and what is to be said of what they hold."""
+    shares = [share_at_top(part) for image in images for part in _numbers(image)]
+    said = []
+    if (share := float(np.mean(shares))) >= CUT_OFF_SAID:
+        said.append(
+            f"{share:.2%} of the pixels hold the largest value of their image, {max(shares):.2%} at most: what is "
+            "brighter was cut off"
+        )
+    if not ground:
+        return [*images], said
+    cut, sentence = _without_empty_corners(images)
+    return cut, [*said, *([sentence] if sentence else [])]
+
+
+def _numbers(image: _Measured) -> list[Shaped[np.ndarray, "rows columns"]]:
+    """What may be cut off: power, or both parts of complex amplitudes; of stacks those of the first channel."""
+    pixels = image.pixels if image.pixels.ndim == 2 else image.pixels[0]
+    return [np.abs(pixels.real), np.abs(pixels.imag)] if pixels.dtype.kind == "c" else [pixels]
+
+
+def _without_empty_corners(images: Sequence[Image]) -> tuple[list[Image], str]:
     """Images cut to a rectangle that leaves out zeros that reach from a corner, and a sentence about it, or "".
 
     Refused if they are most of an image: then it is the target that was cut out.
     """
-    cut: list[MeasuredImage] = []
+    cut: list[Image] = []
     changed: list[str] = []
     for image in images:
         empty = _empty_corners((image.pixels == 0).reshape(-1, *image.pixels.shape[-2:]).all(axis=0))
@@ -65,6 +99,8 @@ def without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[Measure
 
 def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
     """Zeros that hang together with a corner, in pieces that are thicker than single dark pixels."""
+    from scipy.ndimage import binary_opening, label  # here: whoever asks for a file's facts need not load SciPy
+
     share = float(zeros.mean())
     if not 0 < share < 1:
         return np.zeros_like(zeros)
@@ -92,7 +128,7 @@ def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, 
     return slice(top, bottom), slice(left, right)
 
 
-def _cut(image: MeasuredImage, rows: slice, columns: slice) -> MeasuredImage:
+def _cut(image: Image, rows: slice, columns: slice) -> Image:
     grid = image.grid
     center = (
         float(grid.azimuth_m[columns].mean()),
@@ -102,7 +138,7 @@ def _cut(image: MeasuredImage, rows: slice, columns: slice) -> MeasuredImage:
 
 
 def common_part(
-    images: Sequence[MeasuredImage],
+    images: Sequence[_Measured],
 ) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"], list[str]]:
     """Where the part that all images show begins and ends (azimuth, range), m, and the images that decide it.
 
@@ -131,9 +167,9 @@ def common_part(
     return low, high, [images[k].name for k in _at_its_ends(grids, range(len(images)))]
 
 
-def _refuse_other_spacing(images: Sequence[MeasuredImage]) -> None:
+def _refuse_other_spacing(images: Sequence[_Measured]) -> None:
     """Refuse pixels so much larger than others that they are of another unit sooner than of another image."""
-    spacing = np.array([image.spacing_m for image in images])
+    spacing = np.array([image.grid.spacing_m for image in images])
     usual = np.median(spacing, axis=0)
     if (spacing.max(axis=0) > _MOST_UNLIKE * spacing.min(axis=0)).any():
         off = int(np.abs(np.log(spacing / usual)).max(axis=1).argmax())

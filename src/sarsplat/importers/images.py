@@ -24,7 +24,7 @@ from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.importers.band_limited import resample
-from sarsplat.importers.common_part import common_part, without_empty_corners
+from sarsplat.importers.common_part import common_part, with_data
 from sarsplat.radiometry import to_db
 
 if TYPE_CHECKING:
@@ -210,9 +210,9 @@ def dataset_of(
     assumptions = [*source.get("assumptions", ())]
     _refuse_other_channels(images)
     images = _with_sets(images, train_views)
-    images, said = without_empty_corners(images) if about["ground"] else (images, "")
-    if said:
-        assume(assumptions, said)
+    images, said = with_data(images, about["ground"])
+    for sentence in said:
+        assume(assumptions, sentence)
     grid = _common_grid(images, assumptions)
     pixels = np.stack([_on(image, grid) for image in images])
     power = _power(pixels)
