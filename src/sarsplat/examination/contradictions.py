@@ -56,7 +56,8 @@ def examine(dataset: Dataset) -> Examination:
     Returns
     -------
     Examination
-        Contradictions: angles that look like radians; images that are constant or the same; near range that is not row
+        Contradictions: angles that look like radians; images that are constant or the same; pixels and lines that are
+        too bright to be echoes, or were cut off; images that are not on one scale; near range that is not row
         0; azimuths that only count the images; azimuths in the opposite sense, or mirrored images; grazing angles that
         are incidence angles; ground in images that are said to show none; values that are not power; speckle of another
         number of looks; a resolution that the images do not have. The zero of the azimuth cannot be determined from

@@ -49,6 +49,7 @@ Image = TypeVar("Image", bound=_Measured)
 
 def with_data(images: Sequence[Image], ground: bool) -> tuple[list[Image], list[str]]:
     """Images without corners that hold no data, if they show ground, and what is to be said of what they hold."""
+    _refuse_other_spacing(images)
     shares = [share_at_top(part) for image in images for part in _numbers(image)]
     said = []
     if (share := float(np.mean(shares))) >= CUT_OFF_SAID:
@@ -145,7 +146,6 @@ def common_part(
     Refused if there is none, or if without a few images it would be at least twice as large.
     """
     grids = [image.grid for image in images]
-    _refuse_other_spacing(images)
     low, high = _overlap(grids)
     kept = list(range(len(images)))
     most = max(1, int(_FEW * len(images))) if len(images) >= _FEWEST_IMAGES else 0
