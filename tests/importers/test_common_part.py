@@ -48,6 +48,12 @@ def test_a_band_without_data_is_cut_off():
     np.testing.assert_allclose(made.power[0] * made.source["mean_power"], powers[0][:, 6:], rtol=1e-5)
 
 
+def test_thin_borders_are_cut_off_whatever_is_dark_inside():
+    powers = [np.pad(speckle(), ((1, 0), (0, 2))) for _ in range(4)]
+    with pytest.warns(SarsplatWarning, match="have zeros that reach from the corners"):
+        assert imported([image(index, power) for index, power in enumerate(powers)]).power.shape == (4, 64, 64)
+
+
 @pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
 def test_dark_pixels_and_shadows_are_data():
     dark = [np.floor(speckle() * 0.6) for _ in range(4)]  # zeros everywhere, of pictures in few levels

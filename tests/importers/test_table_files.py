@@ -43,6 +43,14 @@ def test_paths_of_another_machine(tmp_path, name):
         import_pictures(folder)
 
 
+@pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
+def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
+    made = import_pictures(pictures(tmp_path, ["{index},{azimuth},1.047"] * 4, "file,azimuth,incidence"))
+    assert "the incidence angles (1.047° to 1.047°) look like radians" in made.source["contradictions"][0]
+    with pytest.raises(SarsplatError, match="azimuth 90000.0 is not a number of degrees between ±3600"):
+        import_pictures(pictures(tmp_path, ["{index},{azimuth}000,30"] * 4))
+
+
 def test_hidden_files_are_left_out(tmp_path, recwarn):
     folder = pictures(tmp_path, ["{index},{azimuth},30"] * 4)
     (folder / "__MACOSX").mkdir()

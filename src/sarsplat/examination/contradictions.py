@@ -64,7 +64,9 @@ def examine(dataset: Dataset) -> Examination:
         images.
     """
     examined = Examination()
-    angles = suspicious_angles(dataset.select("train").views)
+    columns = dataset.source.get("columns")
+    by_incidence = isinstance(columns, dict) and "incidence" in columns and "grazing" not in columns
+    angles = suspicious_angles(dataset.select("train").views, by_incidence)
     wrong = suspicious_images(dataset)
     examined.contradictions.extend([*angles, *wrong])
     differ = "the only one is not constant" if len(dataset) == 1 else f"all {len(dataset)} differ, none is constant"
@@ -79,7 +81,9 @@ def examine(dataset: Dataset) -> Examination:
         spread = None if counts is None else [counts.spread[k] for k in places]
         upright = _upright(chosen, examined, counts, spread)
         speckled = cut_off < MUCH and examine_units(upright, examined)
-        examined.contradictions.extend(copied_images(dataset) if speckled else [])
+        if speckled and (copies := copied_images(dataset)):
+            examined.contradictions.extend(copies)
+            examined.checks["images"] = "see below"
         if not hot:
             examine_scaling(dataset, examined, speckled, cut_off)
     return examined

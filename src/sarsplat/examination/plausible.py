@@ -75,8 +75,10 @@ def suspicious_terrain(dataset: Dataset) -> list[str]:
     ]
 
 
-def suspicious_angles(views: Sequence[View]) -> list[str]:
+def suspicious_angles(views: Sequence[View], by_incidence: bool = False) -> list[str]:
     """Whether angles that should be degrees look like radians; a list of one sentence, or empty.
+
+    `by_incidence` says that incidence angles were given: alone, steep ones may well be meant where grazing angles were.
 
     A target aloft may be seen from any height, and from angles that followed from vectors.
     """
@@ -89,7 +91,7 @@ def suspicious_angles(views: Sequence[View]) -> list[str]:
     suspect = [("azimuths", azimuths)] if _radian_azimuths(azimuths, low or steep) else []
     if low:
         suspect.append(("grazing angles", grazings))
-    elif suspect and steep:
+    elif steep and (suspect or by_incidence):
         suspect.append(("incidence angles", incidences))
     if not suspect:
         return []

@@ -109,7 +109,11 @@ def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, 
     side = max(_THICK, math.ceil(by_chance))
     pieces, _ = label(binary_opening(zeros, np.ones((side, side))))
     at = {int(pieces[corner]) for corner in ((0, 0), (0, -1), (-1, 0), (-1, -1))} - {0}
-    return np.isin(pieces, list(at)) if at else np.zeros_like(zeros)
+    empty = np.isin(pieces, list(at)) if at else np.zeros_like(zeros)
+    rows, columns = (np.flatnonzero(~zeros.all(axis=axis)) for axis in (1, 0))
+    empty[: rows[0]] = empty[rows[-1] + 1 :] = True  # whole lines at an edge, however thin
+    empty[:, : columns[0]] = empty[:, columns[-1] + 1 :] = True
+    return empty
 
 
 def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, slice]:

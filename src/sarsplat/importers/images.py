@@ -156,7 +156,7 @@ class MeasuredImage:
 def view_of(name: str, azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0) -> View:
     """From where the image of this name was taken, which an error names."""
     try:
-        return View(azimuth_deg % 360, grazing_deg, tilt_deg)
+        return replace(View(azimuth_deg, grazing_deg, tilt_deg), azimuth_deg=azimuth_deg % 360)
     except SarsplatError as error:
         raise SarsplatError(f"{name}: {error}") from error
 

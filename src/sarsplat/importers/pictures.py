@@ -27,6 +27,8 @@ PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy", ".mat")
 _FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
 """Measured images do not compress much: what unpacks to more than this, and so many times its size, is a bomb."""
 _MOST_PAGES = 16
+_TELLING = 16
+"""Pixels of one sign that are not so by chance."""
 _MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError)
 _TIFF = (".tif", ".tiff")
 
@@ -175,6 +177,7 @@ def power_or_signal(
     value: Shaped[np.ndarray, "rows columns"]
     with np.errstate(over="ignore", invalid="ignore"):
         if quantity == "complex":
+            _refuse_no_parts(pixels, name)
             value = _joined(pixels).astype(np.complex64) * np.float32(scale)
         else:
             value = pixels.astype(np.float32) * np.float32(scale) + np.float32(offset)
@@ -196,6 +199,20 @@ def power_or_signal(
         )
         raise SarsplatError(f"{name} holds {shown(pixels[place].tolist())} at {place}{scaled} as {quantity}; {remedy}")
     return value
+
+
+def _refuse_no_parts(pixels: Shaped[np.ndarray, "*shape"], name: str) -> None:
+    """Refuse two bands that are no real and imaginary part, both of which have both signs."""
+    if pixels.ndim == 2:
+        return
+    bands = pixels if pixels.shape[0] == 2 else np.moveaxis(pixels, -1, 0)
+    lows, highs = bands.min(axis=(1, 2)), bands.max(axis=(1, 2))
+    if bands[0].size >= _TELLING and ((lows >= 0) & (highs > 0)).any():
+        first, second = (f"{low:.4g} to {high:.4g}" for low, high in zip(lows, highs, strict=True))
+        raise SarsplatError(
+            f"{name} has two bands, of {first} and of {second}, which are no real and imaginary part, for these have "
+            "both signs, but amplitude and phase, or two channels; give complex numbers, or one band"
+        )
 
 
 def _joined(pixels: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "rows columns"]:
