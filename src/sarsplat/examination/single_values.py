@@ -79,9 +79,9 @@ def _floors(dataset: Dataset) -> Float64[np.ndarray, " v"]:
 
 def ranges_db(dataset: Dataset, place: int = 1) -> Float64[np.ndarray, " v"]:
     """From the ground of each image to its brightest pixel, or to that in another place."""
-    flat = dataset.power.reshape(len(dataset), -1)
-    place = min(place, flat.shape[1])
-    return np.asarray(to_db(np.partition(flat, -place, axis=1)[:, -place], _floors(dataset)))
+    place = min(place, dataset.power[0].size)
+    brightest = [np.partition(image, -place, axis=None)[-place] for image in dataset.power]  # one by one, for memory
+    return np.asarray(to_db(np.array(brightest), _floors(dataset)))
 
 
 def _ranges(dataset: Dataset, explained: Collection[int]) -> list[str]:
