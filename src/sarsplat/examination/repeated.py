@@ -12,6 +12,10 @@ from sarsplat.errors import counted
 from sarsplat.geometry import View
 
 _SAME_DIRECTION_DEG = 0.01
+_USUAL_TURN_DEG = 30.0
+_ROUNDED = 0.02
+"""Of the brightest pixel: by how much images that are the same by symmetry differ, by rounding or by rays."""
+
 _REMEDY = "so the file or the angles of one are wrong: correct them, or remove one"
 
 
@@ -48,7 +52,10 @@ def apart_deg(one: View, other: View) -> float:
 
 
 def _symmetric(dataset: Dataset, i: int, j: int) -> bool:
-    """Whether all other pairs of images that are turned as far against each other are the same, too."""
+    """Whether most other pairs of images that are turned as far against each other are the same, too, but for rounding.
+
+    If there are no others, a target may still be the same after the turns that usual ones are: quarters, sixths.
+    """
     views = dataset.views
     if abs(views[i].grazing_deg - views[j].grazing_deg) > 1e-6:
         return False
@@ -59,7 +66,10 @@ def _symmetric(dataset: Dataset, i: int, j: int) -> bool:
         for (azimuth, grazing), k in at.items()
         if (other := at.get((round((azimuth + turn) % 360, 4) % 360, grazing))) is not None and {k, other} != {i, j}
     ]
-    return bool(others) and all(np.array_equal(dataset.power[k], dataset.power[other]) for k, other in others)
+    if not others:
+        return abs(turn / _USUAL_TURN_DEG - round(turn / _USUAL_TURN_DEG)) < 1e-6
+    pairs = ((dataset.power[k], dataset.power[other]) for k, other in others)
+    return bool(np.median([np.abs(one - two).max() / max(one.max(), two.max()) for one, two in pairs]) < _ROUNDED)
 
 
 def said_of_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]], how: str) -> list[str]:
