@@ -35,7 +35,7 @@ def phoenix_bytes(magnitude: np.ndarray = MAGNITUDE, **changes: str) -> bytes:
 
 COLUMNS = ["path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"]
 LOWER_LEFT = np.zeros((16, 16), np.uint8)
-LOWER_LEFT[8:, :8] = 200  # in the published array the radar is at the bottom: this block is near
+LOWER_LEFT[8:, :8] = 200 - np.add.outer(range(8), range(8)) % 3  # near: the radar is at the bottom
 
 
 def write_chips(folder: Path, rows: list[tuple], size: int = 16) -> Path:
@@ -47,7 +47,8 @@ def write_chips(folder: Path, rows: list[tuple], size: int = 16) -> Path:
             path = folder / name / f"chip{index:03d}.jpeg"
             path.parent.mkdir(exist_ok=True)
             picture = np.resize(LOWER_LEFT, (size, size)) - index % 5 * (np.resize(LOWER_LEFT, (size, size)) > 0)
-            Image.fromarray(picture.astype(np.uint8)).save(path, quality=100)  # no two neighbours alike
+            picture[-1, 0] -= index // 5  # no two alike
+            Image.fromarray(picture.astype(np.uint8)).save(path, quality=100)
             table.writerow([f"{name}/{path.name}", name, serial, depression, depression + 0.1, azimuth])
     return folder / "labels.csv"
 

@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from PIL import Image
 
 from chip_files import MAGNITUDE, ROWS, phoenix_bytes, write_chips
+from pulses import circle, record
+from pulses import write as write_pulses
 from sample_files import write_sample
 from sarsplat.cli import main
 from sarsplat.cli.importers import Recognised, recognised
@@ -135,9 +138,7 @@ def test_the_sample_set(tmp_path):
     assert typed(it.command, tmp_path / "out") == 0
 
 
-@pytest.mark.parametrize(
-    ("ending", "command"), [(".nitf", "import sicd"), (".NTF", "import sicd"), (".mat", "import phase-history")]
-)
+@pytest.mark.parametrize(("ending", "command"), [(".nitf", "import sicd"), (".NTF", "import sicd")])
 def test_files_of_other_formats(tmp_path, ending, command):
     (tmp_path / "a b").mkdir()
     for k in range(3):
@@ -145,6 +146,32 @@ def test_files_of_other_formats(tmp_path, ending, command):
     it = known(tmp_path)
     assert it.kind.startswith(f"3 {ending} files")
     assert f"sarsplat {command} {shlex.quote(str(tmp_path / 'a b'))}/*{ending} --size METRES" in str(it.command)
+
+
+def test_what_is_in_a_matlab_file(tmp_path):
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(path, {"img": np.ones((40, 30), complex), "note": "x"})
+    it = known(path)
+    assert (it.kind, it.facts["img"]) == ("a MATLAB file, which may be a picture", "40 × 30 numbers, complex128")
+    assert "sarsplat import folder" in str(it.command)
+    scipy.io.savemat(path, {"pointsDown": np.ones((50, 3))})
+    it = known(path)
+    assert (it.kind, it.command) == ("a MATLAB file, which holds no picture that can be imported", None)
+    write_pulses(path, record(circle(np.linspace(0, 3, 20)), [(0.0, 0.0, 0.0)]))
+    it = known(path)
+    assert it.kind == "a .mat file, which may be phase history"
+    assert "sarsplat import phase-history" in str(it.command)
+    np.save(tmp_path / "a.npy", np.ones((40, 30)))
+    assert known(tmp_path / "a.npy").kind == "a NumPy file, which may be a picture"
+
+
+def test_other_nitf_files_and_unknown_endings_are_named(tmp_path, capsys):
+    (tmp_path / "old.ntf").write_bytes(b"NITF02.00" + bytes(900))
+    assert main(["info", str(tmp_path / "old.ntf")]) == 2
+    assert "is a NITF file of another version than 2.1, so it is not a SICD" in capsys.readouterr().err
+    (tmp_path / "a.xyz").write_text("1 2 3")
+    assert main(["info", str(tmp_path / "a.xyz")]) == 2
+    assert "is not a file that this command recognises by its ending" in capsys.readouterr().err
 
 
 def test_no_images_are_nothing(tmp_path):

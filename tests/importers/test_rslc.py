@@ -86,6 +86,33 @@ def test_views_are_those_of_the_geolocation(tmp_path):
     assert imported(tmp_path, heading_deg=0.0).views[0].azimuth_deg == pytest.approx(270)
 
 
+def test_a_coarse_grid_may_fall(tmp_path):
+    """Heights from above, and the values with them."""
+    west = np.cos(np.radians([[[60.0, 50.0]], [[62.0, 52.0]]])) * np.ones((2, 2, 1))
+    seen = [
+        imported(
+            tmp_path,
+            changed={
+                "Grid/heightAboveEllipsoid": np.array([-500.0, 500.0])[::step],
+                "losUnitVectorX": -west[::step],
+            },
+            height_m=200.0,
+        ).views[0]
+        for step in (1, -1)
+    ]
+    assert seen[0] == seen[1]
+
+
+def test_images_that_were_never_written_are_named(tmp_path):
+    path = write_rslc(tmp_path / "quad.h5", QUAD)
+    with h5py.File(path, "a") as file:
+        for name in QUAD:
+            del file[f"{IMAGES}/{name}"]
+            file.create_dataset(f"{IMAGES}/{name}", (40, 30), "c8")
+    with pytest.raises(SarsplatError, match=r"has no pixels of HH, HV, VH, VV in .*; it describes images"):
+        import_rslc(path, tmp_path / "out", size_m=68.0)
+
+
 def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking_one(tmp_path):
     right, left = (imported(tmp_path, look=look, pixel=(21, 14)) for look in ("Right", "Left"))
     np.testing.assert_array_equal(left.signal, right.signal[..., ::-1])
@@ -99,11 +126,26 @@ def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking
         ({"CenterFrequency": np.nan}, {}, "has no finite numbers as .*CenterFrequency; get it again"),
         ({"CenterFrequency": 3.0}, {}, "has .*3.0.* as .*CenterFrequency; it must be a number from 1e[+]08 to 1e[+]12"),
         ({"lookDirection": np.bytes_("up")}, {}, "says that its radar looks 'up'; it must be left or right"),
-        ({"frequencyA/slantRange": RANGES[::-1]}, {}, "numbers that do not rise as .*slantRange"),
+        (
+            {"frequencyA/slantRange": RANGES[::-1]},
+            {},
+            r"numbers that do not rise as .*slantRange \(800168 after 800174\); places",
+        ),
+        (
+            {"Grid/heightAboveEllipsoid": np.array([0.0, 9.0, 3.0])},
+            {},
+            r"neither rise nor fall as .*heightAboveEllipsoid \(3 after 9\); places between them cannot be looked up",
+        ),
+        ({"frequencyA/HH": np.zeros((0, 30), complex)}, {}, "no pixels of HH, HV, VH, VV in .*; it describes images"),
+        (
+            {f"A/{name}": None for name in QUAD},
+            {},
+            "no images in .*frequencyA; it describes images without holding them",
+        ),
         ({"frequencyA/slantRange": RANGES[:-1]}, {}, "40 azimuth times and 29 slant ranges for images of 40 × 30"),
         ({"losUnitVectorX": np.full((2, 2, 2), 2.0)}, {}, "seen from the spot towards 2 east"),
         ({"losUnitVectorX": np.zeros(3)}, {}, r"geolocationGrid of \(3,\) values where its axes have \(2, 2, 2\)"),
-        ({"frequencyA/HH": QUAD["HH"][1:]}, {}, "no images of one size"),
+        ({"frequencyA/HH": QUAD["HH"][1:]}, {}, r"no images of one size in .*, but \(39, 30\) and \(40, 30\)"),
         ({"frequencyA/HH": np.ones((40, 30))}, {}, "holds real numbers, but the quantity is 'complex'"),
         ({"frequencyA/HH": np.full((40, 30), np.nan + 0j)}, {}, "frequencyA/HH holds .*nan.* as complex"),
         ({"frequencyA/HH": h5py.ExternalLink("other.h5", "/x")}, {}, "has a link as .*HH; give a file that holds its"),

@@ -26,7 +26,8 @@ def check(
 
     Checked are near range (shadow lies beyond the target), the sense of the azimuths (neighbouring images match),
     grazing angles (lengths in range fit), the unit (speckle of power has another contrast than that of amplitude or
-    decibels), the resolution, and whether images are constant or the same.
+    decibels), the resolution, whether images are constant, the same or of one scale, and single values that are too
+    bright or were cut off.
 
     Parameters
     ----------

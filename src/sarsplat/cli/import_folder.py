@@ -20,7 +20,11 @@ _LEAST_CERTAIN = 0.1
 """Pictures may be anything's."""
 
 _LISTED = 5
-"""Tables that are named."""
+"""Tables and variables that are named."""
+
+_ARRAYS = (".mat", ".npy")
+_NARROWEST = 8
+"""Pixels on a side of a picture: what is narrower is a table of points or angles."""
 
 
 def _named(words: tuple[str, ...], name: str) -> dict[str, str]:
@@ -57,11 +61,47 @@ def recognise(contents: Contents) -> Recognised | None:
     from sarsplat.importers.pictures import PICTURE_ENDINGS
 
     pictures = len(contents.ending_in(*PICTURE_ENDINGS))
+    if contents.path.is_file() and contents.path.suffix.lower() in _ARRAYS:
+        return _arrays(contents.path)
     if not pictures or not contents.path.is_dir():
         return None
     tables = contents.ending_in(".csv")
     with_table = _with_table(contents, pictures, tables[0]) if len(tables) == 1 else None
     return with_table or _without_table(contents, pictures, PICTURE_ENDINGS, tables)
+
+
+def _arrays(path: Path) -> Recognised:
+    """A file of arrays, which may be anything's: what is in it, and how to import it if it is a picture's."""
+    from sarsplat.importers.mat import read_mat
+    from sarsplat.importers.pictures import read_pixels
+
+    if path.suffix.lower() == ".mat":
+        arrays = {name: value for name, value in read_mat(path).items() if value is not None}
+        facts = {name: _described(value) for name, value in list(arrays.items())[:_LISTED]}
+        facts |= {"…": counted(len(arrays) - _LISTED, "more variable")} if len(arrays) > _LISTED else {}
+    else:
+        facts = {}
+    kind = "a MATLAB file" if facts else "a NumPy file"
+    try:
+        pixels = read_pixels(path)
+    except SarsplatError as error:
+        return Recognised(
+            f"{kind}, which is no picture", facts | {"as a picture": str(error)}, certainty=_LEAST_CERTAIN
+        )
+    facts = facts or {"array": _described(pixels)}
+    if min(pixels.shape[:2] if pixels.shape[-1] == 2 else pixels.shape[-2:]) < _NARROWEST:
+        return Recognised(f"{kind}, which holds no picture that can be imported", facts, certainty=_LEAST_CERTAIN)
+    words = ("folder", str(path.parent), "--table", "TABLE.csv", "--spacing", "METRES")
+    command = typed_import(*words, out=dataset_name(path.parent))
+    return Recognised(f"{kind}, which may be a picture", facts, command, certainty=_LEAST_CERTAIN)
+
+
+def _described(value: object) -> str:
+    import numpy as np
+
+    if isinstance(value, np.ndarray):
+        return f"{' × '.join(map(str, value.shape))} numbers, {value.dtype.name}"
+    return f"a record of {', '.join(list(value)[:_LISTED])}" if isinstance(value, dict) else "something else"
 
 
 def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:

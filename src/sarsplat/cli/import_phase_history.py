@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -45,7 +46,7 @@ def recognise(contents: Contents) -> Recognised | None:
         if start.lstrip().startswith(_TOLD) and (what := what_else(start)):
             return Recognised(what)
     known = format_of(files[0]) if files else None
-    if known is None:
+    if known is None or not (known.begins or _holds_pulses(files[0])):
         return None
     found = by_ending(contents, (files[0].suffix.lower(),), "phase-history", "phase history")
     if found is None or not known.begins:
@@ -58,3 +59,14 @@ def recognise(contents: Contents) -> Recognised | None:
             raise
         facts = {"the first": str(error)}
     return replace(found, kind=known.what, facts=facts, certainty=1.0)
+
+
+def _holds_pulses(path: Path) -> bool:
+    """Whether a file can be read as phase history: its ending may be that of many other things."""
+    from sarsplat.importers.histories import read_phase_history
+
+    try:
+        read_phase_history(path)
+    except SarsplatError:
+        return False
+    return True

@@ -9,6 +9,7 @@ from sarsplat.cli.from_signature import comma_separated, command_of
 from sarsplat.cli.importers import Contents, Recognised, by_ending, typed_import
 from sarsplat.errors import SarsplatError
 
+_ENDINGS = (".nitf", ".ntf", ".sicd")
 _NAMES = {"start": "date", "polarization": "polarisation"}
 """What else to call facts of a file."""
 
@@ -24,12 +25,12 @@ def recognise(contents: Contents) -> Recognised | None:
     """NITF files; one alone, or the first of several, is described."""
     from sarsplat.importers.nitf import is_nitf
 
-    if contents.path.is_file() and is_nitf(contents.path):
-        return _described(contents.path)
-    several = by_ending(contents, (".nitf", ".ntf", ".sicd"), "sicd", "SICD")
+    if contents.path.is_file() and (is_nitf(contents.path) or contents.path.suffix.lower() in _ENDINGS):
+        return _described(contents.path)  # or say what else it is
+    several = by_ending(contents, _ENDINGS, "sicd", "SICD")
     if several is None or not contents.path.is_dir():
         return several
-    first = contents.ending_in(".nitf", ".ntf", ".sicd")[0]
+    first = contents.ending_in(*_ENDINGS)[0]
     try:
         facts = {"the first": str(first), **_described(first).facts}
     except SarsplatError as error:

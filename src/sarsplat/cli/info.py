@@ -104,7 +104,9 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
         case ".json" | ".geojson" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
             _refuse_part(path)
             raise SarsplatError(f"{path} is not a file that this command recognises; give {_UNDERSTOOD}")
-    return _mesh(path)
+        case ".obj" | ".stl" | ".off" | ".glb":
+            return _mesh(path)
+    raise SarsplatError(f"{path} is not a file that this command recognises by its ending; give {_UNDERSTOOD}")
 
 
 def _renderings(path: Path) -> tuple[str, dict[str, str]]:

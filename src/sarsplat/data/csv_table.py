@@ -1,7 +1,8 @@
-"""Reader of CSV tables of any dialect: line ends, separators, quotes, byte-order mark."""
+"""Reader of CSV tables of any dialect: line ends, separators, quotes, byte-order mark, UTF-8 or UTF-16."""
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import itertools
@@ -10,7 +11,7 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from sarsplat.data.files import open_file
@@ -46,7 +47,7 @@ class CsvTable:
 
 
 def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable:
-    """Read a table of UTF-8 text whose first line names the columns.
+    """Read a table in UTF-8, or UTF-16 with its mark, whose first line names the columns; empty rows are left out.
 
     `purpose` is what an error asks for instead, such as "the table of labels"; without the `needed` columns the table
     is refused.
@@ -57,15 +58,18 @@ def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable
         file.seek(0)
         data = file.read()
     try:
-        text = data.decode("utf-8-sig")
+        text = _decoded(data)
         separator = _separator(text)
         reader = _reader(text, separator)
-        columns = tuple(name.strip() for name in next(reader, []))
+        columns = _names(reader)
+        if any("\0" in name for name in columns):
+            raise SarsplatError(f"{path} has zero bytes in its first line, as UTF-16 has; save {purpose} in UTF-8")
         if missing := [name for name in needed if name not in columns]:
             lacks = f"column{'' if len(missing) == 1 else 's'} {', '.join(map(repr, missing))}"
             raise SarsplatError(f"{path} is missing the {lacks}; it needs {', '.join(needed)}")
         rows = []
-        for cells in itertools.islice((cells for cells in reader if cells), _MAX_ROWS + 1):
+        filled = (cells for cells in reader if any(cell.strip() for cell in cells))  # spreadsheets append empty rows
+        for cells in itertools.islice(filled, _MAX_ROWS + 1):
             rows.append((reader.line_num, _row(path, reader.line_num, columns, cells)))
     except UnicodeDecodeError as error:
         raise SarsplatError(
@@ -85,9 +89,9 @@ def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable
 def column_names(path: Path) -> tuple[str, ...]:
     """The names that the first line of a file would give to columns, whatever kind of file it is."""
     with open_file(path) as file:
-        first = file.readline(_LONGEST_LINE).decode("utf-8-sig", "replace")
+        first = _decoded(file.read(_LONGEST_LINE), "replace").lstrip("\r\n").partition("\n")[0]
     try:
-        return tuple(name.strip() for name in next(_reader(first, _separator(first)), []))
+        return _names(_reader(first, _separator(first)))
     except csv.Error:
         return ()
 
@@ -96,7 +100,7 @@ def relative_path(path: Path, row: Row, column: str, of: str) -> str:
     """A cell of the table `path` that names a file in a folder of, say, "chips"; refused if it leads out of it."""
     line, text = row[0], row[1][column]
     inside = PurePosixPath(text.replace("\\", "/"))
-    if inside.is_absolute() or ".." in inside.parts or "\0" in text:
+    if inside.is_absolute() or PureWindowsPath(text).drive or ".." in inside.parts or "\0" in text:
         raise SarsplatError(
             f"{path}, line {line}: the path {shown(text)} points outside the folder of {of}; use paths relative to it"
         )
@@ -111,8 +115,20 @@ def parsed(text: str, decimal_comma: bool = False) -> float:
         return math.nan
 
 
+def _names(reader: Any) -> tuple[str, ...]:
+    """Of the columns: the first line that is not empty."""
+    return tuple(name.strip() for name in next(filter(None, reader), []))
+
+
 def _reader(text: str, separator: str) -> Any:
     return csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
+
+
+def _decoded(data: bytes, errors: str = "strict") -> str:
+    """The text of a table, without the mark that tells its encoding, nor a first line that only names the separator."""
+    encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    text = data.decode(encoding, errors)
+    return text[text.find("\n") :] if text[:4].lower() == "sep=" else text
 
 
 def _separator(text: str) -> str:

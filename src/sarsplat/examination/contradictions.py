@@ -13,11 +13,14 @@ from sarsplat.data import Dataset
 from sarsplat.data.image import power_of
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.errors import counted
+from sarsplat.examination.copied import copied_images
 from sarsplat.examination.on_map import OnMap, on_map
 from sarsplat.examination.orientation import Orientation, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.running_numbers import Counting, counting
+from sarsplat.examination.scaling import MUCH, examine_cut_off, examine_scaling
+from sarsplat.examination.single_values import examine_single_values
 from sarsplat.examination.units import examine_units
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import Side
@@ -69,25 +72,36 @@ def examine(dataset: Dataset) -> Examination:
     Returns
     -------
     Examination
-        Contradictions: angles that look like radians; images that are constant or the same; images that lie on a map;
-        near range that is not row 0; azimuths that only count the images; azimuths in the opposite sense, or mirrored
-        images; grazing angles that are incidence angles; ground in images that are said to show none; values that are
-        not power; speckle of another number of looks; a resolution that the images do not have. The zero of the azimuth
+        Contradictions: angles that look like radians; images that are constant or the same; pixels and lines that are
+        too bright to be echoes, or were cut off; images that are not on one scale; images that lie on a map; near range
+        that is not row 0; azimuths that only count the images; azimuths in the opposite sense, or mirrored images;
+        grazing angles that are incidence angles; ground in images that are said to show none; values that are not
+        power; speckle of another number of looks; a resolution that the images do not have. The zero of the azimuth
         cannot be determined from images.
     """
     examined = Examination()
-    angles = suspicious_angles(dataset.select("train").views)
+    columns = dataset.source.get("columns")
+    by_incidence = isinstance(columns, dict) and "incidence" in columns and "grazing" not in columns
+    angles = suspicious_angles(dataset.select("train").views, by_incidence)
     wrong = suspicious_images(dataset)
     examined.contradictions.extend([*angles, *wrong])
     differ = "the only one is not constant" if len(dataset) == 1 else f"all {len(dataset)} differ, none is constant"
     examined.checks["images"] = "see below" if wrong else differ
+    hot = examine_single_values(dataset, examined)
+    cut_off = 0.0 if hot else examine_cut_off(dataset, examined)  # a line of hot pixels is not what is bright
     count = min(len(dataset), _MOST_IMAGES)
     places = [k * len(dataset) // count for k in range(count)]
     chosen = _of_one_channel(dataset.take(places))
     if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
         counts = counting(dataset.views)
         spread = None if counts is None else [counts.spread[k] for k in places]
-        examine_units(_upright(chosen, examined, counts, spread), examined)
+        upright = _upright(chosen, examined, counts, spread)
+        speckled = cut_off < MUCH and examine_units(upright, examined)
+        if speckled and (copies := copied_images(dataset)):
+            examined.contradictions.extend(copies)
+            examined.checks["images"] = "see below"
+        if not hot:
+            examine_scaling(dataset, examined, speckled, cut_off)
     return examined
 
 

@@ -23,6 +23,7 @@ from jaxtyping import Real
 from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.errors import SarsplatWarning, counted
+from sarsplat.examination.repeated import repeated_images
 from sarsplat.geometry import View
 from sarsplat.geometry.shown import ground_radius_m
 
@@ -74,8 +75,10 @@ def suspicious_terrain(dataset: Dataset) -> list[str]:
     ]
 
 
-def suspicious_angles(views: Sequence[View]) -> list[str]:
+def suspicious_angles(views: Sequence[View], by_incidence: bool = False) -> list[str]:
     """Whether angles that should be degrees look like radians; a list of one sentence, or empty.
+
+    `by_incidence` says that incidence angles were given: alone, steep ones may well be meant where grazing angles were.
 
     A target aloft may be seen from any height, and from angles that followed from vectors.
     """
@@ -88,7 +91,7 @@ def suspicious_angles(views: Sequence[View]) -> list[str]:
     suspect = [("azimuths", azimuths)] if _radian_azimuths(azimuths, low or steep) else []
     if low:
         suspect.append(("grazing angles", grazings))
-    elif suspect and steep:
+    elif steep and (suspect or by_incidence):
         suspect.append(("incidence angles", incidences))
     if not suspect:
         return []
@@ -134,7 +137,7 @@ def _multiples(values: np.ndarray, of: float) -> bool:
 
 def suspicious_images(dataset: Dataset) -> list[str]:
     """What is odd about the images: constant, all the same, zero where they are measured, or trained and tested on."""
-    return [*_images(dataset), *_tested_on_training(dataset)]
+    return [*_images(dataset), *repeated_images(dataset), *_tested_on_training(dataset)]
 
 
 def suspicious_coverage(views: Sequence[View]) -> list[str]:

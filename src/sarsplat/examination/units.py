@@ -13,16 +13,14 @@ from scipy.ndimage import binary_dilation
 from sarsplat.data import Dataset
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.significance import Evidence
+from sarsplat.examination.single_values import A_FEW, WIDEST_RANGE_DB, ranges_db
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import width_of
-from sarsplat.radiometry import brighter, to_db
+from sarsplat.radiometry import brighter
 from sarsplat.regions.outlines import Outline, levels_db, outline
 
 _SPECKLED = 0.4
 """Contrast from which on ground is speckled: about that of six looks."""
-
-_WIDEST_RANGE_DB = 100.0
-"""From the ground to the brightest pixel of an image: more than any radar, and any echo, has."""
 
 _LEAST_SKEWNESS = 0.2
 """Of the amplitude, to the dark side: less is no evidence of decibels. Amplitude read as power has up to 0.13, decibels
@@ -73,13 +71,17 @@ _SHARPEST = 0.9999
 """Quantile of curvatures: that of the sharpest structure, but not of a single pixel."""
 
 
-def examine_units(dataset: Dataset, examined: Examination) -> None:
-    """Add contradictions in unit, looks and resolution, given a dataset with near range on top."""
+def examine_units(dataset: Dataset, examined: Examination) -> bool:
+    """Add contradictions in unit, looks and resolution, given a dataset with near range on top.
+
+    Returns whether there is ground with speckle as it is stated.
+    """
     if dataset.ground and not _plausible_range(dataset, examined):
-        return
+        return False
+    speckled = False
     smooth = np.array([dataset.looks is None or (dataset.clean_tests and e.split != "train") for e in dataset.entries])
     if dataset.ground:
-        _speckle(dataset.take(np.flatnonzero(smooth if smooth.all() else ~smooth).tolist()), examined)
+        speckled = _speckle(dataset.take(np.flatnonzero(smooth if smooth.all() else ~smooth).tolist()), examined)
     else:
         examined.checks["unit"] = "cannot be determined: there is no ground whose speckle could be measured"
     if smooth.any() and "resolution" not in examined.checks:
@@ -88,13 +90,13 @@ def examine_units(dataset: Dataset, examined: Examination) -> None:
         _resolution(dataset, widths or (None, None), "structure", examined)
     if "resolution" not in examined.checks:
         _resolution(dataset, (None, None), "speckle", examined)
+    return speckled
 
 
 def _plausible_range(dataset: Dataset, examined: Examination) -> bool:
     """Whether the brightest pixels are as far above the ground as can be; if not, nothing else needs be said."""
-    ground = np.maximum(np.median(dataset.power, axis=(1, 2)), np.finfo(np.float32).tiny)
-    range_db = float(np.median(to_db(dataset.power.max(axis=(1, 2)), ground)))
-    if range_db <= _WIDEST_RANGE_DB:
+    range_db = float(np.median(ranges_db(dataset, A_FEW)))
+    if range_db <= WIDEST_RANGE_DB:
         return True
     examined.checks["unit"] = f"brightest pixels are {range_db:.0f} dB above the ground"
     examined.contradictions.append(
@@ -117,16 +119,17 @@ def _remedy(dataset: Dataset, **by_option: str) -> str:
     return ", or ".join(named) or "mend the files, for their import has no option that does"
 
 
-def _speckle(dataset: Dataset, examined: Examination) -> None:
+def _speckle(dataset: Dataset, examined: Examination) -> bool:
+    """Whether the ground has speckle, and as much as is stated."""
     levels = levels_db(dataset.power, dataset.grid, dataset.ground)
     ground = clutter(dataset.power, levels, [outline(level) for level in levels], dataset.grid)
     if ground is None:
         examined.checks["unit"] = "cannot be determined: too little ground around the target"
-        return
+        return False
     if ground.values < _FEWEST_VALUES and ground.contrast > _SMOOTH:
         few = f"the ground has only {ground.values:g} different values in a block of pixels"
         examined.checks["unit"] = f"cannot be determined: so coarsely are pixels quantised that {few}"
-        return
+        return False
     measured = f"standard deviation over mean of the ground is {ground.contrast:.2f}"
     if dataset.looks is None or dataset.looks > _MOST_LOOKS:
         examined.checks["unit"] = f"{measured}; without speckle, this does not tell power from amplitude"
@@ -136,7 +139,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
                 f"speckle; {_remedy(dataset, looks='give the number of looks (--looks)')}"
             )
             examined.checks["resolution"] = "cannot be determined from speckle of unknown looks"
-        return
+        return False
     of_power, of_amplitude = contrast_of(dataset.looks)
     stated = f"{dataset.looks:g} look{'' if dataset.looks == 1 else 's'}"
     examined.checks["unit"] = f"{measured}; power of {stated} has {of_power:.2f}, amplitude {of_amplitude:.2f}"
@@ -181,6 +184,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> None:
         examined.contradictions.append(wrong)
     else:  # what it says of the width holds for power only
         _resolution(dataset, ground.width_m, "speckle", examined)
+    return not wrong
 
 
 def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by: str, examined: Examination) -> None:

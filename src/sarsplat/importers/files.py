@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import os
+import posixpath
+import unicodedata
 import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -33,11 +35,19 @@ def each_once(files: Sequence[str | Path]) -> list[Path]:
 
 
 def files_in(folder: Path, what: str) -> list[Path]:
-    """Every file in the folder of `what` and in its subfolders, sorted; far too many are refused, not cut."""
+    """Every file in the folder of `what` and in its subfolders, sorted; far too many are refused, not cut.
+
+    What is hidden is left out, as the notes that macOS keeps beside each file (`._name.csv`) are.
+    """
+
+    def shown_file(path: Path) -> bool:
+        parts = path.relative_to(folder).parts
+        return path.is_file() and not any(part.startswith((".", "__MACOSX")) for part in parts)
+
     try:
         if not folder.is_dir():
             raise SarsplatError(f"{folder} is not a folder; give the folder of {what}")
-        files = sorted(itertools.islice(filter(Path.is_file, folder.rglob("*")), _MOST_FILES + 1))
+        files = sorted(itertools.islice(filter(shown_file, folder.rglob("*")), _MOST_FILES + 1))
     except OSError as error:  # which names what it was about, perhaps deep in the folder
         raise SarsplatError(f"cannot read {error.filename or folder}: {plain_reason(error)}") from error
     if len(files) > _MOST_FILES:
@@ -50,15 +60,23 @@ def listed_files(
 ) -> list[tuple[Row, Path]]:
     """Rows with the files that they name, relative to the folder of `of`, such as "chip"; endings may be left out.
 
-    Rows without a file are counted in a warning. Refused if no row has a file, or one leads out of the folder, be it by
-    a link.
+    Names that differ from those of files in nothing but capital letters, or in how letters with accents are stored, are
+    taken for these, in a warning. Rows without a file are counted in another one. Refused if no row has a file, several
+    files may be meant, or one leads out of the folder, be it by a link.
     """
-    listed = [(row, path) for row in rows if (path := _listed_file(folder, table, row, column, of, endings))]
+    names = _Names(folder, table, column, of, endings)
+    listed = [(row, path) for row in rows if (path := names.file_of(row))]
     if not listed:
         first = shown(rows[0][1][column])
         raise SarsplatError(
             f"{folder} has none of {counted(len(rows), of)} in {table.path} (the first is {first}); give the folder "
             "that they are relative to"
+        )
+    if names.otherwise:
+        first_row, first_path = names.otherwise[0]
+        warn_caller(
+            f"{table.path} spells {counted(len(names.otherwise), 'file')} otherwise than they are called, the first of "
+            f"them {shown(first_row[1][column])} for {first_path.relative_to(folder)}; they are taken for these"
         )
     used = {id(row) for row, _ in listed}
     if missing := [shown(row[1][column]) for row in rows if id(row) not in used]:
@@ -69,20 +87,54 @@ def listed_files(
     return listed
 
 
-def _listed_file(
-    folder: Path, table: CsvTable, row: Row, column: str, of: str, endings: Collection[str]
-) -> Path | None:
-    text = relative_path(table.path, row, column, of=f"{of}s").replace("\\", "/")
-    for ending in ("", *endings):
-        path = folder / f"{text}{ending}"
-        # os.path's: pathlib's raises if a name is too long for the system, as if something were wrong with the folder
-        if text and os.path.isfile(path):  # noqa: PTH113
-            if not path.resolve().is_relative_to(folder.resolve()):
+class _Names:
+    """Finds the files in a folder of `of` that rows of a table name in a column."""
+
+    def __init__(self, folder: Path, table: CsvTable, column: str, of: str, endings: Collection[str]) -> None:
+        self._folder, self._table, self._column, self._of = folder, table, column, of
+        self._endings = ("", *endings)
+        self._by_plain_name: dict[str, list[Path]] | None = None
+        self.otherwise: list[tuple[Row, Path]] = []
+        """Rows that spell the name of their file otherwise."""
+
+    def file_of(self, row: Row) -> Path | None:
+        """The file of a row; None if there is none."""
+        text = relative_path(self._table.path, row, self._column, of=f"{self._of}s").replace("\\", "/")
+        if not text:
+            return None
+        for ending in self._endings:
+            path = self._folder / f"{text}{ending}"
+            # os.path's: pathlib's raises if a name is too long for the system, as if the folder were wrong
+            if os.path.isfile(path):  # noqa: PTH113
+                if not path.resolve().is_relative_to(self._folder.resolve()):
+                    raise SarsplatError(
+                        f"{self._table.path}, line {row[0]}: {shown(text)} is a link out of the folder of {self._of}s; "
+                        "copy the file"
+                    )
+                return path
+        return self._spelled_otherwise(row, text)
+
+    def _spelled_otherwise(self, row: Row, text: str) -> Path | None:
+        if self._by_plain_name is None:
+            self._by_plain_name = {}
+            for path in files_in(self._folder, f"the {self._of}s"):
+                self._by_plain_name.setdefault(_plain(path.relative_to(self._folder).as_posix()), []).append(path)
+        for ending in self._endings:
+            found = self._by_plain_name.get(_plain(f"{text}{ending}"), [])
+            if len(found) > 1:
+                names = " and ".join(str(path.relative_to(self._folder)) for path in found[:2])
                 raise SarsplatError(
-                    f"{table.path}, line {row[0]}: {shown(text)} is a link out of the folder of {of}s; copy the file"
+                    f"{self._table.path}, line {row[0]}: {shown(text)} may be {names}; write the name as the file's"
                 )
-            return path
-    return None
+            if found and found[0].resolve().is_relative_to(self._folder.resolve()):
+                self.otherwise.append((row, found[0]))
+                return found[0]
+        return None
+
+
+def _plain(name: str) -> str:
+    """A name without capital letters, its accents stored in one way, and without leading `./`."""
+    return unicodedata.normalize("NFC", posixpath.normpath(name)).casefold()
 
 
 def warn_caller(text: str) -> None:

@@ -25,6 +25,7 @@ from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.importers.band_limited import resample
+from sarsplat.importers.common_part import common_part, with_data
 from sarsplat.radiometry import to_db
 
 if TYPE_CHECKING:
@@ -44,7 +45,6 @@ _FAINTEST = 1e-30
 
 _MARGIN = 3 / 16
 """Share of a side that is left out when speckled images are scored: around the target there is only ground."""
-
 
 _PIXELS = (8, 4096)
 """Fewest and most on a side of an image that is cut out or focused."""
@@ -157,7 +157,7 @@ class MeasuredImage:
 def view_of(name: str, azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0) -> View:
     """From where the image of this name was taken, which an error names."""
     try:
-        return View(azimuth_deg % 360, grazing_deg, tilt_deg)
+        return replace(View(azimuth_deg, grazing_deg, tilt_deg), azimuth_deg=azimuth_deg % 360)
     except SarsplatError as error:
         raise SarsplatError(f"{name}: {error}") from error
 
@@ -216,6 +216,9 @@ def dataset_of(
     place, about["terrain"] = _on_earth(place, about.get("terrain"), images, assumptions)
     _refuse_other_channels(images)
     images = _with_sets(images, train_views)
+    images, said = with_data(images, about["ground"])
+    for sentence in said:
+        assume(assumptions, sentence)
     grid = _common_grid(images, assumptions)
     pixels = np.stack([_on(image, grid) for image in images])
     power = _power(pixels)
@@ -375,13 +378,11 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
     if any(grid.response != response for grid in grids):
         assume(assumptions, "responses differ in their shape, which is taken for that of a Gaussian")
         response = GAUSSIAN
-    low = np.max([(grid.azimuth_m[0], grid.range_m[0]) for grid in grids], axis=0)
-    high = np.min([(grid.azimuth_m[-1], grid.range_m[-1]) for grid in grids], axis=0)
+    low, high, deciding = common_part(images)
     columns, rows = np.floor((high - low) / finest + _SAME_PLACE).astype(int) + 1
-    if min(rows, columns) < 1:
-        raise SarsplatError("the images have no part in common; give images around one spot")
     if len({(grid.rows, grid.columns) for grid in grids}) > 1 or (rows, columns) < (grids[0].rows, grids[0].columns):
-        assume(assumptions, f"all images are cut to what they have in common, {rows} × {columns} pixels")
+        part = f"{rows} × {columns} pixels, by {', '.join(deciding)}"  # of at most four
+        assume(assumptions, f"all images are cut to what they have in common, {part}")
     return ImageGrid(int(rows), int(columns), tuple(finest), tuple(typical), tuple((low + high) / 2), response)
 
 

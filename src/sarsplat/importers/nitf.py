@@ -39,6 +39,7 @@ LONGEST_XML = 4 << 20
 """Bytes of metadata, which no file comes near."""
 _HIGHEST_ORDER = 20
 _OTHERS = {
+    b"NITF": "a NITF file of another version than 2.1",
     b"CPHD": "phase history (CPHD)",
     b"CRSD": "raw radar data (CRSD)",
     b"II*\0": "a TIFF picture",

@@ -29,6 +29,7 @@ _PRODUCTS = [f"science/{band}/{product}" for band in ("LSAR", "SSAR") for produc
 _FREQUENCIES = ("frequencyA", "frequencyB")
 _POLARISATIONS = ("HH", "HV", "VH", "VV")
 _LOOKS = ("left", "right")
+_WITHOUT_DATA = "it describes images without holding them, as examples of a format do, so give the whole product"
 _MOST_NUMBERS = 1 << 24
 _LARGEST_CHUNK = 64 << 20
 """Bytes that are unpacked at a time, whatever is asked for."""
@@ -119,12 +120,19 @@ def read_rslc(path: Path) -> Rslc:
         swaths = f"{product}/swaths"
         group = next((f"{swaths}/{name}" for name in _FREQUENCIES if f"{swaths}/{name}" in file), None)
         if group is None:
-            raise SarsplatError(f"{path} has no images in {swaths}/{_FREQUENCIES[0]}; get it again")
+            raise SarsplatError(f"{path} has no images in {swaths}/{_FREQUENCIES[0]}; {_WITHOUT_DATA}")
         fields = _Fields(path, file)
         names = [name for name in _POLARISATIONS if f"{group}/{name}" in file]
         shapes = {_dataset(path, file, f"{group}/{name}").shape for name in names}
-        if len(shapes) != 1 or len(shape := shapes.pop()) != 2 or min(shape) < 1:
-            raise SarsplatError(f"{path} has no images of one size in {group}; get it again")
+        if not names or any(_is_empty(_dataset(path, file, f"{group}/{name}")) for name in names):
+            what = f"no pixels of {', '.join(names)}" if names else "no images"
+            raise SarsplatError(f"{path} has {what} in {group}; {_WITHOUT_DATA}")
+        if len(shapes) != 1 or any(len(shape) != 2 for shape in shapes):
+            raise SarsplatError(
+                f"{path} has no images of one size in {group}, but {' and '.join(sorted(map(shown, shapes)))}; give a "
+                "file whose polarisations have the same rows and columns"
+            )
+        shape = shapes.pop()
         times, ranges = fields.line(f"{swaths}/zeroDopplerTime"), fields.line(f"{group}/slantRange")
         if (len(times), len(ranges)) != shape:
             raise SarsplatError(
@@ -188,6 +196,20 @@ def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     return at
 
 
+_BY_PLACE = "places between them cannot be looked up, so sort them, and what belongs to them"
+
+
+def _where(values: np.ndarray) -> str:
+    """The first number that is not larger than the one before it."""
+    at = np.flatnonzero(np.diff(values.ravel()) <= 0)
+    return f" ({values.ravel()[at[0] + 1]:.9g} after {values.ravel()[at[0]]:.9g})" if len(at) else ""
+
+
+def _is_empty(image: h5py.Dataset) -> bool:
+    """Whether an image has no pixels, or none that were ever written."""
+    return image.size == 0 or image.id.get_storage_size() == 0
+
+
 class _Fields:
     """Single fields of a file, each refused with a sentence if it is not what it must be."""
 
@@ -216,8 +238,21 @@ class _Fields:
         """Rising numbers."""
         values = self._array(name)
         if values.ndim != 1 or not (np.diff(values) > 0).all():
-            raise SarsplatError(f"{self._path} has numbers that do not rise as {name}; get it again")
+            raise SarsplatError(f"{self._path} has numbers that do not rise as {name}{_where(values)}; {_BY_PLACE}")
         return values
+
+    def axis(self, name: str) -> tuple[Float64[np.ndarray, " n"], int]:
+        """Numbers of a coarse grid, rising, and the step in which they are taken for that: 1, or −1 if they fall.
+
+        Neighbours may be the same, as rounded ones are.
+        """
+        values = self._array(name)
+        for step in (1, -1):
+            if values.ndim == 1 and (np.diff(values[::step]) >= 0).all():
+                return values[::step], step
+        raise SarsplatError(
+            f"{self._path} has numbers that neither rise nor fall as {name}{_where(values)}; {_BY_PLACE}"
+        )
 
     def text(self, name: str) -> str:
         stored = _dataset(self._path, self._file, name)
@@ -226,7 +261,8 @@ class _Fields:
         return "".join(letter if letter.isprintable() else "?" for letter in text.strip("\0 "))[:80]
 
     def geolocation(self, name: str) -> GeolocationGrid:
-        axes = tuple(self.line(f"{name}/{axis}") for axis in ("heightAboveEllipsoid", "zeroDopplerTime", "slantRange"))
+        names = ("heightAboveEllipsoid", "zeroDopplerTime", "slantRange")
+        axes, steps = zip(*(self.axis(f"{name}/{one}") for one in names), strict=True)
         values = [self._array(f"{name}/{one}") for one in ("losUnitVectorX", "losUnitVectorY", "groundTrackVelocity")]
         expected = tuple(map(len, axes))
         for value in values:
@@ -235,4 +271,5 @@ class _Fields:
                     f"{self._path} has {name} of {shown(value.shape)} values where its axes have {shown(expected)}; "
                     "get it again"
                 )
-        return GeolocationGrid((axes[0], axes[1], axes[2]), *values)
+        rising = tuple(slice(None, None, step) for step in steps)
+        return GeolocationGrid((axes[0], axes[1], axes[2]), *(value[rising] for value in values))

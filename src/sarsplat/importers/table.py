@@ -50,6 +50,9 @@ _SHORT = {
     **{"pol": "polarisation", "polarization": "polarisation"},
 }
 _UNITS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters", "angle"}
+_ROUNDED_DEG = 1.0 + 1e-6
+"""By which grazing and incidence angles of whole degrees may miss a right angle together."""
+
 _ONLY_IF_NAMED = ("scale", "offset")
 """Too many things are called that."""
 
@@ -78,11 +81,12 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
             )
         chosen[meaning] = column
     elevations = {"grazing", "incidence"}
+    named_elevation = elevations & set(chosen)
     if elevations <= set(chosen):
         raise SarsplatError("--columns names both a grazing and an incidence angle; name one of them")
     for meaning in MEANINGS:
         others = elevations if meaning in elevations else {"azimuth"} if meaning == "heading" else set()
-        otherwise_named = bool(others & set(chosen))
+        otherwise_named = bool(others & set(chosen)) and (meaning not in elevations or named_elevation)
         if meaning not in (*chosen, *_ONLY_IF_NAMED) and not otherwise_named:
             usual = _recognised(table, meaning, chosen)
             if usual is not None:
@@ -303,7 +307,8 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         raise SarsplatError(
             f"{table.path}, line {row[0]} says nothing of its angles; fill all four of {', '.join(WAYS)}"
         )
-    incidence = number("incidence")
+    _refuse_other_sum(table, row, columns)
+    grazing, incidence = number("grazing"), number("incidence")
     return ListedPicture(
         name=text("file"),
         path=path,
@@ -311,7 +316,7 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         if ways is not None or "azimuth" not in columns
         else table.number(row, columns["azimuth"]),
         heading_deg=table.number(row, columns["heading"]) if "heading" in columns else None,
-        grazing_deg=number("grazing") if incidence is None else 90 - incidence,
+        grazing_deg=90 - incidence if grazing is None and incidence is not None else grazing,
         ways_deg=ways,
         spacing_m=pair("spacing"),
         resolution_m=pair("resolution"),
@@ -337,6 +342,25 @@ def _ways(table: CsvTable, row: Row, angles: Mapping[str, float | None]) -> tupl
             f"four of {', '.join(WAYS)}, or none if one radar is both"
         )
     return (given[0], given[1], given[2], given[3]) if given else None
+
+
+def _refuse_other_sum(table: CsvTable, row: Row, columns: Columns) -> None:
+    """Of a table with both, grazing and incidence angles must be the same: then it does not matter which is taken.
+
+    Above the curved earth they are not if what is called grazing is a depression or an elevation at the radar.
+    """
+    if not {"grazing", "incidence"} <= columns.keys():
+        return
+    names = columns["grazing"], columns["incidence"]
+    if not all(row[1][name] for name in names):
+        return
+    grazing, incidence = (table.number(row, name) for name in names)
+    if abs(grazing + incidence - 90) > _ROUNDED_DEG:
+        raise SarsplatError(
+            f"{table.path}, line {row[0]}: {names[0]} is {grazing:g}° and {names[1]} is {incidence:g}°, which do not "
+            f"add to 90°; say which of them holds at the target with --columns grazing={names[0]} or "
+            f"--columns incidence={names[1]}"
+        )
 
 
 def _split(table: CsvTable, row: Row, text: str) -> str | None:

@@ -1,0 +1,88 @@
+"""One picture under two directions: the same pixels (of the same speckle see `copied`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sarsplat.data.dataset import Dataset
+from sarsplat.errors import counted
+from sarsplat.geometry import View
+
+_SAME_DIRECTION_DEG = 0.01
+_USUAL_TURN_DEG = 30.0
+_ROUNDED = 0.02
+"""Of the brightest pixel: by how much images that are the same by symmetry differ, by rounding or by rays."""
+
+_REMEDY = "so the file or the angles of one are wrong: correct them, or remove one"
+
+
+def repeated_images(dataset: Dataset) -> list[str]:
+    """Whether images are the same, pixel by pixel, though of other directions, or twice in one set; a sentence each.
+
+    Images without speckle may be the same by the target's symmetry: then all that are as far apart are.
+    """
+    first: dict[bytes, int] = {}
+    pairs = []
+    for index, image in enumerate(dataset.power):
+        if (at := first.setdefault(image.tobytes(), index)) != index and np.ptp(image) > 0:
+            pairs.append((at, index))
+    apart = [(i, j) for i, j in pairs if apart_deg(dataset.views[i], dataset.views[j]) > _SAME_DIRECTION_DEG]
+    twice = [(i, j) for i, j in pairs if (i, j) not in apart and dataset.entries[i].split == dataset.entries[j].split]
+    if dataset.looks is None:
+        apart = [pair for pair in apart if not _symmetric(dataset, *pair)]
+    return [*said_of_pairs(dataset, apart, ""), *_said_of_twice(dataset, twice)]
+
+
+def _said_of_twice(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> list[str]:
+    if not pairs:
+        return []
+    one, other = (dataset.entries[k].name for k in pairs[0])
+    return [
+        f"{one} and {other} are one and the same picture from one direction{_more(pairs)}, which counts twice; remove "
+        "one"
+    ]
+
+
+def apart_deg(one: View, other: View) -> float:
+    """Angle between two directions, degrees."""
+    return math.degrees(math.acos(min(max(float(one.direction @ other.direction), -1.0), 1.0)))
+
+
+def _symmetric(dataset: Dataset, i: int, j: int) -> bool:
+    """Whether most other pairs of images that are turned as far against each other are the same, too, but for rounding.
+
+    If there are no others, a target may still be the same after the turns that usual ones are: quarters, sixths.
+    """
+    views = dataset.views
+    if abs(views[i].grazing_deg - views[j].grazing_deg) > 1e-6:
+        return False
+    turn = views[j].azimuth_deg - views[i].azimuth_deg
+    at = {(round(view.azimuth_deg % 360, 4) % 360, round(view.grazing_deg, 4)): k for k, view in enumerate(views)}
+    others = [
+        (k, other)
+        for (azimuth, grazing), k in at.items()
+        if (other := at.get((round((azimuth + turn) % 360, 4) % 360, grazing))) is not None and {k, other} != {i, j}
+    ]
+    if not others:
+        return abs(turn / _USUAL_TURN_DEG - round(turn / _USUAL_TURN_DEG)) < 1e-6
+    pairs = ((dataset.power[k], dataset.power[other]) for k, other in others)
+    return bool(np.median([np.abs(one - two).max() / max(one.max(), two.max()) for one, two in pairs]) < _ROUNDED)
+
+
+def said_of_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]], how: str) -> list[str]:
+    """A sentence that names the first of these pairs of images, which are the same in some way; or none."""
+    if not pairs:
+        return []
+    i, j = pairs[0]
+    one, other = (
+        f"{entry.name} (azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°)"
+        for entry in (dataset.entries[i], dataset.entries[j])
+    )
+    return [f"{one} and {other} are one and the same picture{how}{_more(pairs)}, {_REMEDY}"]
+
+
+def _more(pairs: Sequence[tuple[int, int]]) -> str:
+    return f" (and {counted(len(pairs) - 1, 'other pair')})" if len(pairs) > 1 else ""

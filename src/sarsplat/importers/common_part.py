@@ -1,0 +1,204 @@
+"""The part of the scene that all images show: without corners that hold no data, and not what one file decides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float64, Shaped
+
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.examination.scaling import CUT_OFF_SAID, share_at_top
+from sarsplat.geometry import ImageGrid
+
+_CHANCE = 1e-4
+_THICK = 5
+"""Side of the smallest square of zeros that is no data, in pixels: single zeros are dark pixels."""
+
+_LEAST_SHARE, _MOST_SHARE = 0.003, 0.6
+"""Of an image: fewer zeros in its corners are left as they are; of more, too little is left of it."""
+
+_LOSS = 0.5
+"""Share of the common part that a few images may cost: a picture of another size is sooner a wrong file."""
+
+_MOST_UNLIKE = 10.0
+"""Largest over smallest pixel spacing."""
+
+_FEW = 1 / 8
+_FEWEST_IMAGES = 3
+
+
+class _Measured(Protocol):
+    """What is needed here of a `MeasuredImage`."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def pixels(self) -> np.ndarray: ...
+    @property
+    def grid(self) -> ImageGrid: ...
+
+
+Image = TypeVar("Image", bound=_Measured)
+
+
+def with_data(images: Sequence[Image], ground: bool) -> tuple[list[Image], list[str]]:
+    """Images without corners that hold no data, if they show ground, and what is to be said of what they hold."""
+    _refuse_other_spacing(images)
+    shares = [share_at_top(part) for image in images for part in _numbers(image)]
+    said = []
+    if (share := float(np.mean(shares))) >= CUT_OFF_SAID:
+        said.append(
+            f"{share:.2%} of the pixels hold the largest value of their image, {max(shares):.2%} at most: what is "
+            "brighter was cut off"
+        )
+    if not ground:
+        return [*images], said
+    cut, sentence = _without_empty_corners(images)
+    return cut, [*said, *([sentence] if sentence else [])]
+
+
+def _numbers(image: _Measured) -> list[Shaped[np.ndarray, "rows columns"]]:
+    """What may be cut off: power, or both parts of complex amplitudes; of stacks those of the first channel."""
+    pixels = image.pixels if image.pixels.ndim == 2 else image.pixels[0]
+    return [np.abs(pixels.real), np.abs(pixels.imag)] if pixels.dtype.kind == "c" else [pixels]
+
+
+def _without_empty_corners(images: Sequence[Image]) -> tuple[list[Image], str]:
+    """Images cut to a rectangle that leaves out zeros that reach from a corner, and a sentence about it, or "".
+
+    Refused if they are most of an image: then it is the target that was cut out.
+    """
+    cut: list[Image] = []
+    changed: list[str] = []
+    for image in images:
+        empty = _empty_corners((image.pixels == 0).reshape(-1, *image.pixels.shape[-2:]).all(axis=0))
+        share = float(empty.mean())
+        if share > _MOST_SHARE:
+            raise SarsplatError(
+                f"{share:.0%} of the pixels of {image.name} are zeros that reach from its corners, as where there are "
+                "no data; cut the image to what it shows, or, if it shows nothing around the target, say so "
+                "(--no-ground, ground=False)"
+            )
+        if share >= _LEAST_SHARE:
+            changed.append(image.name)
+            image = _cut(image, *_filled_rectangle(~empty))
+        cut.append(image)
+    if not changed:
+        return cut, ""
+    return cut, (
+        f"{counted(len(changed), 'image')} of {len(images)}, the first {changed[0]}, "
+        f"{'has' if len(changed) == 1 else 'have'} zeros that reach from the corners, where there are no data; cut to "
+        "a rectangle without them"
+    )
+
+
+def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
+    """Zeros that hang together with a corner, in pieces that are thicker than single dark pixels."""
+    from scipy.ndimage import binary_opening, label  # here: whoever asks for a file's facts need not load SciPy
+
+    share = float(zeros.mean())
+    if not 0 < share < 1:
+        return np.zeros_like(zeros)
+    by_chance = math.sqrt(math.log(zeros.size / _CHANCE) / -math.log(share))  # side of squares of dark pixels
+    side = max(_THICK, math.ceil(by_chance))
+    pieces, _ = label(binary_opening(zeros, np.ones((side, side))))
+    at = {int(pieces[corner]) for corner in ((0, 0), (0, -1), (-1, 0), (-1, -1))} - {0}
+    empty = np.isin(pieces, list(at)) if at else np.zeros_like(zeros)
+    rows, columns = (np.flatnonzero(~zeros.all(axis=axis)) for axis in (1, 0))
+    empty[: rows[0]] = empty[rows[-1] + 1 :] = True  # whole lines at an edge, however thin
+    empty[:, : columns[0]] = empty[:, columns[-1] + 1 :] = True
+    return empty
+
+
+def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, slice]:
+    """A large rectangle without anything empty: lines at its sides are taken off, the emptiest first."""
+    top, bottom, left, right = 0, filled.shape[0], 0, filled.shape[1]
+    while not (inside := filled[top:bottom, left:right]).all():
+        lines = inside[0].mean(), inside[-1].mean(), inside[:, 0].mean(), inside[:, -1].mean()
+        match int(np.argmin(lines)):
+            case 0:
+                top += 1
+            case 1:
+                bottom -= 1
+            case 2:
+                left += 1
+            case _:
+                right -= 1
+    return slice(top, bottom), slice(left, right)
+
+
+def _cut(image: Image, rows: slice, columns: slice) -> Image:
+    grid = image.grid
+    center = (
+        float(grid.azimuth_m[columns].mean()),
+        float(grid.range_m[rows].mean()),
+    )
+    return replace(image, pixels=image.pixels[..., rows, columns], center_m=center)
+
+
+def common_part(
+    images: Sequence[_Measured],
+) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"], list[str]]:
+    """Where the part that all images show begins and ends (azimuth, range), m, and the images that decide it.
+
+    Refused if there is none, or if without a few images it would be at least twice as large.
+    """
+    grids = [image.grid for image in images]
+    low, high = _overlap(grids)
+    kept = list(range(len(images)))
+    most = max(1, int(_FEW * len(images))) if len(images) >= _FEWEST_IMAGES else 0
+    without: list[int] = []
+    for _ in range(most):
+        rest = [[k for k in kept if k != out] for out in _at_its_ends(grids, kept)]
+        kept = max(rest, key=lambda some: _area(*_overlap([grids[k] for k in some])))
+        without = [k for k in range(len(images)) if k not in kept]
+        if (1 - _LOSS) * (larger := _area(*_overlap([grids[k] for k in kept]))) >= max(_area(low, high), 1e-30):
+            names = ", ".join(f"{images[k].name} ({_size(grids[k])})" for k in without[:3])
+            raise SarsplatError(
+                f"all images would be cut to {_area(low, high) / larger:.0%} of what the others have in common, for "
+                f"{names}{' and others' if len(without) > 3 else ''} where {images[kept[0]].name} has "
+                f"{_size(grids[kept[0]])}; leave out {'this image' if len(without) == 1 else 'these images'}, or cut "
+                "the others to that size yourself"
+            )
+    if (high < low).any():
+        raise SarsplatError("the images have no part in common; give images around one spot")
+    return low, high, [images[k].name for k in _at_its_ends(grids, range(len(images)))]
+
+
+def _refuse_other_spacing(images: Sequence[_Measured]) -> None:
+    """Refuse pixels so much larger than others that they are of another unit sooner than of another image."""
+    spacing = np.array([image.grid.spacing_m for image in images])
+    usual = np.median(spacing, axis=0)
+    if (spacing.max(axis=0) > _MOST_UNLIKE * spacing.min(axis=0)).any():
+        off = int(np.abs(np.log(spacing / usual)).max(axis=1).argmax())
+        own, others = (f"{pair[0]:.4g} m × {pair[1]:.4g} m" for pair in (spacing[off], usual))
+        raise SarsplatError(
+            f"{images[off].name} has pixels of {own} (azimuth × range), and others of {others}; correct its spacing, "
+            "or leave it out"
+        )
+
+
+def _overlap(grids: Sequence[ImageGrid]) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"]]:
+    low = np.max([(grid.azimuth_m[0], grid.range_m[0]) for grid in grids], axis=0)
+    high = np.min([(grid.azimuth_m[-1], grid.range_m[-1]) for grid in grids], axis=0)
+    return low, high
+
+
+def _at_its_ends(grids: Sequence[ImageGrid], kept: Sequence[int]) -> list[int]:
+    """The first of the images that ends where the part ends that all of them show, for each of its four ends."""
+    ends = [(-grids[k].azimuth_m[0], -grids[k].range_m[0], grids[k].azimuth_m[-1], grids[k].range_m[-1]) for k in kept]
+    return sorted({kept[int(k)] for k in np.argmin(ends, axis=0)})
+
+
+def _area(low: Shaped[np.ndarray, " 2"], high: Shaped[np.ndarray, " 2"]) -> float:
+    return float(np.prod(np.maximum(high - low, 0)))
+
+
+def _size(grid: ImageGrid) -> str:
+    return f"{grid.rows} × {grid.columns} pixels"

@@ -1,0 +1,179 @@
+"""Cut-off, stretched, repeated and copied pictures are found; pictures of one scale are not taken for these."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from datasets import dataset_of
+from sarsplat.data import Dataset
+from sarsplat.examination.copied import copied_images
+from sarsplat.examination.outcome import Examination
+from sarsplat.examination.repeated import repeated_images
+from sarsplat.examination.scaling import examine_cut_off, examine_scaling, share_at_top
+from sarsplat.geometry import ImageGrid, View
+
+COUNT = 12
+
+
+def pictures(seed: int = 0, step_deg: float = 30.0, **fields) -> Dataset:
+    """Amplitude of a few thousand, squared: a bright square on ground, with speckle."""
+    mean = np.full((40, 48), 0.1)
+    mean[16:24, 20:28] = 20.0
+    power = np.random.default_rng(seed).exponential(size=(COUNT, 40, 48)) * mean
+    views = [(View(step_deg * k, 30.0), "train") for k in range(COUNT)]
+    fields = {"looks": 1.0, "ground": True, "calibration": "relative", "source": {"kind": "folder"}, **fields}
+    grid = ImageGrid(40, 48, (0.2, 0.2), (0.3, 0.3))
+    return dataset_of(grid, views, power.astype(np.float32), **fields)
+
+
+def stored(dataset: Dataset, factor: float | np.ndarray, largest: int = 255) -> Dataset:
+    """As pictures of whole numbers."""
+    amplitude = np.clip(np.round(np.sqrt(dataset.power) * factor), 1, largest)
+    return replace(dataset, power=np.square(amplitude, dtype=np.float32))
+
+
+def scaled(dataset: Dataset) -> list[str]:
+    examined = Examination()
+    cut_off = examine_cut_off(dataset, examined)
+    examine_scaling(dataset, examined, True, cut_off)
+    return examined.contradictions
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_pictures_of_one_scale_pass(seed):
+    dataset = pictures(seed)
+    for one in (dataset, stored(dataset, 25), stored(dataset, 35), stored(dataset, 200, 4095)):
+        assert scaled(one) == []
+
+
+@pytest.mark.parametrize("largest", [255, 4095, 65535])
+def test_pixels_at_the_largest_value_were_cut_off(largest):
+    (said,) = scaled(stored(pictures(), largest / 1.0, largest))
+    assert "hold its largest value, and at least 1% in 12 of 12 images" in said
+    assert "save the images again with a smaller factor" in said
+
+
+def test_a_few_are_only_said():
+    examined = Examination()
+    assert 0 < examine_cut_off(stored(pictures(), 35), examined) < 0.01
+    assert (
+        "of the pixels, which hold the largest value of their image, were cut off" in examined.checks["largest values"]
+    )
+    assert examined.contradictions == []
+
+
+def test_a_largest_value_of_few_levels_is_not_cut_off():
+    levels = np.random.default_rng(0).choice(4, size=(64, 64), p=(0.6, 0.25, 0.1, 0.05)).astype(np.float32)
+    assert share_at_top(levels) == 0
+
+
+def test_parts_of_complex_amplitudes_that_were_cut_off():
+    rng = np.random.default_rng(0)
+    signal = (rng.normal(size=(3, 40, 48, 2)) @ [1, 1j]).astype(np.complex64)
+    signal = np.clip(signal.real, -1.5, 1.5) + 1j * np.clip(signal.imag, -1.5, 1.5)
+    views = [View(120.0 * k, 30.0) for k in range(3)]
+    grid = ImageGrid(40, 48, (0.2, 0.2), (0.3, 0.3))
+    entries = dataset_of(grid, [(view, "train") for view in views], np.abs(signal).astype(np.float32) ** 2).entries
+    dataset = Dataset.of_complex(grid, entries, signal.astype(np.complex64), target="x", looks=1.0, ground=True)
+    examined = Examination()
+    assert examine_cut_off(dataset, examined) > 0.1
+    assert len(examined.contradictions) == 1
+
+
+@pytest.mark.parametrize("by", ["brightest", "share", "mean"])
+def test_pictures_that_are_stretched_one_by_one(by):
+    dataset = pictures()
+    amplitude = np.sqrt(dataset.power * np.linspace(0.2, 3.0, COUNT)[:, None, None])
+    own = {
+        "brightest": amplitude.max(axis=(1, 2)) / 255,
+        "share": np.quantile(amplitude, 0.996, axis=(1, 2)) / 255,
+        "mean": np.sqrt(np.square(amplitude).mean(axis=(1, 2))),
+    }[by][:, None, None]
+    power = np.square(amplitude / own if by == "mean" else np.clip(np.round(amplitude / own), 1, 255))
+    (said,) = scaled(replace(dataset, power=power.astype(np.float32)))
+    assert said.startswith("the images seem to be stretched one by one")
+    assert "--columns scale=NAME" in said
+    assert "--preset measured" in said
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_one_picture_of_another_scale_is_named(factor):
+    power = pictures().power.copy()
+    power[7] *= factor
+    (said,) = scaled(replace(pictures(), power=power))
+    assert re.match(f"the ground of 007 is (9.9|10.[01]) dB {'darker' if factor < 1 else 'brighter'}", said)
+
+
+def with_copy(dataset: Dataset, copy: np.ndarray) -> Dataset:
+    power = dataset.power.copy()
+    power[7] = copy
+    return replace(dataset, power=power)
+
+
+def test_one_picture_under_two_directions_is_named():
+    dataset = pictures()
+    (said,) = repeated_images(with_copy(dataset, dataset.power[2]))
+    assert said.startswith(
+        "002 (azimuth 60°, grazing 30°) and 007 (azimuth 210°, grazing 30°) are one and the same picture"
+    )
+    assert repeated_images(dataset) == []
+
+
+def test_one_picture_twice_under_one_direction_counts_twice():
+    dataset = with_copy(pictures(), pictures().power[2])
+    entries = [*dataset.entries]
+    entries[7] = replace(entries[7], view=entries[2].view)
+    (said,) = repeated_images(replace(dataset, entries=tuple(entries)))
+    assert said == "002 and 007 are one and the same picture from one direction, which counts twice; remove one"
+
+
+def test_targets_without_speckle_may_be_symmetric():
+    half = pictures().power[:6]
+    symmetric = replace(pictures(looks=None), power=np.concatenate([half, half]))
+    assert repeated_images(symmetric) == []
+    rounded = with_copy(symmetric, half[1] + 1e-3 * half[1].max())
+    assert repeated_images(rounded) == []
+    assert len(repeated_images(with_copy(symmetric, half[2]))) == 1
+    assert repeated_images(symmetric.take([0, 6])) == []  # left and right
+
+
+@pytest.mark.parametrize(
+    ("change", "how"),
+    [
+        (lambda image: image * np.float32(10), "but for their scale or how they were compressed"),
+        (lambda image: image[::-1, ::-1], "turned by a half"),
+        (lambda image: image[:, ::-1], "mirrored"),
+    ],
+)
+def test_copies_are_known_by_their_speckle(change, how):
+    dataset = pictures()
+    (said,) = copied_images(with_copy(dataset, change(dataset.power[2])))
+    assert said.startswith("002 (azimuth 60°, grazing 30°) and 007")
+    assert how in said
+
+
+def test_a_copy_that_was_compressed_again():
+    dataset = stored(pictures(), 80)
+    packed = io.BytesIO()
+    Image.fromarray(np.sqrt(dataset.power[2]).astype(np.uint8)).save(packed, format="JPEG", quality=85)
+    copy = np.square(np.maximum(np.asarray(Image.open(packed)), 1), dtype=np.float32)
+    assert len(copied_images(with_copy(dataset, copy))) == 1
+
+
+def test_images_within_one_aperture_may_share_their_speckle():
+    dataset = pictures(step_deg=0.2)
+    assert copied_images(with_copy(dataset, dataset.power[2] * np.float32(1.1))) == []
+    assert copied_images(pictures()) == []
+
+
+def test_images_without_speckle_are_not_asked_for_it():
+    """Points of a target from directions that are near one another look alike."""
+    smooth = np.ones((COUNT, 1, 1)) * np.exp(-((np.mgrid[-20:20, -24:24] / 3.0) ** 2).sum(axis=0))
+    noise = np.random.default_rng(0).normal(1, 0.01, smooth.shape)
+    assert copied_images(replace(pictures(), power=(smooth * noise + 1e-6).astype(np.float32))) == []

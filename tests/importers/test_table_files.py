@@ -1,0 +1,73 @@
+"""Tables of pictures as people have them: names, hidden files, angles of two kinds."""
+
+from __future__ import annotations
+
+import unicodedata
+from pathlib import Path
+
+import pytest
+
+from made_imports import POWER, import_pictures, write_pictures
+from sarsplat.errors import SarsplatError, SarsplatWarning
+
+ANGLES = (0, 90, 180, 270)
+
+
+def pictures(tmp_path: Path, cells: list[str], names: str = "file,azimuth,grazing") -> Path:
+    """Four pictures, 0.npy to 3.npy, and a table whose rows are an azimuth between these cells."""
+    folder = write_pictures(tmp_path / "in", POWER)
+    rows = [cell.format(index=index, azimuth=ANGLES[index]) for index, cell in enumerate(cells)]
+    (folder / "angles.csv").write_text("\n".join([names, *rows]) + "\n", encoding="utf-8")
+    return folder
+
+
+def test_names_that_differ_in_capital_letters_or_accents(tmp_path):
+    folder = pictures(tmp_path, ["{index}.NPY,{azimuth},30"] * 3 + ["café,{azimuth},30"])
+    (folder / "3.npy").rename(folder / unicodedata.normalize("NFD", "Café.npy"))
+    with pytest.warns(SarsplatWarning, match=r"spells 4 files otherwise .* the first of them '0.NPY' for 0.npy"):
+        assert len(import_pictures(folder)) == 4
+
+
+def test_names_that_may_be_two_files(tmp_path):
+    folder = pictures(tmp_path, ["A.npy,{azimuth},30"] + ["{index}.npy,{azimuth},30"] * 3)
+    for name in ("a.npy", "a.NPY"):
+        (folder / name).write_bytes((folder / "0.npy").read_bytes())
+    with pytest.raises(SarsplatError, match=r"line 2: 'A.npy' may be a.NPY and a.npy; write the name as the file's"):
+        import_pictures(folder)
+
+
+@pytest.mark.parametrize("name", ["C:\\data\\0.npy", "C:/data/0.npy", "\\\\server\\data\\0.npy", "/data/0.npy"])
+def test_paths_of_another_machine(tmp_path, name):
+    folder = pictures(tmp_path, [f"{name},{{azimuth}},30"] * 4)
+    with pytest.raises(SarsplatError, match=r"line 2: the path .* points outside the folder of pictures; use paths"):
+        import_pictures(folder)
+
+
+@pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
+def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
+    made = import_pictures(pictures(tmp_path, ["{index},{azimuth},1.047"] * 4, "file,azimuth,incidence"))
+    assert "the incidence angles (1.047° to 1.047°) look like radians" in made.source["contradictions"][0]
+    with pytest.raises(SarsplatError, match=r"azimuth 90000.0 is not a number of degrees between ±3600"):
+        import_pictures(pictures(tmp_path, ["{index},{azimuth}000,30"] * 4))
+
+
+def test_hidden_files_are_left_out(tmp_path, recwarn):
+    folder = pictures(tmp_path, ["{index},{azimuth},30"] * 4)
+    (folder / "__MACOSX").mkdir()
+    for name in ("._angles.csv", "._0.npy", "__MACOSX/angles.csv"):
+        (folder / name).write_bytes(b"\0\5\x16\7")
+    assert len(import_pictures(folder)) == 4
+    assert not [one for one in recwarn if "has no row" in str(one.message)]
+
+
+def test_grazing_and_incidence_angles_belong_together(tmp_path):
+    names = "file,azimuth,depression,incidence"
+    folder = pictures(tmp_path, ["{index},{azimuth},31,59.4"] * 4, names)
+    assert {view.grazing_deg for view in import_pictures(folder).views} == {31.0}
+    folder = pictures(tmp_path, ["{index},{azimuth},31,59"] * 2 + ["{index},{azimuth},31,55"] * 2, names)
+    with pytest.raises(SarsplatError, match=r"line 4: depression is 31° and incidence is 55°, which do not add to 90°"):
+        import_pictures(folder)
+    made = import_pictures(folder, columns={"incidence": "incidence"})
+    assert sorted({view.grazing_deg for view in made.views}) == [31.0, 35.0]
+    folder = pictures(tmp_path, ["{index},{azimuth},,59"] * 2 + ["{index},{azimuth},31,"] * 2, names)
+    assert {view.grazing_deg for view in import_pictures(folder).views} == {31.0}
