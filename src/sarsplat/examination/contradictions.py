@@ -18,6 +18,7 @@ from sarsplat.examination.on_map import OnMap, on_map
 from sarsplat.examination.orientation import Orientation, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
+from sarsplat.examination.repeated import repeated_images
 from sarsplat.examination.running_numbers import Counting, counting
 from sarsplat.examination.scaling import MUCH, examine_cut_off, examine_scaling
 from sarsplat.examination.single_values import examine_single_values
@@ -97,7 +98,7 @@ def examine(dataset: Dataset) -> Examination:
         spread = None if counts is None else [counts.spread[k] for k in places]
         upright = _upright(chosen, examined, counts, spread)
         speckled = cut_off < MUCH and examine_units(upright, examined)
-        if speckled and (copies := copied_images(dataset)):
+        if speckled and not repeated_images(dataset) and (copies := copied_images(dataset)):
             examined.contradictions.extend(copies)
             examined.checks["images"] = "see below"
         if not hot:

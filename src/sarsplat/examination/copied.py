@@ -55,7 +55,7 @@ _FEWEST_PIXELS = 64
 
 
 def copied_images(dataset: Dataset) -> list[str]:
-    """Whether images of different directions have the same speckle, but not the same pixels; a list of one sentence.
+    """Whether images of different directions have the same speckle; a list of one sentence, or empty.
 
     Asked of images with ground and speckle: of others there is as much to see of a target's symmetry.
     """
@@ -77,16 +77,10 @@ def copied_images(dataset: Dataset) -> list[str]:
         if not what and np.median(alike[np.triu_indices(len(alike), 1)]) > _UNLIKE:
             return []  # no speckle that tells images apart
         pairs = map(tuple, np.argwhere(np.triu(alike > _SAME_SPECKLE, 1)).tolist())
-        found = [(i, j) for i, j in pairs if _other_direction(dataset, i, j)]
+        found = [(i, j) for i, j in pairs if apart_deg(dataset.views[i], dataset.views[j]) > _APART_DEG]
         if found:
-            return said_of_pairs(dataset, found, what.rstrip() or ", but for their scale or how they were compressed")
+            return said_of_pairs(dataset, found, what.rstrip() or ", perhaps scaled or compressed again")
     return []
-
-
-def _other_direction(dataset: Dataset, i: int, j: int) -> bool:
-    """Whether two images are of other directions, and not the same pixel by pixel, which is said elsewhere."""
-    apart = apart_deg(dataset.views[i], dataset.views[j])
-    return apart > _APART_DEG and not np.array_equal(dataset.power[i], dataset.power[j])
 
 
 def _speckle(power: Shaped[np.ndarray, "v rows columns"]) -> Float32[np.ndarray, "v along across"]:

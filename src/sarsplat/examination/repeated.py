@@ -13,6 +13,7 @@ from sarsplat.geometry import View
 
 _SAME_DIRECTION_DEG = 0.01
 _USUAL_TURN_DEG = 30.0
+_LEAST = 1e-30
 _ROUNDED = 0.02
 """Of the brightest pixel: by how much images that are the same by symmetry differ, by rounding or by rays."""
 
@@ -31,8 +32,7 @@ def repeated_images(dataset: Dataset) -> list[str]:
             pairs.append((at, index))
     apart = [(i, j) for i, j in pairs if apart_deg(dataset.views[i], dataset.views[j]) > _SAME_DIRECTION_DEG]
     twice = [(i, j) for i, j in pairs if (i, j) not in apart and dataset.entries[i].split == dataset.entries[j].split]
-    if dataset.looks is None:
-        apart = [pair for pair in apart if not _symmetric(dataset, *pair)]
+    apart = [pair for pair in apart if not _symmetric(dataset, *pair)]
     return [*said_of_pairs(dataset, apart, ""), *_said_of_twice(dataset, twice)]
 
 
@@ -54,7 +54,7 @@ def apart_deg(one: View, other: View) -> float:
 def _symmetric(dataset: Dataset, i: int, j: int) -> bool:
     """Whether most other pairs of images that are turned as far against each other are the same, too, but for rounding.
 
-    If there are no others, a target may still be the same after the turns that usual ones are: quarters, sixths.
+    If there are no others, a target without speckle may still be the same after turns by quarters or sixths.
     """
     views = dataset.views
     if abs(views[i].grazing_deg - views[j].grazing_deg) > 1e-6:
@@ -67,9 +67,11 @@ def _symmetric(dataset: Dataset, i: int, j: int) -> bool:
         if (other := at.get((round((azimuth + turn) % 360, 4) % 360, grazing))) is not None and {k, other} != {i, j}
     ]
     if not others:
-        return abs(turn / _USUAL_TURN_DEG - round(turn / _USUAL_TURN_DEG)) < 1e-6
+        return dataset.looks is None and abs(turn / _USUAL_TURN_DEG - round(turn / _USUAL_TURN_DEG)) < 1e-6
     pairs = ((dataset.power[k], dataset.power[other]) for k, other in others)
-    return bool(np.median([np.abs(one - two).max() / max(one.max(), two.max()) for one, two in pairs]) < _ROUNDED)
+    return bool(
+        np.median([np.abs(one - two).max() / max(one.max(), two.max(), _LEAST) for one, two in pairs]) < _ROUNDED
+    )
 
 
 def said_of_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]], how: str) -> list[str]:
