@@ -12,9 +12,8 @@ from fill_block import fill_block
 
 from sarsplat.data.header import DatasetHeader
 
-_PARTS = ("GridHeader", "StackHeader", "TurnHeader", "ViewHeader")
+_PARTS = ("GridHeader", "StackHeader", "TurnHeader", "ViewHeader", "PlaceHeader")
 FORMATS = Path(__file__).parent / "reference" / "formats"
-_PARTS = ("GridHeader", "PlaceHeader", "StackHeader", "ViewHeader")
 
 
 def schema() -> dict[str, Any]:

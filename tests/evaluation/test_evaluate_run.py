@@ -58,7 +58,7 @@ class FakeRun:
     asked: list[View] = field(default_factory=list)
 
     __class__ = Run  # to `isinstance`
-    files, keep, model = Run.files, Run.keep, None
+    files, keep, views_of, model = Run.files, Run.keep, Run.views_of, None
 
     @property
     def normals(self):

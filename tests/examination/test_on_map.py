@@ -135,6 +135,7 @@ def test_the_import_says_it_and_its_remedy_mends_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not CHIPS.is_dir(), reason="no measured chips")
+@pytest.mark.filterwarnings("ignore:.* hold the largest value of their image")
 def test_measured_chips(tmp_path: Path) -> None:
     chips = import_mstar(
         CHIPS, tmp_path / "out", labels=CHIPS / "labels.csv", target_class="T72", train_views=18, test=False

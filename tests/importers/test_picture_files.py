@@ -266,13 +266,3 @@ def test_files_from_strangers(tmp_path, name, data, words):
         read_pixels(tmp_path / name)
     assert cost.seconds < 1
     assert cost.bytes < 64 << 20
-
-
-@pytest.mark.parametrize("other", [np.full((8, 8), 2.0), np.linspace(-3.1, 3.1, 64).reshape(8, 8)])
-@pytest.mark.parametrize("first", [True, False])
-def test_two_bands_that_are_no_real_and_imaginary_part(other, first):
-    amplitude = np.linspace(1, 90, 64).reshape(8, 8)
-    bands = np.stack([amplitude, other] if first else [other, amplitude])
-    for pixels in (bands, np.moveaxis(bands, 0, -1)):
-        with pytest.raises(SarsplatError, match=r"a has two bands, .* amplitude and phase, or two channels"):
-            power_or_signal(pixels, "complex", "a")

@@ -54,7 +54,7 @@ def render_by_steps(
     if isinstance(views, ChosenViews):
         raise NotRecordable("has a transmitter and a receiver apart, or is stretched")
     g = gaussians
-    ends = (0, -1) if any(view.apart_deg for view in views) else (0,)
+    ends = (0, -1) if ground is not None or any(view.apart_deg for view in views) else (0,)
     ways = [view.legs[end] for end in ends for view in views]
     unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # nobody asks what returns along either way
     projection = steps.project(unlit, ways, grid, rays)
