@@ -90,8 +90,6 @@ def _part_of(path: Path) -> str | None:
 
 
 def _file(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.data.splat_files import refuse_foreign
-
     match path.suffix.lower():
         case ".tif" | ".tiff":
             return _tiff(path)
@@ -108,6 +106,8 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
             raise SarsplatError(f"{path} is not a file that this command recognises; give {_UNDERSTOOD}")
         case ".obj" | ".stl" | ".off" | ".glb":
             return _mesh(path)
+    from sarsplat.data.splat_files import refuse_foreign
+
     refuse_foreign(path)
     raise SarsplatError(f"{path} is not a file that this command recognises by its ending; give {_UNDERSTOOD}")
 
