@@ -118,6 +118,16 @@ def test_layover_is_before_the_block_and_shadow_behind_it(block: Run, tmp_path: 
         assert abs((bearing - (130 - turn) + 180) % 360 - 180) < 12
 
 
+def test_a_map_whose_metres_are_half_as_long_shows_the_same_shadows(block: Run, tmp_path: Path) -> None:
+    placed = with_points(replace(block, place=Place(60.0, 10.0, 100.0)))
+    shares = {}
+    for name, pixel_m, crs in (("utm", 0.25, None), ("mercator", 0.5, "EPSG:3857")):
+        view = View(20, 40)
+        export(placed, tmp_path / f"{name}.tif", "layover-shadow", pixel_m=pixel_m, crs=crs, view=view)
+        shares[name] = np.bincount(read(tmp_path / f"{name}.tif")[1].ravel(), minlength=4)[1:3]
+    np.testing.assert_allclose(shares["mercator"], shares["utm"], rtol=0.03)
+
+
 def test_a_dsm_alone_gives_the_same_classes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     x = np.arange(80) * 0.5
     heights = np.where((abs(x[:, None] - 20) < 5) & (abs(x - 15) < 4), 6.0, 0.0).astype(np.float32)
@@ -163,8 +173,13 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
         ("dsm.tif", {"crs": "EPSG:32633"}, "does not know where on earth it is"),
         ("layover-shadow.tif", {"view": View(0, 30, tilt_deg=9)}, "level, monostatic view"),
         ("layover-shadow.tif", {"view": View(0, 30, aloft=True)}, "aloft"),
+        ("layover-shadow.tif", {"view": View(0, 0.001)}, "is too large; give a larger --pixel"),
+        ("layover-shadow.tif", {"view": View(0, 89.999)}, "is too large; give a larger --pixel"),
     ]
     for name, given, sentence in cases:
         with pytest.raises(SarsplatError, match=sentence):
             export(block, tmp_path / name, **given)
+    flying = with_points(Run.from_gaussians(block.gaussians, views=[View(0.0, 40.0, aloft=True)]))
+    with pytest.raises(SarsplatError, match="shows a target aloft"):
+        export(flying, tmp_path / "layover-shadow.tif", view=View(0, 30))
     assert list(tmp_path.iterdir()) == []

@@ -114,6 +114,19 @@ def test_extended_conditions_test_on_other_vehicles(tmp_path: Path) -> None:
         import_mstar(folder, tmp_path / "c", target_class="BMP2", split="eoc-depression", **kept)
 
 
+def test_chips_of_unnamed_vehicles_are_of_no_one_among_several(tmp_path: Path) -> None:
+    folder = jpegs(tmp_path / "chips", nested=True)
+    table = folder / "labels.csv"
+    table.write_text(table.read_text().replace(",9566,", ",,").replace(",9563,", ",,"))
+    words = {"labels": table, "target_class": "BMP2", "train_views": "all"}
+    with pytest.warns(SarsplatWarning, match="8 of an unnamed vehicle at 15°"):
+        version = import_mstar(folder, tmp_path / "version", split="eoc-version", **words)
+    assert [part["found"] for part in version.source["split"]["parts"]] == [8, 0, 0]
+    assert version.splits() == ("train",)
+    soc = import_mstar(folder, tmp_path / "soc", split="soc", **words)
+    assert [part["found"] for part in soc.source["split"]["parts"]] == [8, 8]
+
+
 def test_published_numbers_add_up() -> None:
     totals = {name: [sum(part.count for part in parts) for parts in (s.train, s.test)] for name, s in SPLITS.items()}
     assert totals["soc"] == [2747, 2425]
@@ -128,6 +141,17 @@ def test_a_chip_that_is_there_twice_counts_once(tmp_path: Path) -> None:
     with pytest.warns(SarsplatWarning, match="T72: 4 chips are there twice, in several folders; each counts once"):
         t72 = import_mstar(folder, tmp_path / "t72", labels=None, target_class="T72", train_views="all", split="soc")
     assert len(t72.images("train")) == 4
+
+
+def test_a_class_whose_training_chips_have_no_azimuth_is_refused(tmp_path: Path) -> None:
+    folder = jpegs(tmp_path / "chips", nested=True)
+    table = folder / "labels.csv"
+    with table.open(newline="") as file:
+        rows = [[*row[:-1], row[-1] if number == 0 else ""] for number, row in enumerate(csv.reader(file))]
+    with table.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    with pytest.raises(SarsplatError, match="no training chip of T72 has an azimuth"):
+        import_mstar(folder, tmp_path / "a", labels=table, target_class="T72", train_views="all", split="soc")
 
 
 def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Path) -> None:
@@ -165,6 +189,13 @@ def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missi
     assert "2S1: there is no class '2S1'" in said.err
     assert "train: 8 of 465 chips of 2 classes" in said.out + said.err
     assert sorted(path.name for path in (tmp_path / "soc").iterdir()) == ["BMP2", "T72", "sweep.toml"]
+    (tmp_path / "soc" / "sweep.toml").write_text("# changed")
+    assert main([*words, "--split", "soc", "--overwrite"]) == 2
+    assert (tmp_path / "soc" / "sweep.toml").read_text() == "# changed"
+    capsys.readouterr()
+    assert main([*words[:-1], str(tmp_path / "none"), "--split", "soc", "--class", "D7"]) == 2
+    said = capsys.readouterr()
+    assert "D7: there is no class 'D7'" in said.err and "cannot write" not in said.err and "wrote" not in said.out
     assert main([*words, "--split", "soc", "--serial", "132"]) == 2
     assert "leave out --serial" in capsys.readouterr().err
     assert main(words) == 2

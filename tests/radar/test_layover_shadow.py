@@ -83,6 +83,15 @@ def test_level_ground_has_neither_and_unknown_places_hide_nothing() -> None:
     assert not np.isin(classes, (SHADOW, LAYOVER, BOTH)).any()
 
 
+@pytest.mark.parametrize("azimuth", [EAST, 33.0, SOUTH])
+def test_the_rims_of_holes_in_a_plateau_are_as_the_plateau(azimuth: float) -> None:
+    heights = np.full((40, 40), 800.0)
+    heights[10:20, 15:25] = np.nan
+    classes = layover_shadow(heights, (1.0, 1.0), View(azimuth, 40))
+    np.testing.assert_array_equal(classes, np.where(np.isnan(heights), UNKNOWN, FREE))
+    assert (layover_shadow(np.full((4, 4), np.nan), (1.0, 1.0), View(azimuth, 40)) == UNKNOWN).all()
+
+
 def test_left_looking_is_the_same_and_tilted_or_bistatic_views_are_refused() -> None:
     right, left = (layover_shadow(box(), (PITCH, PITCH), View(20, 40, side=side)) for side in ("right", "left"))
     np.testing.assert_array_equal(right, left)

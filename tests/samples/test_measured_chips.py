@@ -11,6 +11,8 @@ import pytest
 from PIL import Image
 
 from chip_files import write_chips
+from datasets import dataset_of
+from sarsplat import ImageGrid, View, write_dataset
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError
@@ -98,3 +100,19 @@ def test_the_command_takes_a_folder_of_datasets_and_replaces_only_its_own(
     assert main([*words, "--overwrite"]) == 0
     assert main([*words, "--overwrite", "--count", "3"]) == 2
     assert "leave out what says how chips are drawn" in capsys.readouterr().err
+
+
+def test_labels_say_what_is_unusual_about_views(tmp_path: Path) -> None:
+    views = [View(0.0, 30.0, apart_deg=40.0), View(50.0, 30.0, 5.0, "left")]
+    power = np.ones((2, 16, 20), np.float32)
+    power[:, 5:9, 6:12] = 20
+    dataset = dataset_of(
+        ImageGrid(16, 20, (0.2, 0.2), (0.3, 0.3)), [(views[0], "train"), (views[1], "test")], power, target="T72"
+    )
+    write_dataset(tmp_path / "data", dataset)
+    write_measured_chips([tmp_path / "data"], tmp_path / "out", Encoding())
+    with (tmp_path / "out" / "labels.csv").open(newline="") as file:
+        apart, tilted = csv.DictReader(file)
+    legs = views[0].legs
+    assert [float(apart[f"{way}_azimuth_deg"]) for way in ("transmit", "receive")] == [leg.azimuth_deg for leg in legs]
+    assert (tilted["tilt_deg"], tilted["look"], tilted["receive_azimuth_deg"]) == ("5.0", "left", "")

@@ -99,6 +99,8 @@ def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], lis
             except SarsplatError as error:  # as where a class has too few chips: the others are imported
                 console.complain(f"{name}: {error}")
                 codes.append(_REFUSED)
+    if not made:
+        return codes, made
     console.finish(
         f"{given['out']}: {len(made)} of {len(codes)} classes, a dataset each",
         f"sarsplat info {shlex.quote(str(given['out']))}",
@@ -124,6 +126,8 @@ def _all_of_split(given: dict[str, Any]) -> int:
     from sarsplat.importers.mstar_splits import SPLITS, in_words
 
     codes, made = _each(given, given["target_class"] or SPLITS[given["split"]].classes)
+    if not made:
+        return max(codes)
     totals = Counter[str]()
     for out in made:
         parts = read_header(out).source["split"]["parts"]
@@ -138,8 +142,10 @@ def _all_of_split(given: dict[str, Any]) -> int:
             f"{name}: {found:,} of {published:,} chips of {len(made)} classes"
         )
     plan = given["out"] / _PLAN
-    write_bytes(plan, _PLAN_TEXT.encode())
-    console.say(f"wrote {plan}; next: sarsplat sweep {shlex.quote(str(plan))} --out RUNS reconstructs each class")
+    if not plan.exists():  # it may have been changed
+        write_bytes(plan, _PLAN_TEXT.encode())
+        console.say(f"wrote {plan}")
+    console.say(f"next: sarsplat sweep {shlex.quote(str(plan))} --out RUNS reconstructs each class")
     return max(codes)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import get_args
 
@@ -47,10 +48,18 @@ class Coordinates:
         level = np.full(len(places), self.system.place.height_m)
         return self.system.to_scene(np.column_stack([places, level]))[:, :2]
 
+    @cached_property
+    def metres(self) -> tuple[float, float]:
+        """On the ground, for each metre of the map along its x and y: a map's metres need not be the ground's."""
+        if self.system is None:
+            return 1.0, 1.0
+        x, y = np.linalg.norm(np.linalg.inv(self.system.gradients[:2, :2]), axis=0)
+        return float(x), float(y)
+
     def view(self, view: View) -> View:
         """The same view on the map, whose y axis need not be the scene's."""
         ahead = self.of(np.array([[0.0, 0.0, 0.0], [*view.look.ahead, 0.0]]))
-        x, y, _ = ahead[1] - ahead[0]
+        x, y = (ahead[1] - ahead[0])[:2] * self.metres
         return replace(view, azimuth_deg=math.degrees(math.atan2(y, -x)))
 
     def bearing_deg(self, view: View) -> float:
@@ -142,10 +151,11 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
     if not len(points):
         raise SarsplatError(f"{_name(run)} has no points of a surface yet; train it longer, or look at its report")
     pixel, apart = cell if pixel_m is None else pixel_m, spacing_m(points)
-    if not pixel >= apart:
+    least = min(coordinates.metres)
+    if not pixel * least >= apart:
         raise SarsplatError(
-            f"pixels of {pixel:g} m are finer than the points of the surface are apart ({apart:.2g} m); give --pixel "
-            f"{float(f'{max(cell, 2 * apart):.2g}'):g} or more"
+            f"pixels of {pixel:g} m are finer than the points of the surface are apart ({apart / least:.2g} m); give "
+            f"--pixel {float(f'{max(cell, 2 * apart) / least:.2g}'):g} or more"
         )
     gamma0 = run.points_gamma0 if brightness else np.zeros(len(points))
     if gamma0 is None:
@@ -156,13 +166,13 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
     columns, rows = (_counted(count, pixel) for count in last - first + 1)
     at = np.stack([last[1] - np.floor(places[:, 1] / pixel), np.floor(places[:, 0] / pixel) - first[0]], axis=1)
     shown = uppermost(at.astype(np.int64), (rows, columns), places[:, 2], upward, gamma0 if brightness else None, cell)
-    values = without_holes(shown, max(cell, _APART * apart) / pixel).astype(np.float32)
+    values = without_holes(shown, max(cell, _APART * apart) / (pixel * least)).astype(np.float32)
     return Raster(values, (float(first[0] * pixel), float((last[1] + 1) * pixel)), (pixel, pixel), system)
 
 
 def _layover_shadow(run: Run, view: View, coordinates: Coordinates, pixel_m: float | None) -> Raster:
     """Classes on the run's surface and its ground: the terrain that it was learned on, or else level at z = 0."""
-    if view.aloft:
+    if view.aloft or any(one.aloft for one in run.snapshot.views):
         raise SarsplatError(
             f"{_name(run)} shows a target aloft: without ground there is no map of layover and shadow; export its mesh"
         )
@@ -170,9 +180,12 @@ def _layover_shadow(run: Run, view: View, coordinates: Coordinates, pixel_m: flo
     lift = seen.values - _ground_heights(run, seen, coordinates)
     # as far as shadows fall, or slopes lie over what is before them
     reach_m = max(0.0, float(np.nanmax(lift))) * max(view.look.slope, 1 / view.look.slope)
-    wide = _padded(seen, math.ceil(reach_m / seen.pitch_m[0]) + 1)
+    pitch = seen.pitch_m[0] * coordinates.metres[0], seen.pitch_m[1] * coordinates.metres[1]
+    margin = reach_m / min(pitch) + 2
+    _counted(max(seen.values.shape) + 2 * margin, seen.pitch_m[0])
+    wide = _padded(seen, int(margin))
     heights = np.where(np.isnan(wide.values), _ground_heights(run, wide, coordinates), wide.values)
-    return replace(wide, values=layover_shadow(heights, wide.pitch_m, coordinates.view(view)))
+    return replace(wide, values=layover_shadow(heights, pitch, coordinates.view(view)))
 
 
 def _ground(

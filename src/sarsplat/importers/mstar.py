@@ -127,6 +127,10 @@ def import_mstar(
         divided = divide(read_chips(Path(chips), table, names, unplaced=True), split, target_class)
         counts, depressions = divided.counts, sorted({chip.depression for chip in divided.train})
         placed = [chip for chip in divided.train if chip.placed]
+        if not placed:
+            raise SarsplatError(
+                f"no training chip of {target_class} has an azimuth in {labels}; fill in target_az_deg of some"
+            )
         train = _training_chips(placed, train_views, depressions)
         every = [*placed, *(chip for chip in divided.test if chip.placed)]
         for name, of in (("train", divided.train), ("test", divided.test)):

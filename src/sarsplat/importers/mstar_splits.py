@@ -26,7 +26,7 @@ class Part:
     count: int
 
     def holds(self, chip: Chip) -> bool:
-        """Whether a chip of the class belongs to it; one whose table names no serial does."""
+        """Whether a chip of the class may belong to it; one whose table names no serial may."""
         named = plain_name(chip.serial).removeprefix("sn")  # as in SN_132
         return chip.depression in self.depressions and named in ("", plain_name(self.serial))
 
@@ -146,7 +146,11 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
         for part in parts:
             if not same_class(target, part.target):
                 continue
-            held = [chip for chip in chips if part.holds(chip) and not any(chip is one for one in found["train"])]
+            alone = (
+                sum(same_class(target, other.target) for other in parts) == 1
+            )  # or who knows which an unnamed one is
+            held = [chip for chip in chips if part.holds(chip) and (alone or plain_name(chip.serial))]
+            held = [chip for chip in held if not any(chip is one for one in found["train"])]
             found[name] += held
             unplaced = sum(not chip.placed for chip in held)
             counts.append(
@@ -175,10 +179,10 @@ def _nothing(chips: Sequence[Chip], split: Split, target: str) -> str:
 
 
 def _once(chips: Sequence[Chip], target: str) -> list[Chip]:
-    """Each chip once: the same file name of one vehicle at one depression angle, in whichever folder."""
-    first: dict[tuple[str, int, str], Chip] = {}
+    """Each chip once: the same file name of one vehicle at the same angles, in whichever folder."""
+    first: dict[tuple[str, int, str, str], Chip] = {}
     for chip in chips:
-        first.setdefault((plain_name(chip.serial), chip.depression, chip.frame), chip)
+        first.setdefault((plain_name(chip.serial), chip.depression, chip.frame, f"{chip.target_az_deg:.4f}"), chip)
     if repeated := len(chips) - len(first):
         warn_caller(f"{target}: {counted(repeated, 'chip')} are there twice, in several folders; each counts once")
     return list(first.values())

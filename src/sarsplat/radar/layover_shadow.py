@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Float, Float64, UInt8
-from scipy.ndimage import map_coordinates
+from jaxtyping import Bool, Float, Float64, UInt8
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
@@ -70,7 +70,9 @@ def layover_shadow(
     half = np.array([(columns - 1) / 2 * pitch_m[0], (rows - 1) / 2 * pitch_m[1]])  # from the middle, rows along -y
     lines, places = (2 * math.ceil(float(reach) / step) + 1 for reach in abs(axes) @ half)
     known = np.isfinite(heights_m)
-    held = np.where(known, heights_m, 0).astype(np.float64)
+    if not known.any():
+        return np.full((rows, columns), UNKNOWN, np.uint8)
+    held = _with_known(heights_m.astype(np.float64), known)
     along = (np.arange(places) - places // 2) * step
     found = np.empty((lines, places), np.uint8)
     each = max(1, _AT_A_TIME // places)
@@ -93,6 +95,15 @@ def layover_shadow(
         classes[row] = found[line + lines // 2, place + places // 2]
     classes[~known] = UNKNOWN
     return classes
+
+
+def _with_known(
+    heights: Float64[np.ndarray, "rows columns"], known: Bool[np.ndarray, "rows columns"]
+) -> Float64[np.ndarray, "rows columns"]:
+    """Unknown heights are as the nearest that is known: between it and them there is no slope that no one saw."""
+    if known.all():
+        return heights
+    return heights[tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))]
 
 
 def _along_lines(

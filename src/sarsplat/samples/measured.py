@@ -19,9 +19,10 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.files import write_bytes, write_json
 from sarsplat.data.tiff import read_tiff
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.geometry import ImageGrid
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.progress import progress
 from sarsplat.samples.encoding import ENDINGS, Encoding
+from sarsplat.samples.write import UNUSUAL_COLUMNS, unusual_columns, unusual_values
 from sarsplat.version import program_version
 
 LABELS = "labels.csv"
@@ -45,7 +46,8 @@ class _Measured:
 
     split: str
     name: str
-    azimuth_deg: float | None
+    view: View | None
+    """None if its azimuth is not known."""
     grazing_deg: float
     amplitude: Complex64[np.ndarray, "rows columns"]
 
@@ -120,6 +122,7 @@ def write_measured_chips(
     _require_one_name_each(read)
     counts: dict[tuple[str, str], int] = {}
     rows: list[dict[str, Any]] = []
+    views: list[View] = []
     size = encoding.size(next(iter(read.values()))[0])
     with new_folder(out, overwrite, marker=MARKER) as folder, progress(f"chips to {out}", len(folders), quiet) as shows:
         record = {"schema": _SCHEMA, "schema_version": _SCHEMA_VERSION, "program": program_version()}
@@ -134,8 +137,9 @@ def write_measured_chips(
                 (folder / file).parent.mkdir(parents=True, exist_ok=True)
                 (folder / file).write_bytes(encoding.encoded(chip.amplitude, brightest))
                 rows.append(_row(file, dataset, chip))
+            views += dataset.views
             shows.advance(1, dataset.target)
-        write_bytes(folder / LABELS, _table(rows))
+        write_bytes(folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views))))
     return MeasuredChips(counts, size)
 
 
@@ -179,8 +183,7 @@ def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
     """Every chip of a dataset, those without azimuth last, in the set that it names."""
     amplitudes = np.sqrt(dataset.power) if dataset.signal is None else dataset.signal
     for entry, amplitude in zip(dataset.entries, amplitudes, strict=True):
-        view = entry.view
-        yield _Measured(entry.split, entry.name, view.azimuth_deg, view.grazing_deg, amplitude.astype(np.complex64))
+        yield _Measured(entry.split, entry.name, entry.view, entry.view.grazing_deg, amplitude.astype(np.complex64))
     tests = sorted({entry.split for entry in dataset.entries if entry.split != "train"})
     for one in dataset.source.get(_UNPLACED, ()):
         angle = round(one["grazing_deg"])
@@ -192,16 +195,18 @@ def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
 
 def _row(file: Path, dataset: Dataset, chip: _Measured) -> dict[str, Any]:
     serials = dataset.source.get("serials", [])
-    azimuth = chip.azimuth_deg
+    azimuth = None if chip.view is None else chip.view.azimuth_deg
     placed = ("", "") if azimuth is None else (azimuth, round(-azimuth % 360, 6))
+    unusual = () if chip.view is None else unusual_values(chip.view)
     named = (file.as_posix(), dataset.target, chip.split, chip.name, placed[0], chip.grazing_deg)
     labels = (serials[0] if len(serials) == 1 else "", round(chip.grazing_deg), chip.grazing_deg, placed[1])
-    return dict(zip(_COLUMNS, (*named, *labels, *dataset.grid.spacing_m, *dataset.grid.resolution_m), strict=True))
+    lengths = (*dataset.grid.spacing_m, *dataset.grid.resolution_m)
+    return dict(zip((*_COLUMNS, *UNUSUAL_COLUMNS), (*named, *labels, *lengths, *unusual), strict=False))
 
 
-def _table(rows: list[dict[str, Any]]) -> bytes:
+def _table(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> bytes:
     text = io.StringIO(newline="")
-    table = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    table = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     table.writeheader()
     table.writerows(rows)
     return text.getvalue().encode()

@@ -11,7 +11,7 @@ import io
 import json
 import math
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -22,6 +22,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry import View
 from sarsplat.learning.sampler import LEARNED, UNIFORM
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.progress import progress
@@ -43,6 +44,8 @@ _TILTED = ("tilt_deg", "look")
 
 _APART = ("transmit_azimuth_deg", "transmit_grazing_deg", "receive_azimuth_deg", "receive_grazing_deg")
 """And if a run's is bistatic; clockwise, as `azimuth_deg`."""
+
+UNUSUAL_COLUMNS = (*_TILTED, *_APART)
 
 MARKER = "chips.json"
 """The file that marks a folder of chips."""
@@ -177,9 +180,20 @@ def _table(chips: Chips, shard: int | None) -> bytes:
 
 
 def _columns(chips: Chips) -> tuple[str, ...]:
-    views = [chips.label(place).view for place in range(len(chips.runs))]
+    return (*_COLUMNS, *unusual_columns([chips.label(place).view for place in range(len(chips.runs))]))
+
+
+def unusual_columns(views: Iterable[View]) -> tuple[str, ...]:
+    """Columns that say what is unusual about some of the views; none if nothing is."""
+    views = list(views)
     tilted, apart = any(view.unusual for view in views), any(view.apart_deg for view in views)
-    return (*_COLUMNS, *(_TILTED * tilted), *(_APART * apart))
+    return (*(_TILTED * tilted), *(_APART * apart))
+
+
+def unusual_values(view: View) -> tuple[float | str, ...]:
+    """What is in these columns, whether they are there or not."""
+    ways = [angle for leg in view.legs for angle in (leg.azimuth_deg, leg.grazing_deg)] if view.apart_deg else [""] * 4
+    return (view.tilt_deg, view.side, *ways)
 
 
 def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
@@ -188,8 +202,7 @@ def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
     angles = (round(view.grazing_deg), view.grazing_deg, round(-view.azimuth_deg % 360, 6))
     lengths = (*grid.spacing_m, *grid.resolution_m)
     named = (path, label.target, view.azimuth_deg, view.grazing_deg, label.seed, str(chips.runs[label.run].path))
-    ways = [angle for leg in view.legs for angle in (leg.azimuth_deg, leg.grazing_deg)] if view.apart_deg else [""] * 4
-    every = (*named, label.run, *angles, *lengths, view.tilt_deg, view.side, *ways)
+    every = (*named, label.run, *angles, *lengths, *unusual_values(view))
     return dict(zip(_columns(chips), every, strict=False))
 
 
