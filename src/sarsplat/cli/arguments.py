@@ -167,7 +167,7 @@ def views_from(
 
 def is_gaussians(path: Path) -> bool:
     """Whether a path is that of Gaussians in a file, not of a run; refused if their format is not read."""
-    from sarsplat.data.splat_files import refuse_foreign
+    from sarsplat.data.foreign_splats import refuse_foreign
 
     if path.is_dir():
         return False

@@ -106,7 +106,7 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
             raise SarsplatError(f"{path} is not a file that this command recognises; give {_UNDERSTOOD}")
         case ".obj" | ".stl" | ".off" | ".glb":
             return _mesh(path)
-    from sarsplat.data.splat_files import refuse_foreign
+    from sarsplat.data.foreign_splats import refuse_foreign
 
     refuse_foreign(path)
     raise SarsplatError(f"{path} is not a file that this command recognises by its ending; give {_UNDERSTOOD}")

@@ -27,8 +27,9 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json
+from sarsplat.data.foreign_splats import refuse_foreign
 from sarsplat.data.ply_points import named, read_ply, stacked, write_ply
-from sarsplat.data.splat_files import PACKED, refuse_foreign, splat_columns, unpacked
+from sarsplat.data.splat_files import PACKED, splat_columns, unpacked
 from sarsplat.data.strays import strays
 from sarsplat.data.upright import upright
 from sarsplat.data.viewer_colours import ODD, viewer_colours

@@ -2,8 +2,6 @@
 
 * `.splat` of the web viewer antimatter15/splat: 32 bytes each, and nothing else;
 * SuperSplat's compressed PLY: integers between the ends of chunks of 256 Gaussians.
-
-Other formats are known by their endings, so that it can be said how to convert them.
 """
 
 from __future__ import annotations
@@ -24,21 +22,9 @@ SPLAT = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4)
 PACKED = "packed_position"
 """A property of the vertices of SuperSplat's compressed PLY."""
 
-FOREIGN = (".spz", ".ksplat", ".sog", ".sogs", ".lcc", ".rad")
-"""Endings of Gaussians in formats that are not read."""
-
 _CHUNK = 256  # Gaussians between the same ends
 _ENDS = tuple(f"{end}_{what}{axis}" for what in ("", "scale_") for axis in "xyz" for end in ("min", "max"))
 _SURE = 40.0  # logit of an opacity of 1
-
-
-def refuse_foreign(path: Path) -> None:
-    """Say how to convert Gaussians in a format that is not read."""
-    if path.suffix.lower() in FOREIGN:
-        raise SarsplatError(
-            f"{path} holds Gaussians as {path.suffix.lower()}, which is not read; open it in SuperSplat "
-            "(superspl.at/editor) and export it as PLY, or convert it with splat-transform"
-        )
 
 
 def splat_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
