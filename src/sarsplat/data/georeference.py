@@ -74,7 +74,7 @@ def georeference_of(tags: Mapping[int, Any], name: str) -> Georeference | None:
     """
     try:
         affine = _affine(tags)
-        keys = _keys(tags)
+        keys = keys_of(tags)
     except (TypeError, ValueError, OverflowError, IndexError) as error:
         raise SarsplatError(
             f"{name} has GeoTIFF tags that cannot be read ({shown(str(error))}); write them again"
@@ -113,7 +113,7 @@ def _affine(tags: Mapping[int, Any]) -> Float64[np.ndarray, "2 3"] | None:
     return np.array([[scale[0], 0.0, x - column * scale[0]], [0.0, -scale[1], y + row * scale[1]]])
 
 
-def _keys(tags: Mapping[int, Any]) -> dict[int, int]:
+def keys_of(tags: Mapping[int, Any]) -> dict[int, int]:
     """GeoKeys whose values are in the directory itself."""
     numbers = [int(number) for number in tags.get(KEYS, ())]
     return {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}

@@ -14,7 +14,7 @@ import tifffile
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
-from sarsplat.data.georeference import Georeference, georeference_of
+from sarsplat.data.georeference import Georeference, georeference_of, keys_of
 from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map
 from sarsplat.data.raster import Raster, RasterSystem
 from sarsplat.errors import SarsplatError, counted, shown
@@ -156,7 +156,7 @@ def write_terrain(path: str | Path, terrain: Terrain) -> None:
 
 def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]:
     """Distances of pixels along x and y, m, and whether rows go upwards (north)."""
-    keys = _keys(tags)
+    keys = keys_of(tags)
     if keys.get(_MODEL) == _GEOGRAPHIC:
         raise SarsplatError(
             f"{path} is in degrees of latitude and longitude; bring it into metres, as by "
@@ -192,7 +192,7 @@ def _where(path: Path, tags: dict[int, Any], lies: Georeference | None, shape: t
     if lies is None or lies.kind != "projected" or lies.epsg is None:
         return None
     x, y = lies.affine @ ((shape[1] - 1) / 2, (shape[0] - 1) / 2, 1.0)
-    return place_on_map(lies.epsg, (float(x), float(y)), str(path), height_above_of(_keys(tags).get(_VERTICAL)))
+    return place_on_map(lies.epsg, (float(x), float(y)), str(path), height_above_of(keys_of(tags).get(_VERTICAL)))
 
 
 def _system(tags: dict[int, Any]) -> RasterSystem:
@@ -204,9 +204,3 @@ def _system(tags: dict[int, Any]) -> RasterSystem:
     doubles = tags.get(_DOUBLES, ())
     values = doubles if isinstance(doubles, tuple) else (doubles,)
     return RasterSystem(tuple(numbers), tuple(map(float, values)), str(tags.get(_TEXTS, "")))
-
-
-def _keys(tags: dict[int, Any]) -> dict[int, int]:
-    """GeoKeys whose values are in the directory itself."""
-    numbers = [int(number) for number in tags.get(_KEYS, ())]
-    return {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}
