@@ -71,7 +71,7 @@ class MeasuredChips:
 def datasets_in(paths: Sequence[Path]) -> list[Path]:
     """The datasets that are named, and those in named folders that are none themselves, such as those of a split.
 
-    Refused if there are none.
+    Refused if there are none, or one is there twice.
     """
     found: list[Path] = []
     for path in paths:
@@ -81,6 +81,9 @@ def datasets_in(paths: Sequence[Path]) -> list[Path]:
                 f"{path} is no dataset, and has none in it; give one, such as by `sarsplat import mstar`"
             )
         found += own
+    if len({path.resolve() for path in found}) < len(found):
+        twice = next(path for k, path in enumerate(found) if path.resolve() in {one.resolve() for one in found[:k]})
+        raise SarsplatError(f"{twice} is named twice, so that its chips would count twice; name it once")
     return found
 
 
