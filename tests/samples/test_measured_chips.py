@@ -91,6 +91,19 @@ def test_what_does_not_fit_is_refused(datasets: list[Path], tmp_path: Path) -> N
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("key", "value"), [("file", "../x.tif"), ("set", "../../x"), ("grazing_deg", "?")])
+def test_a_list_of_chips_without_azimuth_that_leads_elsewhere_is_refused(
+    datasets: list[Path], tmp_path: Path, key: str, value: str
+) -> None:
+    header = datasets[0] / "dataset.json"
+    content = json.loads(header.read_text())
+    content["source"]["unplaced"][0][key] = value
+    header.write_text(json.dumps(content))
+    with pytest.raises(SarsplatError, match="lists chips without azimuth that are none"):
+        write_measured_chips(datasets, tmp_path / "out", Encoding())
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_command_takes_a_folder_of_datasets_and_replaces_only_its_own(
     datasets: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -31,6 +31,7 @@ MARKER = "measured-chips.json"
 _SCHEMA, _SCHEMA_VERSION = "sarsplat-measured-chips", 1
 
 _UNPLACED = "unplaced"
+_UNPLACED_FILE = re.compile(r"unplaced/\d+\.tif")
 """Where a dataset's source lists chips without azimuth, which are kept beside its images."""
 
 _COLUMNS = (
@@ -188,12 +189,23 @@ def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
     for entry, amplitude in zip(dataset.entries, amplitudes, strict=True):
         yield _Measured(entry.split, entry.name, entry.view, entry.view.grazing_deg, amplitude.astype(np.complex64))
     tests = sorted({entry.split for entry in dataset.entries if entry.split != "train"})
-    for one in dataset.source.get(_UNPLACED, ()):
+    for one in _unplaced(path, dataset):
         angle = round(one["grazing_deg"])
         left_out = f"test-{angle}"  # also of training chips, where only some of them are trained on
         split = left_out if left_out in tests else one["set"]
         power = read_tiff(path / one["file"], (dataset.grid.rows, dataset.grid.columns))
         yield _Measured(split, one["name"], None, one["grazing_deg"], np.sqrt(power).astype(np.complex64))
+
+
+def _unplaced(path: Path, dataset: Dataset) -> list[dict[str, Any]]:
+    """What the source says of chips without azimuth; nothing in it is trusted, as it names files and folders."""
+    listed: list[Any] = dataset.source.get(_UNPLACED, [])
+    kinds = {"name": str, "file": str, "set": str, "grazing_deg": int | float}
+    for one in listed if isinstance(listed, list) else [listed]:
+        whole = isinstance(one, dict) and all(isinstance(one.get(key), kind) for key, kind in kinds.items())
+        if not whole or not _UNPLACED_FILE.fullmatch(one["file"]) or one["set"] not in ("train", "test"):
+            raise SarsplatError(f"{path} lists chips without azimuth that are none ({shown(one)}); import it again")
+    return listed
 
 
 def _row(file: Path, dataset: Dataset, chip: _Measured) -> dict[str, Any]:
