@@ -407,4 +407,4 @@ def test_pixels_without_data_are_said(tmp_path):
     with pytest.warns(SarsplatWarning) as told:
         made = import_pictures(folder)
     assert any("208 pixels hold what their files call no data" in str(one.message) for one in told)
-    np.testing.assert_array_equal(made.power[:, 2:], POWER[:, 2:])
+    np.testing.assert_array_equal(made.power, POWER[:, 2:])  # lines without data at an edge are cut off

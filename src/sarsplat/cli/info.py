@@ -90,6 +90,8 @@ def _part_of(path: Path) -> str | None:
 
 
 def _file(path: Path) -> tuple[str, dict[str, str]]:
+    from sarsplat.data.splat_files import refuse_foreign
+
     match path.suffix.lower():
         case ".tif" | ".tiff":
             return _tiff(path)
@@ -106,6 +108,7 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
             raise SarsplatError(f"{path} is not a file that this command recognises; give {_UNDERSTOOD}")
         case ".obj" | ".stl" | ".off" | ".glb":
             return _mesh(path)
+    refuse_foreign(path)
     raise SarsplatError(f"{path} is not a file that this command recognises by its ending; give {_UNDERSTOOD}")
 
 
@@ -182,10 +185,8 @@ def _gaussians(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _mesh(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.data.splat_files import refuse_foreign
     from sarsplat.scenes import load_mesh
 
-    refuse_foreign(path)
     mesh = load_mesh(path)
     merged = mesh.copy()
     merged.merge_vertices(merge_tex=True, merge_norm=True)  # an STL repeats each in every face
