@@ -14,6 +14,7 @@ import tifffile
 from datasets import small_dataset
 from sarsplat import Place, SarsplatError, SarsplatWarning, Terrain, View, read_terrain, write_terrain
 from sarsplat.data import read_dataset, write_dataset
+from sarsplat.data.geotiff import read_heights
 from sarsplat.examination.plausible import suspicions
 from sarsplat.importers import MeasuredImage, dataset_of
 from terrains import hill, write_geotiff
@@ -165,3 +166,43 @@ def test_a_dataset_takes_the_place_of_its_terrain():
     assert turned.terrain.height_m(np.zeros(1), np.array([-1.0])) == pytest.approx(
         relief.height_m(np.ones(1), np.zeros(1)) - relief.height_m(np.zeros(1), np.zeros(1)), abs=0.08
     )
+
+
+@pytest.mark.parametrize(
+    ("item", "sentence"),
+    [
+        ('<Item name="SCALE" sample="0" role="scale">0.1</Item>', "become heights by their scale of '0.1'"),
+        ('<Item name="OFFSET" sample="0" role="offset">5</Item>', "become heights by their offset of '5'"),
+        ('<Item name="UNITTYPE" sample="0" role="unittype">ft</Item>', "heights in 'ft'"),
+    ],
+)
+def test_numbers_that_gdal_would_turn_into_other_heights_are_refused(tmp_path, item, sentence):
+    for said in (item, '<Item role="scale">1</Item><Item role="offset">0.0</Item><Item role="unittype">m</Item>'):
+        text = f"<GDALMetadata>{said}</GDALMetadata>"
+        path = write_geotiff(tmp_path / "a.tif", HEIGHTS.astype(np.int16), extra=[(42112, "s", 0, text, True)])
+        if said is item:
+            with pytest.raises(SarsplatError, match=sentence):
+                read_terrain(path)
+    assert read_terrain(path).heights_m.max() == 11
+
+
+@pytest.mark.parametrize("hole", [-9999.0, -32768.0, -3.4028234663852886e38])
+def test_holes_that_are_not_said_to_be_holes_are_no_heights(tmp_path, hole):
+    heights = HEIGHTS.astype(np.float32)
+    heights[1, 1] = hole
+    with pytest.raises(SarsplatError, match=r"1 height that the earth does not have.*gdal_translate -a_nodata -"):
+        read_terrain(write_geotiff(tmp_path / "a.tif", heights))
+    said = write_geotiff(tmp_path / "b.tif", heights, extra=[(42113, "s", 0, f"{hole!r}", True)])
+    assert np.isnan(read_heights(said).raster.values[1, 1])
+
+
+def test_units_of_the_files_own_and_columns_to_the_west_are_refused(tmp_path):
+    keys = (1, 1, 0, 4, 1024, 0, 1, 1, 3072, 0, 1, 32767, 3076, 0, 1, 32767, 3077, 34736, 1, 0)
+    for size in (0.3, 1.0):
+        path = write_geotiff(tmp_path / "a.tif", HEIGHTS, keys, extra=[(34736, "d", 1, (size,), True)])
+        if size != 1:
+            with pytest.raises(SarsplatError, match=r"lengths in a unit of 0\.3 m"):
+                read_terrain(path)
+    assert read_terrain(path).pitch_m == (2.0, 3.0)
+    with pytest.raises(SarsplatError, match="columns that run west"):
+        read_terrain(write_geotiff(tmp_path / "b.tif", HEIGHTS, scale=(-2.0, 3.0, 0.0)))

@@ -85,6 +85,7 @@ def test_frames_of_one_pass_share_axis_deviations_and_name() -> None:
     ("wrong", "message"),
     [
         ({"axis": (0, 0, 0)}, "the rotation axis .* has no direction"),
+        ({"axis": ("a", "b", "c")}, "the rotation axis .* has no direction"),
         ({"axis": (0, math.nan, 1)}, "the rotation axis .* has no direction"),
         ({"angle_deg": 1e6}, "angle_deg 1000000.0 is not a number between -36000 and 36000"),
         ({"axis_std_deg": 11.0}, "axis_std_deg 11.0 is not a number between 0 and 10; give degrees"),

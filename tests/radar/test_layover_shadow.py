@@ -99,3 +99,8 @@ def test_left_looking_is_the_same_and_tilted_or_bistatic_views_are_refused() -> 
         layover_shadow(box(), (PITCH, PITCH), View(20, 40, tilt_deg=10))
     with pytest.raises(SarsplatError, match="level, monostatic view"):
         layover_shadow(box(), (PITCH, PITCH), View(20, 40, apart_deg=30))
+
+
+def test_maps_that_are_too_large_are_refused() -> None:
+    with pytest.raises(SarsplatError, match="too large for layover and shadow"):
+        layover_shadow(np.zeros((30, 40)), (0.001, 1000.0), View(20, 40))

@@ -83,10 +83,24 @@ def test_what_does_not_fit_is_refused(datasets: list[Path], tmp_path: Path) -> N
         (Encoding(format="npy", quantity="complex", scale="max"), datasets, "has no phases"),
         (Encoding(crop=17), datasets, "crop is 17, but the images of .* have 16 × 16 pixels"),
         (Encoding(), [tmp_path / "chips"], "is no dataset, and has none in it"),
+        (Encoding(), [tmp_path / "datasets", datasets[0]], "T72 is named twice"),
     ]
     for encoding, given, sentence in cases:
         with pytest.raises(SarsplatError, match=sentence):
             write_measured_chips(given, tmp_path / "out", encoding)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("key", "value"), [("file", "../x.tif"), ("set", "../../x"), ("grazing_deg", "?")])
+def test_a_list_of_chips_without_azimuth_that_leads_elsewhere_is_refused(
+    datasets: list[Path], tmp_path: Path, key: str, value: str
+) -> None:
+    header = datasets[0] / "dataset.json"
+    content = json.loads(header.read_text())
+    content["source"]["unplaced"][0][key] = value
+    header.write_text(json.dumps(content))
+    with pytest.raises(SarsplatError, match="lists chips without azimuth that are none"):
+        write_measured_chips(datasets, tmp_path / "out", Encoding())
     assert not (tmp_path / "out").exists()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import tifffile
+from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
@@ -27,6 +29,10 @@ _MODEL, _PROJECTED, _GEOGRAPHIC = 1024, 1, 2
 _UNITS = {3076: "lengths", 4099: "heights"}
 _VERTICAL = 4096
 _METRE, _DEFINED_ELSEWHERE = 9001, 32767
+_LENGTH, _LENGTH_SIZE = 3076, 3077
+_GDAL_METADATA = 42112
+_HIGHEST_M, _USUAL_HOLE = 12_000.0, -9999.0
+"""No height of the earth's surface, above or below the sea, is beyond the first; the second marks holes everywhere."""
 _TIMES, _HARMLESS = 64, 1 << 30
 """Heights that unpack to more than this many times the file's size, and to more bytes than that, are no heights."""
 
@@ -115,12 +121,14 @@ def read_heights(path: str | Path) -> MapHeights:
         raise SarsplatError(
             f"{path} holds {shown(page.dtype)} of shape {shown(shape)}; give heights in rows and columns"
         )
+    _refuse_scaled(path, tags)
     pitch, upwards = _pitch(path, tags)
     lies = georeference_of(tags, str(path))
     where = _where(path, tags, lies, (heights.shape[0], heights.shape[1]))
     table = np.where(np.isfinite(heights), heights, np.nan).astype(np.float64)
     with suppress(TypeError, ValueError):  # it names none
         table[heights == float(tags.get(_NO_DATA, "nan"))] = np.nan
+    _refuse_holes(path, table)
     first = -0.5, len(table) - 0.5 if upwards else -0.5  # the outer corner, column and row
     corner = (0.0, 0.0) if lies is None else tuple(map(float, lies.affine @ (*first, 1.0)))
     raster = Raster(table[::-1] if upwards else table, (corner[0], corner[1]), pitch, _system(tags))
@@ -154,6 +162,34 @@ def write_terrain(path: str | Path, terrain: Terrain) -> None:
     write_bytes(Path(path), terrain_bytes(terrain))
 
 
+def _refuse_scaled(path: Path, tags: dict[int, Any]) -> None:
+    """Refuse numbers that are heights only with the scale, the offset or the unit of GDAL's metadata."""
+    said = str(tags.get(_GDAL_METADATA, ""))
+    for role, usual in (("scale", 1.0), ("offset", 0.0)):
+        for text in re.findall(rf'<Item[^<>]*role="{role}"[^<>]*>([^<>]*)</Item>', said):
+            with suppress(ValueError):
+                if float(text) == usual:
+                    continue
+            raise SarsplatError(
+                f"{path} holds numbers that become heights by their {role} of {shown(text)}, which is not applied; "
+                "write the heights themselves, as by gdal_translate -unscale -ot Float32"
+            )
+    for text in re.findall(r'<Item[^<>]*role="unittype"[^<>]*>([^<>]*)</Item>', said):
+        if text.strip().lower() not in ("", "m", "metre", "meter", "metres", "meters"):
+            raise SarsplatError(f"{path} has heights in {shown(text)}; convert them to metres")
+
+
+def _refuse_holes(path: Path, heights: Float64[np.ndarray, "rows columns"]) -> None:
+    """Refuse numbers that mark holes, but are not said to."""
+    with np.errstate(invalid="ignore"):
+        odd = heights[(abs(heights) > _HIGHEST_M) | (heights == _USUAL_HOLE)]
+    if len(odd):
+        raise SarsplatError(
+            f"{path} has {counted(len(odd), 'height')} that the earth does not have, such as {odd[0]:.9g} m; if that "
+            f"means unknown, say so, as by gdal_translate -a_nodata {odd[0]:.9g}"
+        )
+
+
 def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]:
     """Distances of pixels along x and y, m, and whether rows go upwards (north)."""
     keys = keys_of(tags)
@@ -167,6 +203,8 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
             raise SarsplatError(
                 f"{path} has {what} in another unit than metres (EPSG {keys[key]}); convert it to metres"
             )
+    if keys.get(_LENGTH) == _DEFINED_ELSEWHERE and (size := _length_m(tags)) not in (None, 1.0):
+        raise SarsplatError(f"{path} has lengths in a unit of {size:g} m; convert it to metres")
     if _TRANSFORMATION in tags:
         a, b, _, _, d, e, *_ = map(float, tags[_TRANSFORMATION])
         if b or d:
@@ -176,6 +214,8 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
         pitch, upwards = (abs(a), abs(e)), e > 0
     elif _PIXEL_SCALE in tags:
         scale = [float(number) for number in tags[_PIXEL_SCALE]]
+        if scale[0] < 0:
+            raise SarsplatError(f"{path} has columns that run west; straighten it, as by gdalwarp")
         pitch, upwards = (scale[0], scale[1]), False
     else:
         raise SarsplatError(
@@ -204,3 +244,12 @@ def _system(tags: dict[int, Any]) -> RasterSystem:
     doubles = tags.get(_DOUBLES, ())
     values = doubles if isinstance(doubles, tuple) else (doubles,)
     return RasterSystem(tuple(numbers), tuple(map(float, values)), str(tags.get(_TEXTS, "")))
+
+
+def _length_m(tags: dict[int, Any]) -> float | None:
+    """Length of a unit that the file itself defines, m, if it does."""
+    numbers, doubles = [int(number) for number in tags.get(_KEYS, ())], np.atleast_1d(tags.get(_DOUBLES, ()))
+    for key, place, _, index in zip(*(numbers[4 + k :: 4] for k in range(4))):
+        if key == _LENGTH_SIZE and place == _DOUBLES and index < len(doubles):
+            return float(doubles[index])
+    return None

@@ -53,7 +53,10 @@ class Turn:
     name: str = ""
 
     def __post_init__(self) -> None:
-        axis = np.asarray(self.axis, float)
+        try:
+            axis = np.asarray(self.axis, float)
+        except (TypeError, ValueError):
+            axis = np.zeros(0)
         if axis.shape != (3,) or not np.isfinite(axis).all() or not axis.any():
             raise SarsplatError(f"the rotation axis {shown(self.axis)} has no direction; give three numbers, not all 0")
         object.__setattr__(self, "axis", tuple(axis.tolist()))

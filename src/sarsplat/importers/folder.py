@@ -216,7 +216,7 @@ def import_folder(
     layout: dict[str, Any] = {"geocoded": geocoded} if geocoded else {}
     if len(looks) == 1 and not geocoded:
         layout = {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))}
-    headings = "heading" in listed.columns and "azimuth" not in listed.columns
+    headings = "heading" in listed.columns and "azimuth" not in listed.columns and not apart
     resolution_known = resolution_m is not None or any("resolution" in meaning for meaning in listed.columns)
     source: dict[str, Any] = {
         "kind": "folder",

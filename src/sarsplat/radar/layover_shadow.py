@@ -29,6 +29,8 @@ _STEP = 0.5
 
 _AT_A_TIME = 1 << 22
 """Places."""
+_MOST_PLACES = 1 << 33
+"""As many bytes."""
 
 
 @checks_arguments
@@ -58,7 +60,7 @@ def layover_shadow(
     Raises
     ------
     SarsplatError
-        If the view is tilted, bistatic or from below.
+        If the view is tilted, bistatic or from below, or the map is too large.
     """
     if view.tilt_deg or view.look.bistatic or view.grazing_deg <= 0:
         raise SarsplatError(
@@ -69,6 +71,11 @@ def layover_shadow(
     axes = np.array([[-ahead[1], ahead[0]], ahead])  # along a line of azimuths, and away from the radar along each
     half = np.array([(columns - 1) / 2 * pitch_m[0], (rows - 1) / 2 * pitch_m[1]])  # from the middle, rows along -y
     lines, places = (2 * math.ceil(float(reach) / step) + 1 for reach in abs(axes) @ half)
+    if lines * places > _MOST_PLACES:
+        raise SarsplatError(
+            f"a map of {rows} × {columns} places {pitch_m[0]:g} m × {pitch_m[1]:g} m apart is too large for layover "
+            "and shadow; cut it in parts, or make its pixels larger and square"
+        )
     known = np.isfinite(heights_m)
     if not known.any():
         return np.full((rows, columns), UNKNOWN, np.uint8)

@@ -31,6 +31,7 @@ MARKER = "measured-chips.json"
 _SCHEMA, _SCHEMA_VERSION = "sarsplat-measured-chips", 1
 
 _UNPLACED = "unplaced"
+_UNPLACED_FILE = re.compile(r"unplaced/\d+\.tif")
 """Where a dataset's source lists chips without azimuth, which are kept beside its images."""
 
 _COLUMNS = (
@@ -71,7 +72,7 @@ class MeasuredChips:
 def datasets_in(paths: Sequence[Path]) -> list[Path]:
     """The datasets that are named, and those in named folders that are none themselves, such as those of a split.
 
-    Refused if there are none.
+    Refused if there are none, or one is there twice.
     """
     found: list[Path] = []
     for path in paths:
@@ -81,6 +82,9 @@ def datasets_in(paths: Sequence[Path]) -> list[Path]:
                 f"{path} is no dataset, and has none in it; give one, such as by `sarsplat import mstar`"
             )
         found += own
+    if len({path.resolve() for path in found}) < len(found):
+        twice = next(path for k, path in enumerate(found) if path.resolve() in {one.resolve() for one in found[:k]})
+        raise SarsplatError(f"{twice} is named twice, so that its chips would count twice; name it once")
     return found
 
 
@@ -185,12 +189,23 @@ def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
     for entry, amplitude in zip(dataset.entries, amplitudes, strict=True):
         yield _Measured(entry.split, entry.name, entry.view, entry.view.grazing_deg, amplitude.astype(np.complex64))
     tests = sorted({entry.split for entry in dataset.entries if entry.split != "train"})
-    for one in dataset.source.get(_UNPLACED, ()):
+    for one in _unplaced(path, dataset):
         angle = round(one["grazing_deg"])
         left_out = f"test-{angle}"  # also of training chips, where only some of them are trained on
         split = left_out if left_out in tests else one["set"]
         power = read_tiff(path / one["file"], (dataset.grid.rows, dataset.grid.columns))
         yield _Measured(split, one["name"], None, one["grazing_deg"], np.sqrt(power).astype(np.complex64))
+
+
+def _unplaced(path: Path, dataset: Dataset) -> list[dict[str, Any]]:
+    """What the source says of chips without azimuth; nothing in it is trusted, as it names files and folders."""
+    listed: list[Any] = dataset.source.get(_UNPLACED, [])
+    kinds = {"name": str, "file": str, "set": str, "grazing_deg": int | float}
+    for one in listed if isinstance(listed, list) else [listed]:
+        whole = isinstance(one, dict) and all(isinstance(one.get(key), kind) for key, kind in kinds.items())
+        if not whole or not _UNPLACED_FILE.fullmatch(one["file"]) or one["set"] not in ("train", "test"):
+            raise SarsplatError(f"{path} lists chips without azimuth that are none ({shown(one)}); import it again")
+    return listed
 
 
 def _row(file: Path, dataset: Dataset, chip: _Measured) -> dict[str, Any]:
