@@ -90,8 +90,6 @@ def _part_of(path: Path) -> str | None:
 
 
 def _file(path: Path) -> tuple[str, dict[str, str]]:
-    from sarsplat.data.splat_files import refuse_foreign
-
     match path.suffix.lower():
         case ".tif" | ".tiff":
             return _tiff(path)
