@@ -87,6 +87,11 @@ def command(**given: Any) -> int:
 
 def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], list[Path]]:
     """Import a dataset of each class; exit codes, and the folders that were made."""
+    from sarsplat.importers.mstar_chips import same_class
+
+    for k, name in enumerate(classes):
+        if twice := next((other for other in classes[:k] if other != name and same_class(other, name)), None):
+            raise SarsplatError(f"--class {twice} and {name} are the same class; leave one out")
     outs = {name: given["out"] / re.sub(r"[^\w+-]", "_", name) for name in dict.fromkeys(classes)}
     for out in outs.values():
         refuse_existing(out, given["overwrite"], marker="dataset.json")

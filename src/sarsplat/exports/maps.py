@@ -109,7 +109,7 @@ def map_of(
     if what == "layover-shadow":
         assert view is not None  # `require_fit`
         raster = _layover_shadow(run, view, coordinates, pixel_m)
-        said = _classes_in_words(raster, coordinates.bearing_deg(view))
+        said = f"{_classes_in_words(raster, coordinates.bearing_deg(view))}; {_unseen_ground(run)}"
     else:
         raster = _uppermost(run, coordinates, pixel_m, brightness=what == "gamma0")
         named = "γ⁰, linear" if what == "gamma0" else "heights"
@@ -240,6 +240,14 @@ def _counted(count: float, pixel: float) -> int:
             f"{2 * count * pixel / _MOST_PIXELS:.2g}"
         )
     return int(count)
+
+
+def _unseen_ground(run: Run) -> str:
+    """What counts as ground where nothing was seen."""
+    if run.model is not None and run.model.frame.terrain is not None:
+        return "what no view saw counts as its terrain"
+    lowest = float(run.points[:, 2].min())
+    return f"what no view saw counts as level ground at z = 0, {lowest:.3g} m below the lowest point of the surface"
 
 
 def _name(run: Run) -> str:
