@@ -187,6 +187,6 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
 
 def test_what_counts_as_ground_is_said(block: Run, tmp_path: Path) -> None:
     raised = with_points(replace(block))
-    vars(raised)["points"] = raised.points + np.float32([0, 0, 100])
+    vars(raised)["points"] = raised.points + np.array([0, 0, 100], np.float32)
     said = export(raised, tmp_path / "layover-shadow.tif", view=View(0, 60), pixel_m=1.0).summary
     assert "level ground at z = 0, 100 m below the lowest point of the surface" in said
