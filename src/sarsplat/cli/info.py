@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
 
+_GEO_KEYS = 34735
+"""The tag of TIFFs that lie on a map."""
 _SUNK = 0.02  # of the size of a mesh: wheels may sink in
 _UNDERSTOOD = (
     "a dataset, a run, rendered images, generated chips, images to import, a PLY of Gaussians or points, a power TIFF "
@@ -132,9 +134,11 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
         try:
             with tifffile.TiffFile(file) as tiff:
                 page = tiff.pages.first
-                shape, description = page.shape, str(page.description)
+                shape, description, on_map = page.shape, str(page.description), _GEO_KEYS in page.tags
         except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
             raise SarsplatError(f"{path} is not a readable TIFF ({error}); give {_UNDERSTOOD}") from error
+    if on_map:
+        return _map(path, description)
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
     power = read_tiff(path, (shape[0], shape[1]))
@@ -144,6 +148,24 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
         "description": description or "none",
     }
     return "a power image", rows
+
+
+def _map(path: Path, description: str) -> tuple[str, dict[str, str]]:
+    """A GeoTIFF of one band: heights, or another map that `export` writes."""
+    import numpy as np
+
+    from sarsplat.data.geotiff import read_heights
+
+    found = read_heights(path)
+    values, (width, height), place = found.raster.values, found.raster.pitch_m, found.place
+    known = values[np.isfinite(values)]
+    return "a map (GeoTIFF)", {
+        "pixels": f"{values.shape[0]} rows × {values.shape[1]} columns of {width:.6g} m × {height:.6g} m",
+        "numbers": f"{known.min():.6g} … {known.max():.6g}" if len(known) else "none",
+        "no data": f"{1 - len(known) / values.size:.0%}",
+        "middle": f"latitude {place.latitude_deg:.6f}°, longitude {place.longitude_deg:.6f}°" if place else "not known",
+        "description": description or "none",
+    }
 
 
 def _ply(path: Path) -> tuple[str, dict[str, str]]:
