@@ -14,9 +14,11 @@ from chip_files import write_chips
 from datasets import dataset_of
 from sarsplat import ImageGrid, View, write_dataset
 from sarsplat.cli import main
+from sarsplat.cli.importers import recognised
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.importers import import_mstar
+from sarsplat.names import Side
 from sarsplat.samples import write_measured_chips
 from sarsplat.samples.encoding import Encoding
 
@@ -58,6 +60,16 @@ def test_a_folder_of_each_set_and_class_and_one_table(datasets: list[Path], tmp_
     assert (unplaced["class"], unplaced["split"], unplaced["target_az_deg"]) == ("T72", "train", "")
     assert [row["target_az_deg"] for row in rows if row["split"] == "test-15"] == ["5.0", "95.0"] * 2
     assert json.loads((tmp_path / "out" / "measured-chips.json").read_text())["format"] == "png"
+
+
+@pytest.mark.parametrize("near", ["bottom", "left"])
+def test_the_command_that_imports_them_again_knows_how_they_lie(
+    datasets: list[Path], tmp_path: Path, near: Side
+) -> None:
+    write_measured_chips(datasets, tmp_path / "out", Encoding(format="png", near=near))
+    found = recognised(tmp_path / "out")
+    assert found is not None and found.command is not None
+    assert f"--class BMP2 --near {near} --quantity amplitude" in found.command.replace("--class T72", "--class BMP2")
 
 
 def test_pixels_are_the_published_ones_scaled_and_cut_as_generated_ones_are(

@@ -151,6 +151,11 @@ def _command(
     words = ["folder", str(folder)]
     if target_class is not None:
         words += ["--class", target_class]
+    if (folder / "measured-chips.json").is_file():
+        from sarsplat.samples.measured import WrittenAs
+
+        chips = WrittenAs.of(folder)
+        words += ["--near", chips.near, "--quantity", {"magnitude": "amplitude"}.get(chips.quantity, chips.quantity)]
     if lacking:
         words += ["--columns", ",".join(f"{meaning}=NAME" for meaning in lacking)]
     if not columns.keys() & {"grazing", "incidence", "transmit-grazing"}:

@@ -8,18 +8,20 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
+import msgspec
 import numpy as np
 from jaxtyping import Complex64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, new_folder, read_dataset
 from sarsplat.data.dataset_folder import HEADER
-from sarsplat.data.files import write_bytes, write_json
+from sarsplat.data.files import read_json, write_bytes, write_json
 from sarsplat.data.tiff import read_tiff
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.names import ChipQuantity, Side
 from sarsplat.progress import progress
 from sarsplat.samples.encoding import ENDINGS, Encoding
 from sarsplat.samples.write import UNUSUAL_COLUMNS, unusual_columns, unusual_values
@@ -31,8 +33,8 @@ MARKER = "measured-chips.json"
 _SCHEMA, _SCHEMA_VERSION = "sarsplat-measured-chips", 1
 
 _UNPLACED = "unplaced"
-_UNPLACED_FILE = re.compile(r"unplaced/\d+\.tif")
 """Where a dataset's source lists chips without azimuth, which are kept beside its images."""
+_UNPLACED_FILE = re.compile(r"unplaced/\d+\.tif")
 
 _COLUMNS = (
     *("path", "class", "split", "name", "azimuth_deg", "grazing_deg"),
@@ -67,6 +69,18 @@ class MeasuredChips:
 
     counts: dict[tuple[str, str], int]
     size: tuple[int, int]
+
+
+class WrittenAs(msgspec.Struct, frozen=True):
+    """What a reader of a folder of measured chips must know: a part of its record."""
+
+    quantity: ChipQuantity
+    near: Side
+
+    @classmethod
+    def of(cls, folder: Path) -> Self:
+        """That of a folder; a SarsplatError if it is damaged."""
+        return read_json(folder / MARKER, cls)
 
 
 def datasets_in(paths: Sequence[Path]) -> list[Path]:
