@@ -159,10 +159,24 @@ def test_learned_ground_has_heights_where_it_was_seen(small_box: Dataset, tmp_pa
     assert np.nanmin(read(tmp_path / "gamma0.tif")[1]) > 0
 
 
+def test_info_says_what_a_map_holds(block: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    placed = with_points(replace(block, place=Place(47.3769, 8.5417, 408.0)))
+    export(placed, tmp_path / "dsm.tif", pixel_m=0.5)
+    export(placed, tmp_path / "layover-shadow.tif", view=View(0, 40), pixel_m=0.5)
+    assert main(["info", str(tmp_path / "dsm.tif")]) == 0
+    told = capsys.readouterr().out
+    assert "a map (GeoTIFF)" in told and "of 0.5 m × 0.5 m" in told
+    assert "47.37" in told and "height of the surface, m" in told
+    assert main(["info", str(tmp_path / "layover-shadow.tif")]) == 0
+    assert "0 neither; 1 shadow" in capsys.readouterr().out
+
+
 def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: Run, tmp_path: Path) -> None:
     assert format_of(Path("gamma0.tif"))[1] == "gamma0"
     assert format_of(Path("Layover-Shadow.TIF"))[1] == "layover-shadow"
-    assert format_of(Path("a.tif"))[1] == "dsm"
+    assert format_of(Path("village-gamma0.tif"))[1] == format_of(Path("a_gamma0.tif"))[1] == "gamma0"
+    assert format_of(Path("village layover-shadow.tif"))[1] == "layover-shadow"
+    assert format_of(Path("a.tif"))[1] == format_of(Path("nogamma0.tif"))[1] == "dsm"
     assert format_of(Path("gamma0.tif"), "dsm")[1] == "dsm"
     cases: list[tuple[str, dict[str, Any], str]] = [
         ("layover-shadow.tif", {}, "where the radar is; give one direction"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -47,7 +48,8 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
         endings = " or ".join(", ".join(fit).rsplit(", ", 1))
         raise SarsplatError(f"{path} is not a valid name for {what}; choose one that ends in {endings}")
     if content is None and named.named_by_content:
-        content = next((holds for holds in named.writers if holds == path.stem.lower()), None)
+        stem = path.stem.lower()
+        content = next((holds for holds in named.writers if re.search(rf"(^|[-_ .]){holds}$", stem)), None)
     return named, next(iter(named.writers)) if content is None else content
 
 
@@ -74,7 +76,7 @@ def export(
     path : str or Path
         File to write; its ending decides the format (`FORMATS`). An existing file is replaced.
     content : "gaussians", "points", "mesh", "dsm", "gamma0", "layover-shadow" or "everything", optional
-        What it holds, where a format can hold several; a map that has the name of one of them holds that.
+        What it holds, where a format can hold several; a map whose name is, or ends with, one of them holds that.
     colour : "db" or "height", optional
         What viewers show of Gaussians: γ⁰ in decibels (the default) or the height.
     crs : str, optional

@@ -46,7 +46,8 @@ class Format:
         What its coordinates are: the scene's, and a file beside it says where on earth they are, if the run knows;
         those of a map, if the run knows, or else the scene's; or longitudes and latitudes.
     named_by_content : bool
-        A file that has the name of what such files can hold, holds that unless asked otherwise, as gamma0.tif.
+        A file whose name is, or ends with, what such files can hold, holds that unless asked otherwise, as gamma0.tif
+        and village-gamma0.tif.
     """
 
     writers: Mapping[Content, Write]
