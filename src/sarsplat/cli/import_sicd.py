@@ -54,7 +54,7 @@ def _described(path: Path) -> Recognised:
         f"(its middle, pixel {middle[0]},{middle[1]})",
         "radar": f"looks {layout.look}, {layout.distance_m / 1e3:.4g} km away at the compass bearing "
         f"{layout.view.azimuth_deg:.1f}°",
-        "grazing": f"{layout.view.grazing_deg:.2f}°, slant plane tilted by {layout.tilt_deg:.1f}°",
+        "grazing": f"{layout.view.grazing_deg:.2f}°, slant plane tilted by {layout.tilt_deg:z.1f}°",
         "size": f"{height} rows × {width} columns, {height * rows.spacing_m:.4g} m × {width * columns.spacing_m:.4g} m",
         "spacing": f"{rows.spacing_m:.4g} m × {columns.spacing_m:.4g} m",
         "resolution": f"{rows.resolution_m:.4g} m × {columns.resolution_m:.4g} m (3 dB)",

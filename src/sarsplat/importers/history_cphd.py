@@ -312,7 +312,7 @@ def describe_cphd(path: Path) -> dict[str, str]:
         "where": f"{history.place} (reference point of the scene)",
         "radar": f"looks {'left' if aperture.looks_left else 'right'}, {distance / 1e3:.4g} km away at the compass "
         f"bearing {history.place.bearing_deg(aperture.view.azimuth_deg):.1f}°",
-        "grazing": f"{aperture.view.grazing_deg:.2f}°, slant plane tilted by {aperture.tilt_deg:.1f}°",
+        "grazing": f"{aperture.view.grazing_deg:.2f}°, slant plane tilted by {aperture.tilt_deg:z.1f}°",
         "band": f"{history.bandwidth_hz / 1e6:.4g} MHz about {history.carrier_hz / 1e9:.4g} GHz",
         "pulses": f"{len(history)}, of {history.frequencies} frequencies (domain {cphd.domain}, SGN {cphd.sign:+d})",
         "aperture": f"{len(seen)} pulses saw that point, from {aperture.width_deg:.3g}° of azimuth"
