@@ -169,6 +169,20 @@ def test_info_says_what_a_map_holds(block: Run, tmp_path: Path, capsys: pytest.C
     assert "47.37" in told and "height of the surface, m" in told
     assert main(["info", str(tmp_path / "layover-shadow.tif")]) == 0
     assert "0 neither; 1 shadow" in capsys.readouterr().out
+    with rasterio.open(
+        tmp_path / "dem.tif",
+        "w",
+        driver="GTiff",
+        width=9,
+        height=8,
+        count=1,
+        dtype="uint16",
+        crs=32633,
+        transform=rasterio.Affine(1, 0, 5e5, 0, -1, 5e6),
+    ) as dem:
+        dem.write(np.full((1, 8, 9), 20000, np.uint16))
+    assert main(["info", str(tmp_path / "dem.tif")]) == 2
+    assert "lies on a map (GeoTIFF); give heights as --terrain" in capsys.readouterr().err
 
 
 def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: Run, tmp_path: Path) -> None:
@@ -176,7 +190,11 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
     assert format_of(Path("Layover-Shadow.TIF"))[1] == "layover-shadow"
     assert format_of(Path("village-gamma0.tif"))[1] == format_of(Path("a_gamma0.tif"))[1] == "gamma0"
     assert format_of(Path("village layover-shadow.tif"))[1] == "layover-shadow"
-    assert format_of(Path("a.tif"))[1] == format_of(Path("nogamma0.tif"))[1] == "dsm"
+    assert format_of(Path("a.tif"))[1] == "dsm"
+    for unclear in ("layover-shadow-sat.tif", "gamma0-2.tif", "nogamma0.tif"):
+        with pytest.raises(SarsplatError, match="in its name, but not at the end"):
+            format_of(Path(unclear))
+        assert format_of(Path(unclear), "dsm")[1] == "dsm"
     assert format_of(Path("gamma0.tif"), "dsm")[1] == "dsm"
     cases: list[tuple[str, dict[str, Any], str]] = [
         ("layover-shadow.tif", {}, "where the radar is; give one direction"),
@@ -203,4 +221,4 @@ def test_what_counts_as_ground_is_said(block: Run, tmp_path: Path) -> None:
     raised = with_points(replace(block))
     vars(raised)["points"] = raised.points + np.array([0, 0, 100], np.float32)
     said = export(raised, tmp_path / "layover-shadow.tif", view=View(0, 60), pixel_m=1.0).summary
-    assert "level ground at z = 0, 100 m below the lowest point of the surface" in said
+    assert "level ground at z = 0 (the lowest point of the surface is at 100.0" in said

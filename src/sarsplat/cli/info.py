@@ -135,10 +135,16 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
             with tifffile.TiffFile(file) as tiff:
                 page = tiff.pages.first
                 shape, description, on_map = page.shape, str(page.description), _GEO_KEYS in page.tags
+                ours = page.software == "sarsplat"
         except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
             raise SarsplatError(f"{path} is not a readable TIFF ({error}); give {_UNDERSTOOD}") from error
-    if on_map:
+    if on_map and ours:
         return _map(path, description)
+    if on_map:
+        raise SarsplatError(
+            f"{path} lies on a map (GeoTIFF); give heights as --terrain or to `sarsplat export {path} "
+            "layover-shadow.tif`, and pictures with their table to `sarsplat import folder --geocoded`"
+        )
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
     power = read_tiff(path, (shape[0], shape[1]))
@@ -151,7 +157,7 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _map(path: Path, description: str) -> tuple[str, dict[str, str]]:
-    """A GeoTIFF of one band: heights, or another map that `export` writes."""
+    """A GeoTIFF of ours: a map that `export` wrote, or a dataset's terrain."""
     import numpy as np
 
     from sarsplat.data.geotiff import read_heights

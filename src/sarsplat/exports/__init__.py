@@ -38,7 +38,7 @@ class Written:
 def format_of(path: Path, content: Content | None = None) -> tuple[Format, Content]:
     """The format for a file name, and the content to write: the given one, or the format's first.
 
-    Refused if the ending is unknown or such files cannot hold the content.
+    Refused if the ending is unknown, such files cannot hold the content, or the name leaves open what is meant.
     """
     ending = path.suffix.lower().removeprefix(".")
     named: Format | None = FORMATS.get(ending)
@@ -50,6 +50,11 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
     if content is None and named.named_by_content:
         stem = path.stem.lower()
         content = next((holds for holds in named.writers if re.search(rf"(^|[-_ .]){holds}$", stem)), None)
+        if content is None and (meant := next((holds for holds in named.writers if holds in stem), None)):
+            raise SarsplatError(
+                f"{path} has {meant} in its name, but not at the end, so what it is to hold is not clear; say it with "
+                f"--format, such as --format {meant}"
+            )
     return named, next(iter(named.writers)) if content is None else content
 
 

@@ -247,7 +247,7 @@ def _unseen_ground(run: Run) -> str:
     if run.model is not None and run.model.frame.terrain is not None:
         return "what no view saw counts as its terrain"
     lowest = float(run.points[:, 2].min())
-    return f"what no view saw counts as level ground at z = 0, {lowest:.3g} m below the lowest point of the surface"
+    return f"what no view saw counts as level ground at z = 0 (the lowest point of the surface is at {lowest:.3f} m)"
 
 
 def _name(run: Run) -> str:
