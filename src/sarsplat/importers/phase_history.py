@@ -185,13 +185,14 @@ class PhaseHistory:
             self._check("a sample", samples, _LARGEST)
             yield pulses, samples
 
-    def beyond_m(self, pulse: int, places: Float64[np.ndarray, "places 3"]) -> Float64[np.ndarray, " places"]:
-        """How much farther than its reference places are for a pulse."""
-        antenna = self.antenna_m[pulse]
+    def beyond_m(self, pulses: slice, places: Float64[np.ndarray, "places 3"]) -> Float64[np.ndarray, "pulses places"]:
+        """How much farther than their reference places are for pulses."""
+        from_antenna = places - self.antenna_m[pulses, None]
         if self.moved_m is None:
-            return np.linalg.norm(places - antenna, axis=1) - self.reference_m[pulse]
-        sent, received = (np.linalg.norm(places - antenna + way * self.moved_m[pulse], axis=1) for way in (1, -1))
-        return (sent + received) / 2 - self.reference_m[pulse]
+            return np.linalg.norm(from_antenna, axis=2) - self.reference_m[pulses, None]
+        moved = self.moved_m[pulses, None]
+        sent, received = (np.linalg.norm(from_antenna + way * moved, axis=2) for way in (1, -1))
+        return (sent + received) / 2 - self.reference_m[pulses, None]
 
 
 def flights(histories: Sequence[PhaseHistory]) -> list[PhaseHistory]:

@@ -27,6 +27,7 @@ from sarsplat.importers.histories import read_phase_history
 from sarsplat.importers.images import AboutScene, MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.needed import require
 from sarsplat.importers.phase_apertures import Aperture, apertures
+from sarsplat.importers.phase_combining import Combined
 from sarsplat.importers.phase_history import FARTHEST_M, SPEED_OF_LIGHT, PhaseHistory, flights
 from sarsplat.progress import progress
 
@@ -281,14 +282,19 @@ def focus(
     wave = 4 * math.pi / SPEED_OF_LIGHT
     centre = history.first_hz + history.frequencies // 2 * history.step_hz
     pixels = ground_points(aperture, grid)
+    middle = aperture.around_m[None]
+    combined = Combined.around(history, aperture.around_m, _edge(aperture, grid), cross)
     total = np.zeros(len(pixels), np.complex128)
-    for pulses, samples in history.pieces():
-        echoes = (samples * np.outer(weights[0], weights[1][pulses])).T
-        for pulse, echo in enumerate(np.ascontiguousarray(echoes), pulses.start):
-            beyond = history.beyond_m(pulse, pixels)
-            profile = finufft.nufft1d2(wave * history.step_hz[pulse] * beyond, echo, eps=_ACCURACY, isign=1, nthreads=1)
-            total += profile * np.exp(1j * wave * centre[pulse] * beyond)
-            advance(1)
+    told = 0
+    for pulse, echo in combined.echoes(weights[1]):
+        one = slice(pulse, pulse + 1)
+        beyond = (history.beyond_m(one, pixels) - history.beyond_m(one, middle))[0]
+        profile = finufft.nufft1d2(
+            wave * history.step_hz[pulse] * beyond, echo * weights[0], eps=_ACCURACY, isign=1, nthreads=1
+        )
+        total += profile * np.exp(1j * wave * centre[pulse] * beyond)
+        advance(pulse + 1 - told)
+        told = pulse + 1
     carrier = np.exp(-1j * wave * history.carrier_hz * grid.range_m)
     return (total.reshape(grid.rows, grid.columns) * carrier[:, None]).astype(np.complex64)
 
@@ -300,10 +306,16 @@ def ground_points(aperture: Aperture, grid: ImageGrid) -> Float64[np.ndarray, "p
     return (aperture.around_m + rows + grid.azimuth_m[None, :, None] * across).reshape(-1, 3)
 
 
+def _edge(aperture: Aperture, grid: ImageGrid) -> Float64[np.ndarray, "8 3"]:
+    """The corners of an image on the ground, and the places midway between them."""
+    places = ground_points(aperture, grid).reshape(grid.rows, grid.columns, 3)
+    rows, columns = [0, grid.rows // 2, -1], [0, grid.columns // 2, -1]
+    return np.delete(places[rows][:, columns].reshape(9, 3), 4, axis=0)
+
+
 def _check_extent(aperture: Aperture, grid: ImageGrid) -> None:
-    corners = ground_points(aperture, grid).reshape(grid.rows, grid.columns, 3)[[0, 0, -1, -1], [0, -1, 0, -1]]
     history = aperture.history
-    distance = np.stack([history.beyond_m(pulse, corners) for pulse in range(len(history))])
+    distance = history.beyond_m(slice(None), _edge(aperture, grid))
     nearest, farthest = history.limits_m.T
     if (distance.min(axis=1) < nearest).any() or (distance.max(axis=1) > farthest).any():
         if history.shown_m is None:

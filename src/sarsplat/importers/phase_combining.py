@@ -1,0 +1,159 @@
+"""Pulses combined before back-projection, into as few as an image of its extent can tell apart.
+
+What a pulse adds to a pixel is the sum of its samples times exp(4πj f/c·d), d being how much farther the pixel is than
+the middle of the image. From pulse to pulse such a phase changes no faster than it does for the farthest pixels, so
+that those of all pulses can be interpolated between few of them, by least squares over that band. Images are sums over
+pulses; so instead of interpolating what each adds, the same weights, transposed, add the samples of each to those of
+the few. Echoes from beyond the image are not aliased into it. Gaps and uneven flights need nothing of their own: pulses
+that are not interpolated well stay, and their number tells whether anything is gained.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from jaxtyping import Complex64, Complex128, Float64, Int64
+from scipy import sparse
+
+from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
+
+_ERROR = 1e-5
+"""Largest error of an interpolated phase, as a share of the whole: 100 dB below what causes it."""
+_TAPS = 14
+_OVERSAMPLING = 2.0
+"""The pulses that are kept, against those that a band of phases needs. With as many taps, they miss by 6e-6 where
+pulses are even; `_few` keeps more where they are not."""
+_WORTH = 0.5
+"""More than this share of the pulses is not worth it."""
+_CHORDS = 64
+"""Parts of the flight over which phases are measured to change: over single pulses, jitter would be measured."""
+_REGULAR = 1e-13
+"""Added to the likeness of pulses, which is all but singular where they are near each other."""
+_BLOCK = 128
+_PULSES_AT_ONCE = 4096
+
+
+@dataclass(frozen=True)
+class Combined:
+    """The pulses that are back-projected, and how all others are added to them."""
+
+    history: PhaseHistory
+    middle_m: Float64[np.ndarray, " 3"]
+    """The place whose range is taken out of the phases, world frame."""
+    kept: Int64[np.ndarray, " few"]
+    """Which pulses, rising."""
+    weights: sparse.csc_array
+    """few × pulses."""
+
+    @classmethod
+    def around(
+        cls,
+        history: PhaseHistory,
+        middle_m: Float64[np.ndarray, " 3"],
+        edge_m: Float64[np.ndarray, "places 3"],
+        cross: Float64[np.ndarray, " pulses"],
+    ) -> Self:
+        """For an image with this middle and edge; `cross` is the direction to the antenna along its columns."""
+        phases = _phases(history, middle_m, edge_m)
+        kept, weights = _few(cross, phases)
+        return cls(history, middle_m, kept, weights)
+
+    def echoes(
+        self, shares: Float64[np.ndarray, " pulses"]
+    ) -> Iterator[tuple[int, Complex64[np.ndarray, " frequencies"]]]:
+        """Each pulse that is kept, with its samples and what the others add to them, weighted by `shares`.
+
+        The middle's range is taken out of their phases. The memory is that of some pulses, however long the flight.
+        """
+        weights = (self.weights * shares).tocsc().astype(np.complex64)  # as the samples, which are not copied then
+        first, begun = 0, np.zeros((0, self.history.frequencies), np.complex64)
+        for pulses, samples in self.history.pieces():
+            adds = weights[:, pulses]
+            needed = max(int(adds.indices.max()) + 1, first + len(begun))
+            begun = np.pad(begun, ((0, needed - first - len(begun)), (0, 0)))
+            begun += adds[first:needed].tocsr() @ self._moved(pulses, samples)
+            later = weights[:, pulses.stop :].indices
+            ready = int(later.min()) if len(later) else len(self.kept)
+            for one in range(first, ready):
+                yield int(self.kept[one]), begun[one - first]
+            begun, first = begun[ready - first :], ready
+
+    def _moved(
+        self, pulses: slice, samples: Complex64[np.ndarray, "frequencies some"]
+    ) -> Complex64[np.ndarray, "some frequencies"]:
+        """Samples with the range of the middle taken out of their phases.
+
+        The phases are products of those of every 128th frequency and of the 128 that follow it.
+        """
+        history = self.history
+        wave = 4j * np.pi / SPEED_OF_LIGHT * history.beyond_m(pulses, self.middle_m[None])
+        coarse = np.arange(0, history.frequencies, _BLOCK)
+        far = np.exp(wave * (history.first_hz[pulses, None] + coarse * history.step_hz[pulses, None]))
+        near = np.exp(wave * (np.arange(_BLOCK) * history.step_hz[pulses, None]))
+        turned = far.astype(np.complex64)[:, :, None] * near.astype(np.complex64)[:, None]
+        return samples.T * turned.reshape(len(turned), -1)[:, : history.frequencies]
+
+
+def _phases(
+    history: PhaseHistory, middle_m: Float64[np.ndarray, " 3"], edge_m: Float64[np.ndarray, "places 3"]
+) -> Float64[np.ndarray, "pulses phases"]:
+    """Of the places at the edge, at the lowest and the highest frequency, in turns."""
+    everything = slice(None)
+    beyond = history.beyond_m(everything, edge_m) - history.beyond_m(everything, middle_m[None])
+    last_hz = history.first_hz + (history.frequencies - 1) * history.step_hz
+    waves = np.stack([history.first_hz, last_hz], axis=1) * 2 / SPEED_OF_LIGHT
+    return (waves[:, :, None] * beyond[:, None]).reshape(len(history), -1)
+
+
+def _few(
+    places: Float64[np.ndarray, " pulses"], turns: Float64[np.ndarray, "pulses phases"]
+) -> tuple[Int64[np.ndarray, " few"], sparse.csc_array]:
+    """Pulses between which phases can be interpolated, and the weights of that, few × pulses; or all of them."""
+    count = len(places)
+    everything = np.arange(count), sparse.csc_array(sparse.eye_array(count))
+    chord = np.unique(np.linspace(0, count - 1, _CHORDS + 1).round().astype(int))
+    steps = np.diff(places[chord])
+    if not (steps * steps[0] > 0).all():
+        return everything  # the direction turns back, so that places do not tell pulses apart
+    band = float(np.abs(np.diff(turns[chord], axis=0) / steps[:, None]).max()) * 2
+    travelled = np.maximum.accumulate(np.abs(places - places[0]))
+    needed = np.linspace(0, travelled[-1], math.ceil(_OVERSAMPLING * band * travelled[-1]) + 2)
+    kept = np.unique(np.append(np.searchsorted(travelled, needed), count - 1))
+    phases = np.exp(2j * np.pi * turns)
+    while _TAPS < len(kept) <= _WORTH * count:
+        weights, error = _interpolating(places, phases, kept, band)
+        wrong = np.flatnonzero(~(error <= _ERROR))
+        if len(wrong) == 0:
+            return kept, weights
+        before = np.unique(np.searchsorted(kept, wrong) - 1)
+        kept = np.unique(np.concatenate([kept, (kept[before] + kept[before + 1]) // 2]))
+    return everything
+
+
+def _interpolating(
+    places: Float64[np.ndarray, " pulses"],
+    phases: Complex128[np.ndarray, "pulses phases"],
+    kept: Int64[np.ndarray, " few"],
+    band: float,
+) -> tuple[sparse.csc_array, Float64[np.ndarray, " pulses"]]:
+    """Weights of least squares over all phases of a band, and the largest error that they leave to each pulse."""
+    starts = np.clip(np.searchsorted(kept, np.arange(len(places))) - _TAPS // 2, 0, len(kept) - _TAPS)
+    rows = starts[:, None] + np.arange(_TAPS)
+    weights, errors = [], []
+    for first in range(0, len(places), _PULSES_AT_ONCE):
+        some = slice(first, first + _PULSES_AT_ONCE)
+        around = places[kept[rows[some]]]
+        likeness = np.sinc(band * (around[:, :, None] - around[:, None])) + _REGULAR * np.eye(_TAPS)
+        solved = np.linalg.solve(likeness, np.sinc(band * (around - places[some, None]))[..., None])[..., 0]
+        itself = kept[rows[some]] == np.arange(len(places))[some, None]
+        solved = np.where(itself.any(axis=1, keepdims=True), itself, solved)
+        between = np.einsum("pt,ptq->pq", solved, phases[kept[rows[some]]])
+        weights.append(solved)
+        errors.append(np.abs(between - phases[some]).max(axis=1))
+    ends = np.arange(len(places) + 1) * _TAPS
+    table = sparse.csc_array((np.concatenate(weights).ravel(), rows.ravel(), ends), shape=(len(kept), len(places)))
+    return table, np.concatenate(errors)
