@@ -69,15 +69,17 @@ class Combined:
 
         The middle's range is taken out of their phases. The memory is that of some pulses, however long the flight.
         """
-        weights = (self.weights * shares).tocsc().astype(np.complex64)  # as the samples, which are not copied then
+        weights = self.weights.astype(np.complex64)  # as the samples are, which are not copied then
+        weights.data *= np.repeat(shares, np.diff(weights.indptr))
+        lowest = np.minimum.reduceat(weights.indices, weights.indptr[:-1])
+        later = np.append(np.minimum.accumulate(lowest[::-1])[::-1], len(self.kept))
         first, begun = 0, np.zeros((0, self.history.frequencies), np.complex64)
         for pulses, samples in self.history.pieces():
             adds = weights[:, pulses]
             needed = max(int(adds.indices.max()) + 1, first + len(begun))
             begun = np.pad(begun, ((0, needed - first - len(begun)), (0, 0)))
             begun += adds[first:needed].tocsr() @ self._moved(pulses, samples)
-            later = weights[:, pulses.stop :].indices
-            ready = int(later.min()) if len(later) else len(self.kept)
+            ready = int(later[pulses.stop])
             for one in range(first, ready):
                 yield int(self.kept[one]), begun[one - first]
             begun, first = begun[ready - first :], ready
