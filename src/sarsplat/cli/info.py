@@ -161,15 +161,18 @@ def _map(path: Path, description: str) -> tuple[str, dict[str, str]]:
     import numpy as np
 
     from sarsplat.data.geotiff import read_heights
+    from sarsplat.data.raster import LEVELS
 
     found = read_heights(path)
     values, (width, height), place = found.raster.values, found.raster.pitch_m, found.place
+    above = found.raster.system.height_above
     known = values[np.isfinite(values)]
     return "a map (GeoTIFF)", {
         "pixels": f"{values.shape[0]} rows × {values.shape[1]} columns of {width:.6g} m × {height:.6g} m",
         "numbers": f"{known.min():.6g} … {known.max():.6g}" if len(known) else "none",
         "no data": f"{1 - len(known) / values.size:.0%}",
         "middle": f"latitude {place.latitude_deg:.6f}°, longitude {place.longitude_deg:.6f}°" if place else "not known",
+        **({} if above is None else {"heights": f"above {LEVELS[above]}"}),
         "description": description or "none",
     }
 

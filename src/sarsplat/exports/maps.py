@@ -76,7 +76,7 @@ class Coordinates:
                 f"--crs {self.system.crs.name} has no EPSG number, by which a GeoTIFF names it; give another, such as "
                 f"{usual_system(self.system.place)}"
             )
-        return RasterSystem.epsg(self.system.epsg)
+        return RasterSystem.epsg(self.system.epsg, self.system.place.height_above)
 
 
 def require_fit(path: Path, holds: str, pixel_m: float | None, view: View | None) -> None:
