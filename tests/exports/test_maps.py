@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -147,6 +148,28 @@ def test_layover_is_before_the_block_and_shadow_behind_it(block: Run, tmp_path: 
         layover = np.array([columns.mean(), -rows.mean()])
         bearing = math.degrees(math.atan2(*(layover - shadow))) % 360
         assert abs((bearing - (130 - turn) + 180) % 360 - 180) < 12
+
+
+def test_shares_are_of_what_was_seen_however_far_the_map_goes_on(block: Run, tmp_path: Path) -> None:
+    """The block alone was seen: its roof lies over the ground before it along the near edge, and nothing shades it."""
+    view = View(0.0, 50.0)
+    said = export(block, tmp_path / "layover-shadow.tif", view=view, pixel_m=0.25).summary
+    over, shaded = 5.0 * math.tan(math.radians(50.0)), 5.0 / math.tan(math.radians(50.0))  # m along the ground
+    share = float(re.search(r"layover on ([0-9.]+)%", said)[1]) / 100  # type: ignore[index]
+    assert share == pytest.approx(over / 12, abs=0.05)  # all of its 6 m across
+    assert "shadow on 0.0% of what views saw" in said
+    layover_m2, shadow_m2 = (float(one) for one in re.findall(r"([0-9.]+) m²", said))
+    assert shadow_m2 == pytest.approx(6 * shaded, rel=0.1)
+    classes = read(tmp_path / "layover-shadow.tif")[1]
+    assert layover_m2 == pytest.approx(np.isin(classes, (2, 3)).sum() * 0.25**2, rel=1e-3)
+    heights = Raster(np.zeros((40, 40), np.float32), (0.0, 40.0), (1.0, 1.0), RasterSystem.local())
+    heights.values[15:25, 15:25] = 8.0
+    heights.values[:2] = np.nan
+    write_raster(tmp_path / "a.tif", heights, "m")
+    said = export_terrain(tmp_path / "a.tif", tmp_path / "b.tif", view).summary
+    classes = read(tmp_path / "b.tif")[1]
+    shadow = np.isin(classes, (1, 3)).sum()
+    assert f"shadow on {shadow / (38 * 40):.1%} of known heights" in said and f"{shadow:.4g} m² of the whole" in said
 
 
 def test_a_map_whose_metres_are_half_as_long_shows_the_same_shadows(block: Run, tmp_path: Path) -> None:
