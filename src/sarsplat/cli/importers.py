@@ -43,6 +43,8 @@ class Recognised:
     """What to type to import it; words in capitals are to be replaced. None if there is no such command."""
     certainty: float = 1.0
     """Between 0 and 1: of several importers, the most certain one is believed."""
+    also: dict[str, str] = field(default_factory=dict)
+    """Other commands that fit, each after what it is for."""
 
 
 def recognised(path: Path) -> Recognised | None:

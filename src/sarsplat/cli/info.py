@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -60,9 +61,14 @@ def info(
         console.facts(f"{path}: {importable.kind}", importable.facts)
         if importable.command is not None:
             console.say(f"import with: {importable.command}")
+        for purpose, typed in importable.also.items():
+            console.say(f"{purpose}: {typed}")
         return
     if (path / "config.json").is_file():
         describe_run(path)
+        return
+    if path.suffix.lower() == ".toml" and path.is_file():
+        _describe_plan(path)
         return
     kind, rows = _folder(path) if path.is_dir() else _file(path)
     console.facts(f"{path}: {kind}", rows)
@@ -112,6 +118,22 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
 
     refuse_foreign(path)
     raise SarsplatError(f"{path} is not a file that this command recognises by its ending; give {_UNDERSTOOD}")
+
+
+def _describe_plan(path: Path) -> None:
+    from sarsplat.sweeps.plan import Plan
+
+    plan = Plan.read(path)
+    rows = {
+        "datasets": f"{', '.join(plan.datasets)} (below {path.absolute().parent})",
+        "methods": ", ".join(plan.methods),
+        "preset": plan.preset if isinstance(plan.preset, str) else ", ".join(plan.preset),
+        "seeds": ", ".join(map(str, plan.seeds)),
+        "parts": str(len(plan.parts)) if plan.parts else "none",
+    }
+    console.facts(f"{path}: a plan of a sweep", rows)
+    out = f"{path.absolute().parent.name}-runs"
+    console.say(f"reconstruct by it: sarsplat sweep {shlex.quote(str(path))} --out {shlex.quote(out)}")
 
 
 def _renderings(path: Path) -> tuple[str, dict[str, str]]:
