@@ -11,7 +11,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile
-from sarsplat.cli.importers import recognised
+from sarsplat.cli.importers import recognised, to_replace
 from sarsplat.cli.info_chips import chips_in, describe_chips
 from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.cli.info_run import describe_contents, describe_run, extent
@@ -61,6 +61,8 @@ def info(
         console.facts(f"{path}: {importable.kind}", importable.facts)
         if importable.command is not None:
             console.say(f"import with: {importable.command}")
+            for text in to_replace(importable.command):
+                console.say(f"  {text}")
         for purpose, typed in importable.also.items():
             console.say(f"{purpose}: {typed}")
         return
@@ -164,8 +166,9 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
         return _map(path, description)
     if on_map:
         raise SarsplatError(
-            f"{path} lies on a map (GeoTIFF); give heights as --terrain or to `sarsplat export {path} "
-            "layover-shadow.tif`, and pictures with their table to `sarsplat import folder --geocoded`"
+            f"{path} lies on a map (GeoTIFF); give heights as --terrain or to `sarsplat export "
+            f"{shlex.quote(str(path))} layover-shadow.tif --azimuth DEGREES --grazing DEGREES`, and pictures with a "
+            "table to `sarsplat import folder --geocoded`, which `sarsplat info` of their folder writes out"
         )
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")

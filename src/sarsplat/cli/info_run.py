@@ -48,7 +48,9 @@ def describe_run(path: Path) -> None:
         **({"place": str(header.place.place)} if header.place else {}),
         **about,
         "points": "none yet" if stored is None else extent(stored[0]),
-        "scores": f"{_scores(files.metrics)} (metrics.json)" if files.metrics else "none yet; run sarsplat evaluate",
+        "scores": f"{_scores(files.metrics)} (metrics.json)"
+        if files.metrics
+        else f"none yet; run sarsplat evaluate {shlex.quote(str(path))}",
         **left_open(files.metrics or {}),
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
