@@ -81,7 +81,7 @@ def sample(folder: Path) -> None:
 
 
 def pulses(folder: Path) -> None:
-    write_pulses(folder / "p.mat", record(circle(np.linspace(0, 3, 40)), [(0.0, 0.0, 0.0)]))
+    write_pulses(folder / "p.mat", record(circle(np.linspace(0, 3, 200)), [(0.0, 0.0, 0.0)]))
 
 
 def sicd(folder: Path) -> None:
