@@ -44,13 +44,18 @@ def test_gaussians_come_back_exactly_whatever_their_colour(run: Run, tmp_path: P
 @pytest.mark.parametrize("ending", ["glb", "obj", "ply", "stl"])
 def test_meshes_are_read_by_trimesh(run: Run, tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"mesh.{ending}"
-    assert "triangles, metres" in export(run, path, "mesh").summary
+    said = export(run, path, "mesh").summary
+    assert said.endswith("stored vertices are z up" if ending == "glb" else "triangles, metres, z up")
     read: Any = trimesh.load(path, force="mesh")  # a scene's nodes applied
     expected = run.mesh()
     (x0, y0, z0), (x1, y1, z1) = expected.bounds
     upright = [(x0, z0, -y1), (x1, z1, -y0)] if ending == "glb" else expected.bounds  # y is up in glTF
     np.testing.assert_allclose(read.bounds, upright, atol=1e-5)
     np.testing.assert_allclose(load_mesh(path).bounds, expected.bounds, atol=1e-5)
+    if ending == "glb":  # what is stored, without the node
+        assert "viewers see (x, z, -y) of the scene" in said
+        (stored,) = trimesh.load(path).geometry.values()  # type: ignore[union-attr]
+        np.testing.assert_allclose(stored.bounds, expected.bounds, atol=1e-5)
     assert read.area == pytest.approx(expected.area, rel=1e-4)
     assert len(read.faces) == len(expected.faces)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from datasets import FEW_POINTS
 from sarsplat import Dataset, Place, Run, SarsplatError, View
 from sarsplat.cli import main
+from sarsplat.data.geotiff import read_heights
 from sarsplat.data.raster import Raster, RasterSystem, write_raster
 from sarsplat.exports import export, export_terrain, format_of
 from sarsplat.runs import reconstruct
@@ -98,6 +100,36 @@ def test_on_earth_it_lies_where_pyproj_says(block: Run, tmp_path: Path, place: P
     assert np.isnan(values[rows[there], columns[there]]).all()
 
 
+@pytest.mark.parametrize(
+    ("above", "said"),
+    [("ellipsoid", "the WGS 84 ellipsoid"), ("sea level", "sea level"), ("unknown", "an unknown level")],
+)
+def test_a_map_says_what_heights_are_measured_from(block: Run, tmp_path: Path, above: Any, said: str) -> None:
+    pytest.importorskip("pyproj")
+    placed = with_points(replace(block, place=Place(45.29, 7.5, 312.0, height_above=above)))
+    for name in ("dsm", "gamma0", "layover-shadow"):
+        view = View(0, 40) if name == "layover-shadow" else None
+        export(placed, tmp_path / f"{name}.tif", pixel_m=0.5, view=view)
+        with rasterio.open(tmp_path / f"{name}.tif") as file:
+            assert file.crs.to_epsg() == 32632
+            assert file.tags()["HEIGHTS_ABOVE"] == said
+            assert file.descriptions == (file.tags()["TIFFTAG_IMAGEDESCRIPTION"],)
+            if name == "dsm":
+                assert file.units == ("m",)
+                assert file.descriptions == (f"height of the surface, above {said}, m",)
+        read_back = read_heights(tmp_path / f"{name}.tif")
+        assert read_back.place is not None
+        assert read_back.place.height_above == read_back.raster.system.height_above == above
+        export_terrain(tmp_path / f"{name}.tif", tmp_path / "b.tif", View(0, 40))
+        with rasterio.open(tmp_path / "b.tif") as file:
+            assert file.tags()["HEIGHTS_ABOVE"] == said
+    export(block, tmp_path / "own.tif", pixel_m=0.5)
+    with rasterio.open(tmp_path / "own.tif") as file:
+        assert file.descriptions == ("height of the surface, z of the scene, m",)
+        assert "HEIGHTS_ABOVE" not in file.tags()
+    assert read_heights(tmp_path / "own.tif").place is None
+
+
 def test_layover_is_before_the_block_and_shadow_behind_it(block: Run, tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
     place = Place(45.29, 7.5, 312.0, 17.0)  # x towards north-north-east
@@ -116,6 +148,28 @@ def test_layover_is_before_the_block_and_shadow_behind_it(block: Run, tmp_path: 
         layover = np.array([columns.mean(), -rows.mean()])
         bearing = math.degrees(math.atan2(*(layover - shadow))) % 360
         assert abs((bearing - (130 - turn) + 180) % 360 - 180) < 12
+
+
+def test_shares_are_of_what_was_seen_however_far_the_map_goes_on(block: Run, tmp_path: Path) -> None:
+    """The block alone was seen: its roof lies over the ground before it along the near edge, and nothing shades it."""
+    view = View(0.0, 50.0)
+    said = export(block, tmp_path / "layover-shadow.tif", view=view, pixel_m=0.25).summary
+    over, shaded = 5.0 * math.tan(math.radians(50.0)), 5.0 / math.tan(math.radians(50.0))  # m along the ground
+    share = float(re.search(r"layover on ([0-9.]+)%", said)[1]) / 100  # type: ignore[index]
+    assert share == pytest.approx(over / 12, abs=0.05)  # all of its 6 m across
+    assert "shadow on 0.0% of what views saw" in said
+    layover_m2, shadow_m2 = (float(one) for one in re.findall(r"([0-9.]+) m²", said))
+    assert shadow_m2 == pytest.approx(6 * shaded, rel=0.1)
+    classes = read(tmp_path / "layover-shadow.tif")[1]
+    assert layover_m2 == pytest.approx(np.isin(classes, (2, 3)).sum() * 0.25**2, rel=1e-3)
+    heights = Raster(np.zeros((40, 40), np.float32), (0.0, 40.0), (1.0, 1.0), RasterSystem.local())
+    heights.values[15:25, 15:25] = 8.0
+    heights.values[:2] = np.nan
+    write_raster(tmp_path / "a.tif", heights, "m")
+    said = export_terrain(tmp_path / "a.tif", tmp_path / "b.tif", view).summary
+    classes = read(tmp_path / "b.tif")[1]
+    shadow = np.isin(classes, (1, 3)).sum()
+    assert f"shadow on {shadow / (38 * 40):.1%} of known heights" in said and f"{shadow:.4g} m² of the whole" in said
 
 
 def test_a_map_whose_metres_are_half_as_long_shows_the_same_shadows(block: Run, tmp_path: Path) -> None:
@@ -166,7 +220,7 @@ def test_info_says_what_a_map_holds(block: Run, tmp_path: Path, capsys: pytest.C
     assert main(["info", str(tmp_path / "dsm.tif")]) == 0
     told = capsys.readouterr().out
     assert "a map (GeoTIFF)" in told and "of 0.5 m × 0.5 m" in told
-    assert "47.37" in told and "height of the surface, m" in told
+    assert "47.37" in told and "height of the surface, above the WGS 84 ellipsoid, m" in told
     assert main(["info", str(tmp_path / "layover-shadow.tif")]) == 0
     assert "0 neither; 1 shadow" in capsys.readouterr().out
     with rasterio.open(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sarsplat import Place, Run, SarsplatError, View
+from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View
 from sarsplat.cli import main
 from sarsplat.exports import export
 from sarsplat.exports.format_geojson import rings_of
@@ -73,7 +73,8 @@ def test_las_may_be_in_another_system(anywhere: Run, tmp_path: Path) -> None:
     laspy, pyproj = pytest.importorskip("laspy"), pytest.importorskip("pyproj")
     place = Place(47.3, 8.5, 420.0)
     done = export(at(anywhere, place), tmp_path / "a.laz", crs="EPSG:2056")
-    assert "CH1903+ / LV95 (EPSG:2056), heights above the WGS 84 ellipsoid, reached from WGS 84 to 1 m" in done.summary
+    assert "CH1903+ / LV95 (EPSG:2056), heights above the WGS 84 ellipsoid (not the sea)" in done.summary
+    assert "reached from WGS 84 to 1 m" in done.summary
     read = laspy.read(tmp_path / "a.laz")
     assert read.header.parse_crs().to_epsg() == 2056  # with no heights, which would be above another ellipsoid
     forward = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:2056", always_xy=True)
@@ -107,11 +108,19 @@ def test_systems_that_do_not_fit_are_refused(anywhere: Run, tmp_path: Path, crs:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_system_that_is_not_for_the_place_is_told(anywhere: Run) -> None:
+def test_a_system_that_is_not_for_the_place_is_warned_of(anywhere: Run, tmp_path: Path) -> None:
     pytest.importorskip("pyproj")
-    assert "outside the area" in str(MapSystem.of(Place(47.3, 8.5, 420.0), "EPSG:32636"))
+    outside = r"EPSG:32636 .*is for longitudes 30° to 36° .* such as EPSG:32632"
+    with pytest.warns(SarsplatWarning, match=outside) as caught:
+        system = MapSystem.of(Place(47.3, 8.5, 420.0), "EPSG:32636")
+    assert len(caught) == 1
+    assert "is for" not in str(system)
+    for name, given in (("a.las", {}), ("dsm.tif", {"pixel_m": 20.0})):
+        with pytest.warns(SarsplatWarning, match=outside) as caught:
+            export(at(anywhere, Place(47.3, 8.5, 420.0)), tmp_path / name, crs="EPSG:32636", **given)
+        assert len(caught) == 1
     assert "a metre on the ground is 1.47 m of the map" in str(MapSystem.of(Place(47.3, 8.5, 420.0), "EPSG:3857"))
-    assert "outside" not in str(MapSystem.of(Place(10.0, 180.0, 0.0), "EPSG:3832"))  # 98.69°E to 68.44°W
+    MapSystem.of(Place(10.0, 180.0, 0.0), "EPSG:3832")  # 98.69°E to 68.44°W: warnings are errors here
 
 
 def test_zones_are_those_of_utm() -> None:

@@ -15,7 +15,7 @@ from sarsplat.cli import main
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers import import_mstar
-from sarsplat.importers.mstar_splits import SPLITS, in_words
+from sarsplat.importers.mstar_splits import SPLITS, in_words, splits_in
 
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # those expected are named
 
@@ -93,7 +93,7 @@ def test_soc_takes_17_degrees_to_train_and_15_to_test_of_the_strict_vehicles(
     assert (train["found"], train["published"], test["found"], test["published"]) == (missing, 233, 4, 195)
     said = list(in_words(bmp2.source["split"]["parts"]))
     assert said[1] == "test: BMP2 (9563) at 15°: 4 of 195 chips, 191 are missing"
-    assert said[0].endswith("1 have no azimuth") == (kind == "jpeg")
+    assert said[0].endswith("1 has no azimuth") == (kind == "jpeg")
     with pytest.warns(SarsplatWarning, match="4 of A64 at 30°"):
         t72 = import_mstar(folder, tmp_path / "t72", labels=labels, target_class="T72", train_views=2, split="soc")
     assert [len(t72.images(name)) for name in ("train", "test-17", "test-15")] == [2, 2, 4]
@@ -187,7 +187,12 @@ def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missi
     assert main([*words, "--split", "soc"]) == 2  # eight classes are not there
     said = capsys.readouterr()
     assert "2S1: there is no class '2S1'" in said.err
-    assert "train: 8 of 465 chips of 2 classes" in said.out + said.err
+    assert "train: 8 of 2,747 chips, 2 of 10 classes" in said.out + said.err
+    assert "without 2S1, BRDM2, BTR60, BTR70, D7, T62, ZIL131, ZSU234 (see above)" in said.err
+    assert "the same command with --class 2S1 BRDM2" in said.err
+    assert "reading chips" not in said.out
+    (progress,) = (line for line in said.out.splitlines() if line.startswith("chips from "))
+    assert f"{folder}: 10/10" in progress
     assert sorted(path.name for path in (tmp_path / "soc").iterdir()) == ["BMP2", "T72", "sweep.toml"]
     (tmp_path / "soc" / "sweep.toml").write_text("# changed")
     assert main([*words, "--split", "soc", "--overwrite"]) == 2
@@ -200,6 +205,63 @@ def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missi
     assert "leave out --serial" in capsys.readouterr().err
     assert main(words) == 2
     assert "--class is missing" in capsys.readouterr().err
+
+
+def test_a_class_that_fails_changes_nothing_and_can_be_added_later(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = jpegs(tmp_path / "chips", nested=False), tmp_path / "soc"
+    table = folder / "labels.csv"
+    whole = table.read_text()
+    table.write_text(whole.replace(",BMP2,", ",BMP1,"))
+    words = ["import", "mstar", str(folder), "--labels", str(table), "--train-views", "all", "--split", "soc"]
+    words += ["--out", str(out), "--class", "T72", "BMP2"]
+    assert main(words) == 2
+    assert sorted(path.name for path in out.iterdir()) == ["T72", "sweep.toml"]  # nothing half-written
+    table.write_text(whole)
+    assert main([*words[:-2], "BMP2"]) == 0
+    before = {path: path.read_bytes() for path in (out / "BMP2").rglob("*") if path.is_file()}
+    table.write_text(whole.replace(",BMP2,", ",BMP1,"))
+    capsys.readouterr()
+    assert main([*words, "--overwrite"]) == 2
+    assert f"{out / 'BMP2'} stays as it was" in " ".join(capsys.readouterr().err.split())
+    assert {path: path.read_bytes() for path in (out / "BMP2").rglob("*") if path.is_file()} == before
+
+
+def test_info_says_what_of_a_split_is_in_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, out = jpegs(tmp_path / "chips", nested=False), tmp_path / "soc"
+    words = ["import", "mstar", str(folder), "--labels", str(folder / "labels.csv"), "--train-views", "all"]
+    assert main([*words, "--out", str(out), "--split", "soc"]) == 2
+    capsys.readouterr()
+    assert main(["info", str(out)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "split soc 2 of 10 classes; 2S1, BRDM2, BTR60, BTR70, D7, T62, ZIL131, ZSU234 are missing" in said
+    assert "train soc 8 of 2,747 chips" in said and "test soc 8 of 2,425 chips" in said
+    assert "BMP2: train 4 of 233, test 4 of 195" in said
+    assert "3 train, 4 test-15, 1 unplaced" in said and "1 chip without azimuth" in said
+    assert f"sarsplat sweep {out / 'sweep.toml'} --out soc-runs" in said
+    assert "write these two lines" not in said
+    assert main(["info", str(out / "sweep.toml")]) == 0
+    assert "a plan of a sweep" in capsys.readouterr().out
+    assert main(["info", str(out / "BMP2")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "train: BMP2 (9563) at 17°: 4 of 233 chips, 229 are missing; 1 has no azimuth" in said
+    (out / "sweep.toml").unlink()
+    assert main(["info", str(out)]) == 0
+    assert "write these two lines" in " ".join(capsys.readouterr().out.split())
+
+
+def test_which_splits_chips_are_of() -> None:
+    def kinds(*names: str) -> list[tuple[str, str, int]]:
+        return [(part.target, part.serial, part.depressions[0]) for name in names for part in SPLITS[name].train]  # type: ignore[index]
+
+    soc = [(target, "", depression) for target, _, _ in kinds("soc") for depression in (17, 15)]
+    assert splits_in(soc) == {"soc": 10}
+    assert splits_in(soc[2:]) == {"soc": 9}
+    assert splits_in(soc[:4]) == {}
+    assert splits_in([one for one in soc if one[2] == 17]) == {}  # nothing to test on
+    assert splits_in([*kinds("eoc-version"), ("T-72", "SN_812", 17)]) == {"eoc-version": 4}
+    assert splits_in([*kinds("eoc-depression"), ("t72_tank", "A64", 30)]) == {"eoc-depression": 4}
 
 
 def test_the_plan_is_one(tmp_path: Path) -> None:

@@ -200,6 +200,25 @@ def test_the_table_itself_and_a_subfolder_lead_to_the_same(chips: Path, tmp_path
     assert main(["info", str(chips / "labels.csv")]) == 0
 
 
+def test_chips_of_a_standard_split_lead_to_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    classes = ("2S1", "BMP2", "BRDM_2", "BTR-60", "BTR70", "D7", "T62", "T72", "ZIL131", "ZSU_23_4")
+    angles = ((17, 10), (17, 130), (15, 250), (17, ""))
+    rows = [(name, "", depression, azimuth) for name in classes for depression, azimuth in angles]
+    (tmp_path / "ten").mkdir()
+    write_chips(tmp_path / "ten", rows)
+    it = known(tmp_path / "ten")
+    assert it.facts["class D7"] == "3 at 17°, 1 at 15° (1 without azimuth)"
+    assert "--train-views 1 " in str(it.command)  # of the two that can be used
+    assert typed(it.command, tmp_path / "one") == 0
+    ((purpose, command),) = it.also.items()
+    assert purpose == "or a dataset of each class of a standard split (soc, 10 of its 10 classes are here)"
+    capsys.readouterr()
+    assert main(["info", str(tmp_path / "ten" / "labels.csv")]) == 0
+    assert f"{purpose}: {command}\n" in capsys.readouterr().out
+    assert typed(command, tmp_path / "soc") != 2  # 1: such pictures contradict themselves
+    assert len([*(tmp_path / "soc").glob("*/dataset.json")]) == 10
+
+
 def test_another_depression_is_asked_for(chips: Path, tmp_path: Path) -> None:
     table = chips / "labels.csv"
     table.write_text(table.read_text().replace(",17,17.1,", ",30,30.1,"))

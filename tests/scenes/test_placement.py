@@ -1,17 +1,28 @@
 """Where meshes stand: in their images, and on the ground."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from sarsplat.errors import SarsplatError
-from sarsplat.geometry import Terrain, View
-from sarsplat.scenes import paper_grid
-from sarsplat.scenes.placement import below_ground, lost_digits, outside_images, recentred, shown_in
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.geometry import Stack, Terrain, View
+from sarsplat.scenes import ScatteringLaw, paper_grid, simulate_raycast, simulate_stack
+from sarsplat.scenes.placement import lost_digits, outside_images, recentred, shown_in, warn_below_ground
+from sarsplat.scenes.simulate import simulate_images
 
 trimesh = pytest.importorskip("trimesh")
 
 GRID = paper_grid()
 VIEWS = [View(azimuth, 30) for azimuth in range(0, 360, 45)]
+
+
+def below_ground(mesh, grid, terrain):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn_below_ground(mesh, grid, 0.1, terrain)
+    return [str(one.message) for one in caught]
 
 
 def box(x: float = 0, y: float = 0, z: float = 1):
@@ -72,3 +83,29 @@ def test_a_mesh_that_lies_on_its_side_is_told_from_one_that_is_too_low():
     lying = trimesh.creation.box((6, 2, 3)).apply_translation((0, 1, 0))
     (said,) = below_ground(lying, GRID, None)
     assert "50% of the target" in said and "if y is up in the file, export it with z up" in said
+
+
+@pytest.mark.parametrize("simulated", ["raycast", "splat", "stack", "one"])
+def test_python_warns_of_what_is_below_the_ground_as_the_command_line_does(simulated):
+    grid = replace(GRID, rows=24, columns=24, spacing_m=(0.5, 0.5), resolution_m=(0.5, 0.5))
+
+    def simulate(mesh, ground):
+        match simulated:
+            case "stack":
+                stack = Stack(0.031, (0.0, 0.0004))
+                simulate_stack(mesh, VIEWS[0], grid, stack, ScatteringLaw(), ground_gamma0=ground)
+            case "one":
+                simulate_raycast(mesh, VIEWS[0], grid, ScatteringLaw(), ground_gamma0=ground)
+            case _:
+                simulate_images(mesh, VIEWS[:2], grid, source=simulated, ground_gamma0=ground)
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        simulate(box(z=0), 0.1)
+    assert {one.category for one in caught} == {SarsplatWarning}
+    (said,) = {str(one.message) for one in caught}
+    assert "50% of the target's surface is below the ground, up to 1 m" in said
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        simulate(box(z=0), None)  # there is no ground that could hide it
+        simulate(box(z=1), 0.1)

@@ -96,6 +96,7 @@ def test_free_ground_is_exact_and_full_shadow_dark(grazing, shadow):
         assert image[dark][:, 24:40].max() < 1e-3 * free
 
 
+@pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
 def test_what_lies_below_the_ground_is_not_seen():
     buried = box((-2, 2), (-2, 2), (-3, -1))
     image = simulate_raycast(buried, View(0, 45), GRID, CONSTANT, ground_gamma0=0.2)

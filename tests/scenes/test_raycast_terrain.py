@@ -12,6 +12,8 @@ from sarsplat.scenes.raycast import simulate_raycast
 from terrains import hill, slope
 from upright import upright
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
+
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.45, 0.45))
 LAW = ScatteringLaw(0.5, 0.0)
 

@@ -79,6 +79,7 @@ def test_both_sides_of_a_plate_do_not_return_together():
     assert image.sum() * PIXEL == pytest.approx(4 * edge, rel=0.05)
 
 
+@pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
 def test_what_lies_below_the_ground_returns_nothing():
     buried = box((-1, 0), (-2, 2), (-2, 1.0))
     standing = box((-1, 0), (-2, 2), (0, 1.0))

@@ -213,7 +213,8 @@ def _carry_out(
 
     refuse_existing(out, overwrite, marker=HEADER)
     contradictions: list[str] = []
-    with _warned_later(contradictions), console.busy(doing) if doing else nullcontext():
+    alone = doing and _shared.get() is None  # or whoever makes several shows how many are done
+    with _warned_later(contradictions), console.busy(doing) if alone else nullcontext():
         dataset = importer(files, out, overwrite=overwrite, **options)
         examined = EXAMINATIONS.get(dataset) or examine(dataset)
         contradictions += examined.contradictions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,9 +92,26 @@ def _arrays(path: Path) -> Recognised:
     facts = facts or {"array": _described(pixels)}
     if min(pixels.shape[:2] if pixels.shape[-1] == 2 else pixels.shape[-2:]) < _NARROWEST:
         return Recognised(f"{kind}, which holds no picture that can be imported", facts, certainty=_LEAST_CERTAIN)
-    words = ("folder", str(path.parent), "--table", "TABLE.csv", "--spacing", "METRES")
+    words = ("folder", str(path.parent), "--table", "TABLE.csv", "--spacing", "METRES", *_quantity([path]))
     command = typed_import(*words, out=dataset_name(path.parent))
     return Recognised(f"{kind}, which may be a picture", facts, command, certainty=_LEAST_CERTAIN)
+
+
+def _quantity(pictures: Sequence[Path]) -> list[str]:
+    """The option that says what the numbers of pictures are, if the first that can be read does not say it."""
+    from sarsplat.importers.pictures import likely_quantity, read_pixels
+
+    for path in pictures:
+        try:
+            pixels = read_pixels(path)
+        except SarsplatError:
+            continue  # which the import says
+        try:
+            likely_quantity(pixels, str(path))
+        except SarsplatError:
+            return ["--quantity", "QUANTITY"]
+        return []
+    return []
 
 
 def _described(value: object) -> str:
@@ -107,6 +125,7 @@ def _described(value: object) -> str:
 def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     """Pictures and a table, which may lack columns or not be readable."""
     from sarsplat.data.csv_table import read_table
+    from sarsplat.importers.pictures import PICTURE_ENDINGS
     from sarsplat.importers.table import WAYS, chosen_columns
     from sarsplat.importers.tiffs import first_georeference
 
@@ -139,13 +158,23 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
         facts["GeoTIFF"] = f"{at}, pixels of {lies.pitch[0]:.5g} × {lies.pitch[1]:.5g} (columns × rows)"
     more = [] if lies is None else ["--geocoded", "GROUND", "--resolution", "METRES"] * lies.on_map
     target_class = next(iter(classes)) if len(classes) > 1 else None
-    command = _command(contents.path, columns, lacking, target_class, stacks, more if lies is not None else None)
+    named = [contents.path / row[columns["file"]] for _, row in table.rows] if "file" in columns else []
+    inside = set(contents.files)
+    pictures_of = [*(one for one in named if one in inside), *contents.ending_in(*PICTURE_ENDINGS)]
+    of_map = more if lies is not None else None
+    command = _command(contents.path, columns, lacking, target_class, stacks, of_map, pictures_of)
     certainty = 1.0 if not lacking else 0.2 if columns else _LEAST_CERTAIN
     return Recognised(f"pictures with a table{'' if lacking else ' of their angles'}", facts, command, certainty)
 
 
 def _command(
-    folder: Path, columns: Columns, lacking: list[str], target_class: str | None, stacks: bool, of_map: list[str] | None
+    folder: Path,
+    columns: Columns,
+    lacking: list[str],
+    target_class: str | None,
+    stacks: bool,
+    of_map: list[str] | None,
+    pictures: Sequence[Path],
 ) -> str:
     """What to type; `of_map` is what GeoTIFFs need, None if there are none, and then a spacing is needed."""
     words = ["folder", str(folder)]
@@ -160,6 +189,8 @@ def _command(
         words += ["--columns", ",".join(f"{meaning}=NAME" for meaning in lacking)]
     if not columns.keys() & {"grazing", "incidence", "transmit-grazing"}:
         words += ["--grazing", "DEGREES"]
+    else:
+        words += _quantity(pictures)
     if of_map is None and not any("spacing" in meaning for meaning in columns):
         words += ["--spacing", "METRES"]
     if "heading" in columns and "look" not in columns:
@@ -177,7 +208,8 @@ def _without_table(contents: Contents, pictures: int, endings: tuple[str, ...], 
     if tables:
         needed = f"which of {len(tables)} tables is theirs: {', '.join(map(str, tables[:_LISTED]))}"
         needed += ", …" * (len(tables) > _LISTED)
-    words = ("folder", str(contents.path), "--table", "TABLE.csv", "--spacing", "METRES")
+    files = contents.ending_in(*endings)
+    words = ("folder", str(contents.path), "--table", "TABLE.csv", "--spacing", "METRES", *_quantity(files))
     return Recognised(
         f"{counted(pictures, 'picture')} ({kinds}) without a table of their angles",
         {"missing": needed},

@@ -7,6 +7,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,18 +18,31 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, angles, refuse_existing
 from sarsplat.cli.from_signature import Option, assumed_once, command_of
 from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
+from sarsplat.cli.info_run import PLAN
 from sarsplat.errors import SarsplatError
 
 _USUAL_DEPRESSION = 17
 _REFUSED = 2
 """Exit code if a class could not be imported."""
 
-_PLAN = "sweep.toml"
 _PLAN_TEXT = """# a reconstruction of each class; `sarsplat sweep sweep.toml --out RUNS` makes them
 datasets = ["*"]
 preset = "measured"
 seeds = [0]
 """
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """What is known of a chip before it is read."""
+
+    target: str
+    serial: str
+    depression_deg: float
+    """NaN if unknown."""
+    placed: bool
+    """Whether its azimuth is known."""
+
 
 _MOST_READ = 500
 """Number of Phoenix files whose headers are read; the others are assumed to be of the same classes."""
@@ -60,7 +74,8 @@ _one = command_of(
         name="class",
         default=(),
         help="Vehicle class, e.g. T72. Several, or all that there are (all), become a dataset each in the folder OUT; "
-        "with --split, those that it trains, unless some are named.",
+        "with --split, those that it trains, unless some are named. If one cannot be imported, the others are all the "
+        "same, each whole or not at all, and the exit code is 2.",
     ),
     train_views=Option(Annotated[str, tyro.conf.arg(metavar="N|all")], _all_or_number),
     train_depression=Option(Angles, _whole, default=(str(_USUAL_DEPRESSION),)),
@@ -88,6 +103,7 @@ def command(**given: Any) -> int:
 def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], list[Path]]:
     """Import a dataset of each class; exit codes, and the folders that were made."""
     from sarsplat.importers.mstar_chips import same_class
+    from sarsplat.progress import progress
 
     for k, name in enumerate(classes):
         if twice := next((other for other in classes[:k] if other != name and same_class(other, name)), None):
@@ -96,14 +112,17 @@ def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], lis
     for out in outs.values():
         refuse_existing(out, given["overwrite"], marker="dataset.json")
     codes, made = [], []
-    with assumed_once():
-        for name, out in outs.items():
+    with assumed_once(), progress(f"chips from {given['chips']}", len(outs)) as shown:
+        for done, (name, out) in enumerate(outs.items()):
+            shown.update(done, name)
             try:
                 codes.append(_one(**given | {"target_class": name, "out": out}))
                 made.append(out)
             except SarsplatError as error:  # as where a class has too few chips: the others are imported
-                console.complain(f"{name}: {error}")
+                old = f"; {out} stays as it was" if out.exists() else ""
+                console.complain(f"{name}: {error}{old}")
                 codes.append(_REFUSED)
+        shown.update(len(outs))
     if not made:
         return codes, made
     console.finish(
@@ -128,29 +147,39 @@ def _all_of_split(given: dict[str, Any]) -> int:
     """Import the classes of a split, say how many chips there are and should be, and put a plan of a sweep beside."""
     from sarsplat.data.dataset_folder import read_header
     from sarsplat.data.files import write_bytes
+    from sarsplat.importers.mstar_chips import same_class
     from sarsplat.importers.mstar_splits import SPLITS, in_words
 
-    codes, made = _each(given, given["target_class"] or SPLITS[given["split"]].classes)
+    split = SPLITS[given["split"]]
+    classes = given["target_class"] or split.classes
+    codes, made = _each(given, classes)
     if not made:
         return max(codes)
     totals = Counter[str]()
-    for out in made:
-        parts = read_header(out).source["split"]["parts"]
+    headers = [read_header(out) for out in made]
+    for header in headers:
+        parts = header.source["split"]["parts"]
         for said in in_words(parts):
             console.say(said)
         for part in parts:
             totals[part["set"]] += part["found"]
-            totals[f"{part['set']} published"] += part["published"]
-    for name in ("train", "test"):
-        found, published = totals[name], totals[f"{name} published"]
+    for name, whole in (("train", split.train), ("test", split.test)):
+        found = totals[name]
+        published = sum(part.count for part in whole if same_class(tuple(classes), part.target))
         (console.say if found == published else console.warn)(
-            f"{name}: {found:,} of {published:,} chips of {len(made)} classes"
+            f"{name}: {found:,} of {published:,} chips, {len(made)} of {len(classes)} classes"
         )
-    plan = given["out"] / _PLAN
+    if missing := [name for name in classes if not any(same_class(name, header.target) for header in headers)]:
+        console.warn(
+            f"without {', '.join(missing)} (see above); the datasets of the others are whole. Once the chips are "
+            f"there, the same command with --class {shlex.join(missing)} adds what is missing"
+        )
+    plan = given["out"] / PLAN
     if not plan.exists():  # it may have been changed
         write_bytes(plan, _PLAN_TEXT.encode())
-        console.say(f"wrote {plan}")
-    console.say(f"next: sarsplat sweep {shlex.quote(str(plan))} --out RUNS reconstructs each class")
+        console.say(f"wrote {plan}, a plan by which a sweep reconstructs each class")
+    runs = shlex.quote(f"{given['out']}-runs")
+    console.say(f"next: sarsplat sweep {shlex.quote(str(plan))} --out {runs}")
     return max(codes)
 
 
@@ -187,7 +216,10 @@ def _labelled(folder: Path, table: Path) -> Recognised | None:
     return _chips(
         "MSTAR chips as JPEGs, with a table of labels",
         {"chips": f"{len(present)}{missing}", "labels": str(table)},
-        [(row["class"], parsed(row["desired_depression_deg"])) for row in present],
+        [
+            _Planned(row["class"], row["serial"], parsed(row["desired_depression_deg"]), bool(row["target_az_deg"]))
+            for row in present
+        ],
         [str(root), "--labels", str(table)],
     )
 
@@ -201,7 +233,7 @@ def _phoenix(folder: Path, files: list[Path]) -> Recognised:
     return _chips(
         "original MSTAR chips (Phoenix files)",
         {"chips": str(len(files)), "the first": pixels},
-        [(chip.target_type, chip.desired_depression_deg) for chip in chips],
+        [_Planned(chip.target_type, chip.serial, chip.desired_depression_deg, placed=True) for chip in chips],
         [str(folder)],
     )
 
@@ -222,23 +254,46 @@ def _one_phoenix(path: Path) -> Recognised:
     return Recognised("a Phoenix chip (MSTAR)", rows)
 
 
-def _chips(kind: str, facts: dict[str, str], planned: Sequence[tuple[str, float]], where: list[str]) -> Recognised:
-    """Classes and their planned depressions, degrees, NaN if unknown; and the command for the largest class."""
-    by_class: dict[str, Counter[int | None]] = {name: Counter() for name in sorted({name for name, _ in planned})}
-    for name, angle in planned:
-        by_class[name][round(angle) if math.isfinite(angle) else None] += 1
+def _chips(kind: str, facts: dict[str, str], planned: Sequence[_Planned], where: list[str]) -> Recognised:
+    """How many there are of each class, and the commands for the largest class and for standard splits."""
+    by_class: dict[str, Counter[int | None]] = {name: Counter() for name in sorted({one.target for one in planned})}
+    usable: dict[str, Counter[int]] = {name: Counter() for name in by_class}
+    for one in planned:
+        angle = round(one.depression_deg) if math.isfinite(one.depression_deg) else None
+        by_class[one.target][angle] += 1
+        if angle is not None and one.placed:
+            usable[one.target][angle] += 1
     for name, depressions in by_class.items():
-        facts[f"class {name}"] = ", ".join(
+        said = ", ".join(
             f"{number} at {'an unknown depression' if angle is None else f'{angle}°'}"
             for angle, number in sorted(depressions.items(), key=lambda item: -(item[0] or 0))
         )
-    name = max(by_class, key=lambda its: by_class[its].total())
-    usable = {angle: number for angle, number in by_class[name].items() if angle is not None}
-    if not usable:
+        unplaced = sum(not one.placed for one in planned if one.target == name)
+        facts[f"class {name}"] = said + (f" ({unplaced} without azimuth)" if unplaced else "")
+    name = max(usable, key=lambda its: usable[its].total())
+    if not usable[name]:
         return Recognised(kind, facts)
-    angle = _USUAL_DEPRESSION if _USUAL_DEPRESSION in usable else max(usable, key=lambda its: usable[its])
-    words = [*where, "--class", name, "--train-views", training_half(usable[angle])]
+    angle = _USUAL_DEPRESSION if _USUAL_DEPRESSION in usable[name] else max(usable[name], key=usable[name].__getitem__)
+    words = [*where, "--class", name, "--train-views", training_half(usable[name][angle])]
     if angle != _USUAL_DEPRESSION:
         words += ["--train-depression", str(angle)]
     plain = "".join(c for c in name.lower().split("_")[0] if c.isalnum()) or "chips"
-    return Recognised(kind, facts, typed_import("mstar", *words, out=f"mstar-{plain}"))
+    command = typed_import("mstar", *words, out=f"mstar-{plain}")
+    return Recognised(kind, facts, command, also=_split_commands(planned, where))
+
+
+def _split_commands(planned: Sequence[_Planned], where: list[str]) -> dict[str, str]:
+    """The commands for standard splits that chips are of."""
+    from sarsplat.importers.mstar_splits import SPLITS, splits_in
+
+    known = [
+        (one.target, one.serial, round(one.depression_deg)) for one in planned if math.isfinite(one.depression_deg)
+    ]
+    commands = {}
+    for split, number in splits_in(known).items():
+        classes = f"{split}, {number} of its {len(SPLITS[split].classes)} classes are here"
+        words = [*where, "--split", split, "--train-views", "all"]
+        commands[f"or a dataset of each class of a standard split ({classes})"] = typed_import(
+            "mstar", *words, out=f"mstar-{split}"
+        )
+    return commands

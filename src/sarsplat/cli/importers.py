@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -40,9 +41,11 @@ class Recognised:
     facts: dict[str, str] = field(default_factory=dict)
     """Names and values."""
     command: str | None = None
-    """What to type to import it; words in capitals are to be replaced. None if there is no such command."""
+    """What to type to import it; words in capitals (`to_replace`) are to be replaced. None if there is no such."""
     certainty: float = 1.0
     """Between 0 and 1: of several importers, the most certain one is believed."""
+    also: dict[str, str] = field(default_factory=dict)
+    """Other commands that fit, each after what it is for."""
 
 
 def recognised(path: Path) -> Recognised | None:
@@ -81,6 +84,34 @@ def typed_import(*words: str, out: str) -> str:
 def dataset_name(folder: Path) -> str:
     """What to call the dataset that is made of a folder."""
     return f"{folder.resolve().name}-dataset"
+
+
+_MEANT = {
+    ("--spacing", "METRES"): "distance of pixels in the slant plane, m; two numbers if it differs, azimuth and range",
+    ("--resolution", "METRES"): "3 dB width of a point, m; two numbers if it differs, azimuth and range",
+    ("--size", "METRES"): "side of the square of ground that is cut out, m",
+    ("--wavelength", "METRES"): "that of the radar, m",
+    ("--grazing", "DEGREES"): "of the line of sight above the horizon: 90 minus the incidence angle",
+    ("--quantity", "QUANTITY"): "what the numbers are: amplitude, power or db",
+    (
+        "--geocoded",
+        "GROUND",
+    ): "what their producer took for the ground: level; or terrain, and its heights with --terrain",
+    ("--look", "SIDE"): "to which side of its flight the radar looks: right or left",
+    ("--table", "TABLE.csv"): "a row for each picture; columns file, azimuth and grazing, in degrees",
+    ("--columns", "NAME"): "what the table calls that column",
+    ("--azimuth", "DEGREES"): "direction of the radar, clockwise from the map's right",
+}
+
+
+def to_replace(command: str) -> list[str]:
+    """A sentence for each word in capitals of a command that is to be replaced: what to put there."""
+    words = shlex.split(command)
+    return [
+        f"{option} {placeholder}: {meaning}"
+        for (option, placeholder), meaning in _MEANT.items()
+        if option in words and placeholder in re.split("[=,]", words[words.index(option) + 1])
+    ]
 
 
 def training_half(images: int) -> str:

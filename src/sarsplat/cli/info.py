@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +11,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile
-from sarsplat.cli.importers import recognised
+from sarsplat.cli.importers import recognised, to_replace
 from sarsplat.cli.info_chips import chips_in, describe_chips
 from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.cli.info_run import describe_contents, describe_run, extent
@@ -60,9 +61,16 @@ def info(
         console.facts(f"{path}: {importable.kind}", importable.facts)
         if importable.command is not None:
             console.say(f"import with: {importable.command}")
+            for text in to_replace(importable.command):
+                console.say(f"  {text}")
+        for purpose, typed in importable.also.items():
+            console.say(f"{purpose}: {typed}")
         return
     if (path / "config.json").is_file():
         describe_run(path)
+        return
+    if path.suffix.lower() == ".toml" and path.is_file():
+        _describe_plan(path)
         return
     kind, rows = _folder(path) if path.is_dir() else _file(path)
     console.facts(f"{path}: {kind}", rows)
@@ -114,6 +122,22 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
     raise SarsplatError(f"{path} is not a file that this command recognises by its ending; give {_UNDERSTOOD}")
 
 
+def _describe_plan(path: Path) -> None:
+    from sarsplat.sweeps.plan import Plan
+
+    plan = Plan.read(path)
+    rows = {
+        "datasets": f"{', '.join(plan.datasets)} (below {path.absolute().parent})",
+        "methods": ", ".join(plan.methods),
+        "preset": plan.preset if isinstance(plan.preset, str) else ", ".join(plan.preset),
+        "seeds": ", ".join(map(str, plan.seeds)),
+        "parts": str(len(plan.parts)) if plan.parts else "none",
+    }
+    console.facts(f"{path}: a plan of a sweep", rows)
+    out = f"{path.absolute().parent.name}-runs"
+    console.say(f"reconstruct by it: sarsplat sweep {shlex.quote(str(path))} --out {shlex.quote(out)}")
+
+
 def _renderings(path: Path) -> tuple[str, dict[str, str]]:
     images = sorted(path.glob("az*_gr*.tif"))
     if not images:
@@ -142,8 +166,9 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
         return _map(path, description)
     if on_map:
         raise SarsplatError(
-            f"{path} lies on a map (GeoTIFF); give heights as --terrain or to `sarsplat export {path} "
-            "layover-shadow.tif`, and pictures with their table to `sarsplat import folder --geocoded`"
+            f"{path} lies on a map (GeoTIFF); give heights as --terrain or to `sarsplat export "
+            f"{shlex.quote(str(path))} layover-shadow.tif --azimuth DEGREES --grazing DEGREES`, and pictures with a "
+            "table to `sarsplat import folder --geocoded`, which `sarsplat info` of their folder writes out"
         )
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
@@ -161,15 +186,18 @@ def _map(path: Path, description: str) -> tuple[str, dict[str, str]]:
     import numpy as np
 
     from sarsplat.data.geotiff import read_heights
+    from sarsplat.data.raster import LEVELS
 
     found = read_heights(path)
     values, (width, height), place = found.raster.values, found.raster.pitch_m, found.place
+    above = found.raster.system.height_above
     known = values[np.isfinite(values)]
     return "a map (GeoTIFF)", {
         "pixels": f"{values.shape[0]} rows × {values.shape[1]} columns of {width:.6g} m × {height:.6g} m",
         "numbers": f"{known.min():.6g} … {known.max():.6g}" if len(known) else "none",
         "no data": f"{1 - len(known) / values.size:.0%}",
         "middle": f"latitude {place.latitude_deg:.6f}°, longitude {place.longitude_deg:.6f}°" if place else "not known",
+        **({} if above is None else {"heights": f"above {LEVELS[above]}"}),
         "description": description or "none",
     }
 

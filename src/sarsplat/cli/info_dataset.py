@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from sarsplat.cli import console
+from sarsplat.cli.info_split import SplitSource
 from sarsplat.cli.sky import legend, sky_chart, symbols_for
 from sarsplat.errors import SarsplatError, counted
 
@@ -96,7 +97,7 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         **{f"set {split}": _set(dataset.images(split)) for split in dataset.splits()},
         "truth": dataset.truth_mesh.name if dataset.truth_mesh else "no mesh",
         "masks": "masks/" if (path / "masks").is_dir() else "none",
-        **_source(dataset.source),
+        **_source(dataset.target, dataset.source),
     }
 
 
@@ -131,13 +132,14 @@ def _passes(stack: Stack) -> dict[str, str]:
     return {**rows, "noise": f"{noise} (β⁰ of each channel)"}
 
 
-def _source(source: Mapping[str, Any]) -> dict[str, str]:
+def _source(target: str, source: Mapping[str, Any]) -> dict[str, str]:
     """Where the images come from: sentences take a line each, and what is said of every image is only counted."""
     from sarsplat.data.dataset_folder import HEADER
 
-    rows = {}
+    split = SplitSource.of(target, source)
+    rows = {} if split is None else split.rows()
     for name, value in source.items():
-        if not value:
+        if not value or name in rows:
             continue
         parts = [*value.values()] if isinstance(value, dict) else value
         if not isinstance(parts, list):

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from sarsplat.cli import console
 from sarsplat.cli.beaten import warn_if_beaten
+from sarsplat.cli.info_split import SplitSource, rows_of_all
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 _DEEPEST = 3  # levels of folders below the one asked for
 _DATASET, _RUN = "dataset.json", "config.json"
+PLAN = "sweep.toml"
+"""What a plan of a sweep is called that an import writes beside its datasets."""
 
 
 def describe_run(path: Path) -> None:
@@ -45,7 +48,9 @@ def describe_run(path: Path) -> None:
         **({"place": str(header.place.place)} if header.place else {}),
         **about,
         "points": "none yet" if stored is None else extent(stored[0]),
-        "scores": f"{_scores(files.metrics)} (metrics.json)" if files.metrics else "none yet; run sarsplat evaluate",
+        "scores": f"{_scores(files.metrics)} (metrics.json)"
+        if files.metrics
+        else f"none yet; run sarsplat evaluate {shlex.quote(str(path))}",
         **left_open(files.metrics or {}),
         "report": "report/index.html" if (path / "report" / "index.html").is_file() else "none yet",
     }
@@ -112,10 +117,14 @@ def describe_contents(path: Path) -> bool:
     console.say(f"{path}: {' and '.join(whole)}")
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
     runs = _names_of_runs([folder for folder, marker in entries if marker == _RUN])
-    rows = []
+    rows, splits = [], []
     for folder, marker in entries:
         try:
-            cells = _dataset(folder) if marker == _DATASET else _run(folder, runs.get(folder, ""))
+            if marker == _DATASET:
+                cells, split = _dataset(folder)
+                splits += [] if split is None else [split]
+            else:
+                cells = _run(folder, runs.get(folder, ""))
         except SarsplatError as error:
             cells = ("a dataset" if marker == _DATASET else "a run", f"unusable: {error}", "")
         rows.append((str(folder.relative_to(path)), *cells))
@@ -128,17 +137,32 @@ def describe_contents(path: Path) -> bool:
     for row in rows:
         table.add_row(*(escape(row[index]) for index in columns))
     console.show(table)
+    if splits:
+        console.facts("of standard splits of MSTAR:", rows_of_all(splits))
+        console.say(
+            f"for a classifier: sarsplat chips --measured {shlex.quote(str(path))} --out {_beside(path, 'measured')}"
+        )
     if (page := path / "index.html").is_file() and (path / "sweep.json").is_file():
         console.say(f"a sweep: open {page} in a browser")
+    elif (plan := path / PLAN).is_file():
+        console.say(
+            f"{plan} is a plan to reconstruct all datasets: sarsplat sweep {shlex.quote(str(plan))} --out "
+            f"{_beside(path, 'runs')}"
+        )
     elif counts[_DATASET] > 1:
         _offer_plan(path, [folder for folder, marker in entries if marker == _DATASET])
     return True
 
 
+def _beside(path: Path, what: str) -> str:
+    """What to call what is made of a folder, as a shell takes it."""
+    return shlex.quote(f"{path.resolve().name}-{what}")
+
+
 def _offer_plan(path: Path, datasets: Sequence[Path]) -> None:
     """How to reconstruct all of them."""
     patterns = json.dumps([f"{parent}/*" for parent in dict.fromkeys(folder.parent for folder in datasets)])
-    fleet = shlex.quote(f"{path.resolve().name}-fleet")
+    fleet = _beside(path, "fleet")
     console.say("to reconstruct and score all datasets, write these two lines to plan.toml:")
     console.say(f"  datasets = {patterns}\n  seeds = [0, 1, 2]")
     console.say(f"and run: sarsplat sweep plan.toml --out {fleet}")
@@ -164,13 +188,15 @@ def _ours(header: Path) -> bool:
         return b'"sarsplat-' in file.read(1000)
 
 
-def _dataset(folder: Path) -> tuple[str, str, str]:
+def _dataset(folder: Path) -> tuple[tuple[str, str, str], SplitSource | None]:
     from sarsplat.data.dataset_folder import read_header
 
     header = read_header(folder)
-    sets = ", ".join(f"{number:,} {split}" for split, number in Counter(view.split for view in header.views).items())
+    split = SplitSource.of(header.target, header.source)
+    sets = ", ".join(f"{number:,} {name}" for name, number in Counter(view.split for view in header.views).items())
+    sets += f", {split.unplaced:,} unplaced" if split is not None and split.unplaced else ""
     pixels = f"{header.grid.rows} × {header.grid.columns} pixels"
-    return f"{counted(len(header.views), 'image')} of {header.target}", f"{sets}; {pixels}", ""
+    return (f"{counted(len(header.views), 'image')} of {header.target}", f"{sets}; {pixels}", ""), split
 
 
 def _names_of_runs(folders: Sequence[Path]) -> dict[Path, str]:

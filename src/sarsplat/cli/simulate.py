@@ -210,7 +210,7 @@ def simulate(
     from sarsplat.progress import progress
     from sarsplat.scenes import ScatteringLaw, load_mesh, mstar_views, paper_views, target_mesh
     from sarsplat.scenes.meshes import is_larger, scaled, side_m, suspicious_size
-    from sarsplat.scenes.placement import below_ground, lost_digits, outside_images, recentred
+    from sarsplat.scenes.placement import lost_digits, outside_images, recentred, warn_below_ground
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db, raycast_masks
     from sarsplat.scenes.scattering import check_bounces, check_terrain, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
@@ -273,8 +273,7 @@ def simulate(
         surface, moved = recentred(surface, aloft=bool(isar))
         console.say("subtracted from the target's coordinates: " + ", ".join(f"{value:.10g}" for value in moved) + " m")
     warn([*odd, *outside_images(surface, looked, grid)])
-    if ground is not None:
-        warn(below_ground(surface, grid, relief))
+    warn_below_ground(surface, grid, ground, relief)
     odd = suspicious_size(surface, grid)
     if odd and is_larger(surface, grid) and not pixels and not spacing:
         raise SarsplatError(odd[0])  # not minutes of work for images of a part that nobody chose

@@ -18,9 +18,10 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.georeference import Georeference, georeference_of, keys_of
 from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map
-from sarsplat.data.raster import Raster, RasterSystem
+from sarsplat.data.raster import HEIGHTS_ABOVE, LEVELS, Raster, RasterSystem
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place, Terrain
+from sarsplat.geometry.place import HeightAbove
 
 _PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _NO_DATA = 33550, 33922, 34264, 42113
 _KEYS, _DOUBLES, _TEXTS = 34735, 34736, 34737
@@ -232,7 +233,15 @@ def _where(path: Path, tags: dict[int, Any], lies: Georeference | None, shape: t
     if lies is None or lies.kind != "projected" or lies.epsg is None:
         return None
     x, y = lies.affine @ ((shape[1] - 1) / 2, (shape[0] - 1) / 2, 1.0)
-    return place_on_map(lies.epsg, (float(x), float(y)), str(path), height_above_of(keys_of(tags).get(_VERTICAL)))
+    return place_on_map(lies.epsg, (float(x), float(y)), str(path), _height_above(tags) or "unknown")
+
+
+def _height_above(tags: dict[int, Any]) -> HeightAbove | None:
+    """What the file says that heights are measured from: by a vertical system, or as our own maps say it."""
+    if (code := keys_of(tags).get(_VERTICAL)) is not None:
+        return height_above_of(code)
+    said = str(tags.get(_GDAL_METADATA, ""))
+    return next((name for name, level in LEVELS.items() if f'"{HEIGHTS_ABOVE}">{level}<' in said), None)
 
 
 def _system(tags: dict[int, Any]) -> RasterSystem:
@@ -243,7 +252,9 @@ def _system(tags: dict[int, Any]) -> RasterSystem:
             numbers[k + 3] = _AREA
     doubles = tags.get(_DOUBLES, ())
     values = doubles if isinstance(doubles, tuple) else (doubles,)
-    return RasterSystem(tuple(numbers), tuple(map(float, values)), str(tags.get(_TEXTS, "")))
+    return RasterSystem(
+        tuple(numbers), tuple(map(float, values)), str(tags.get(_TEXTS, "")), height_above=_height_above(tags)
+    )
 
 
 def _length_m(tags: dict[int, Any]) -> float | None:

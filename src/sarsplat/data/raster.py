@@ -7,30 +7,44 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 import tifffile
 from jaxtyping import Float64, Shaped
 
 from sarsplat.data.files import write_bytes
+from sarsplat.geometry.place import HeightAbove
 
 _PIXEL_SCALE, _TIEPOINT, _NO_DATA = 33550, 33922, 42113
-_KEYS, _DOUBLES, _TEXTS = 34735, 34736, 34737
+_KEYS, _DOUBLES, _TEXTS, _GDAL_METADATA = 34735, 34736, 34737, 42112
 _TILE = (256, 256)
+
+HEIGHTS_ABOVE = "HEIGHTS_ABOVE"
+"""Item of GDAL's metadata that says what heights are measured from. A vertical system among the GeoKeys would say it,
+too, but with one GDAL no longer finds the number of the horizontal system, by which maps are laid over each other."""
+LEVELS: dict[HeightAbove, str] = {
+    "ellipsoid": "the WGS 84 ellipsoid",
+    "sea level": "sea level",
+    "unknown": "an unknown level",
+}
+"""What it says."""
 
 
 @dataclass(frozen=True)
 class RasterSystem:
-    """What a GeoTIFF says of its coordinates: values of its tags of keys, doubles and texts."""
+    """What a GeoTIFF says of its coordinates: values of its tags of keys, doubles and texts, and what heights mean."""
 
     keys: tuple[int, ...]
     doubles: tuple[float, ...] = ()
     texts: str = ""
+    height_above: HeightAbove | None = None
+    """None: the file says nothing, or heights are z of the scene."""
 
     @classmethod
-    def epsg(cls, code: int) -> RasterSystem:
+    def epsg(cls, code: int, height_above: HeightAbove | None = None) -> RasterSystem:
         """A projected system in metres of the EPSG registry."""
-        return cls((1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, code))
+        return cls((1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, code), height_above=height_above)
 
     @classmethod
     def local(cls) -> RasterSystem:
@@ -68,7 +82,12 @@ class Raster:
 
 
 def write_raster(
-    path: Path, raster: Raster, description: str, *, colours: Mapping[int, tuple[int, int, int]] | None = None
+    path: Path,
+    raster: Raster,
+    description: str,
+    *,
+    unit: str = "",
+    colours: Mapping[int, tuple[int, int, int]] | None = None,
 ) -> None:
     """Write a raster as a tiled, compressed GeoTIFF, whole or not at all.
 
@@ -79,7 +98,9 @@ def write_raster(
     raster : Raster
         What is in it. Floats become float32, with NaN as "no data"; of classes "no data" is 255.
     description : str
-        What the numbers are, with their unit (ASCII; the ImageDescription tag).
+        What the numbers are, with their unit (ASCII; the ImageDescription tag, and the name of the band).
+    unit : str, optional
+        Of the band, for programs; none unless given.
     colours : mapping of int to (red, green, blue), optional
         Colours of classes, 0 to 255, in which programs show them.
     """
@@ -93,6 +114,7 @@ def write_raster(
         tags.append((_DOUBLES, "d", len(system.doubles), system.doubles, True))
     if system.texts:
         tags.append((_TEXTS, "s", 0, system.texts, True))
+    tags.append((_GDAL_METADATA, "s", 0, _metadata(description, unit, system.height_above), True))
     shown: dict[str, Any] = {"photometric": "minisblack"}
     if colours is None:
         values = values.astype(np.float32)
@@ -116,3 +138,13 @@ def write_raster(
         **shown,
     )
     write_bytes(path, buffer.getbuffer())
+
+
+def _metadata(description: str, unit: str, height_above: HeightAbove | None) -> str:
+    """What GDAL, and with it a GIS, shows of a band and of a file."""
+    items = [f'<Item name="DESCRIPTION" sample="0" role="description">{escape(description)}</Item>']
+    if unit:
+        items.append(f'<Item name="UNITTYPE" sample="0" role="unittype">{escape(unit)}</Item>')
+    if height_above is not None:
+        items.append(f'<Item name="{HEIGHTS_ABOVE}">{LEVELS[height_above]}</Item>')
+    return f"<GDALMetadata>{''.join(items)}</GDALMetadata>"

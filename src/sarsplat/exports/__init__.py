@@ -113,6 +113,8 @@ def export(
         thing, summary = content_of(run, holds)
     if isinstance(thing, Points) and system is not None:
         thing, summary = replace(thing, system=system), f"{counted(len(thing.positions), 'point')}, {system}"
+    elif holds == "mesh":
+        summary = f"{summary}, {format.up}"
     elif format.coordinates == "degrees":
         summary = f"outline of {counted(len(thing.positions), 'point')}, longitude and latitude ({DATUM})"
     remove_place(path)

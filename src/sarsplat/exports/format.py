@@ -48,6 +48,8 @@ class Format:
     named_by_content : bool
         A file whose name is, or ends with, what such files can hold, holds that unless asked otherwise, as gamma0.tif
         and village-gamma0.tif.
+    up : str
+        In which direction meshes stand in it, for those who open them.
     """
 
     writers: Mapping[Content, Write]
@@ -55,11 +57,13 @@ class Format:
     recognises: Recognises
     coordinates: Coordinates = "scene"
     named_by_content: bool = False
+    up: str = "z up"
 
 
-def mesh_format(recognises: Recognises) -> Format:
+def mesh_format(recognises: Recognises, up: str = "z up") -> Format:
     """A format of meshes that `write_mesh` knows."""
-    return Format({"mesh": lambda mesh, path, _: write_mesh(path, mesh)}, {"mesh": "any mesh viewer"}, recognises)
+    writers: Mapping[Content, Write] = {"mesh": lambda mesh, path, _: write_mesh(path, mesh)}
+    return Format(writers, {"mesh": "any mesh viewer"}, recognises, up=up)
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ def content_of(run: Run, content: Content) -> tuple[Any, str]:
             mesh = run.mesh()
             if len(mesh.faces) == 0:
                 raise SarsplatError(f"{name} has too few points of a surface for a mesh; {longer}")
-            return mesh, f"{counted(len(mesh.faces), 'triangle')}, metres, z up"
+            return mesh, f"{counted(len(mesh.faces), 'triangle')}, metres"
         case "everything":
             if len(run.points if run.gaussians is None else run.gaussians) == 0:
                 raise SarsplatError(f"{name} has no surface yet; {longer}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from sarsplat.data.raster import write_raster
+from pathlib import Path
+
+from sarsplat.data.raster import LEVELS, Raster, write_raster
 from sarsplat.exports.format import Format
 from sarsplat.radar.layover_shadow import BOTH, FREE, LAYOVER, LEGEND, SHADOW, UNKNOWN
 
@@ -15,9 +17,16 @@ _COLOURS = {
 }
 _CLASSES = "; ".join(f"{value} {what}" for value, what in LEGEND.items())
 
+
+def _write_heights(raster: Raster, path: Path) -> None:
+    above = raster.system.height_above
+    level = "z of the scene" if above is None else f"above {LEVELS[above]}"
+    write_raster(path, raster, f"height of the surface, {level}, m", unit="m")
+
+
 FORMAT = Format(
     writers={
-        "dsm": lambda raster, path, _: write_raster(path, raster, "height of the surface, m"),
+        "dsm": lambda raster, path, _: _write_heights(raster, path),
         "gamma0": lambda raster, path, _: write_raster(path, raster, "gamma0 of the surface, linear"),
         "layover-shadow": lambda raster, path, _: write_raster(path, raster, _CLASSES, colours=_COLOURS),
     },

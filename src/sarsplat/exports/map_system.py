@@ -11,7 +11,8 @@ from typing import Any, Self
 import numpy as np
 from jaxtyping import Float64, Real
 
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.data.raster import LEVELS
+from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.extras import install_command
 from sarsplat.geometry import Place
 
@@ -54,6 +55,11 @@ class MapSystem:
         SarsplatError
             If pyproj is not installed, there is no such system, it is not one of horizontal metres, or it cannot show
             the place.
+
+        Warns
+        -----
+        SarsplatWarning
+            If the place is outside the area that the system is for.
         """
         try:
             import pyproj
@@ -81,6 +87,16 @@ class MapSystem:
             )
         made = cls(place, found)
         made._check()
+        if (area := found.area_of_use) is not None and not _is_in(area.bounds, place):
+            west, south, east, north = area.bounds
+            warnings.warn(
+                f"--crs {name} ({found.name}) is for longitudes {west:g}° to {east:g}° and latitudes {south:g}° to "
+                f"{north:g}°, and the place is at latitude {place.latitude_deg:.4f}°, longitude "
+                f"{place.longitude_deg:.4f}°, where it may be far from true to scale or unknown to other programs; "
+                f"give another, such as {usual_system(place)}",
+                SarsplatWarning,
+                stacklevel=4,
+            )
         return made
 
     def _check(self) -> None:
@@ -151,15 +167,12 @@ class MapSystem:
 
     def __str__(self) -> str:
         """Its name, what its heights are, and what is not as usual: said with every export."""
-        above = {"ellipsoid": "the WGS 84 ellipsoid", "unknown": "an unknown level"}
-        height = above.get(self.place.height_above, self.place.height_above)
+        height = LEVELS[self.place.height_above] + " (not the sea)" * (self.place.height_above == "ellipsoid")
         number = "" if self.epsg is None else f" (EPSG:{self.epsg})"
         said = [f"metres in {self.crs.name}{number}, heights above {height}"]
         scale = math.sqrt(abs(np.linalg.det(self.gradients[:2, :2])))
         if abs(scale - 1) > _STRETCHED:
             said.append(f"a metre on the ground is {scale:.3g} m of the map here")
-        if (area := self.crs.area_of_use) is not None and not _is_in(area.bounds, self.place):
-            said.append("the place is outside the area that this system is for")
         accuracy = self._operation.accuracy
         if accuracy > _INEXACT_M:
             said.append(f"reached from WGS 84 to {accuracy:g} m")

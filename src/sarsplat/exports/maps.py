@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from sarsplat.data.geotiff import read_heights
 from sarsplat.data.raster import Raster, RasterSystem
@@ -76,7 +76,7 @@ class Coordinates:
                 f"--crs {self.system.crs.name} has no EPSG number, by which a GeoTIFF names it; give another, such as "
                 f"{usual_system(self.system.place)}"
             )
-        return RasterSystem.epsg(self.system.epsg)
+        return RasterSystem.epsg(self.system.epsg, self.system.place.height_above)
 
 
 def require_fit(path: Path, holds: str, pixel_m: float | None, view: View | None) -> None:
@@ -108,8 +108,10 @@ def map_of(
     """
     if what == "layover-shadow":
         assert view is not None  # `require_fit`
-        raster = _layover_shadow(run, view, coordinates, pixel_m)
-        said = f"{_classes_in_words(raster, coordinates.bearing_deg(view))}; {_unseen_ground(run)}"
+        raster, seen = _layover_shadow(run, view, coordinates, pixel_m)
+        pixel_m2 = math.prod(raster.pitch_m) * math.prod(coordinates.metres)
+        said = _classes_in_words(raster, seen, "what views saw", pixel_m2, coordinates.bearing_deg(view))
+        said += f"; {_unseen_ground(run)}"
     else:
         raster = _uppermost(run, coordinates, pixel_m, brightness=what == "gamma0")
         named = "γ⁰, linear" if what == "gamma0" else "heights"
@@ -129,18 +131,29 @@ def of_terrain(path: Path, view: View) -> tuple[Raster, str]:
     pitch = heights.pitch_m[0] * x_m, heights.pitch_m[1] * y_m
     raster = replace(heights, values=layover_shadow(heights.values, pitch, view))
     rows, columns = raster.values.shape
-    said = _classes_in_words(raster, Coordinates().bearing_deg(view))
+    pixel_m2 = pitch[0] * pitch[1]
+    said = _classes_in_words(
+        raster, raster.values != UNKNOWN, "known heights", pixel_m2, Coordinates().bearing_deg(view)
+    )
     return raster, f"{rows} × {columns} pixels: {said}; coordinates as in {path}"
 
 
-def _classes_in_words(raster: Raster, bearing_deg: float) -> str:
-    """Shares of layover and shadow on a map, and where the radar is."""
-    known = raster.values[raster.values != UNKNOWN]
-    if not len(known):
+def _classes_in_words(
+    raster: Raster, measured: Bool[np.ndarray, "rows columns"], named: str, pixel_m2: float, bearing_deg: float
+) -> str:
+    """How much of what was measured, and of the whole map, is in layover and shadow, and where the radar is.
+
+    How far a map goes on around what was measured is no matter of its own: so shares are not of that.
+    """
+    if not measured.any():
         return "no height is known"
-    layover, shadow = (float(((known & bit) > 0).mean()) for bit in (LAYOVER, SHADOW))
+    shares, areas = [], []
+    for bit, name in ((LAYOVER, "layover"), (SHADOW, "shadow")):
+        found = (raster.values & bit > 0) & (raster.values != UNKNOWN)
+        shares.append(f"{name} on {found[measured].mean():.1%}")
+        areas.append(f"{np.count_nonzero(found) * pixel_m2:.4g} m²")
     return (
-        f"layover on {layover:.1%} and shadow on {shadow:.1%} of it, seen by a radar in the direction "
+        f"{' and '.join(shares)} of {named} ({' and '.join(areas)} of the whole map), seen by a radar in the direction "
         f"{bearing_deg:.0f}° (clockwise from the top of the map)"
     )
 
@@ -170,8 +183,13 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
     return Raster(values, (float(first[0] * pixel), float((last[1] + 1) * pixel)), (pixel, pixel), system)
 
 
-def _layover_shadow(run: Run, view: View, coordinates: Coordinates, pixel_m: float | None) -> Raster:
-    """Classes on the run's surface and its ground: the terrain that it was learned on, or else level at z = 0."""
+def _layover_shadow(
+    run: Run, view: View, coordinates: Coordinates, pixel_m: float | None
+) -> tuple[Raster, Bool[np.ndarray, "rows columns"]]:
+    """Classes on the run's surface and its ground: the terrain that it was learned on, or else level at z = 0.
+
+    And where on that map a view saw something.
+    """
     if view.aloft or any(one.aloft for one in run.snapshot.views):
         raise SarsplatError(
             f"{_name(run)} shows a target aloft: without ground there is no map of layover and shadow; export its mesh"
@@ -184,8 +202,9 @@ def _layover_shadow(run: Run, view: View, coordinates: Coordinates, pixel_m: flo
     margin = reach_m / min(pitch) + 2
     _counted(max(seen.values.shape) + 2 * margin, seen.pitch_m[0])
     wide = _padded(seen, int(margin))
-    heights = np.where(np.isnan(wide.values), _ground_heights(run, wide, coordinates), wide.values)
-    return replace(wide, values=layover_shadow(heights, pitch, coordinates.view(view)))
+    unseen = np.isnan(wide.values)
+    heights = np.where(unseen, _ground_heights(run, wide, coordinates), wide.values)
+    return replace(wide, values=layover_shadow(heights, pitch, coordinates.view(view))), ~unseen
 
 
 def _ground(

@@ -7,7 +7,7 @@ Classification Using the Deep Convolutional Networks for SAR Images", IEEE TGRS 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 from sarsplat.errors import SarsplatError, counted
@@ -25,10 +25,10 @@ class Part:
     depressions: tuple[int, ...]
     count: int
 
-    def holds(self, chip: Chip) -> bool:
+    def holds(self, serial: str, depression: int) -> bool:
         """Whether a chip of the class may belong to it; one whose table names no serial may."""
-        named = plain_name(chip.serial).removeprefix("sn")  # as in SN_132
-        return chip.depression in self.depressions and named in ("", plain_name(self.serial))
+        named = plain_name(serial).removeprefix("sn")  # as in SN_132
+        return depression in self.depressions and named in ("", plain_name(self.serial))
 
     def __str__(self) -> str:
         return f"{self.target} ({self.serial}) at {' and '.join(f'{angle}°' for angle in self.depressions)}"
@@ -149,7 +149,11 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
             alone = (
                 sum(same_class(target, other.target) for other in parts) == 1
             )  # or who knows which an unnamed one is
-            held = [chip for chip in chips if part.holds(chip) and (alone or plain_name(chip.serial))]
+            held = [
+                chip
+                for chip in chips
+                if part.holds(chip.serial, chip.depression) and (alone or plain_name(chip.serial))
+            ]
             held = [chip for chip in held if not any(chip is one for one in found["train"])]
             found[name] += held
             unplaced = sum(not chip.placed for chip in held)
@@ -170,6 +174,30 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
         said = ", ".join(f"{number} of {kind}" for kind, number in sorted(kinds.items()))
         warn_caller(f"{target}: {counted(len(others), 'chip')} do not belong to the split {split} ({said}); left out")
     return Divided(found["train"], found["test"], counts)
+
+
+def splits_in(chips: Collection[tuple[str, str, int]]) -> dict[MstarSplit, int]:
+    """Splits of which some vehicle that tests is among chips (class, serial, depression angle), with the number of
+    their classes that have chips to train on; those of which less than half have are left out.
+    """
+    kinds = set(chips)
+    found: dict[MstarSplit, int] = {}
+    for name, split in SPLITS.items():
+        trained = {part.target for part in split.train if _has(part, split.train, split, kinds)}
+        if 2 * len(trained) >= len(split.classes) and any(_has(part, split.test, split, kinds) for part in split.test):
+            found[name] = len(trained)
+    return found
+
+
+def _has(part: Part, parts: Sequence[Part], split: Split, kinds: Collection[tuple[str, str, int]]) -> bool:
+    """Whether a part has chips; those of a vehicle without serial may be of any, if there are several."""
+    alone = sum(one.target == part.target for one in parts) == 1
+    return any(
+        same_class(split.names_of(part.target), target)
+        and part.holds(serial, depression)
+        and (alone or plain_name(serial))
+        for target, serial, depression in kinds
+    )
 
 
 def _nothing(chips: Sequence[Chip], split: Split, target: str) -> str:
@@ -195,4 +223,4 @@ def in_words(counts: Sequence[dict[str, int | str]]) -> Iterator[str]:
         said = f"{one['set']}: {one['part']}: {found} of {published} chips"
         if found != published:
             said += f", {published - found} are missing" if found < published else f", {found - published} too many"
-        yield said + (f"; {unplaced} have no azimuth" if unplaced else "")
+        yield said + (f"; {unplaced} {'has' if unplaced == 1 else 'have'} no azimuth" if unplaced else "")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.scenes.meshes import is_larger
 
@@ -99,23 +100,33 @@ def lost_digits(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
     ]
 
 
-def below_ground(mesh: trimesh.Trimesh, grid: ImageGrid, terrain: Terrain | None) -> list[str]:
-    """A sentence if a good part of a mesh is below the ground, which hides it, or nothing."""
+def warn_below_ground(
+    mesh: trimesh.Trimesh, grid: ImageGrid, ground_gamma0: float | None, terrain: Terrain | None
+) -> None:
+    """Warn if a good part of a mesh is below the ground, if there is one, which hides it."""
+    if ground_gamma0 is not None and len(mesh.faces):
+        for text in _below_ground(mesh, grid, terrain):
+            warnings.warn(text, SarsplatWarning, stacklevel=1)  # one place, so that Python knows repetitions
+
+
+def _below_ground(mesh: trimesh.Trimesh, grid: ImageGrid, terrain: Terrain | None) -> list[str]:
+    """A sentence, or nothing."""
     corners = np.asarray(mesh.triangles, np.float64)
     height = corners[..., 2]
     if terrain is not None:
         height = height - terrain.height_m(corners[..., 0], corners[..., 1])
-    share = float((mesh.area_faces * _share_below(height)).sum() / mesh.area)
-    deepest = -float(height.min())
-    if deepest <= _SUNK_CELLS * max(grid.resolution_m) or share < (_LITTLE if terrain is None else _FOUNDATIONS):
+    hidden = float((mesh.area_faces * _share_below(height)).sum())
+    deepest, usual = -float(height.min()), _LITTLE if terrain is None else _FOUNDATIONS
+    if not (deepest > _SUNK_CELLS * max(grid.resolution_m) and hidden >= usual * mesh.area > 0):  # also NaN
         return []
     low, high = mesh.bounds
     level = _LEANS * float(mesh.extents.max())
     lying = terrain is None and abs(low[1]) < level and abs(low[2] + high[2]) < level
     remedy = "if y is up in the file, export it with z up; otherwise " if lying else ""
+    share = f"{hidden / mesh.area:.0%} of the target's surface"
     return [
-        f"{share:.0%} of the target's surface is below the ground, up to {deepest:.3g} m, where nothing shows it; "
-        f"{remedy}give --recentre, or raise it by {deepest:.3g} m"
+        f"{share} is below the ground, up to {deepest:.3g} m, where nothing shows it; {remedy}raise it by "
+        f"{deepest:.3g} m, or simulate it with --recentre"
     ]
 
 

@@ -26,6 +26,7 @@ from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, first_hits, sparse_hits, tracer
 from sarsplat.scenes._second_bounce import SecondBounce
 from sarsplat.scenes._two_ways import image_two_ways, lit_level, shadows_two_ways
+from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.scattering import (
     ScatteringLaw,
     check_bounces,
@@ -105,13 +106,18 @@ def simulate_raycast(
     ------
     SarsplatError
         If the mesh has no faces or is not finite, or a setting is out of range.
+
+    Warns
+    -----
+    SarsplatWarning
+        If a good part of the mesh is below the ground.
     """
     spacing = default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing
     known: dict[str, Any] = {"reflectivity": reflectivity, "ground_gamma0": ground_gamma0, "terrain": terrain}
     known |= {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
-    return RayCaster(mesh, grid, law, **known, ray_spacing=spacing, ray_offset=ray_offset, oversample=oversample).image(
-        view
-    )
+    caster = RayCaster(mesh, grid, law, **known, ray_spacing=spacing, ray_offset=ray_offset, oversample=oversample)
+    warn_below_ground(mesh, grid, ground_gamma0, terrain)
+    return caster.image(view)
 
 
 class RayCaster:

@@ -19,6 +19,7 @@ from sarsplat.renderer import GroundBounce, render
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._random import generator
 from sarsplat.scenes._second_bounce import BY_GROUND
+from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
 from sarsplat.scenes.scattering import (
     ScatteringLaw,
@@ -105,12 +106,18 @@ def simulate_images(
     ------
     SarsplatError
         If the source is unknown, or the mesh or a setting is invalid.
+
+    Warns
+    -----
+    SarsplatWarning
+        If a good part of the mesh is below the ground.
     """
     law = law or ScatteringLaw()
     reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
     check_ground(ground_gamma0)
     check_terrain(terrain, ground_gamma0)
     check_bounces(bounces, ground_reflectivity, ground_gamma0, terrain)
+    warn_below_ground(mesh, grid, ground_gamma0, terrain)
     speckle = generator(seed, "speckle")
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
     powers: dict[View, dict[str, float]] = {}

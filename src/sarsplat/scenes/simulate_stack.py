@@ -23,6 +23,7 @@ from sarsplat.geometry.view import check_monostatic
 from sarsplat.scenes._random import generator
 from sarsplat.scenes._rays import Facets, Region, tracer
 from sarsplat.scenes.mechanisms import Mechanisms
+from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.raycast import check_rays
 from sarsplat.scenes.scattering import ScatteringLaw
 
@@ -85,6 +86,11 @@ def simulate_stack(
     ------
     SarsplatError
         If the mesh has no faces or is not finite, a setting is out of range, or mechanisms are missing or do not fit.
+
+    Warns
+    -----
+    SarsplatWarning
+        If a good part of the mesh is below the ground.
     """
     check_monostatic([view], "stacks are those of one radar; leave out the passes or the second direction")
     roots = _roots(mechanisms, stack, len(mesh.faces))
@@ -92,6 +98,7 @@ def simulate_stack(
     check_rays(mesh, ground_gamma0, spacing, (0.5, 0.5))
     if not 0 <= noise <= LOUDEST:  # also catches NaN
         raise SarsplatError(f"noise is {shown(noise)}; give a power from 0 to {LOUDEST:g}")
+    warn_below_ground(mesh, grid, ground_gamma0, None)
     rng = generator(seed, "scatterers")
     facets, look = Facets.of(mesh, view), view.look
     gamma0 = np.append(law.gamma0(facets.cos_incidence), ground_gamma0 or 0.0)  # the last is the ground's
