@@ -18,6 +18,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.georeference import Georeference, georeference_of, keys_of
 from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map
+from sarsplat.data.packed_tiff import pixels_of
 from sarsplat.data.raster import Raster, RasterSystem
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place, Terrain
@@ -110,7 +111,9 @@ def read_heights(path: str | Path) -> MapHeights:
             bands, shape = page.samplesperpixel, page.shape
             size = math.prod(shape) * np.dtype(page.dtype).itemsize
             allowed = max(_TIMES * len(data), _HARMLESS)
-            heights = page.asarray(maxworkers=1) if bands == 1 and size <= allowed else None
+            heights = pixels_of(page, data, str(path)) if bands == 1 and size <= allowed else None
+    except SarsplatError:
+        raise
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(
             f"{path} is not a readable TIFF ({shown(str(error))}); write it again with gdal_translate -co COMPRESS=NONE"

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Shaped
 
 from sarsplat.data.files import open_file
 from sarsplat.data.georeference import Georeference, georeference_of
+from sarsplat.data.packed_tiff import pixels_of
 from sarsplat.errors import SarsplatError, shown
 
 TIFF = (".tif", ".tiff")
@@ -73,7 +74,7 @@ def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]
             whole, part = (_stored_bytes(page, shape) for shape in (page.shape, page.chunks))
             packed = page.compression != tifffile.COMPRESSION.NONE
             refuse_bomb(path, max(whole, part), len(data), packed)
-            pixels = np.asarray(page.asarray(maxworkers=1))
+            pixels = pixels_of(page, data, str(path))
     except SarsplatError:
         raise
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
