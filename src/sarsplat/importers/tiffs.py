@@ -7,7 +7,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,8 @@ TIFF = (".tif", ".tiff")
 _MOST_PAGES = 16
 _PHOTOMETRIC, _ORIENTATION, _GDAL_METADATA, _NO_DATA = 262, 274, 42112, 42113
 _WHITE_IS_ZERO, _PALETTE = 0, 3
+_CHANNEL = re.compile(r"(?<![a-z])[hv][hv](?![a-z])", re.IGNORECASE)
+"""A polarisation in the name of a band, such as Sigma0_VV."""
 _FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
 """Measured images do not compress much: what unpacks to more than this, and so many times its size, is a bomb."""
 
@@ -42,6 +44,8 @@ class Tags:
         What they are multiplied by, and what is then added, to be what they stand for.
     white_is_zero : bool
         Brighter ones had smaller numbers, which was mended.
+    absent : numpy.ndarray, bool [rows, columns], or None
+        Pixels that a mask or a band for transparency leaves out; None if neither does.
     """
 
     georeference: Georeference | None = None
@@ -49,17 +53,22 @@ class Tags:
     scale: float | None = None
     offset: float | None = None
     white_is_zero: bool = False
+    absent: Bool[np.ndarray, "rows columns"] | None = field(default=None, compare=False)
 
 
-def unknown(pixels: Shaped[np.ndarray, "*shape"], no_data: float | None) -> Bool[np.ndarray, "*shape"]:
-    """Pixels that hold the value of what was not measured."""
+def unknown(pixels: Shaped[np.ndarray, "*shape"], tags: Tags) -> Bool[np.ndarray, "*shape"]:
+    """Pixels that hold the value of what was not measured, or are left out by a mask."""
+    missing = np.zeros(pixels.shape, bool)
+    if tags.absent is not None:
+        missing |= tags.absent if pixels.ndim == 2 or pixels.shape[0] == 2 else tags.absent[..., None]
+    no_data = tags.no_data
     if no_data is None:
-        return np.zeros(pixels.shape, bool)
+        return missing
     if math.isnan(no_data):
-        return np.isnan(pixels)
+        return missing | np.isnan(pixels)
     # as its own type holds it: −3.4028234663852886e38 is float32's lowest
     with np.errstate(over="ignore"):
-        return pixels == (pixels.dtype.type(no_data) if pixels.dtype.kind in "fc" else no_data)
+        return missing | (pixels == (pixels.dtype.type(no_data) if pixels.dtype.kind in "fc" else no_data))
 
 
 def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
@@ -68,20 +77,24 @@ def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]
         data = file.read()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            page = _the_page(path, tiff)
+            page, mask = _the_page(path, tiff)
             tags = {tag.code: tag.value for tag in page.tags.values()}
             _refuse_meanings(path, page, tags)
-            whole, part = (_stored_bytes(page, shape) for shape in (page.shape, page.chunks))
-            packed = page.compression != tifffile.COMPRESSION.NONE
-            refuse_bomb(path, max(whole, part), len(data), packed)
-            pixels = pixels_of(page, data, str(path))
+            for one in (page, mask) if mask else (page,):
+                whole, part = (_stored_bytes(one, shape) for shape in (one.shape, one.chunks))
+                refuse_bomb(path, max(whole, part), len(data), one.compression != tifffile.COMPRESSION.NONE)
+            pixels, absent = _without_alpha(path, page, pixels_of(page, data, str(path)))
+            if mask:
+                absent = pixels_of(mask, data, f"the mask of {path}") == 0
     except SarsplatError:
         raise
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(
             f"{path} is not a readable TIFF ({shown(str(error))}); write it again, without compression"
         ) from error
-    return _black_is_zero(path, pixels, page, tags), _tags(path, page, tags)
+    if absent is not None and not absent.any():
+        absent = None
+    return _black_is_zero(path, pixels, page, tags), replace(_tags(path, page, tags), absent=absent)
 
 
 def first_georeference(paths: Iterable[Path]) -> Georeference | None:
@@ -102,13 +115,36 @@ def refuse_bomb(path: Path, unpacked: int, size: int, packed: bool) -> None:
         )
 
 
-def _the_page(path: Path, tiff: tifffile.TiffFile) -> Any:
+def _the_page(path: Path, tiff: tifffile.TiffFile) -> tuple[Any, Any]:
+    """The one image, and the mask of its pixels, if it has one."""
     pages_read = [page.aspage() for page in itertools.islice(tiff.pages, _MOST_PAGES)]
-    pages = [page for page in pages_read if not page.is_reduced]
+    whole = [page for page in pages_read if not page.is_reduced]
+    pages, masks = ([page for page in whole if bool(page.is_mask) == masking] for masking in (False, True))
     if len(pages) != 1:
         what = "several pages" if pages else "no image in it"
         raise SarsplatError(f"{path} has {what}; give one image for each file")
-    return pages[0]
+    mask = masks[0] if masks and pages[0].shape[:2] == masks[0].shape else None
+    if len(masks) > 1 or (masks and mask is None):
+        raise SarsplatError(f"{path} has masks that are not one of its pixels; write it again, without them")
+    return pages[0], mask
+
+
+def _without_alpha(
+    path: Path, page: Any, pixels: Shaped[np.ndarray, "*shape"]
+) -> tuple[Shaped[np.ndarray, "*fewer"], Bool[np.ndarray, "rows columns"] | None]:
+    """The pixels without a band for transparency, and where that leaves them out."""
+    if not {tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA} & set(page.extrasamples):
+        return pixels, None
+    axis = 0 if page.planarconfig == tifffile.PLANARCONFIG.SEPARATE else 2
+    alpha = np.take(pixels, -1, axis) if pixels.ndim == 3 else pixels
+    seen = np.unique(alpha)
+    if pixels.dtype.kind != "u" or len(page.extrasamples) != 1 or not {*seen.tolist()} <= {0, _white(page)}:
+        raise SarsplatError(
+            f"{path} has a band for transparency in which pixels are partly seen, which is not read; save it again "
+            "without transparency"
+        )
+    others = np.delete(pixels, -1, axis)
+    return (others.squeeze(axis) if others.shape[axis] == 1 else others), alpha == 0
 
 
 def _stored_bytes(page: Any, shape: tuple[int, ...]) -> int:
@@ -120,9 +156,12 @@ def _stored_bytes(page: Any, shape: tuple[int, ...]) -> int:
 
 def _refuse_meanings(path: Path, page: Any, tags: Mapping[int, Any]) -> None:
     """Refuse what would be read as something else than it is."""
-    if {tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA} & set(page.extrasamples):
+    channels = [_CHANNEL.search(name) for name in _items(tags, "description")]
+    polarisations = [*dict.fromkeys(channel[0].upper() for channel in channels if channel)]
+    if page.samplesperpixel > 1 and len(polarisations) > 1:
         raise SarsplatError(
-            f"{path} has a band for transparency, which is not read; save it again without transparency"
+            f"{path} has bands of several polarisations ({', '.join(polarisations)}); give one in each file, as by "
+            "gdal_translate -b 1"
         )
     if tags.get(_PHOTOMETRIC) == _PALETTE:
         raise SarsplatError(f"{path} holds numbers of colours in a palette; give the measured values, in grey")
@@ -170,7 +209,7 @@ def _tags(path: Path, page: Any, tags: Mapping[int, Any]) -> Tags:
 
 def _item(path: Path, tags: Mapping[int, Any], role: str) -> float | None:
     """What GDAL's metadata say of the first band."""
-    items = re.findall(rf'<Item[^<>]*role="{role}"[^<>]*>([^<>]*)</Item>', str(tags.get(_GDAL_METADATA, "")))
+    items = _items(tags, role)
     if not items:
         return None
     try:
@@ -182,3 +221,8 @@ def _item(path: Path, tags: Mapping[int, Any], role: str) -> float | None:
             f"{path} names {shown(items[0])} as the {role} of its numbers; write it again with a finite one"
         )
     return value
+
+
+def _items(tags: Mapping[int, Any], role: str) -> list[str]:
+    """What GDAL's metadata say of the bands."""
+    return re.findall(rf'<Item[^<>]*role="{role}"[^<>]*>([^<>]*)</Item>', str(tags.get(_GDAL_METADATA, "")))
