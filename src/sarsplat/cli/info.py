@@ -228,6 +228,8 @@ def _mesh(path: Path) -> tuple[str, dict[str, str]]:
         "closed": "yes" if merged.is_watertight else "no (fine for ray casting)",
         "unit": "assumed to be metres; +x nose, +y left, +z up, ground at z = 0",
     }
+    if path.suffix.lower() == ".glb":
+        rows["upright"] = "y is up in the file, as in every glTF; if the mesh lies on its side, z was: export it again"
     if (place := _place(mesh)) is not None:
         rows["place"] = place
     return "a mesh", rows

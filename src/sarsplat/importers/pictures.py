@@ -48,7 +48,10 @@ def read_picture(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     """
     ending = path.suffix.lower()
     if ending not in PICTURE_ENDINGS:
-        raise SarsplatError(f"{path} does not end in one of {', '.join(PICTURE_ENDINGS)}; save it as one of these")
+        raise SarsplatError(
+            f"{path} does not end in one of {', '.join(PICTURE_ENDINGS)}; save it as one of these, of rasters as by "
+            "gdal_translate"
+        )
     tags = Tags()
     if ending in TIFF:
         pixels, tags = read_tiff_of_others(path)
