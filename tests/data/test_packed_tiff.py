@@ -52,6 +52,24 @@ def test_heights_with_a_predictor_and_overviews(tmp_path):
     np.testing.assert_array_equal(read_pixels(path), FLOATS)
 
 
+def test_masked_heights_are_not_known(tmp_path):
+    place = {"crs": "EPSG:32632", "transform": rasterio.Affine(0.5, 0, 500000, 0, -0.5, 5e6)}
+    seen = FLOATS > -1
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+        path = written(tmp_path / "a.tif", FLOATS, **place)
+        with rasterio.open(path, "r+") as file:
+            file.write_mask(seen)
+    np.testing.assert_array_equal(read_heights(path).raster.values, np.where(seen, FLOATS, np.nan))
+
+
+def test_feet_are_told_by_the_system_of_heights(tmp_path):
+    """GDAL writes no unit of heights beside the number of their system."""
+    transform = rasterio.Affine(0.5, 0, 500000, 0, -0.5, 5e6)
+    for crs in ("EPSG:6340+6360", "EPSG:32632+8228"):
+        with pytest.raises(SarsplatError, match=r"a\.tif has heights in feet \(EPSG:(6360|8228)\); convert them"):
+            read_heights(written(tmp_path / "a.tif", FLOATS, crs=crs, transform=transform))
+
+
 def test_opencv_writes_lzw(tmp_path):
     sixteen = (FLOATS * 1000 + 5000).astype(np.uint16)
     Image.fromarray(sixteen).save(tmp_path / "a.tif", compression="tiff_lzw")
@@ -61,10 +79,11 @@ def test_opencv_writes_lzw(tmp_path):
 @pytest.mark.parametrize(
     ("pixels", "options", "words"),
     [
-        (FLOATS, {"compress": "LERC"}, r"a\.tif holds float32 numbers as LERC, .* COMPRESS=DEFLATE"),
+        (FLOATS, {"compress": "LERC"}, r"a\.tif holds float32 numbers as LERC, .* COMPRESS=DEFLATE -co PREDICTOR=1"),
         (FLOATS.astype(np.complex64), {"compress": "LZW"}, "holds complex64 numbers as LZW"),
         (np.stack([FLOATS, FLOATS]), {"compress": "LZW"}, "holds float32 numbers in 2 bands as LZW"),
         (FLOATS, {"compress": "LZW", "ENDIANNESS": "BIG"}, "holds float32 numbers as LZW"),
+        (FLOATS.astype(float), {"compress": "DEFLATE", "predictor": 3}, "as ADOBE_DEFLATE with predictor 3, which"),
         (np.ones((9, 9), np.uint8), {"NBITS": 4}, "holds uint8 numbers as 4 bits each, .* NBITS=8"),
         ((FLOATS > 0).astype(np.uint8), {"photometric": "MINISWHITE", "compress": "LZW"}, "uint8 numbers as LZW"),
     ],

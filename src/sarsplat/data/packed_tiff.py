@@ -7,12 +7,15 @@ numbers are usual in heights. Pillow brings a libtiff that knows these.
 from __future__ import annotations
 
 import io
+import itertools
+import logging
+import math
 import warnings
 from typing import Any
 
 import numpy as np
-from jaxtyping import Shaped
-from tifffile import COMPRESSION, PHOTOMETRIC
+from jaxtyping import Bool, Shaped
+from tifffile import COMPRESSION, PHOTOMETRIC, TiffFile
 
 from sarsplat.errors import SarsplatError
 from sarsplat.extras import install_command
@@ -21,6 +24,10 @@ _KNOWN = {COMPRESSION.LZW, COMPRESSION.ADOBE_DEFLATE, COMPRESSION.DEFLATE, COMPR
 """What Pillow's libtiff is asked for."""
 _BITS = {8, 12, 16, 32}
 _ORIENTATION = 274
+_MOST_PAGES = 16
+_LARGEST_TILE = 1 << 24
+
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
 
 
 def pixels_of(page: Any, data: bytes, name: str) -> Shaped[np.ndarray, "*shape"]:
@@ -37,7 +44,9 @@ def pixels_of(page: Any, data: bytes, name: str) -> Shaped[np.ndarray, "*shape"]
         if _for_pillow(page):
             return _by_pillow(page, data, name)
         bits = int(page.bitspersample)
-        how, remedy = page.compression.name, "COMPRESS=DEFLATE"
+        how, remedy = page.compression.name, "COMPRESS=DEFLATE -co PREDICTOR=1"
+        if page.predictor > 1:
+            how += f" with predictor {int(page.predictor)}"
         if bits % 8:
             how, remedy = f"{bits} bits each", f"NBITS={bits + -bits % 8}"
         bands = "" if page.samplesperpixel == 1 else f" in {page.samplesperpixel} bands"
@@ -78,3 +87,16 @@ def _by_pillow(page: Any, data: bytes, name: str) -> Shaped[np.ndarray, "rows co
     if pixels.shape != page.shape:
         raise ValueError(f"its pixels have the shape {pixels.shape}, not {page.shape}")
     return pixels.astype(page.dtype)  # whole numbers may come in wider ones, or with another sign
+
+
+def masked_out(tiff: TiffFile, page: Any, data: bytes, name: str) -> Bool[np.ndarray, "rows columns"] | None:
+    """Where a mask beside `page` leaves its pixels out, as GDAL keeps one in a page of its own; None without one."""
+    pages = [other.aspage() for other in itertools.islice(tiff.pages, _MOST_PAGES)]
+    masks = [other for other in pages if other.is_mask and not other.is_reduced]
+    if not masks:
+        return None
+    mask = masks[0]
+    if len(masks) > 1 or mask.shape != page.shape[:2] or math.prod(mask.chunks) > max(mask.size, _LARGEST_TILE):
+        raise SarsplatError(f"{name} has masks that are not one of its pixels; write it again, without them")
+    absent: Bool[np.ndarray, "rows columns"] = pixels_of(mask, data, f"the mask of {name}") == 0
+    return absent

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Shaped
 
 from sarsplat.data.files import open_file
 from sarsplat.data.georeference import KEYS, Georeference, georeference_of
-from sarsplat.data.packed_tiff import pixels_of
+from sarsplat.data.packed_tiff import masked_out, pixels_of
 from sarsplat.errors import SarsplatError, shown
 
 TIFF = (".tif", ".tiff")
@@ -77,15 +77,15 @@ def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]
         data = file.read()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            page, mask = _the_page(path, tiff)
+            page = _the_page(path, tiff)
             tags = {tag.code: tag.value for tag in page.tags.values()}
             _refuse_meanings(path, page, tags)
-            for one in (page, mask) if mask else (page,):
-                whole, part = (_stored_bytes(one, shape) for shape in (one.shape, one.chunks))
-                refuse_bomb(path, max(whole, part), len(data), one.compression != tifffile.COMPRESSION.NONE)
+            whole, part = (_stored_bytes(page, shape) for shape in (page.shape, page.chunks))
+            packed = page.compression != tifffile.COMPRESSION.NONE
+            refuse_bomb(path, max(whole, part), len(data), packed)
             pixels, absent = _without_alpha(path, page, pixels_of(page, data, str(path)))
-            if mask:
-                absent = pixels_of(mask, data, f"the mask of {path}") == 0
+            if (masked := masked_out(tiff, page, data, str(path))) is not None:
+                absent = masked
     except SarsplatError:
         raise
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
@@ -126,18 +126,13 @@ def refuse_bomb(path: Path, unpacked: int, size: int, packed: bool) -> None:
         )
 
 
-def _the_page(path: Path, tiff: tifffile.TiffFile) -> tuple[Any, Any]:
-    """The one image, and the mask of its pixels, if it has one."""
+def _the_page(path: Path, tiff: tifffile.TiffFile) -> Any:
     pages_read = [page.aspage() for page in itertools.islice(tiff.pages, _MOST_PAGES)]
-    whole = [page for page in pages_read if not page.is_reduced]
-    pages, masks = ([page for page in whole if bool(page.is_mask) == masking] for masking in (False, True))
+    pages = [page for page in pages_read if not page.is_reduced and not page.is_mask]
     if len(pages) != 1:
         what = "several pages" if pages else "no image in it"
         raise SarsplatError(f"{path} has {what}; give one image for each file")
-    mask = masks[0] if masks and pages[0].shape[:2] == masks[0].shape else None
-    if len(masks) > 1 or (masks and mask is None):
-        raise SarsplatError(f"{path} has masks that are not one of its pixels; write it again, without them")
-    return pages[0], mask
+    return pages[0]
 
 
 def _without_alpha(
