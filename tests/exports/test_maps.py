@@ -84,6 +84,9 @@ def test_on_earth_it_lies_where_pyproj_says(block: Run, tmp_path: Path, place: P
     pyproj = pytest.importorskip("pyproj")
     run = with_points(replace(block, place=place))
     assert "EPSG:32" in export(run, tmp_path / "dsm.tif", pixel_m=0.25).summary
+    with rasterio.open(tmp_path / "dsm.tif") as file:  # for its system, as GDAL reads it, has no heights
+        said = file.tags()["TIFFTAG_IMAGEDESCRIPTION"]
+    assert said == "height of the surface, m above the WGS 84 ellipsoid"
     profile, values = read(tmp_path / "dsm.tif")
     to_map = pyproj.Transformer.from_crs("EPSG:4978", profile["crs"].to_wkt(), always_xy=True)
     corners = MIDDLE + HALF * np.array([[x, y, 1] for x in (-0.9, 0.9) for y in (-0.9, 0.9)])

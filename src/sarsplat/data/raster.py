@@ -52,12 +52,15 @@ class Raster:
         Size of a pixel along x and y.
     system : RasterSystem
         What x and y are.
+    level : str
+        What heights are above, in words; empty if the values are none, or it is the scene's z = 0.
     """
 
     values: Shaped[np.ndarray, "rows columns"]
     corner_m: tuple[float, float]
     pitch_m: tuple[float, float]
     system: RasterSystem
+    level: str = ""
 
     @property
     def centres(self) -> tuple[Float64[np.ndarray, "rows columns"], Float64[np.ndarray, "rows columns"]]:

@@ -17,7 +17,9 @@ _CLASSES = "; ".join(f"{value} {what}" for value, what in LEGEND.items())
 
 FORMAT = Format(
     writers={
-        "dsm": lambda raster, path, _: write_raster(path, raster, "height of the surface, m"),
+        "dsm": lambda raster, path, _: write_raster(
+            path, raster, "height of the surface, m" + f" above {raster.level}" * bool(raster.level)
+        ),
         "gamma0": lambda raster, path, _: write_raster(path, raster, "gamma0 of the surface, linear"),
         "layover-shadow": lambda raster, path, _: write_raster(path, raster, _CLASSES, colours=_COLOURS),
     },

@@ -149,12 +149,16 @@ class MapSystem:
             return horizontal
         return f'COMPD_CS["{self.crs.name} + Ellipsoid (metre)",{horizontal},{_HEIGHT_WKT}]'
 
+    @property
+    def level(self) -> str:
+        """What heights are above, in words."""
+        above = {"ellipsoid": "the WGS 84 ellipsoid", "unknown": "an unknown level"}
+        return above.get(self.place.height_above, self.place.height_above)
+
     def __str__(self) -> str:
         """Its name, what its heights are, and what is not as usual: said with every export."""
-        above = {"ellipsoid": "the WGS 84 ellipsoid", "unknown": "an unknown level"}
-        height = above.get(self.place.height_above, self.place.height_above)
         number = "" if self.epsg is None else f" (EPSG:{self.epsg})"
-        said = [f"metres in {self.crs.name}{number}, heights above {height}"]
+        said = [f"metres in {self.crs.name}{number}, heights above {self.level}"]
         scale = math.sqrt(abs(np.linalg.det(self.gradients[:2, :2])))
         if abs(scale - 1) > _STRETCHED:
             said.append(f"a metre on the ground is {scale:.3g} m of the map here")

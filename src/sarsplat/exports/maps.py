@@ -167,7 +167,9 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
     at = np.stack([last[1] - np.floor(places[:, 1] / pixel), np.floor(places[:, 0] / pixel) - first[0]], axis=1)
     shown = uppermost(at.astype(np.int64), (rows, columns), places[:, 2], upward, gamma0 if brightness else None, cell)
     values = without_holes(shown, max(cell, _APART * apart) / (pixel * least)).astype(np.float32)
-    return Raster(values, (float(first[0] * pixel), float((last[1] + 1) * pixel)), (pixel, pixel), system)
+    corner = float(first[0] * pixel), float((last[1] + 1) * pixel)
+    level = "" if coordinates.system is None else coordinates.system.level
+    return Raster(values, corner, (pixel, pixel), system, level)
 
 
 def _layover_shadow(run: Run, view: View, coordinates: Coordinates, pixel_m: float | None) -> Raster:
