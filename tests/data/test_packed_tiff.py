@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sarsplat.data import packed_tiff
 from sarsplat.data.geotiff import read_heights
 from sarsplat.errors import SarsplatError
 from sarsplat.importers.pictures import read_pixels
@@ -26,21 +27,63 @@ def written(path: Path, pixels: np.ndarray, **options) -> Path:
     return path
 
 
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.int16, np.uint32, np.int32, np.float32])
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"compress": "LZW"},
-        {"compress": "LZW", "predictor": 2, "tiled": True, "blockxsize": 16, "blockysize": 32},
-        {"compress": "ZSTD", "BIGTIFF": "YES"},
-    ],
-)
+OPTIONS = [
+    {"compress": "LZW"},
+    {"compress": "LZW", "ENDIANNESS": "BIG", "blockysize": 7},
+    {"compress": "LZW", "predictor": 2, "tiled": True, "blockxsize": 16, "blockysize": 32},
+    {"compress": "LZW", "predictor": 2, "ENDIANNESS": "BIG"},
+    {"compress": "ZSTD", "BIGTIFF": "YES", "tiled": True, "blockxsize": 32, "blockysize": 16},
+]
+
+
+@pytest.mark.parametrize("kind", ["uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64"])
+@pytest.mark.parametrize("options", OPTIONS)
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_pixels_are_those_stored(tmp_path, kind, options):
     pixels = (FLOATS * 1000).astype(np.int16).astype(kind)
     read = read_pixels(written(tmp_path / "a.tif", pixels, **options))
     assert read.dtype == kind
     np.testing.assert_array_equal(read, pixels)
+
+
+@pytest.mark.parametrize("kind", ["float32", "float64"])
+@pytest.mark.parametrize("compression", ["DEFLATE", "LZW", "ZSTD"])
+@pytest.mark.parametrize("interleave", ["band", "pixel"])
+@pytest.mark.parametrize("more", [{}, {"ENDIANNESS": "BIG"}, {"tiled": True, "blockxsize": 16, "blockysize": 16}])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_bands_with_a_predictor_for_floating_point(tmp_path, kind, compression, interleave, more):
+    pixels = np.stack([FLOATS, FLOATS[::-1] ** 2]).astype(kind)
+    options = {"compress": compression, "predictor": 3, "interleave": interleave, **more}
+    read = read_pixels(written(tmp_path / "a.tif", pixels, **options))
+    np.testing.assert_array_equal(read if interleave == "band" else np.moveaxis(read, 2, 0), pixels)
+
+
+@pytest.mark.parametrize("options", [OPTIONS[0], OPTIONS[1], OPTIONS[4]])
+@pytest.mark.parametrize("kind", ["complex64", "complex128", "complex_int16"])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_complex_pixels(tmp_path, options, kind):
+    pixels = np.round(1000 * (FLOATS + 1j * FLOATS[::-1])).astype("complex128" if kind == "complex128" else "complex64")
+    rows, columns = pixels.shape
+    with rasterio.open(
+        tmp_path / "a.tif", "w", driver="GTiff", height=rows, width=columns, count=1, dtype=kind, **options
+    ) as file:
+        file.write(pixels[None])
+    np.testing.assert_array_equal(read_pixels(tmp_path / "a.tif"), pixels)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_large_ones_are_read_some_rows_at_a_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(packed_tiff, "_BYTES_AT_ONCE", 1000)
+    for options in (OPTIONS[0], OPTIONS[1], OPTIONS[2]):
+        read = read_pixels(written(tmp_path / "a.tif", FLOATS.astype(np.float64), **options))
+        np.testing.assert_array_equal(read, FLOATS)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_jpeg_of_eight_bits_is_nearly_what_was_stored(tmp_path):
+    smooth = np.add.outer(np.arange(40), np.arange(60)).astype(np.uint8)
+    read = read_pixels(written(tmp_path / "a.tif", smooth, compress="JPEG", JPEG_QUALITY=95))
+    assert np.abs(read.astype(int) - smooth).max() <= 2
 
 
 def test_heights_with_a_predictor_and_overviews(tmp_path):
@@ -80,12 +123,8 @@ def test_opencv_writes_lzw(tmp_path):
     ("pixels", "options", "words"),
     [
         (FLOATS, {"compress": "LERC"}, r"a\.tif holds float32 numbers as LERC, .* COMPRESS=DEFLATE -co PREDICTOR=1"),
-        (FLOATS.astype(np.complex64), {"compress": "LZW"}, "holds complex64 numbers as LZW"),
-        (np.stack([FLOATS, FLOATS]), {"compress": "LZW"}, "holds float32 numbers in 2 bands as LZW"),
-        (FLOATS, {"compress": "LZW", "ENDIANNESS": "BIG"}, "holds float32 numbers as LZW"),
-        (FLOATS.astype(float), {"compress": "DEFLATE", "predictor": 3}, "as ADOBE_DEFLATE with predictor 3, which"),
         (np.ones((9, 9), np.uint8), {"NBITS": 4}, "holds uint8 numbers as 4 bits each, .* NBITS=8"),
-        ((FLOATS > 0).astype(np.uint8), {"photometric": "MINISWHITE", "compress": "LZW"}, "uint8 numbers as LZW"),
+        (np.ones((3, 32, 32), np.uint8), {"compress": "JPEG", "photometric": "YCBCR"}, "holds uint8 numbers as JPEG"),
     ],
 )
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -24,6 +24,8 @@ TIFF = (".tif", ".tiff")
 _MOST_PAGES = 16
 _PHOTOMETRIC, _ORIENTATION, _GDAL_METADATA, _NO_DATA = 262, 274, 42112, 42113
 _WHITE_IS_ZERO, _PALETTE = 0, 3
+_OPAQUE = 255
+"""In bands for transparency that GDAL writes beside numbers with a sign or a fraction."""
 _CHANNEL = re.compile(r"(?<![a-z])[hv][hv](?![a-z])", re.IGNORECASE)
 """A polarisation in the name of a band, such as Sigma0_VV."""
 _FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
@@ -143,8 +145,8 @@ def _without_alpha(
         return pixels, None
     axis = 0 if page.planarconfig == tifffile.PLANARCONFIG.SEPARATE else 2
     alpha = np.take(pixels, -1, axis) if pixels.ndim == 3 else pixels
-    seen = np.unique(alpha)
-    if pixels.dtype.kind != "u" or len(page.extrasamples) != 1 or not {*seen.tolist()} <= {0, _white(page)}:
+    opaque = _white(page) if pixels.dtype.kind == "u" else _OPAQUE
+    if len(page.extrasamples) != 1 or not {*np.unique(alpha).tolist()} <= {0, opaque}:
         raise SarsplatError(
             f"{path} has a band for transparency in which pixels are partly seen, which is not read; save it again "
             "without transparency"
