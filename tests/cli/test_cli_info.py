@@ -49,6 +49,8 @@ def test_images_with_phase_say_so(dataset: Path, tmp_path: Path, said) -> None:
     write_dataset(tmp_path / "complex", Dataset.of_complex(GRID, power.entries, power.power.astype(np.complex64)))
     for path, told in ((dataset, "linear power, float32"), (tmp_path / "complex", "is β⁰, complex64")):
         assert told in said(f"info {path}")
+    for name, told in (("data", "a power image"), ("complex", "a complex image")):
+        assert told in said(f"info {tmp_path / name / 'images' / '000.tif'}")
 
 
 @pytest.mark.parametrize(

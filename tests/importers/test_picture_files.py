@@ -117,6 +117,70 @@ def test_complex_whole_numbers(tmp_path, bits, order):
         read_pixels(path)
 
 
+def masked(folder: Path, mask: np.ndarray) -> Path:
+    """With a mask of its pixels beside it, as GDAL writes one."""
+    with tifffile.TiffWriter(folder / "a.tif") as tiff:
+        tiff.write(REAL, metadata=None)
+        tiff.write(mask, subfiletype=4, photometric="mask", metadata=None)
+    return folder / "a.tif"
+
+
+@pytest.mark.parametrize("axis", [0, -1])
+def test_masks_and_transparency_say_what_is_not_known(tmp_path, axis):
+    seen = np.ones(EIGHT.shape, bool)
+    whole = masked(tmp_path, seen)
+    assert not read_values(whole, "power", 1.0, 0.0).unknown.any()
+    np.testing.assert_array_equal(read_pixels(whole), REAL)
+    seen[0, 1:3] = False
+    values = read_values(masked(tmp_path, seen), "power", 1.0, 0.0)
+    np.testing.assert_array_equal(values.unknown, ~seen)
+    np.testing.assert_array_equal(values.image, np.where(seen, REAL, 0))
+
+    planes = {0: "separate", -1: "contig"}[axis]
+    options = {"photometric": "minisblack", "planarconfig": planes, "extrasamples": ["unassalpha"]}
+    path = written(tmp_path, "b.tif", np.stack([EIGHT, 255 * seen.astype(np.uint8)], axis=axis), **options)
+    values = read_values(path, "amplitude", 1.0, 0.0)
+    np.testing.assert_array_equal(values.unknown, ~seen)
+    np.testing.assert_array_equal(values.image, np.where(seen, EIGHT.astype(float) ** 2, 0))
+    path = written(tmp_path, "b.tif", np.stack([EIGHT, np.full_like(EIGHT, 255)], axis=axis), **options)
+    np.testing.assert_array_equal(read_pixels(path), EIGHT)
+    with pytest.raises(SarsplatError, match="partly seen"):
+        read_pixels(written(tmp_path, "b.tif", np.stack([EIGHT, EIGHT], axis=axis), **options))
+    with pytest.raises(SarsplatError, match="holds nothing but pixels that it masks"):
+        read_values(masked(tmp_path, np.zeros(EIGHT.shape, bool)), "power", 1.0, 0.0)
+
+
+def described(*names: str) -> tuple:
+    items = (f'<Item name="D" sample="{k}" role="description">{name}</Item>' for k, name in enumerate(names))
+    return (42112, "s", 0, f"<GDALMetadata>{''.join(items)}</GDALMetadata>", True)
+
+
+def test_two_polarisations_are_no_complex_numbers(tmp_path):
+    """In decibels both are negative, and yet no real and imaginary part."""
+    decibels = np.stack([np.log10(REAL) * 10 - 20, np.log10(REAL[::-1]) * 10 - 25])
+    options = {"photometric": "minisblack", "planarconfig": "separate"}
+    with pytest.raises(SarsplatError, match=r"a\.tif has two bands that are both negative nearly everywhere"):
+        read_values(tagged(tmp_path, decibels, **options), None, 1.0, 0.0)
+    for bands in (decibels, 10 ** (decibels / 10)):
+        path = tagged(tmp_path, bands, described("Sigma0_VV_db", "Sigma0_VH_db"), **options)
+        with pytest.raises(SarsplatError, match=r"bands of several polarisations \(VV, VH\); give one"):
+            read_pixels(path)
+    path = tagged(tmp_path, np.stack([COMPLEX.real, COMPLEX.imag]), described("i_VV", "q_VV"), **options)
+    np.testing.assert_allclose(read_values(path, None, 1.0, 0.0).image, COMPLEX, rtol=1e-6)
+
+
+def test_no_data_does_not_change_what_bands_mean(tmp_path):
+    phase = np.linspace(-3.14, 3.14, REAL.size, dtype=np.float32).reshape(REAL.shape)
+    bands = np.stack([REAL, phase])
+    bands[:, 1, 2] = -9999
+    options = {"photometric": "minisblack", "planarconfig": "separate"}
+    values = read_values(tagged(tmp_path, bands, (42113, "s", 0, "-9999", True), **options), None, 1.0, 0.0)
+    assert values.assumptions == ("the two bands of complex pictures are amplitude and phase in radians",)
+    expected = np.where(values.unknown, 0, REAL * np.exp(1j * phase))
+    np.testing.assert_allclose(values.image, expected, rtol=1e-5)
+    assert np.argwhere(values.unknown).tolist() == [[1, 2]]
+
+
 def test_white_is_zero(tmp_path):
     for pixels, white in ((EIGHT, 255), (SIXTEEN, 65535)):
         path = tagged(tmp_path, (white - pixels.astype(int)).astype(pixels.dtype), photometric="miniswhite")

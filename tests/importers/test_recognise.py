@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+import tifffile
 from PIL import Image
 
 from chip_files import MAGNITUDE, ROWS, phoenix_bytes, write_chips
@@ -17,6 +18,7 @@ from sample_files import write_sample
 from sarsplat.cli import main
 from sarsplat.cli.importers import Recognised, recognised
 from sarsplat.errors import SarsplatError
+from terrains import write_geotiff
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -163,6 +165,24 @@ def test_what_is_in_a_matlab_file(tmp_path):
     assert "sarsplat import phase-history" in str(it.command)
     np.save(tmp_path / "a.npy", np.ones((40, 30)))
     assert known(tmp_path / "a.npy").kind == "a NumPy file, which may be a picture"
+
+
+def test_a_tiff_of_others_may_be_a_picture(tmp_path, capsys):
+    """Whether its numbers are power, nobody but who wrote it knows; of a complex one, `info` said to give power."""
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.ones((40, 30), np.complex64))
+    assert (known(path).kind, known(path).facts) == (
+        "a TIFF, which may be a picture",
+        {"array": "40 × 30 numbers, complex64"},
+    )
+    assert "sarsplat import folder" in str(known(path).command)
+    tifffile.imwrite(path, np.ones((4, 40, 30), np.float32), photometric="minisblack")
+    assert known(path).kind == "a TIFF, which is no picture that can be imported"
+    tifffile.imwrite(path, np.ones((40, 30), np.float32), software="sarsplat")
+    assert recognised(path) is None
+    write_geotiff(path, np.ones((40, 30), np.float32))
+    assert main(["info", str(path)]) == 2
+    assert "lies on a map" in capsys.readouterr().err
 
 
 def test_other_nitf_files_and_unknown_endings_are_named(tmp_path, capsys):

@@ -507,7 +507,7 @@ PIXELS: Refusals = [
     (quantity(np.where(REAL[1, 2] == REAL, np.nan, REAL), "amplitude"), r"holds nan at \(1, 2\)"),
     (quantity(REAL * 1e4, "db"), "holds .* as db"),
     (quantity(COMPLEX.astype(complex) * 1e300, "complex"), "as complex"),
-    (quantity(np.full((3, 4, 2), -1e300), "complex"), "as complex"),
+    (quantity(np.resize([1e300, -1e300, -1e300], (3, 4, 2)), "complex"), "as complex"),
     (quantity(REAL, "power", scale=math.nan), r"at \(0, 0\), times nan plus 0, as power"),
     *(
         (quantity(REAL * 0 - 18.5, name), r"holds -18\.5 at \(0, 0\) as .*; if .* decibels, give --quantity db")
@@ -521,7 +521,7 @@ PIXELS: Refusals = [
     (picture(np.stack([EIGHT, ALPHA], axis=-1)), "transparent pixels, 2 of 12"),
     (picture(np.stack([EIGHT] * 3 + [ALPHA], axis=-1)), "transparent pixels, 2 of 12"),
     (picture(np.where(ALPHA, EIGHT, 7).astype(np.uint8), transparency=7), "transparent pixels, 2 of 12"),
-    (picture(np.stack([EIGHT, ALPHA], axis=-1), "a.tif"), "has a band for transparency"),
+    (picture(np.stack([EIGHT, ALPHA], axis=-1), "a.tif"), "masks 2 of its 12 pixels"),
     (picture(np.stack([EIGHT, EIGHT, 255 - EIGHT], axis=-1)), "picture in colour"),
     (objects, "not a readable array"),
     (matrices(image=REAL, b=REAL), r"2 matrices \(image, b\); give one image"),

@@ -1,12 +1,14 @@
 """Mesh files: clean, dirty, foreign."""
 
+import json
+import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sarsplat.errors import SarsplatWarning
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid
 from sarsplat.scenes import load_mesh, paper_grid
 from sarsplat.scenes.meshes import scaled, suspicious_size
@@ -37,6 +39,32 @@ def test_a_ply_header_may_have_other_line_ends(tmp_path, ends):
     header, end, body = trimesh.creation.box((4, 2, 1)).export(file_type="ply").partition(b"end_header\n")
     (tmp_path / "box.ply").write_bytes((header + end).replace(b"\n", ends) + body)
     assert load_mesh(tmp_path / "box.ply").area == pytest.approx(28)
+
+
+BOX = trimesh.creation.box((4, 2, 1))
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def test_vertices_may_be_counted_back_from_a_face(tmp_path):
+    """As programs do that write a file face by face, each after its corners; the numbers of texture count likewise."""
+    lines = ["mtllib a.mtl", "vt 0 0"]
+    for quad in QUADS:
+        lines += ["v {} {} {}".format(*BOX.vertices[k]) for k in quad]
+        lines += ["vn 0 0 1", "usemtl grey", "f -4/-1/-1 -3/-1/-1 \\", " -2/1/-1 -1/-1/-1 # a side"]
+    for ends in ("\n", "\r\n", "\r"):
+        (tmp_path / "box.obj").write_bytes(ends.join([*lines, ""]).encode())
+        mesh = load_mesh(tmp_path / "box.obj")
+        assert mesh.area == pytest.approx(28)
+        assert mesh.bounds == pytest.approx(BOX.bounds)
+
+
+def test_gaussians_in_a_glb_are_named(tmp_path):
+    scene = json.dumps({"asset": {"version": "2.0"}, "extensionsUsed": ["KHR_gaussian_splatting"]}).encode()
+    scene += b" " * (-len(scene) % 4)
+    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(scene), len(scene), int.from_bytes(b"JSON", "little"))
+    (tmp_path / "a.glb").write_bytes(head + scene)
+    with pytest.raises(SarsplatError, match=r"a\.glb' holds Gaussians \(KHR_gaussian_splatting\), .* give the PLY"):
+        load_mesh(tmp_path / "a.glb")
 
 
 def test_parts_of_a_scene_become_one_mesh(tmp_path):

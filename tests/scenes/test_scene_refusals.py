@@ -53,7 +53,7 @@ MESHES: Refusals = [
     (mesh("a.zip", "PK"), "supported mesh format"),
     (mesh("a.stl", "\0" * 80 + "\x07\0\0\0" + "\0" * 100), "declares 7 faces .434 bytes. but has 184 bytes"),
     (mesh("a.stl", "solid\nendsolid\n" * 2000), "2000 solids"),
-    (mesh("a.obj", CORNERS + "f -3 -2 -1\n"), "relative vertex numbers"),
+    (mesh("a.obj", CORNERS + "f -4 -2 -1\n"), "refer to missing vertices"),
     (mesh("a.obj", CORNERS + "f 1 2 9\n"), "cannot be read"),
     (mesh("a.obj", "v 0 0 0\nv 2 0 0\nv 2 1e300 0\nf 1 2 3\n"), r"1e\+300 m from the origin"),
     (mesh("a.obj", CORNERS + "f 1 2 three\n"), "cannot be read"),

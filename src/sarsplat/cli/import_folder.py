@@ -23,7 +23,8 @@ _LEAST_CERTAIN = 0.1
 _LISTED = 5
 """Tables and variables that are named."""
 
-_ARRAYS = (".mat", ".npy")
+_ARRAYS = {".mat": "a MATLAB file", ".npy": "a NumPy file", ".tif": "a TIFF", ".tiff": "a TIFF"}
+"""Files that may hold a picture, by their endings."""
 _NARROWEST = 8
 """Pixels on a side of a picture: what is narrower is a table of points or angles."""
 
@@ -60,9 +61,11 @@ command = command_of(
 def recognise(contents: Contents) -> Recognised | None:
     """Pictures, with or without a table of their angles."""
     from sarsplat.importers.pictures import PICTURE_ENDINGS
+    from sarsplat.importers.tiffs import TIFF, is_plain_tiff_of_others
 
     pictures = len(contents.ending_in(*PICTURE_ENDINGS))
-    if contents.path.is_file() and contents.path.suffix.lower() in _ARRAYS:
+    ending = contents.path.suffix.lower()
+    if contents.path.is_file() and ending in _ARRAYS and (ending not in TIFF or is_plain_tiff_of_others(contents.path)):
         return _arrays(contents.path)
     if not pictures or not contents.path.is_dir():
         return None
@@ -74,7 +77,7 @@ def recognise(contents: Contents) -> Recognised | None:
 def _arrays(path: Path) -> Recognised:
     """A file of arrays, which may be anything's: what is in it, and how to import it if it is a picture's."""
     from sarsplat.importers.mat import read_mat
-    from sarsplat.importers.pictures import read_pixels
+    from sarsplat.importers.pictures import read_picture
 
     if path.suffix.lower() == ".mat":
         arrays = {name: value for name, value in read_mat(path).items() if value is not None}
@@ -82,12 +85,14 @@ def _arrays(path: Path) -> Recognised:
         facts |= {"…": counted(len(arrays) - _LISTED, "more variable")} if len(arrays) > _LISTED else {}
     else:
         facts = {}
-    kind = "a MATLAB file" if facts else "a NumPy file"
+    kind = _ARRAYS[path.suffix.lower()]
     try:
-        pixels = read_pixels(path)
+        pixels = read_picture(path)[0]
     except SarsplatError as error:
         return Recognised(
-            f"{kind}, which is no picture", facts | {"as a picture": str(error)}, certainty=_LEAST_CERTAIN
+            f"{kind}, which is no picture that can be imported",
+            facts | {"as a picture": str(error)},
+            certainty=_LEAST_CERTAIN,
         )
     facts = facts or {"array": _described(pixels)}
     if min(pixels.shape[:2] if pixels.shape[-1] == 2 else pixels.shape[-2:]) < _NARROWEST:

@@ -153,12 +153,14 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
 
     from sarsplat.data import read_tiff
     from sarsplat.data.files import open_file
+    from sarsplat.data.image import power_of
 
     with open_file(path) as file:
         try:
             with tifffile.TiffFile(file) as tiff:
                 page = tiff.pages.first
                 shape, description, on_map = page.shape, str(page.description), _GEO_KEYS in page.tags
+                kind = "complex64" if page.dtype == "complex64" else "float32"
                 ours = page.software == "sarsplat"
         except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
             raise SarsplatError(f"{path} is not a readable TIFF ({error}); give {_UNDERSTOOD}") from error
@@ -172,13 +174,14 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
         )
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
-    power = read_tiff(path, (shape[0], shape[1]))
+    pixels = read_tiff(path, (shape[0], shape[1]), kind)
+    power = power_of(pixels) if kind == "complex64" else pixels
     rows = {
-        "pixels": f"{shape[0]} rows × {shape[1]} columns, float32",
+        "pixels": f"{shape[0]} rows × {shape[1]} columns, {kind}",
         "power": f"mean {power.mean():.4g}, largest {power.max():.4g}, linear",
         "description": description or "none",
     }
-    return "a power image", rows
+    return f"a {'complex' if kind == 'complex64' else 'power'} image", rows
 
 
 def _map(path: Path, description: str) -> tuple[str, dict[str, str]]:
@@ -253,6 +256,8 @@ def _mesh(path: Path) -> tuple[str, dict[str, str]]:
         "closed": "yes" if merged.is_watertight else "no (fine for ray casting)",
         "unit": "assumed to be metres; +x nose, +y left, +z up, ground at z = 0",
     }
+    if path.suffix.lower() == ".glb":
+        rows["upright"] = "y is up in the file, as in every glTF; if the mesh lies on its side, z was: export it again"
     if (place := _place(mesh)) is not None:
         rows["place"] = place
     return "a mesh", rows

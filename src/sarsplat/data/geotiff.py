@@ -18,6 +18,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.georeference import Georeference, georeference_of, keys_of
 from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map
+from sarsplat.data.packed_tiff import masked_out, pixels_of
 from sarsplat.data.raster import HEIGHTS_ABOVE, LEVELS, Raster, RasterSystem
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place, Terrain
@@ -29,6 +30,8 @@ _RASTER, _AREA = 1025, 1
 _MODEL, _PROJECTED, _GEOGRAPHIC = 1024, 1, 2
 _UNITS = {3076: "lengths", 4099: "heights"}
 _VERTICAL = 4096
+_IN_FEET = (5702, 5754, 6130, 6131, 6132, 6360, 8050, 8052, 8228)
+"""Numbers of EPSG's systems of heights in feet, for which GDAL writes no unit."""
 _METRE, _DEFINED_ELSEWHERE = 9001, 32767
 _LENGTH, _LENGTH_SIZE = 3076, 3077
 _GDAL_METADATA = 42112
@@ -111,7 +114,10 @@ def read_heights(path: str | Path) -> MapHeights:
             bands, shape = page.samplesperpixel, page.shape
             size = math.prod(shape) * np.dtype(page.dtype).itemsize
             allowed = max(_TIMES * len(data), _HARMLESS)
-            heights = page.asarray(maxworkers=1) if bands == 1 and size <= allowed else None
+            heights = pixels_of(page, data, str(path)) if bands == 1 and size <= allowed else None
+            absent = None if heights is None else masked_out(tiff, page, data, str(path))
+    except SarsplatError:
+        raise
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(
             f"{path} is not a readable TIFF ({shown(str(error))}); write it again with gdal_translate -co COMPRESS=NONE"
@@ -129,6 +135,8 @@ def read_heights(path: str | Path) -> MapHeights:
     table = np.where(np.isfinite(heights), heights, np.nan).astype(np.float64)
     with suppress(TypeError, ValueError):  # it names none
         table[heights == float(tags.get(_NO_DATA, "nan"))] = np.nan
+    if absent is not None:
+        table[absent] = np.nan
     _refuse_holes(path, table)
     first = -0.5, len(table) - 0.5 if upwards else -0.5  # the outer corner, column and row
     corner = (0.0, 0.0) if lies is None else tuple(map(float, lies.affine @ (*first, 1.0)))
@@ -204,6 +212,8 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
             raise SarsplatError(
                 f"{path} has {what} in another unit than metres (EPSG {keys[key]}); convert it to metres"
             )
+    if keys.get(_VERTICAL) in _IN_FEET:
+        raise SarsplatError(f"{path} has heights in feet (EPSG:{keys[_VERTICAL]}); convert them to metres")
     if keys.get(_LENGTH) == _DEFINED_ELSEWHERE and (size := _length_m(tags)) not in (None, 1.0):
         raise SarsplatError(f"{path} has lengths in a unit of {size:g} m; convert it to metres")
     if _TRANSFORMATION in tags:

@@ -20,6 +20,9 @@ _ROUNDING = 1e-5
 _SPREAD = 0.9
 """Share of a half turn that the phases of an image reach on both sides of zero."""
 
+_BOTH_NEGATIVE = 0.75
+"""Share of pixels: where the phase turns, real and imaginary part are both negative in a quarter of them."""
+
 
 def meaning_of(pixels: Shaped[np.ndarray, "*shape"], name: str) -> Bands | None:
     """What two bands are, which come before or after the other dimensions; None if there are none.
@@ -31,6 +34,12 @@ def meaning_of(pixels: Shaped[np.ndarray, "*shape"], name: str) -> Bands | None:
         return None
     first, second = _apart(pixels)
     if not np.isfinite(pixels).all() or not pixels.any() or max(first.min(), second.min()) < 0:
+        measured = (first != 0) | (second != 0)
+        if np.count_nonzero((first < 0) & (second < 0)) > _BOTH_NEGATIVE * np.count_nonzero(measured) > 1:
+            raise SarsplatError(
+                f"{name} has two bands that are both negative nearly everywhere, as decibels are and no real and "
+                "imaginary part; give one of them in each file, as by gdal_translate -b 1"
+            )
         return "real and imaginary part"  # what is not finite is refused by its place, and what is black by its name
     low, high = float(second.min()), float(second.max())
     for bands, half_turn in _HALF_TURNS.items():

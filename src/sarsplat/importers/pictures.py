@@ -28,8 +28,14 @@ _MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowErro
 
 
 def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
-    """The pixels alone of `read_picture`."""
-    return read_picture(path)[0]
+    """The pixels alone of `read_picture`; refused if some are left out by a mask."""
+    pixels, tags = read_picture(path)
+    if tags.absent is not None:
+        raise SarsplatError(
+            f"{path} masks {tags.absent.sum()} of its {tags.absent.size} pixels, whose values mean nothing; cut the "
+            "image, or save it without its mask or transparency"
+        )
+    return pixels
 
 
 def read_picture(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
@@ -42,7 +48,10 @@ def read_picture(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     """
     ending = path.suffix.lower()
     if ending not in PICTURE_ENDINGS:
-        raise SarsplatError(f"{path} does not end in one of {', '.join(PICTURE_ENDINGS)}; save it as one of these")
+        raise SarsplatError(
+            f"{path} does not end in one of {', '.join(PICTURE_ENDINGS)}; save it as one of these, of rasters as by "
+            "gdal_translate"
+        )
     tags = Tags()
     if ending in TIFF:
         pixels, tags = read_tiff_of_others(path)

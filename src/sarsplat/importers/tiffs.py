@@ -7,7 +7,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,18 @@ import tifffile
 from jaxtyping import Bool, Shaped
 
 from sarsplat.data.files import open_file
-from sarsplat.data.georeference import Georeference, georeference_of
+from sarsplat.data.georeference import KEYS, Georeference, georeference_of
+from sarsplat.data.packed_tiff import masked_out, pixels_of
 from sarsplat.errors import SarsplatError, shown
 
 TIFF = (".tif", ".tiff")
 _MOST_PAGES = 16
 _PHOTOMETRIC, _ORIENTATION, _GDAL_METADATA, _NO_DATA = 262, 274, 42112, 42113
 _WHITE_IS_ZERO, _PALETTE = 0, 3
+_OPAQUE = 255
+"""In bands for transparency that GDAL writes beside numbers with a sign or a fraction."""
+_CHANNEL = re.compile(r"(?<![a-z])[hv][hv](?![a-z])", re.IGNORECASE)
+"""A polarisation in the name of a band, such as Sigma0_VV."""
 _FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
 """Measured images do not compress much: what unpacks to more than this, and so many times its size, is a bomb."""
 
@@ -41,6 +46,8 @@ class Tags:
         What they are multiplied by, and what is then added, to be what they stand for.
     white_is_zero : bool
         Brighter ones had smaller numbers, which was mended.
+    absent : numpy.ndarray, bool [rows, columns], or None
+        Pixels that a mask or a band for transparency leaves out; None if neither does.
     """
 
     georeference: Georeference | None = None
@@ -48,17 +55,22 @@ class Tags:
     scale: float | None = None
     offset: float | None = None
     white_is_zero: bool = False
+    absent: Bool[np.ndarray, "rows columns"] | None = field(default=None, compare=False)
 
 
-def unknown(pixels: Shaped[np.ndarray, "*shape"], no_data: float | None) -> Bool[np.ndarray, "*shape"]:
-    """Pixels that hold the value of what was not measured."""
+def unknown(pixels: Shaped[np.ndarray, "*shape"], tags: Tags) -> Bool[np.ndarray, "*shape"]:
+    """Pixels that hold the value of what was not measured, or are left out by a mask."""
+    missing = np.zeros(pixels.shape, bool)
+    if tags.absent is not None:
+        missing |= tags.absent if pixels.ndim == 2 or pixels.shape[0] == 2 else tags.absent[..., None]
+    no_data = tags.no_data
     if no_data is None:
-        return np.zeros(pixels.shape, bool)
+        return missing
     if math.isnan(no_data):
-        return np.isnan(pixels)
+        return missing | np.isnan(pixels)
     # as its own type holds it: −3.4028234663852886e38 is float32's lowest
     with np.errstate(over="ignore"):
-        return pixels == (pixels.dtype.type(no_data) if pixels.dtype.kind in "fc" else no_data)
+        return missing | (pixels == (pixels.dtype.type(no_data) if pixels.dtype.kind in "fc" else no_data))
 
 
 def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
@@ -73,14 +85,18 @@ def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]
             whole, part = (_stored_bytes(page, shape) for shape in (page.shape, page.chunks))
             packed = page.compression != tifffile.COMPRESSION.NONE
             refuse_bomb(path, max(whole, part), len(data), packed)
-            pixels = np.asarray(page.asarray(maxworkers=1))
+            pixels, absent = _without_alpha(path, page, pixels_of(page, data, str(path)))
+            if (masked := masked_out(tiff, page, data, str(path))) is not None:
+                absent = masked
     except SarsplatError:
         raise
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(
             f"{path} is not a readable TIFF ({shown(str(error))}); write it again, without compression"
         ) from error
-    return _black_is_zero(path, pixels, page, tags), _tags(path, page, tags)
+    if absent is not None and not absent.any():
+        absent = None
+    return _black_is_zero(path, pixels, page, tags), replace(_tags(path, page, tags), absent=absent)
 
 
 def first_georeference(paths: Iterable[Path]) -> Georeference | None:
@@ -90,6 +106,17 @@ def first_georeference(paths: Iterable[Path]) -> Georeference | None:
         return None if first is None else read_tiff_of_others(first)[1].georeference
     except SarsplatError:
         return None
+
+
+def is_plain_tiff_of_others(path: Path) -> bool:
+    """Whether a TIFF was not written by us and lies on no map; also False if its tags cannot be read."""
+    with open_file(path) as file:
+        try:
+            with tifffile.TiffFile(file) as tiff:
+                page = tiff.pages.first
+                return page.software != "sarsplat" and KEYS not in page.tags
+        except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+            return False
 
 
 def refuse_bomb(path: Path, unpacked: int, size: int, packed: bool) -> None:
@@ -103,11 +130,29 @@ def refuse_bomb(path: Path, unpacked: int, size: int, packed: bool) -> None:
 
 def _the_page(path: Path, tiff: tifffile.TiffFile) -> Any:
     pages_read = [page.aspage() for page in itertools.islice(tiff.pages, _MOST_PAGES)]
-    pages = [page for page in pages_read if not page.is_reduced]
+    pages = [page for page in pages_read if not page.is_reduced and not page.is_mask]
     if len(pages) != 1:
         what = "several pages" if pages else "no image in it"
         raise SarsplatError(f"{path} has {what}; give one image for each file")
     return pages[0]
+
+
+def _without_alpha(
+    path: Path, page: Any, pixels: Shaped[np.ndarray, "*shape"]
+) -> tuple[Shaped[np.ndarray, "*fewer"], Bool[np.ndarray, "rows columns"] | None]:
+    """The pixels without a band for transparency, and where that leaves them out."""
+    if not {tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA} & set(page.extrasamples):
+        return pixels, None
+    axis = 0 if page.planarconfig == tifffile.PLANARCONFIG.SEPARATE else 2
+    alpha = np.take(pixels, -1, axis) if pixels.ndim == 3 else pixels
+    opaque = _white(page) if pixels.dtype.kind == "u" else _OPAQUE
+    if len(page.extrasamples) != 1 or not {*np.unique(alpha).tolist()} <= {0, opaque}:
+        raise SarsplatError(
+            f"{path} has a band for transparency in which pixels are partly seen, which is not read; save it again "
+            "without transparency"
+        )
+    others = np.delete(pixels, -1, axis)
+    return (others.squeeze(axis) if others.shape[axis] == 1 else others), alpha == 0
 
 
 def _stored_bytes(page: Any, shape: tuple[int, ...]) -> int:
@@ -119,9 +164,12 @@ def _stored_bytes(page: Any, shape: tuple[int, ...]) -> int:
 
 def _refuse_meanings(path: Path, page: Any, tags: Mapping[int, Any]) -> None:
     """Refuse what would be read as something else than it is."""
-    if {tifffile.EXTRASAMPLE.ASSOCALPHA, tifffile.EXTRASAMPLE.UNASSALPHA} & set(page.extrasamples):
+    channels = [_CHANNEL.search(name) for name in _items(tags, "description")]
+    polarisations = [*dict.fromkeys(channel[0].upper() for channel in channels if channel)]
+    if page.samplesperpixel > 1 and len(polarisations) > 1:
         raise SarsplatError(
-            f"{path} has a band for transparency, which is not read; save it again without transparency"
+            f"{path} has bands of several polarisations ({', '.join(polarisations)}); give one in each file, as by "
+            "gdal_translate -b 1"
         )
     if tags.get(_PHOTOMETRIC) == _PALETTE:
         raise SarsplatError(f"{path} holds numbers of colours in a palette; give the measured values, in grey")
@@ -169,7 +217,7 @@ def _tags(path: Path, page: Any, tags: Mapping[int, Any]) -> Tags:
 
 def _item(path: Path, tags: Mapping[int, Any], role: str) -> float | None:
     """What GDAL's metadata say of the first band."""
-    items = re.findall(rf'<Item[^<>]*role="{role}"[^<>]*>([^<>]*)</Item>', str(tags.get(_GDAL_METADATA, "")))
+    items = _items(tags, role)
     if not items:
         return None
     try:
@@ -181,3 +229,8 @@ def _item(path: Path, tags: Mapping[int, Any], role: str) -> float | None:
             f"{path} names {shown(items[0])} as the {role} of its numbers; write it again with a finite one"
         )
     return value
+
+
+def _items(tags: Mapping[int, Any], role: str) -> list[str]:
+    """What GDAL's metadata say of the bands."""
+    return re.findall(rf'<Item[^<>]*role="{role}"[^<>]*>([^<>]*)</Item>', str(tags.get(_GDAL_METADATA, "")))

@@ -49,6 +49,12 @@ def read_values(path: Path, quantity: Quantity | None, scale: float, offset: flo
     pixels, tags = read_picture(path)
     name, said = str(path), []
     found = quantity or likely_quantity(pixels, name)
+    missing = unknown(pixels, tags)
+    if missing.all():
+        what = "pixels that it masks" if tags.no_data is None else f"{tags.no_data}, which it says is no data"
+        raise SarsplatError(f"{name} holds nothing but {what}; leave out its row")
+    if missing.any():  # what is there instead is refused nowhere, and changes no meaning
+        pixels = np.where(missing, pixels[~missing][0] if pixels.ndim == 2 else pixels.dtype.type(0), pixels)
     if found == "complex" and (bands := meaning_of(pixels, name)):
         said.append(f"the two bands of complex pictures are {bands}")
     if tags.white_is_zero:
@@ -56,11 +62,6 @@ def read_values(path: Path, quantity: Quantity | None, scale: float, offset: flo
     if (scale, offset) == (1.0, 0.0) and (tags.scale, tags.offset) != (None, None):
         scale, offset = 1.0 if tags.scale is None else tags.scale, tags.offset or 0.0
         said.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as tags of the files say")
-    missing = unknown(pixels, tags.no_data)
-    if missing.all():
-        raise SarsplatError(f"{name} holds nothing but {tags.no_data}, which it says is no data; leave out its row")
-    if missing.any():
-        pixels = np.where(missing, pixels[~missing][0], pixels)  # one that will not be refused
     image = power_or_signal(pixels, found, name, scale, offset)
     gone = missing.any(axis=0 if pixels.shape[0] == 2 else 2) if pixels.ndim == 3 else missing
     image = np.where(gone, image.dtype.type(0), image)

@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float, Int
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid
+from sarsplat.scenes._obj_text import plain_obj
 from sarsplat.scenes._polygon_files import of_triangles
 
 if TYPE_CHECKING:
@@ -223,8 +224,10 @@ def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
     if kind == ".stl" and (solids := data.lower().count(b"endsolid")) > _MAX_SOLIDS:
         raise SarsplatError(f"'{path}' holds {solids} solids, each a mesh; export it as one plain mesh")
     if kind == ".obj":
-        if re.search(rb"^f[^\n]*[ \t]-", data, flags=re.MULTILINE):
-            raise SarsplatError(f"'{path}' uses relative vertex numbers in its faces; export it with absolute ones")
+        try:
+            data = plain_obj(data)
+        except SarsplatError as error:
+            raise SarsplatError(f"'{path}' {error}") from error
         return data.replace(b"usemtl", b"#")  # each change of material would be a mesh, for milliseconds
     if kind == ".off":
         return re.sub(rb"(?:[\n-\r\x1c-\x1e]|#[^\n]*)(?:[\s\x1c-\x1e]+|#[^\n]*)*+", b"\n", data)
@@ -239,9 +242,16 @@ def _check_glb(path: Path, data: bytes) -> None:
     if length > _LONGEST_SCENE:
         raise SarsplatError(f"'{path}' describes its scene in {length} bytes of JSON; export it as one plain mesh")
     try:
-        numbers, parts = _unfolded(json.loads(data[20 : 20 + length].decode()))
+        scene = json.loads(data[20 : 20 + length].decode())
+        gaussians = "KHR_gaussian_splatting" in scene.get("extensionsUsed", ())
+        numbers, parts = _unfolded(scene)
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise SarsplatError(f"'{path}' has a garbled scene ({repr(error)[:200]}); export it again") from error
+    if gaussians:
+        raise SarsplatError(
+            f"'{path}' holds Gaussians (KHR_gaussian_splatting), which are not read from .glb; give the PLY that it "
+            "was made from"
+        )
     if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MAX_PARTS:
         raise SarsplatError(
             f"'{path}' expands {len(data)} bytes to {numbers} numbers in {parts} parts; export it as one plain mesh"

@@ -1,0 +1,143 @@
+"""TIFFs as other programs pack them: what is read is what GDAL stored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sarsplat.data import packed_tiff
+from sarsplat.data.geotiff import read_heights
+from sarsplat.errors import SarsplatError
+from sarsplat.importers.pictures import read_pixels
+
+rasterio = pytest.importorskip("rasterio")
+
+FLOATS = np.random.default_rng(0).normal(size=(37, 50)).astype(np.float32)
+
+
+def written(path: Path, pixels: np.ndarray, **options) -> Path:
+    bands = pixels if pixels.ndim == 3 else pixels[None]
+    count, height, width = bands.shape
+    size = {"count": count, "height": height, "width": width, "dtype": pixels.dtype}
+    with rasterio.open(path, "w", driver="GTiff", **size, **options) as file:
+        file.write(bands)
+    return path
+
+
+OPTIONS = [
+    {"compress": "LZW"},
+    {"compress": "LZW", "ENDIANNESS": "BIG", "blockysize": 7},
+    {"compress": "LZW", "predictor": 2, "tiled": True, "blockxsize": 16, "blockysize": 32},
+    {"compress": "LZW", "predictor": 2, "ENDIANNESS": "BIG"},
+    {"compress": "ZSTD", "BIGTIFF": "YES", "tiled": True, "blockxsize": 32, "blockysize": 16},
+]
+
+
+@pytest.mark.parametrize("kind", ["uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64"])
+@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_pixels_are_those_stored(tmp_path, kind, options):
+    pixels = (FLOATS * 1000).astype(np.int16).astype(kind)
+    read = read_pixels(written(tmp_path / "a.tif", pixels, **options))
+    assert read.dtype == kind
+    np.testing.assert_array_equal(read, pixels)
+
+
+@pytest.mark.parametrize("kind", ["float32", "float64"])
+@pytest.mark.parametrize("compression", ["DEFLATE", "LZW", "ZSTD"])
+@pytest.mark.parametrize("interleave", ["band", "pixel"])
+@pytest.mark.parametrize("more", [{}, {"ENDIANNESS": "BIG"}, {"tiled": True, "blockxsize": 16, "blockysize": 16}])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_bands_with_a_predictor_for_floating_point(tmp_path, kind, compression, interleave, more):
+    pixels = np.stack([FLOATS, FLOATS[::-1] ** 2]).astype(kind)
+    options = {"compress": compression, "predictor": 3, "interleave": interleave, **more}
+    read = read_pixels(written(tmp_path / "a.tif", pixels, **options))
+    np.testing.assert_array_equal(read if interleave == "band" else np.moveaxis(read, 2, 0), pixels)
+
+
+@pytest.mark.parametrize("options", [OPTIONS[0], OPTIONS[1], OPTIONS[4]])
+@pytest.mark.parametrize("kind", ["complex64", "complex128", "complex_int16"])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_complex_pixels(tmp_path, options, kind):
+    pixels = np.round(1000 * (FLOATS + 1j * FLOATS[::-1])).astype("complex128" if kind == "complex128" else "complex64")
+    rows, columns = pixels.shape
+    with rasterio.open(
+        tmp_path / "a.tif", "w", driver="GTiff", height=rows, width=columns, count=1, dtype=kind, **options
+    ) as file:
+        file.write(pixels[None])
+    np.testing.assert_array_equal(read_pixels(tmp_path / "a.tif"), pixels)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_large_ones_are_read_some_rows_at_a_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(packed_tiff, "_BYTES_AT_ONCE", 1000)
+    for options in (OPTIONS[0], OPTIONS[1], OPTIONS[2]):
+        read = read_pixels(written(tmp_path / "a.tif", FLOATS.astype(np.float64), **options))
+        np.testing.assert_array_equal(read, FLOATS)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_jpeg_of_eight_bits_is_nearly_what_was_stored(tmp_path):
+    smooth = np.add.outer(np.arange(40), np.arange(60)).astype(np.uint8)
+    read = read_pixels(written(tmp_path / "a.tif", smooth, compress="JPEG", JPEG_QUALITY=95))
+    assert np.abs(read.astype(int) - smooth).max() <= 2
+
+
+def test_heights_with_a_predictor_and_overviews(tmp_path):
+    place = {"crs": "EPSG:32632", "transform": rasterio.Affine(0.5, 0, 500000, 0, -0.5, 5e6)}
+    path = written(tmp_path / "a.tif", FLOATS, compress="DEFLATE", predictor=3, **place)
+    with rasterio.open(path, "r+") as file:
+        file.build_overviews([2, 4])
+    np.testing.assert_array_equal(read_heights(path).raster.values, FLOATS)
+    np.testing.assert_array_equal(read_pixels(path), FLOATS)
+
+
+def test_masked_heights_are_not_known(tmp_path):
+    place = {"crs": "EPSG:32632", "transform": rasterio.Affine(0.5, 0, 500000, 0, -0.5, 5e6)}
+    seen = FLOATS > -1
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+        path = written(tmp_path / "a.tif", FLOATS, **place)
+        with rasterio.open(path, "r+") as file:
+            file.write_mask(seen)
+    np.testing.assert_array_equal(read_heights(path).raster.values, np.where(seen, FLOATS, np.nan))
+
+
+def test_feet_are_told_by_the_system_of_heights(tmp_path):
+    """GDAL writes no unit of heights beside the number of their system."""
+    transform = rasterio.Affine(0.5, 0, 500000, 0, -0.5, 5e6)
+    for crs in ("EPSG:6340+6360", "EPSG:32632+8228"):
+        with pytest.raises(SarsplatError, match=r"a\.tif has heights in feet \(EPSG:(6360|8228)\); convert them"):
+            read_heights(written(tmp_path / "a.tif", FLOATS, crs=crs, transform=transform))
+
+
+def test_opencv_writes_lzw(tmp_path):
+    sixteen = (FLOATS * 1000 + 5000).astype(np.uint16)
+    Image.fromarray(sixteen).save(tmp_path / "a.tif", compression="tiff_lzw")
+    np.testing.assert_array_equal(read_pixels(tmp_path / "a.tif"), sixteen)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "options", "words"),
+    [
+        (FLOATS, {"compress": "LERC"}, r"a\.tif holds float32 numbers as LERC, .* COMPRESS=DEFLATE -co PREDICTOR=1"),
+        (np.ones((9, 9), np.uint8), {"NBITS": 4}, "holds uint8 numbers as 4 bits each, .* NBITS=8"),
+        (np.ones((3, 32, 32), np.uint8), {"compress": "JPEG", "photometric": "YCBCR"}, "holds uint8 numbers as JPEG"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_what_is_not_read_is_named(tmp_path, pixels, options, words):
+    with pytest.raises(SarsplatError, match=words):
+        read_pixels(written(tmp_path / "a.tif", pixels, **options))
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_damage_is_said(tmp_path):
+    path = written(tmp_path / "a.tif", FLOATS, compress="LZW")
+    data = bytearray(path.read_bytes())
+    data[-3000:] = bytes(3000)
+    path.write_bytes(data)
+    with pytest.raises(SarsplatError, match=r"a\.tif"):
+        read_pixels(path)
