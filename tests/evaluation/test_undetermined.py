@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import dataset_of
+from datasets import FEW_POINTS, dataset_of
 from sarsplat import Gaussians, Harmonics, ImageGrid, Run, View, render
 from sarsplat.evaluation.images import UndefinedScore
 from sarsplat.evaluation.undetermined import places, undetermined
@@ -41,7 +41,8 @@ def run_of(gaussians: Gaussians, noise: float) -> Run:
     images = render(gaussians, VIEWS, GRID).channel(0).numpy() ** 0.5
     images = (images + noise * images.max() * np.random.default_rng(1).normal(size=images.shape)) ** 2
     dataset = dataset_of(GRID, [(view, "train") for view in VIEWS], images.astype(np.float32))
-    return Run.from_gaussians(gaussians, dataset=dataset)
+    run = Run.from_gaussians(gaussians, dataset=dataset)
+    return replace(run, config=replace(run.config, points=FEW_POINTS))
 
 
 def shares(texture: float, noise: float = 0.02) -> tuple[float, float]:
@@ -78,6 +79,6 @@ def test_large_views_are_looked_at_one_after_the_other(monkeypatch: pytest.Monke
 
 def test_without_images_it_is_not_known() -> None:
     dataset = dataset_of(GRID, [(VIEWS[0], "test")], np.ones((1, 64, 64), np.float32))
-    run = Run.from_gaussians(plate(1.0), GRID, VIEWS)
+    run = run_of(plate(1.0), 0.02)
     with pytest.raises(UndefinedScore, match="no training images"):
         undetermined(replace(run, images=dataset))
