@@ -229,7 +229,7 @@ def _gaussians(path: Path) -> tuple[str, dict[str, str]]:
         **({"of the others": extent(near.means.double().numpy() + moved), "apart": left_out} if left_out else {}),
         "scales": f"median {centred.scales.median():.3g} m" if some else "none",
         "optical depth": f"median {centred.optical_depth.median():.3g} (two-way, peak)" if some else "–",
-        "scattering": f"{centred.scattering.kind}, {centred.scattering.parameters.shape[1]} numbers each; "
+        "scattering": f"{centred.scattering.kind}, {counted(centred.scattering.parameters.shape[1], 'number')} each; "
         f"p_min {centred.scattering.p_min:g} (γ⁰)",
     }
     if moved.any():
