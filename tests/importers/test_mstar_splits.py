@@ -191,8 +191,9 @@ def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missi
     assert "without 2S1, BRDM2, BTR60, BTR70, D7, T62, ZIL131, ZSU234 (see above)" in said.err
     assert "the same command with --class 2S1 BRDM2" in said.err
     assert "reading chips" not in said.out
-    (progress,) = (line for line in said.out.splitlines() if line.startswith("chips from "))
-    assert f"{folder}: 10/10" in progress
+    (progress,) = (line for line in said.out.splitlines() if line.startswith(f"import {folder}: "))
+    assert "10/10" in progress
+    assert len([line for line in said.out.splitlines() if line.startswith("next: ")]) == 2  # none for each class
     assert sorted(path.name for path in (tmp_path / "soc").iterdir()) == ["BMP2", "T72", "sweep.toml"]
     (tmp_path / "soc" / "sweep.toml").write_text("# changed")
     assert main([*words, "--split", "soc", "--overwrite"]) == 2
