@@ -142,7 +142,8 @@ def _renderings(path: Path) -> tuple[str, dict[str, str]]:
     images = sorted(path.glob("az*_gr*.tif"))
     if not images:
         raise SarsplatError(
-            f"{path} no longer contains its images; render them again with `sarsplat render RUN --out {path}`"
+            f"{path} no longer contains its images; render them again with `sarsplat render RUN "
+            f"--azimuth DEGREES --grazing DEGREES --out {shlex.quote(str(path))}`"
         )
     rows = {"images": f"{images[0].stem} … {images[-1].stem}, degrees", "pixels": _tiff(images[0])[1]["pixels"]}
     return f"{counted(len(images), 'rendered image')}, β⁰ in linear power (TIFF) and decibels (PNG)", rows
