@@ -12,6 +12,7 @@ from PIL import Image
 
 from chip_files import COLUMNS, phoenix_bytes
 from sarsplat.cli import main
+from sarsplat.cli.info_split import SplitSource, rows_of_all
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers import import_mstar
@@ -250,6 +251,17 @@ def test_info_says_what_of_a_split_is_in_a_folder(tmp_path: Path, capsys: pytest
     (out / "sweep.toml").unlink()
     assert main(["info", str(out)]) == 0
     assert "write these two lines" in " ".join(capsys.readouterr().out.split())
+
+
+def test_what_a_header_says_of_a_split_is_not_trusted() -> None:
+    part = {"set": "train", "part": "D7 at 17°", "found": 1, "published": 2, "without_azimuth": 0}
+    whole = SplitSource.of("D7", {"split": {"name": "soc", "parts": [part]}})
+    assert whole is not None
+    assert rows_of_all([whole])["train soc"] == "1 of 2,747 chips"
+    for wrong in ({"found": "1"}, {"set": "else"}, {"published": None}, {"part": 3}):
+        assert SplitSource.of("D7", {"split": {"name": "soc", "parts": [part | wrong]}}) is None
+    for split in (None, 3, "soc", [], {"name": [], "parts": []}, {"name": "soc", "parts": ["a"]}, {"name": "own"}):
+        assert SplitSource.of("D7", {"split": split}) is None
 
 
 def test_which_splits_chips_are_of() -> None:
