@@ -54,7 +54,8 @@ def test_meshes_are_read_by_trimesh(run: Run, tmp_path: Path, ending: str) -> No
     np.testing.assert_allclose(load_mesh(path).bounds, expected.bounds, atol=1e-5)
     if ending == "glb":  # what is stored, without the node
         assert "viewers see (x, z, -y) of the scene" in said
-        (stored,) = trimesh.load(path).geometry.values()  # type: ignore[union-attr]
+        scene: Any = trimesh.load(path)
+        (stored,) = scene.geometry.values()
         np.testing.assert_allclose(stored.bounds, expected.bounds, atol=1e-5)
     assert read.area == pytest.approx(expected.area, rel=1e-4)
     assert len(read.faces) == len(expected.faces)

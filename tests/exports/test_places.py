@@ -88,7 +88,10 @@ def test_heights_above_the_sea_are_not_said_to_be_ellipsoidal(anywhere: Run, tmp
     pytest.importorskip("pyproj")
     done = export(at(anywhere, Place(47.3, 8.5, 420.0, height_above="sea level")), tmp_path / "a.las")
     assert done.summary.endswith("heights above sea level")
-    assert len(laspy.read(tmp_path / "a.las").header.parse_crs().axis_info) == 2
+    header = laspy.read(tmp_path / "a.las").header
+    assert len(header.parse_crs().axis_info) == 2
+    (text,) = (vlr for vlr in header.vlrs if vlr.record_id == 3)
+    assert text.record_data_bytes() == b"heights above sea level\0"
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,18 @@ def test_a_dataset_shows_one_class(tmp_path):
         assert import_pictures(folder, target_class="car", target="mine").target == "mine"
 
 
+def test_pictures_without_azimuth_are_left_out_and_counted(tmp_path):
+    """As among measured chips, where some count for classifiers alone."""
+    rows = [[f"{k}.npy", "" if k == 1 else azimuth, 30] for k, azimuth in enumerate(AZIMUTHS)]
+    folder = write_pictures(tmp_path / "in", POWER, rows, "file,azimuth,grazing")
+    with pytest.warns(SarsplatWarning, match=r"no azimuth \(azimuth\) for 1 picture of 4 \(the first in line 3\)"):
+        made = import_pictures(folder)
+    np.testing.assert_array_equal(made.power, POWER[[0, 2, 3]])
+    write_pictures(tmp_path / "none", POWER, [[row[0], "", 30] for row in rows], "file,azimuth,grazing")
+    with pytest.raises(SarsplatError, match="line 2: azimuth is ''; it must be a number"):
+        import_pictures(tmp_path / "none")
+
+
 @pytest.mark.parametrize(("near", "turns"), [("top", 0), ("left", 1), ("bottom", 2), ("right", 3)])
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_orientation(tmp_path, near, turns, mirrored):

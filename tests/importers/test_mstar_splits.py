@@ -12,6 +12,7 @@ from PIL import Image
 
 from chip_files import COLUMNS, phoenix_bytes
 from sarsplat.cli import main
+from sarsplat.cli.info_split import SplitSource, rows_of_all
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers import import_mstar
@@ -191,8 +192,9 @@ def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missi
     assert "without 2S1, BRDM2, BTR60, BTR70, D7, T62, ZIL131, ZSU234 (see above)" in said.err
     assert "the same command with --class 2S1 BRDM2" in said.err
     assert "reading chips" not in said.out
-    (progress,) = (line for line in said.out.splitlines() if line.startswith("chips from "))
-    assert f"{folder}: 10/10" in progress
+    (progress,) = (line for line in said.out.splitlines() if line.startswith(f"import {folder}: "))
+    assert "10/10" in progress
+    assert len([line for line in said.out.splitlines() if line.startswith("next: ")]) == 2  # none for each class
     assert sorted(path.name for path in (tmp_path / "soc").iterdir()) == ["BMP2", "T72", "sweep.toml"]
     (tmp_path / "soc" / "sweep.toml").write_text("# changed")
     assert main([*words, "--split", "soc", "--overwrite"]) == 2
@@ -249,6 +251,17 @@ def test_info_says_what_of_a_split_is_in_a_folder(tmp_path: Path, capsys: pytest
     (out / "sweep.toml").unlink()
     assert main(["info", str(out)]) == 0
     assert "write these two lines" in " ".join(capsys.readouterr().out.split())
+
+
+def test_what_a_header_says_of_a_split_is_not_trusted() -> None:
+    part = {"set": "train", "part": "D7 at 17°", "found": 1, "published": 2, "without_azimuth": 0}
+    whole = SplitSource.of("D7", {"split": {"name": "soc", "parts": [part]}})
+    assert whole is not None
+    assert rows_of_all([whole])["train soc"] == "1 of 2,747 chips"
+    for wrong in ({"found": "1"}, {"set": "else"}, {"published": None}, {"part": 3}):
+        assert SplitSource.of("D7", {"split": {"name": "soc", "parts": [part | wrong]}}) is None
+    for split in (None, 3, "soc", [], {"name": [], "parts": []}, {"name": "soc", "parts": ["a"]}, {"name": "own"}):
+        assert SplitSource.of("D7", {"split": split}) is None
 
 
 def test_which_splits_chips_are_of() -> None:

@@ -202,7 +202,7 @@ def test_every_version_means_the_same(tmp_path, newest, version, capsys):
     assert "polarisation V:V" in lines and "size 300 rows × 280 columns, 160 m × 160 m" in lines
     assert any(line.startswith("radar looks left, 500 km away at the compass bearing 90") for line in lines)
     assert any(line.startswith("where 47.30") and "pixel 150,140" in line for line in lines)
-    assert lines[-1].endswith(f"import sicd {path} --pixel 150,140 --size METRES --out image-dataset")
+    assert lines[-2].endswith(f"import sicd {path} --pixel 150,140 --size METRES --out image-dataset")
 
 
 @pytest.mark.parametrize("version", ["0.3.1", "1.9.0", "x"])

@@ -46,10 +46,11 @@ def facts(title: str, rows: dict[str, str]) -> None:
     show(table)
 
 
-def finish(wrote: str, next_step: str) -> None:
-    """Print what a command wrote, and what to do next."""
+def finish(wrote: str, next_step: str | None) -> None:
+    """Print what a command wrote, and what to do next; None if that is said later."""
     _print(Console(), f"[green]wrote[/] {_safe(wrote)}")
-    _print(Console(), f"[dim]next:[/] {_safe(next_step)}")
+    if next_step is not None:
+        _print(Console(), f"[dim]next:[/] {_safe(next_step)}")
 
 
 def program() -> str:

@@ -277,9 +277,8 @@ def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
             f"sarsplat check {folder} --verbose",
         )
         return CONTRADICTED
-    console.finish(
-        f"{out}: {summary(dataset)}, ready", f"sarsplat reconstruct {folder} --out {shlex.quote(f'{out}-run')}"
-    )
+    then = f"sarsplat reconstruct {folder} --out {shlex.quote(f'{out}-run')}"
+    console.finish(f"{out}: {summary(dataset)}, ready", then if assumed is None else None)
     return 0
 
 

@@ -112,7 +112,7 @@ def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], lis
     for out in outs.values():
         refuse_existing(out, given["overwrite"], marker="dataset.json")
     codes, made = [], []
-    with assumed_once(), progress(f"chips from {given['chips']}", len(outs)) as shown:
+    with assumed_once(), progress(f"import {given['chips']}", len(outs)) as shown:
         for done, (name, out) in enumerate(outs.items()):
             shown.update(done, name)
             try:

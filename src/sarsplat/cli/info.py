@@ -142,7 +142,8 @@ def _renderings(path: Path) -> tuple[str, dict[str, str]]:
     images = sorted(path.glob("az*_gr*.tif"))
     if not images:
         raise SarsplatError(
-            f"{path} no longer contains its images; render them again with `sarsplat render RUN --out {path}`"
+            f"{path} no longer contains its images; render them again with `sarsplat render RUN "
+            f"--azimuth DEGREES --grazing DEGREES --out {shlex.quote(str(path))}`"
         )
     rows = {"images": f"{images[0].stem} … {images[-1].stem}, degrees", "pixels": _tiff(images[0])[1]["pixels"]}
     return f"{counted(len(images), 'rendered image')}, β⁰ in linear power (TIFF) and decibels (PNG)", rows
@@ -232,7 +233,7 @@ def _gaussians(path: Path) -> tuple[str, dict[str, str]]:
         **({"of the others": extent(near.means.double().numpy() + moved), "apart": left_out} if left_out else {}),
         "scales": f"median {centred.scales.median():.3g} m" if some else "none",
         "optical depth": f"median {centred.optical_depth.median():.3g} (two-way, peak)" if some else "–",
-        "scattering": f"{centred.scattering.kind}, {centred.scattering.parameters.shape[1]} numbers each; "
+        "scattering": f"{centred.scattering.kind}, {counted(centred.scattering.parameters.shape[1], 'number')} each; "
         f"p_min {centred.scattering.p_min:g} (γ⁰)",
     }
     if moved.any():

@@ -117,12 +117,14 @@ def describe_contents(path: Path) -> bool:
     console.say(f"{path}: {' and '.join(whole)}")
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
     runs = _names_of_runs([folder for folder, marker in entries if marker == _RUN])
-    rows, splits = [], []
+    rows: list[tuple[str, ...]] = []
+    splits: dict[Path, list[SplitSource]] = {}
     for folder, marker in entries:
         try:
             if marker == _DATASET:
                 cells, split = _dataset(folder)
-                splits += [] if split is None else [split]
+                if split is not None:
+                    splits.setdefault(folder.parent, []).append(split)
             else:
                 cells = _run(folder, runs.get(folder, ""))
         except SarsplatError as error:
@@ -137,11 +139,11 @@ def describe_contents(path: Path) -> bool:
     for row in rows:
         table.add_row(*(escape(row[index]) for index in columns))
     console.show(table)
-    if splits:
-        console.facts("of standard splits of MSTAR:", rows_of_all(splits))
-        console.say(
-            f"for a classifier: sarsplat chips --measured {shlex.quote(str(path))} --out {_beside(path, 'measured')}"
-        )
+    for parent, own in splits.items():
+        console.facts(f"{parent}: standard splits of MSTAR", rows_of_all(own))
+        if len(own) == sum(marker == _DATASET and folder.parent == parent for folder, marker in entries):
+            made = _beside(parent, "measured")
+            console.say(f"for a classifier: sarsplat chips --measured {shlex.quote(str(parent))} --out {made}")
     if (page := path / "index.html").is_file() and (path / "sweep.json").is_file():
         console.say(f"a sweep: open {page} in a browser")
     elif (plan := path / PLAN).is_file():

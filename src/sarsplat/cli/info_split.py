@@ -12,6 +12,9 @@ from sarsplat.errors import counted
 _FOR = "they count for classifiers (`sarsplat chips --measured`), and reconstructions have no use for them"
 
 
+_NUMBERS = ("found", "published", "without_azimuth")
+
+
 @dataclass(frozen=True)
 class SplitSource:
     """What a dataset's source says of the split that it belongs to."""
@@ -30,10 +33,12 @@ class SplitSource:
 
         try:
             name, parts = source["split"]["name"], [{**part} for part in source["split"]["parts"]]
-            if name not in SPLITS or not all(isinstance(part["found"], int) for part in parts):
+            if name not in SPLITS or not all(isinstance(part[key], int) for part in parts for key in _NUMBERS):
+                return None
+            if not all(part["set"] in ("train", "test") and isinstance(part["part"], str) for part in parts):
                 return None
             return cls(name, target, parts, len(source.get("unplaced", ())))
-        except (KeyError, TypeError):
+        except (KeyError, TypeError, ValueError):  # a header that someone else has changed
             return None
 
     def rows(self) -> dict[str, str]:

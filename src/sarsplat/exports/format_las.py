@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sarsplat.data import new_file
+from sarsplat.data.raster import LEVELS
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.format import Format, Points
 from sarsplat.extras import install_command
@@ -17,6 +18,7 @@ from sarsplat.radiometry import LEAST_POWER, shade
 _DARKEST_DB = -30.0  # of the brightest point: intensity 0, as black in a mesh
 _FINEST_M = 1e-4  # of coordinates, which are whole numbers of such steps
 _LARGEST = 2**31 - 1
+_TEXT_AREA = 3  # of LAS: text for people
 _AT_A_TIME = 1 << 18
 _FRAME = (
     'LOCAL_CS["target frame: x nose, y left, z up",LOCAL_DATUM["target",0],UNIT["metre",1],'
@@ -53,6 +55,9 @@ def write_las(points: Points, path: Path, *, compressed: bool = False) -> None:
     header.generating_software = header.system_identifier = "sarsplat"
     header.global_encoding.wkt = True
     header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(frame))
+    if system is not None:  # the system itself says it only where it has a name for that
+        level = f"heights above {LEVELS[system.place.height_above]}"
+        header.vlrs.append(laspy.VLR("LASF_Spec", _TEXT_AREA, "what heights are above", level.encode() + b"\0"))
     columns = points.columns()
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name=name, type=np.float32, description=_DESCRIBED[name]) for name in columns]

@@ -251,12 +251,24 @@ def read_picture_table(
     if unlisted := len(every - set(row_of)):
         warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, which are left out")
     target = _one_class(table, columns, target_class, list(row_of.values()))
-    pictures = (
-        _listed(table, row, columns, at)
-        for at, row in row_of.items()
-        if target is None or row[1][columns["class"]] == target
-    )
+    wanted = {at: row for at, row in row_of.items() if target is None or row[1][columns["class"]] == target}
+    pictures = (_listed(table, row, columns, at) for at, row in _placed(table, columns, wanted).items())
     return PictureTable(table.path, columns, target, tuple(pictures))
+
+
+def _placed(table: CsvTable, columns: Columns, rows: dict[Path, Row]) -> dict[Path, Row]:
+    """The rows that say where the radar was: those whose azimuth is empty are left out, unless that is so of all."""
+    if "azimuth" not in columns or columns.keys() & {"heading", *WAYS}:
+        return rows
+    placed = {at: row for at, row in rows.items() if row[1][columns["azimuth"]]}
+    if not placed or len(placed) == len(rows):
+        return rows
+    first = next(row for at, row in rows.items() if at not in placed)
+    warn_caller(
+        f"{table.path} has no azimuth ({columns['azimuth']}) for {counted(len(rows) - len(placed), 'picture')} of "
+        f"{len(rows)} (the first in line {first[0]}), which are left out; fill them in if you need them"
+    )
+    return placed
 
 
 def _one_class(table: CsvTable, columns: Columns, wanted: str | None, rows: list[Row]) -> str | None:
