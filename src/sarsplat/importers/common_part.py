@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float64, Shaped
+from jaxtyping import Bool, Float64, Int64, Shaped
 
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.examination.scaling import CUT_OFF_SAID, share_at_top
@@ -151,14 +151,13 @@ def common_part(
     """
     ends = np.array([_ends(image.grid) for image in images])
     whole = _common(ends)
-    kept = list(range(len(images)))
+    kept = np.arange(len(images))
     most = max(1, int(_FEW * len(images))) if len(images) >= _FEWEST_IMAGES else 0
-    without: list[int] = []
     for _ in range(most):
-        rest = [[k for k in kept if k != out] for out in _at_its_ends(ends, kept)]
+        rest = [kept[kept != out] for out in _at_its_ends(ends, kept)]
         kept = max(rest, key=lambda some: _area(_common(ends[some])))
-        without = [k for k in range(len(images)) if k not in kept]
         if (1 - _LOSS) * (larger := _area(_common(ends[kept]))) >= max(_area(whole), 1e-30):
+            without = np.delete(np.arange(len(images)), kept)
             names = ", ".join(f"{images[k].name} ({_size(images[k].grid)})" for k in without[:3])
             raise SarsplatError(
                 f"all images would be cut to {_area(whole) / larger:.0%} of what the others have in common, for "
@@ -169,7 +168,7 @@ def common_part(
     low, high = -whole[:2], whole[2:]
     if (high < low).any():
         raise SarsplatError("the images have no part in common; give images around one spot")
-    return low, high, [images[k].name for k in _at_its_ends(ends, range(len(images)))]
+    return low, high, [images[k].name for k in _at_its_ends(ends, np.arange(len(images)))]
 
 
 def _refuse_other_spacing(images: Sequence[_Measured]) -> None:
@@ -196,9 +195,9 @@ def _common(ends: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, " 4"]:
     return ends.min(axis=0)
 
 
-def _at_its_ends(ends: Float64[np.ndarray, "n 4"], kept: Sequence[int]) -> list[int]:
+def _at_its_ends(ends: Float64[np.ndarray, "n 4"], kept: Int64[np.ndarray, " k"]) -> list[int]:
     """The first of the images that ends where the part ends that all of them show, for each of its four ends."""
-    return sorted({kept[int(k)] for k in ends[kept].argmin(axis=0)})
+    return np.unique(kept[ends[kept].argmin(axis=0)]).tolist()
 
 
 def _area(ends: Float64[np.ndarray, " 4"]) -> float:
