@@ -14,7 +14,8 @@ from emulated_cuda import Emulator
 from emulated_recorder import EmulatedRecorder
 from torch import Tensor
 
-from sarsplat import Dataset, preset
+from datasets import box_dataset
+from sarsplat import Dataset, ImageGrid, preset
 from sarsplat.errors import SarsplatWarning
 from sarsplat.learning import Trainer, levels
 from sarsplat.learning.strategies.relocation import Relocating
@@ -23,18 +24,24 @@ from sarsplat.settings import Config
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
 from terrains import hill
 
-STEPS = 30
+STEPS = 20
 SELDOM = Surroundings(texture_rounds=2, azimuth_rounds=2)
 DENSITY = Densification(
-    start=4,
-    stop=20,
-    every=8,
+    start=3,
+    stop=12,
+    every=5,
     gradient=1e-4,
     split_above=0.16,
     max_extent=0.3,
     min_scattering=0.01,
     max_gaussians=300,
 )
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A box in few pixels: an emulated GPU takes its time."""
+    return box_dataset(tmp_path_factory.mktemp("few-pixels"), ImageGrid(16, 16, (0.6, 0.6), (0.9, 0.9)))
 
 
 def small(name: str, **changes: Any) -> Config:
@@ -47,13 +54,15 @@ CONFIGS = {
     "quick": small("quick"),
     "speckled": small("speckled"),
     "paper": small("paper", views_per_step=1),
-    "measured": small("measured", harmonics_every=20, surroundings=SELDOM),
-    "azimuths": small("measured", harmonics_every=STEPS, views_per_step=5, surroundings=SELDOM),
+    "measured": small("measured", harmonics_every=14, surroundings=SELDOM),
+    "azimuths": small("measured", harmonics_every=STEPS, views_per_step=3, surroundings=SELDOM),
     "ground": small("default", ground=FlatGround()),
     "ground of one kind": small("quick", ground=FlatGround(pitch=0.0), views_per_step=3),
     "terrain": small("default", ground=FlatGround(), coarsest=1),
-    "density": small("paper", densification=DENSITY),
-    "levels": small("default", coarsest=2, relocation=Relocation(rounds=8), smoothing=Smoothing(rounds=8)),
+    "density": small("paper", harmonics_every=STEPS, densification=DENSITY),
+    "levels": small(
+        "default", harmonics_every=STEPS, coarsest=2, relocation=Relocation(rounds=8), smoothing=Smoothing(rounds=8)
+    ),
 }
 
 

@@ -192,7 +192,10 @@ def test_processes_that_learn_tiles_make_the_same_bits(
 def test_a_cluster_that_learns_tiles_makes_the_same_bits(
     finished: Run, stored: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By a stand-in for Ray, which does everything in this process, but in another folder."""
+    """By a stand-in for Ray, which does everything in this process, but in another folder.
+
+    The last step that is told is marked: from then on, Ctrl-C does not wait for the end of one.
+    """
     monkeypatch.chdir(tmp_path)
     near, elsewhere = read_dataset(stored.path.relative_to(tmp_path)), tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -211,7 +214,13 @@ def test_a_cluster_that_learns_tiles_makes_the_same_bits(
     ray.wait, ray.get = lambda tasks, num_returns: (tasks[:1], tasks[1:]), lambda task: task.result
     ray.cancel = lambda task, force: None
     monkeypatch.setitem(sys.modules, "ray", ray)
-    assert_same(reconstruct(near, config, "run", executor="ray", quiet=True), finished)
+    steps: list[tuple[int, bool]] = []
+    run = reconstruct(
+        near, config, "run", executor="ray", on_step=lambda at: steps.append((at.iteration, at.last)), quiet=True
+    )
+    assert_same(run, finished)
+    assert [last for _, last in steps] == [False] * (len(steps) - 1) + [True]
+    assert steps[-1][0] < 36
 
 
 def test_whoever_learned_a_tile_the_others_go_on(
@@ -238,21 +247,6 @@ def test_whoever_learned_a_tile_the_others_go_on(
     assert steps[0][0] > 1  # the whole is not learned again
     run = reconstruct(stored, config, out, executor=executor(here), quiet=True, resume=True)
     assert_same(run, finished)
-
-
-def test_the_last_step_of_this_process_is_told(stored: Dataset, config: Config, tmp_path: Path, executor: Any) -> None:
-    """From then on, Ctrl-C does not wait for the end of one."""
-    steps: list[tuple[int, bool]] = []
-    reconstruct(
-        stored,
-        config,
-        tmp_path / "run",
-        executor=executor(here),
-        on_step=lambda step: steps.append((step.iteration, step.last)),
-        quiet=True,
-    )
-    assert [last for _, last in steps] == [False] * (len(steps) - 1) + [True]
-    assert steps[-1][0] < 36
 
 
 def test_a_tile_that_is_not_finished_is_one_sentence(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,15 +63,11 @@ def with_haze(gaussians: Gaussians, count: int, reach_m: float) -> Gaussians:
 def scenes() -> dict[str, Scene]:
     pytest.importorskip("trimesh")
     vehicle = surface_gaussians(target_mesh("t72"), 0.4)[0]
-    fine, coarse = PointExtraction(rays_per_pixel=2.0, voxel=0.3), PointExtraction(rays_per_pixel=2.0, voxel=0.4)
+    grid, how = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)), PointExtraction(rays_per_pixel=2.0, voxel=0.4)
     return {
-        "vehicle": Scene(with_haze(vehicle, 300, 5.0), ImageGrid(128, 128, (0.3, 0.3), (0.3, 0.3)), fine),
-        "on a hill": Scene(vehicle, ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)), coarse, hill()),
-        "seen often": Scene(
-            vehicle,
-            ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)),
-            PointExtraction(rays_per_pixel=2.0, voxel=0.3, seen_by=3),
-        ),
+        "vehicle": Scene(with_haze(vehicle, 300, 5.0), grid, how),
+        "on a hill": Scene(vehicle, grid, how, hill()),
+        "seen often": Scene(vehicle, grid, replace(how, seen_by=3)),
     }
 
 
@@ -78,7 +75,7 @@ def scenes() -> dict[str, Scene]:
 def village() -> Scene:
     """20 m of it."""
     gaussians = surface_gaussians(made_village(20.0, edge_m=4.0), 1.0)[0]
-    how = PointExtraction(rays_per_pixel=1.0, voxel=0.6)
+    how = PointExtraction(rays_per_pixel=1.0, voxel=1.0)
     return Scene(with_haze(gaussians, 200, 7.0), ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)), how)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float64, Shaped
+from jaxtyping import Bool, Float64, Int64, Shaped
 
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.examination.scaling import CUT_OFF_SAID, share_at_top
@@ -149,26 +149,26 @@ def common_part(
 
     Refused if there is none, or if without a few images it would be at least twice as large.
     """
-    grids = [image.grid for image in images]
-    low, high = _overlap(grids)
-    kept = list(range(len(images)))
+    ends = np.array([_ends(image.grid) for image in images])
+    whole = _common(ends)
+    kept = np.arange(len(images))
     most = max(1, int(_FEW * len(images))) if len(images) >= _FEWEST_IMAGES else 0
-    without: list[int] = []
     for _ in range(most):
-        rest = [[k for k in kept if k != out] for out in _at_its_ends(grids, kept)]
-        kept = max(rest, key=lambda some: _area(*_overlap([grids[k] for k in some])))
-        without = [k for k in range(len(images)) if k not in kept]
-        if (1 - _LOSS) * (larger := _area(*_overlap([grids[k] for k in kept]))) >= max(_area(low, high), 1e-30):
-            names = ", ".join(f"{images[k].name} ({_size(grids[k])})" for k in without[:3])
+        rest = [kept[kept != out] for out in _at_its_ends(ends, kept)]
+        kept = max(rest, key=lambda some: _area(_common(ends[some])))
+        if (1 - _LOSS) * (larger := _area(_common(ends[kept]))) >= max(_area(whole), 1e-30):
+            without = np.delete(np.arange(len(images)), kept)
+            names = ", ".join(f"{images[k].name} ({_size(images[k].grid)})" for k in without[:3])
             raise SarsplatError(
-                f"all images would be cut to {_area(low, high) / larger:.0%} of what the others have in common, for "
+                f"all images would be cut to {_area(whole) / larger:.0%} of what the others have in common, for "
                 f"{names}{' and others' if len(without) > 3 else ''} where {images[kept[0]].name} has "
-                f"{_size(grids[kept[0]])}; leave out {'this image' if len(without) == 1 else 'these images'}, or cut "
-                "the others to that size yourself"
+                f"{_size(images[kept[0]].grid)}; leave out {'this image' if len(without) == 1 else 'these images'}, or "
+                "cut the others to that size yourself"
             )
+    low, high = -whole[:2], whole[2:]
     if (high < low).any():
         raise SarsplatError("the images have no part in common; give images around one spot")
-    return low, high, [images[k].name for k in _at_its_ends(grids, range(len(images)))]
+    return low, high, [images[k].name for k in _at_its_ends(ends, np.arange(len(images)))]
 
 
 def _refuse_other_spacing(images: Sequence[_Measured]) -> None:
@@ -184,20 +184,24 @@ def _refuse_other_spacing(images: Sequence[_Measured]) -> None:
         )
 
 
-def _overlap(grids: Sequence[ImageGrid]) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"]]:
-    low = np.max([(grid.azimuth_m[0], grid.range_m[0]) for grid in grids], axis=0)
-    high = np.min([(grid.azimuth_m[-1], grid.range_m[-1]) for grid in grids], axis=0)
-    return low, high
+def _ends(grid: ImageGrid) -> tuple[float, float, float, float]:
+    """Where an image ends (azimuth, range), m: how far it reaches downwards, negative, and how far upwards."""
+    azimuth, slant_range = grid.azimuth_m, grid.range_m
+    return -azimuth[0], -slant_range[0], azimuth[-1], slant_range[-1]
 
 
-def _at_its_ends(grids: Sequence[ImageGrid], kept: Sequence[int]) -> list[int]:
+def _common(ends: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, " 4"]:
+    """The ends of the part that all of them show."""
+    return ends.min(axis=0)
+
+
+def _at_its_ends(ends: Float64[np.ndarray, "n 4"], kept: Int64[np.ndarray, " k"]) -> list[int]:
     """The first of the images that ends where the part ends that all of them show, for each of its four ends."""
-    ends = [(-grids[k].azimuth_m[0], -grids[k].range_m[0], grids[k].azimuth_m[-1], grids[k].range_m[-1]) for k in kept]
-    return sorted({kept[int(k)] for k in np.argmin(ends, axis=0)})
+    return np.unique(kept[ends[kept].argmin(axis=0)]).tolist()
 
 
-def _area(low: Shaped[np.ndarray, " 2"], high: Shaped[np.ndarray, " 2"]) -> float:
-    return float(np.prod(np.maximum(high - low, 0)))
+def _area(ends: Float64[np.ndarray, " 4"]) -> float:
+    return float(np.prod(np.maximum(ends[2:] + ends[:2], 0)))
 
 
 def _size(grid: ImageGrid) -> str:
