@@ -394,3 +394,18 @@ def test_a_file_whose_projection_leads_elsewhere_is_said(tmp_path, capsys):
         import_sicd([path], tmp_path / "set", pixel=(150, 140), **options)
     assert main(["info", str(path)]) == 0
     assert "a.nitf contradicts itself" in capsys.readouterr().out
+
+
+def test_other_data_may_come_before_the_metadata(tmp_path):
+    """As sarpy writes what is added to a SICD."""
+    path = write_sicd(tmp_path / "a.nitf", Track(bearing=20, grazing=35, look="R"), PLACES, Recording())
+    plain, data = read_sicd(path), path.read_bytes()
+    other = b"DE" + b"NOTES".ljust(25) + b"01U" + b" " * 166 + b"0000" + b"hello world"
+    header, body = int(data[354:360]), len(data) - int(data[391:395]) - int(data[395:404])
+    assert (data[388:391], data[body : body + 18]) == (b"001", b"DEXML_DATA_CONTENT")
+    lengths = b"%012d%06d" % (len(data) + 13 + len(other), header + 13)
+    parts = [data[:342], lengths, data[360:388], b"002", b"0200000000011", data[391:body], other, data[body:]]
+    path.write_bytes(b"".join(parts))
+    read = read_sicd(path)
+    assert (read.version, read.shape, read.collection) == (plain.version, plain.shape, plain.collection)
+    assert [part.offset - 13 for part in read.segments] == [part.offset for part in plain.segments]
