@@ -28,7 +28,7 @@ def refuse_map(name: str, georeference: Georeference) -> None:
 
 
 def warn_of_world_files(paths: Iterable[Path]) -> None:
-    """Say what it means that a picture without tags has a world file beside it, a.tfw or a.wld of a.tif; of the first."""
+    """Say what it means that a picture without tags has a world file beside it, a.tfw or a.wld of a.tif; once."""
     for path in paths:
         ending = path.suffix
         for own in (f"{ending[:2]}{ending[-1]}w", f"{ending}w", ".wld"):

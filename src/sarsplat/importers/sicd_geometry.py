@@ -116,7 +116,7 @@ def _ground_of(sicd: Sicd, place: Float64[np.ndarray, " 2"], *, corrected: bool)
 def said_of_place(sicd: Sicd) -> str | None:
     """What is wrong with where a file says that it is, if anything is."""
     astray, cell = astray_m(sicd), max(axis.resolution_m for axis in sicd.axes)
-    if astray <= _ASTRAY_CELLS * cell:  # not of NaN, which is a file that shows no ground there
+    if not astray > _ASTRAY_CELLS * cell:  # of NaN no ground is seen there, which is refused where it is needed
         return None
     return (
         f"{sicd.path.name} contradicts itself: its scene centre point is {astray:.4g} m from where its own projection "
