@@ -337,7 +337,8 @@ def _mesh(kind: str) -> list[bytes]:
             concave = (
                 "v 0 0 0\nv 4 0 0\nv 4 1 0\nv 1 1 0\nv 1 4 0\nv 0 4 0\nf 2 3 4 5 6 1\nf 1/1 2/1 4/1 6/1\nf 1 2 3\n"
             )
-            return [box.export(file_type="obj").encode(), (text + faces).encode(), concave.encode()]
+            back = text + "f -4/-1/-1 -3/-1/-1 \\\n -2/-1/-1\nv 0 0 1\nf -1 -2 -3 -4\n"
+            return [box.export(file_type="obj").encode(), *(made.encode() for made in (text + faces, concave, back))]
         case "stl":
             return [box.export(file_type="stl"), box.export(file_type="stl_ascii").encode()]
         case "ply":

@@ -90,6 +90,17 @@ def pictures() -> list[bytes]:
         buffer = io.BytesIO()
         tifffile.imwrite(buffer, pixels, **{"metadata": None, **options})
         made.append(buffer.getvalue())
+    for pixels, options in ((_POWER, {"tiffinfo": {317: 3}}), ((_POWER * 9000).astype(np.uint16), {}), (zeros, {})):
+        made.append(_saved(Image.fromarray(pixels), "TIFF", compression="tiff_lzw", **options))
+    made.append(_saved(Image.fromarray(eight), "TIFF", compression="jpeg"))
+    tifffile.imwrite(
+        buffer := io.BytesIO(), np.stack([eight, eight * 0 + 255], axis=-1), photometric="minisblack", extrasamples=[2]
+    )
+    made.append(buffer.getvalue())
+    with tifffile.TiffWriter(buffer := io.BytesIO()) as tiff:
+        tiff.write(_POWER, metadata=None)
+        tiff.write(_POWER > 1, subfiletype=4, photometric="mask", metadata=None)
+    made.append(buffer.getvalue())
     for pixels in (_POWER, _SIGNAL, np.stack([_POWER, _POWER], axis=-1), np.asfortranarray(eight)):
         buffer = io.BytesIO()
         np.save(buffer, pixels)
@@ -98,9 +109,9 @@ def pictures() -> list[bytes]:
     return [*made, buffer.getvalue()]
 
 
-def _saved(image: Image.Image, kind: str) -> bytes:
+def _saved(image: Image.Image, kind: str, **options: object) -> bytes:
     buffer = io.BytesIO()
-    image.save(buffer, kind)
+    image.save(buffer, kind, **options)
     return buffer.getvalue()
 
 

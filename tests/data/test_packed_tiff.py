@@ -11,7 +11,7 @@ from PIL import Image
 from sarsplat.data import packed_tiff
 from sarsplat.data.geotiff import read_heights
 from sarsplat.errors import SarsplatError
-from sarsplat.importers.pictures import read_pixels
+from sarsplat.importers.pictures import read_picture, read_pixels
 
 rasterio = pytest.importorskip("rasterio")
 
@@ -95,14 +95,21 @@ def test_heights_with_a_predictor_and_overviews(tmp_path):
     np.testing.assert_array_equal(read_pixels(path), FLOATS)
 
 
-def test_masked_heights_are_not_known(tmp_path):
+@pytest.mark.parametrize("inside", [True, False])  # a file beside it is GDAL's habit before 3.9
+def test_masked_heights_are_not_known(tmp_path, inside):
     place = {"crs": "EPSG:32632", "transform": rasterio.Affine(0.5, 0, 500000, 0, -0.5, 5e6)}
     seen = FLOATS > -1
-    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=inside):
         path = written(tmp_path / "a.tif", FLOATS, **place)
         with rasterio.open(path, "r+") as file:
             file.write_mask(seen)
+    assert (tmp_path / "a.tif.msk").exists() != inside
     np.testing.assert_array_equal(read_heights(path).raster.values, np.where(seen, FLOATS, np.nan))
+    np.testing.assert_array_equal(read_picture(path)[1].absent, ~seen)
+    if not inside:
+        (tmp_path / "a.tif.msk").write_bytes(b"no")
+        with pytest.raises(SarsplatError, match=r"a\.tif\.msk is not a readable TIFF"):
+            read_heights(path)
 
 
 def test_feet_are_told_by_the_system_of_heights(tmp_path):

@@ -82,6 +82,15 @@ def test_pictures_without_azimuth_are_left_out_and_counted(tmp_path):
         import_pictures(tmp_path / "none")
 
 
+@pytest.mark.parametrize(("ending", "world"), [("tif", "tfw"), ("tif", "tifw"), ("png", "pgw"), ("png", "wld")])
+def test_a_world_file_beside_a_picture_is_said(tmp_path, ending, world):
+    pixels = np.round(np.sqrt(POWER) * 9000).astype(np.uint16)
+    folder = write_pictures(tmp_path / "in", pixels, ending=ending)
+    (folder / f"0.{world}").write_text("0.5\n0\n0\n-0.5\n500000\n5200000\n")
+    with pytest.warns(SarsplatWarning, match=rf"0\.{ending} has the world file 0\.{world} beside it, by which"):
+        import_pictures(folder, quantity="amplitude")
+
+
 @pytest.mark.parametrize(("near", "turns"), [("top", 0), ("left", 1), ("bottom", 2), ("right", 3)])
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_orientation(tmp_path, near, turns, mirrored):

@@ -194,6 +194,13 @@ def test_other_nitf_files_and_unknown_endings_are_named(tmp_path, capsys):
     assert "is not a file that this command recognises by its ending" in capsys.readouterr().err
 
 
+def test_a_table_is_not_what_lies_beside_it(tmp_path):
+    (tmp_path / "a.cphd").write_bytes(b"CPHD/1.1.0\n")
+    (tmp_path / "results.csv").write_text("run,psnr\na,30\n")
+    assert recognised(tmp_path) is not None
+    assert recognised(tmp_path / "results.csv") is None
+
+
 def test_no_images_are_nothing(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     assert recognised(tmp_path) is None

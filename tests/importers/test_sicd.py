@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +17,25 @@ from fuzz import watched
 from sarsplat import preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import Place, View, radar_frame
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Taylor
 from sarsplat.importers import import_sicd
 from sarsplat.importers.sicd_file import read_sicd
-from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, axes, describe, ecef, of_version, write_sicd
+from sicds import (
+    FREQUENCY,
+    LIGHT,
+    SPOT,
+    Recording,
+    Track,
+    axes,
+    describe,
+    ecef,
+    of_version,
+    with_xml,
+    write_sicd,
+    xml_of,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # of one view alone, for instance
 
@@ -363,3 +377,35 @@ def test_info_describes_the_first_of_a_folder(tmp_path, capsys):
     (tmp_path / "0.nitf").write_bytes(b"none")
     assert main(["info", str(tmp_path)]) == 0
     assert "0.nitf is not" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_file_whose_projection_leads_elsewhere_is_said(tmp_path, capsys):
+    """As of Capella's strip maps by sarpy's converter: 4.6 km beside its scene centre point."""
+    path = write_sicd(tmp_path / "a.nitf", Track(bearing=20, grazing=35, look="R"), PLACES, Recording(kind="RGZERO"))
+    options = {"size_m": SIZE, "looks": None, "ground": False, "overwrite": True}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        import_sicd([path], tmp_path / "set", **options)
+    assert not any("contradicts itself" in str(one.message) for one in caught)
+    data = path.read_bytes()
+    farther = re.sub(r"(<R_CA_SCP>)([^<]*)", lambda it: f"{it[1]}{float(it[2]) + 500.0}", xml_of(data).decode())
+    path.write_bytes(with_xml(data, farther.encode()))
+    with pytest.warns(SarsplatWarning, match=r"a\.nitf contradicts itself: its scene centre point is 610\.\d m from"):
+        import_sicd([path], tmp_path / "set", pixel=(150, 140), **options)
+    assert main(["info", str(path)]) == 0
+    assert "a.nitf contradicts itself" in capsys.readouterr().out
+
+
+def test_other_data_may_come_before_the_metadata(tmp_path):
+    """As sarpy writes what is added to a SICD."""
+    path = write_sicd(tmp_path / "a.nitf", Track(bearing=20, grazing=35, look="R"), PLACES, Recording())
+    plain, data = read_sicd(path), path.read_bytes()
+    other = b"DE" + b"NOTES".ljust(25) + b"01U" + b" " * 166 + b"0000" + b"hello world"
+    header, body = int(data[354:360]), len(data) - int(data[391:395]) - int(data[395:404])
+    assert (data[388:391], data[body : body + 18]) == (b"001", b"DEXML_DATA_CONTENT")
+    lengths = b"%012d%06d" % (len(data) + 13 + len(other), header + 13)
+    parts = [data[:342], lengths, data[360:388], b"002", b"0200000000011", data[391:body], other, data[body:]]
+    path.write_bytes(b"".join(parts))
+    read = read_sicd(path)
+    assert (read.version, read.shape, read.collection) == (plain.version, plain.shape, plain.collection)
+    assert [part.offset - 13 for part in read.segments] == [part.offset for part in plain.segments]

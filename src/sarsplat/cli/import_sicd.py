@@ -40,7 +40,7 @@ def recognise(contents: Contents) -> Recognised | None:
 
 def _described(path: Path) -> Recognised:
     from sarsplat.importers.sicd_file import read_sicd
-    from sarsplat.importers.sicd_geometry import layout_around, spot_of_pixel
+    from sarsplat.importers.sicd_geometry import layout_around, said_of_place, spot_of_pixel
 
     sicd = read_sicd(path)
     rows, columns = sicd.axes
@@ -61,5 +61,7 @@ def _described(path: Path) -> Recognised:
         "pixels": f"{sicd.pixel_type}, grid {sicd.projection.Grid_Type}",
         "power": "β⁰ up to one factor" if sicd.beta_zero is None else "β⁰ (BetaZeroSFPoly)",
     }
+    if (astray := said_of_place(sicd)) is not None:
+        facts["beware"] = astray
     words = ["sicd", str(path), "--pixel", f"{middle[0]},{middle[1]}", "--size", "METRES"]
     return Recognised("a SICD (complex SAR image)", facts, typed_import(*words, out=f"{path.stem}-dataset"))

@@ -62,7 +62,10 @@ def recognised(path: Path) -> Recognised | None:
     asked = [getattr(inspect.getmodule(command), "recognise", None) for command in IMPORTERS.loaded().values()]
     answers = [answer for recognise in asked if recognise is not None and (answer := recognise(contents)) is not None]
     best = max(answers, key=lambda answer: answer.certainty, default=None)
-    return None if best is not None and is_table and best.certainty < 1 else best
+    if best is None or not is_table:
+        return best
+    its_own = best.certainty == 1 and any(path.name in fact for fact in best.facts.values())
+    return best if its_own else None  # of what else lies in the folder
 
 
 def by_ending(contents: Contents, endings: tuple[str, ...], command: str, what: str) -> Recognised | None:

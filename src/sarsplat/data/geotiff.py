@@ -115,7 +115,7 @@ def read_heights(path: str | Path) -> MapHeights:
             size = math.prod(shape) * np.dtype(page.dtype).itemsize
             allowed = max(_TIMES * len(data), _HARMLESS)
             heights = pixels_of(page, data, str(path)) if bands == 1 and size <= allowed else None
-            absent = None if heights is None else masked_out(tiff, page, data, str(path))
+            absent = None if heights is None else masked_out(tiff, page, data, path)
     except SarsplatError:
         raise
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception

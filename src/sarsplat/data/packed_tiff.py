@@ -13,13 +13,15 @@ import logging
 import math
 import struct
 import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Shaped, UInt8
 from tifffile import COMPRESSION, PLANARCONFIG, SAMPLEFORMAT, TiffFile
 
-from sarsplat.errors import SarsplatError
+from sarsplat.data.files import open_file
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.extras import install_command
 
 _KNOWN = {COMPRESSION.LZW, COMPRESSION.ADOBE_DEFLATE, COMPRESSION.DEFLATE, COMPRESSION.ZSTD, COMPRESSION.JPEG}
@@ -162,14 +164,33 @@ def _numbers(page: Any, pieces: UInt8[np.ndarray, "rows across bytes"], samples:
     return flat.view(np.dtype(page.dtype).newbyteorder(order)).astype(page.dtype)
 
 
-def masked_out(tiff: TiffFile, page: Any, data: bytes, name: str) -> Bool[np.ndarray, "rows columns"] | None:
-    """Where a mask beside `page` leaves its pixels out, as GDAL keeps one in a page of its own; None without one."""
+def masked_out(tiff: TiffFile, page: Any, data: bytes, path: Path) -> Bool[np.ndarray, "rows columns"] | None:
+    """Where a mask leaves pixels of `page` out; None without one.
+
+    GDAL keeps it in a page of its own, or in a file beside, PATH.msk.
+    """
+    beside = path.with_name(f"{path.name}.msk")
     pages = [other.aspage() for other in itertools.islice(tiff.pages, _MOST_PAGES)]
     masks = [other for other in pages if other.is_mask and not other.is_reduced]
-    if not masks:
+    if masks:
+        return _absent(masks[0], data, page.shape[:2], f"the mask of {path}", alone=len(masks) == 1)
+    if not beside.is_file():
         return None
-    mask = masks[0]
-    if len(masks) > 1 or mask.shape != page.shape[:2] or math.prod(mask.chunks) > max(mask.size, _LARGEST_TILE):
-        raise SarsplatError(f"{name} has masks that are not one of its pixels; write it again, without them")
-    absent: Bool[np.ndarray, "rows columns"] = pixels_of(mask, data, f"the mask of {name}") == 0
+    with open_file(beside) as file:
+        data = file.read()
+    try:
+        with TiffFile(io.BytesIO(data)) as other:
+            return _absent(other.pages.first, data, page.shape[:2], str(beside), alone=True)
+    except SarsplatError:
+        raise
+    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+        raise SarsplatError(f"{beside} is not a readable TIFF ({shown(str(error))}); write it again") from error
+
+
+def _absent(
+    mask: Any, data: bytes, shape: tuple[int, ...], name: str, *, alone: bool
+) -> Bool[np.ndarray, "rows columns"]:
+    if not alone or mask.shape != shape or math.prod(mask.chunks) > max(mask.size, _LARGEST_TILE):
+        raise SarsplatError(f"{name} is not one of the pixels of the image; write that again, without it")
+    absent: Bool[np.ndarray, "rows columns"] = pixels_of(mask, data, name) == 0
     return absent

@@ -19,7 +19,7 @@ from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import View
 from sarsplat.importers.from_map import EAST_DEG, Seen, from_map, producers_ground
 from sarsplat.importers.images import AboutImages, MeasuredImage, assume, dataset_of, view_of, write_imported
-from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside
+from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside, warn_of_world_files
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
 from sarsplat.importers.tiffs import first_georeference
@@ -208,6 +208,7 @@ def import_folder(
                 "--geocoded-height is for geocoded pictures; give --geocoded level too, or leave it out"
             )
         images = [_in_range(listed.path, one, near, mirrored) for one in seen]
+        warn_of_world_files(one.picture.path for one in seen if one.values.tags.georeference is None)
         told.append(f"the radar is at the {near} of the pictures, which are {'' if mirrored else 'not '}mirrored")
     if recording is not None:
         images = stacks_of(listed, images, recording)

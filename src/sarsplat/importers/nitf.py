@@ -7,6 +7,7 @@ must add up to the file's, and the XML must be plain.
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,6 +36,8 @@ _KINDS = (
 )
 """Kinds of segments in the order of the header, with digits of the lengths of a segment's header and data."""
 _MOST_SEGMENTS = 100
+_XML_EXTENSIONS = ("XML_DATA_CONTENT", "SICD_XML", "SIDD_XML")
+_START_OF_XML = 4096  # in which the root is
 LONGEST_XML = 4 << 20
 """Bytes of metadata, which no file comes near."""
 _HIGHEST_ORDER = 20
@@ -87,7 +90,7 @@ def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list
     parts = _parts(numbers, size)
     if not parts["data extension"]:
         raise SarsplatError(f"{path} is a NITF file without metadata in XML, so it is not a SICD; give SICD files")
-    place, subheader, length = parts["data extension"][0]
+    place, subheader, length = _with_metadata(numbers, parts["data extension"])
     if length > LONGEST_XML:
         raise SarsplatError(
             f"{path} has {length} bytes of metadata, where SICDs have at most {LONGEST_XML}; get it again"
@@ -96,6 +99,15 @@ def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list
     tree = _sicd_xml(path, file.read(length))
     images = [(numbers.text_at(part[0] + 2, 10), part) for part in parts["image"]]
     return tree, [_segment(numbers, *part) for name, part in sorted(images) if name.startswith("SICD")]
+
+
+def _with_metadata(numbers: _Numbers, extensions: list[tuple[int, int, int]]) -> tuple[int, int, int]:
+    """The data extension that holds the metadata; that is not always the first: sarpy puts others before it."""
+    for place, subheader, length in extensions:
+        start = numbers.text_at(place + subheader, min(length, _START_OF_XML))
+        if numbers.text_at(place + 2, 25).strip() in _XML_EXTENSIONS and re.search(r"urn:SI[CD]D:", start):
+            return place, subheader, length
+    return extensions[0]
 
 
 def _parts(numbers: _Numbers, size: int) -> dict[str, list[tuple[int, int, int]]]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from sarsplat.data.georeference import Georeference
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError
+from sarsplat.importers.files import warn_caller
 from sarsplat.importers.table import ListedPicture
 from sarsplat.names import Side
 
@@ -23,6 +25,20 @@ def refuse_map(name: str, georeference: Georeference) -> None:
         "say what its producer took for the ground, --geocoded level or --geocoded terrain with --terrain FILE, and it "
         "is resampled, or save it without its GeoTIFF tags if these are wrong"
     )
+
+
+def warn_of_world_files(paths: Iterable[Path]) -> None:
+    """Say what it means that a picture without tags has a world file beside it, a.tfw or a.wld of a.tif; once."""
+    for path in paths:
+        ending = path.suffix
+        for own in (f"{ending[:2]}{ending[-1]}w", f"{ending}w", ".wld"):
+            if path.with_suffix(own).is_file():
+                warn_caller(
+                    f"{path.name} has the world file {path.stem}{own} beside it, by which its rows and columns are "
+                    "those of a map, not range and azimuth; if they are, make a GeoTIFF of it, as by gdal_translate "
+                    "-a_srs EPSG:NUMBER, and import that with --geocoded"
+                )
+                return
 
 
 def spacing_beside(name: str, georeference: Georeference, near: Side, stated: Stated) -> Stated:

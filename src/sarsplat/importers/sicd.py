@@ -20,11 +20,11 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place
-from sarsplat.importers.files import each_once
+from sarsplat.importers.files import each_once, warn_caller
 from sarsplat.importers.images import AboutImages, MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of, stack_image
 from sarsplat.importers.sicd_file import Sicd, read_sicd
-from sarsplat.importers.sicd_geometry import Layout, layout_around, spot_of_centre, spot_of_pixel
+from sarsplat.importers.sicd_geometry import Layout, layout_around, said_of_place, spot_of_centre, spot_of_pixel
 
 _LARGEST_SIZE_M = 1e5
 _LEANS = 0.05
@@ -91,11 +91,18 @@ def import_sicd(
     SarsplatError
         If sarkit is not installed, a file is not a valid SICD or does not show the whole of what is asked for, files of
         a stack differ in their grids or frequencies, or the output exists.
+
+    Warns
+    -----
+    SarsplatWarning
+        If the projection of a file does not have its scene centre point where it says that this is.
     """
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     paths = each_once(files)
     _check_request(size_m, around, pixel, heading_deg)
     sicds = [read_sicd(path) for path in paths]
+    for said in filter(None, map(said_of_place, sicds)):
+        warn_caller(said)
     spot = _spot(sicds[0], around, pixel, heading_deg)
     layouts = [layout_around(sicd, spot, size_m / 2, tilted=tilted) for sicd in (sicds[:1] if stack else sicds)]
     layouts *= len(sicds) // len(layouts)  # all channels of a stack have the first one's

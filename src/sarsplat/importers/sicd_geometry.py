@@ -26,6 +26,7 @@ _DEGREE = 3  # of the polynomials that are fitted
 _FINE = 1e-5  # m: tolerance of a computed position
 _BENT = 0.02  # pixels: how far a layout may be from its fit
 _STEEPEST_TILT_DEG = 60.0
+_ASTRAY_CELLS = 20.0  # far more than rounding, and what polynomials are fitted to
 _DIGITS = 9  # of angles in degrees: what is left is rounding
 
 
@@ -78,25 +79,50 @@ def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) ->
     Refused if the pixel is outside the image or shows no such place.
     """
     from sarkit import wgs84
-    from sarkit.sicd import projection
 
     if not all(0 <= value <= size - 1 for value, size in zip(pixel, sicd.shape, strict=True)):
         raise SarsplatError(
             f"the pixel {pixel[0]:g}, {pixel[1]:g} is outside {sicd.path}, which has {sicd.shape[0]} rows and "
             f"{sicd.shape[1]} columns, counted from 0; {middle_of(sicd)}"
         )
-    metadata = sicd.projection
     with sarkit_errors(sicd.path):
-        seen = projection.compute_projection_sets(metadata, sicd.place_of(np.array(pixel, float)))
-        if sicd.offsets is not None:
-            seen = projection.apply_apos(metadata, seen, sicd.offsets)
-        ground, _, _ = projection.r_rdot_to_constant_hae_surface(
-            metadata.LOOK, metadata.SCP, seen, metadata.SCP_HAE, delta_hae_max=1e-3, nlim=20
-        )
-        latitude, longitude, height = map(float, wgs84.cartesian_to_geodetic(np.squeeze(ground)))
+        ground = _ground_of(sicd, sicd.place_of(np.array(pixel, float)), corrected=True)
+        latitude, longitude, height = map(float, wgs84.cartesian_to_geodetic(ground))
     if not all(map(math.isfinite, (latitude, longitude, height))):
         raise SarsplatError(f"the pixel {pixel[0]:g}, {pixel[1]:g} of {sicd.path} shows no place on the ground")
     return Place(latitude, longitude, height, heading_deg)
+
+
+def astray_m(sicd: Sicd) -> float:
+    """How far the scene centre point is from where the image's own projection has it, m; 0 in a file that is right."""
+    with sarkit_errors(sicd.path):
+        return float(np.linalg.norm(_ground_of(sicd, np.zeros(2), corrected=False) - sicd.projection.SCP))
+
+
+def _ground_of(sicd: Sicd, place: Float64[np.ndarray, " 2"], *, corrected: bool) -> Float64[np.ndarray, " 3"]:
+    """What is seen at (xrow, ycol) on the ground, as high as the scene centre point: ECEF, m."""
+    from sarkit.sicd import projection
+
+    metadata = sicd.projection
+    seen = projection.compute_projection_sets(metadata, place)
+    if corrected and sicd.offsets is not None:
+        seen = projection.apply_apos(metadata, seen, sicd.offsets)
+    ground, _, _ = projection.r_rdot_to_constant_hae_surface(
+        metadata.LOOK, metadata.SCP, seen, metadata.SCP_HAE, delta_hae_max=1e-3, nlim=20
+    )
+    return np.asarray(np.squeeze(ground), np.float64)
+
+
+def said_of_place(sicd: Sicd) -> str | None:
+    """What is wrong with where a file says that it is, if anything is."""
+    astray, cell = astray_m(sicd), max(axis.resolution_m for axis in sicd.axes)
+    if not astray > _ASTRAY_CELLS * cell:  # of NaN no ground is seen there, which is refused where it is needed
+        return None
+    return (
+        f"{sicd.path.name} contradicts itself: its scene centre point is {astray:.4g} m from where its own projection "
+        "has that pixel, so places on earth are wrong by as much; get it from who made the image, or by another "
+        "converter"
+    )
 
 
 def spot_of_centre(sicd: Sicd, heading_deg: float) -> Place:

@@ -86,7 +86,7 @@ def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]
             packed = page.compression != tifffile.COMPRESSION.NONE
             refuse_bomb(path, max(whole, part), len(data), packed)
             pixels, absent = _without_alpha(path, page, pixels_of(page, data, str(path)))
-            if (masked := masked_out(tiff, page, data, str(path))) is not None:
+            if (masked := masked_out(tiff, page, data, path)) is not None:
                 absent = masked
     except SarsplatError:
         raise
