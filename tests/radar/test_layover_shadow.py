@@ -124,8 +124,8 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_begins(monkeypatch: 
     for shape in ((900, 1100), (300, 4000)):
         heights = np.zeros(shape)
         heights[::7] = np.nan
-        needed = []
-        monkeypatch.setattr("sarsplat.radar.layover_shadow.required", lambda *given: needed.append(given[1]))
+        needed: list[float] = []
+        monkeypatch.setattr("sarsplat.radar.layover_shadow.required", lambda _, most, __, to=needed: to.append(most))
         tracemalloc.start()
         layover_shadow(heights, (1.0, 1.0), View(45, 40))
         peak = tracemalloc.get_traced_memory()[1]
