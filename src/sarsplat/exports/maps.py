@@ -257,7 +257,8 @@ def _ground_heights(run: Run, raster: Raster, coordinates: Coordinates) -> Float
     for first in range(0, len(heights), each):
         some = slice(first, first + each)
         places = coordinates.back(np.stack([x[some], y[some]], axis=-1).reshape(-1, 2))
-        heights[some].flat = coordinates.of(np.column_stack([places, _ground_z(run, places)]))[:, 2]
+        above = coordinates.of(np.column_stack([places, _ground_z(run, places)]))[:, 2]
+        heights[some] = above.reshape(x[some].shape)
     return heights
 
 
