@@ -288,7 +288,7 @@ def test_maps_that_do_not_fit_into_memory_are_refused_before_they_are_made(
     if place is not None:
         pytest.importorskip("pyproj")
     run, view = with_points(replace(block, place=place)), View(45.0, 40.0) if what == "layover-shadow" else None
-    points = np.concatenate([run.points[:500], run.points[:500] + np.float32([500, 600, 0])])
+    points = np.concatenate([run.points[:500], run.points[:500] + np.array([500, 600, 0], np.float32)])
     vars(run).update(points=points, normals=run.normals[:1000], points_gamma0=run.points_gamma0[:1000])
     needed: list[float] = []
     monkeypatch.setattr("sarsplat.exports.maps.required", lambda _, most, __: needed.append(most))

@@ -101,7 +101,7 @@ def on_orbit(longitude_deg: float, height_m: float, time_s: float, range_m: floa
     radar = radius * (np.cos(along) * ahead + np.sin(along) * upwards)
     flight = np.cos(along) * upwards - np.sin(along) * ahead
 
-    def astray(place: np.ndarray) -> tuple[float, float]:
+    def astray(place: np.ndarray) -> Any:
         line = np.array(to_ecef.transform(*place, height_m)) - radar
         return np.linalg.norm(line) - range_m, line @ flight
 

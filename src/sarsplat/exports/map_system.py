@@ -22,6 +22,8 @@ _STEP_M = 100.0
 """Over which directions are compared; short against the earth."""
 _STRETCHED = 0.01
 _INEXACT_M = 0.5
+_CUT_M = 1e7
+"""No scene is so large, but the two ends of a map of the earth are farther apart."""
 _ASTRAY_M = 0.1
 """Way there and back: ellipsoids that are not concentric leave millimetres."""
 _HEIGHT_WKT = (
@@ -101,7 +103,7 @@ class MapSystem:
 
     def _check(self) -> None:
         """Refuse a system that cannot show the place there and back."""
-        points = _STEP_M * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        points = _STEP_M * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
         there = self.to_map(points)
         if not np.isfinite(there).all() or not np.abs(self.to_scene(there) - points).max() < _ASTRAY_M:
             raise SarsplatError(
@@ -128,12 +130,24 @@ class MapSystem:
             operations = TransformerGroup("EPSG:4979", self.crs, always_xy=True, area_of_interest=here).transformers
         if not operations:
             raise SarsplatError(f"--crs {self.crs.name} cannot be reached from WGS 84; give another")
+        if "ballpark" in operations[0].description.lower():
+            raise SarsplatError(
+                f"--crs {self.crs.name} has another datum than WGS 84, and nothing that is installed relates the two "
+                f"at {latitude:.4f}°, {longitude:.4f}°: it may be some hundred metres away; give another, such as "
+                f"{usual_system(self.place)}"
+            )
         return operations[0]
 
     def to_map(self, points: Real[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """East, north and height, m, of points of the scene; infinite where the system has none."""
         latitude, longitude, height = self.place.to_geodetic(points).T
         east, north = self._operation.transform(longitude, latitude, height)[:2]
+        known = np.stack([east, north])[:, np.isfinite(east) & np.isfinite(north)]
+        if known.size and np.ptp(known, axis=1).max() > _CUT_M:
+            raise SarsplatError(
+                f"--crs {self.crs.name} is cut in two within the scene, as along the date line, and would show parts "
+                f"at both ends of the earth; give another, such as {usual_system(self.place)}"
+            )
         return np.stack([east, north, height], axis=-1)
 
     def to_scene(self, places: Real[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
