@@ -113,7 +113,18 @@ def test_points_are_middles_of_pixels_if_the_file_says_so(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("code", "above"), [(5773, "sea level"), (3855, "sea level"), (5030, "ellipsoid"), (32767, "unknown")]
+    ("code", "above"),
+    [
+        (5773, "sea level"),
+        (3855, "sea level"),
+        (5030, "ellipsoid"),
+        (32767, "unknown"),
+        (7912, "ellipsoid"),
+        (5001, "unknown"),
+        (4977, "ellipsoid"),
+        (4342, "unknown"),
+        (5103, "sea level"),
+    ],
 )
 def test_what_heights_are_above(tmp_path, code, above):
     pytest.importorskip("pyproj")
@@ -262,3 +273,14 @@ def test_levels_of_heights_are_not_mixed_without_a_word():
     assert way not in said
     place, said = made(sea, Place(10.0, 20.0, 0.0, height_above="unknown"))  # of pictures on a map
     assert (place.height_above, place.height_m) == ("sea level", pytest.approx(sea.place.height_m))
+
+
+def test_terrain_that_is_turned_ends_where_the_other_did():
+    """A slope, laid out around a place whose x is turned by 45°: it must not be level beyond the edges it had."""
+    x = np.arange(-20.0, 21.0)
+    slope = Terrain(np.tile(x, (41, 1)), (1.0, 1.0), Place(10.0, 20.0, 0.0))
+    around = slope.around(Place(10.0, 20.0, 0.0, 45.0), 100.0)
+    right, up = np.meshgrid(*(np.arange(-half, half + 0.1) for half in around.half_m))
+    np.testing.assert_allclose(around.heights_m, (right - up) * np.sqrt(0.5), atol=1e-6)
+    assert min(around.half_m) >= 13
+    assert min(slope.around(Place(10.0, 20.0, 0.0), 100.0).half_m) == 20

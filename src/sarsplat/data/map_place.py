@@ -113,6 +113,10 @@ def _warn(text: str) -> None:
     warnings.warn(text, SarsplatWarning, stacklevel=4)
 
 
+_OTHER_ELLIPSOIDS = range(5001, 5034)
+"""Codes of the first GeoTIFFs for heights above an ellipsoid."""
+_EQUATOR_M = 6378137.0
+"""Of the ellipsoids of WGS 84 and GRS 1980, which are within .1 mm of each other."""
 ELLIPSOIDAL = (4979, 4937, 5019, 5030)
 """Codes of vertical systems whose heights are above the ellipsoid: WGS 84, ETRS89 or GRS 1980."""
 
@@ -147,4 +151,20 @@ def height_above_of(code: Any) -> HeightAbove:
     """What heights are measured from, by the code of a GeoTIFF's vertical system, or None."""
     if not isinstance(code, int) or not 0 < code < 32767:
         return "unknown"
-    return "ellipsoid" if code in ELLIPSOIDAL else "sea level"
+    if code in ELLIPSOIDAL:
+        return "ellipsoid"
+    if code in _OTHER_ELLIPSOIDS:
+        return "unknown"
+    try:
+        from pyproj import CRS
+        from pyproj.exceptions import CRSError
+    except ImportError:
+        return "sea level"
+    try:
+        system = CRS.from_epsg(code)
+    except CRSError:
+        return "sea level"
+    if system.is_vertical:
+        return "sea level"
+    alike = system.ellipsoid is not None and system.ellipsoid.semi_major_metre == _EQUATOR_M
+    return "ellipsoid" if system.is_geographic and len(system.axis_info) == 3 and alike else "unknown"
