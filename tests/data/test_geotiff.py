@@ -284,3 +284,12 @@ def test_terrain_that_is_turned_ends_where_the_other_did():
     np.testing.assert_allclose(around.heights_m, (right - up) * np.sqrt(0.5), atol=1e-6)
     assert min(around.half_m) >= 13
     assert min(slope.around(Place(10.0, 20.0, 0.0), 100.0).half_m) == 20
+
+
+def test_coordinates_far_from_where_a_system_is_for_are_told(tmp_path):
+    pytest.importorskip("pyproj")
+    for epsg, at, told in ((28992, (5e5, 5e6), True), (32632, (5e5, 5e6), False), (3832, (3e6, 1e6), False)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            assert read_terrain(on_map(tmp_path / "a.tif", epsg, *at)).place is not None
+        assert any("check its number and its coordinates" in str(one.message) for one in caught) == told

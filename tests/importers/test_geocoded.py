@@ -328,6 +328,8 @@ def test_datums_and_units_of_maps_are_minded() -> None:
         laid_out(lying(1e6, 2e5, 2263, 1.0, step=1.0))
     with pytest.raises(SarsplatError, match="but not in degrees"):
         laid_out(lying(2.0, 48.0, 4326, 0.9 * np.pi / 180))
+    with pytest.warns(SarsplatWarning, match=r"is for longitudes 6° to 12° .*check its number"):
+        laid_out(lying(5e5 + 2e6, 5e6, 32632, step=1.0))
     with pytest.warns(SarsplatWarning, match="reached to 4 m"):
         affine = laid_out(lying(1e6, 2e5, 2263, 1200 / 3937, step=1.0))[0][0]
     assert np.hypot(*affine[:, 0]) == pytest.approx(0.3048, rel=1e-3)

@@ -18,6 +18,8 @@ from sarsplat.geometry.place import HeightAbove, geodetic_of_ecef
 _STEP_M = 50.0
 """Over which the axes of a map are compared with east and north."""
 _SKEWED = 1e-3
+_BEYOND_DEG = 5.0
+"""Of the area that a system is for, beyond which it may be another one; zones are used for their neighbours."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,10 @@ def place_on_map(
     if not np.isfinite(corners).all():
         _warn(f"{system} ({at[0]:.10g}, {at[1]:.10g}) is nowhere in that system")
         return None
-    return _seen_around(corners, system, height_above)
+    found = _seen_around(corners, system, height_above)
+    if found is not None and (outside := far_outside(epsg, found.place)) is not None:
+        _warn(f"{name} lies on a map (EPSG:{epsg}), {outside}")
+    return found
 
 
 def _seen_around(corners: Float64[np.ndarray, "5 3"], system: str, height_above: HeightAbove) -> MapPlace | None:
@@ -107,6 +112,29 @@ def refuse_other_unit(epsg: int, unit: float | None, name: str) -> None:
             f"{name} lies on a map (EPSG:{epsg}) in another unit ({axis.unit_name}) than its coordinates are; bring it "
             "into metres, as by gdalwarp -t_srs EPSG:326xx (the UTM zone)"
         )
+
+
+def far_outside(epsg: int, place: Place) -> str | None:
+    """Where a system is for, if a place is so far from there that its number or its coordinates may be others'."""
+    from pyproj import CRS
+
+    area = CRS.from_epsg(epsg).area_of_use
+    if area is None or is_within(area.bounds, place, _BEYOND_DEG):
+        return None
+    west, south, east, north = area.bounds
+    return (
+        f"which is for longitudes {west:g}° to {east:g}° and latitudes {south:g}° to {north:g}°, but at latitude "
+        f"{place.latitude_deg:.4f}°, longitude {place.longitude_deg:.4f}°: check its number and its coordinates"
+    )
+
+
+def is_within(bounds_deg: tuple[float, float, float, float], place: Place, more_deg: float = 0.0) -> bool:
+    """Whether a place lies between west, south, east and north; an area may lie across the date line."""
+    west, south, east, north = bounds_deg
+    turns = [place.longitude_deg + turn for turn in (-360.0, 0.0, 360.0)]
+    east = east if west <= east else east + 360.0
+    within = any(west - more_deg <= turn <= east + more_deg for turn in turns)
+    return within and south - more_deg <= place.latitude_deg <= north + more_deg
 
 
 def _warn(text: str) -> None:

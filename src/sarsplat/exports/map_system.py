@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 from jaxtyping import Float64, Real
 
+from sarsplat.data.map_place import is_within
 from sarsplat.data.raster import LEVELS
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.extras import install_command
@@ -89,7 +90,7 @@ class MapSystem:
             )
         made = cls(place, found)
         made._check()
-        if (area := found.area_of_use) is not None and not _is_in(area.bounds, place):
+        if (area := found.area_of_use) is not None and not is_within(area.bounds, place):
             west, south, east, north = area.bounds
             warnings.warn(
                 f"--crs {name} ({found.name}) is for longitudes {west:g}° to {east:g}° and latitudes {south:g}° to "
@@ -202,11 +203,3 @@ def usual_system(place: Place) -> str:
         return _POLAR["N" if place.latitude_deg > 0 else "S"]
     zone = int((place.longitude_deg + 180) // 6) % 60 + 1
     return f"EPSG:{(32600 if place.latitude_deg >= 0 else 32700) + zone}"
-
-
-def _is_in(bounds_deg: tuple[float, float, float, float], place: Place) -> bool:
-    """Whether a place lies between west, south, east and north; an area may lie across the date line."""
-    west, south, east, north = bounds_deg
-    turns = [place.longitude_deg + turn for turn in (-360.0, 0.0, 360.0)]
-    within = any(west <= turn <= (east if west <= east else east + 360.0) for turn in turns)
-    return within and south <= place.latitude_deg <= north

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float32, Float64
 from scipy.ndimage import map_coordinates, minimum_filter, spline_filter
 
 from sarsplat.data.georeference import Georeference
-from sarsplat.data.map_place import INEXACT_M, NOT_RELATED, exactness_m, refuse_other_unit
+from sarsplat.data.map_place import INEXACT_M, NOT_RELATED, exactness_m, far_outside, refuse_other_unit
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.extras import install_command
 from sarsplat.geometry import ImageGrid, Place, Terrain, View
@@ -146,6 +146,8 @@ def _axes_on_earth(
             f"{name} lies at {middle[0]:g}, {middle[1]:g} in {georeference.system}, which is nowhere; correct its tags"
         )
     place = Place(float(degrees[1, 0]), float(degrees[0, 0]), 0.0, x_towards_deg, "unknown")
+    if georeference.epsg not in (None, _WGS_84) and (outside := far_outside(georeference.epsg, place)) is not None:
+        warnings.warn(f"{name} lies in {georeference.system}, {outside}", SarsplatWarning, stacklevel=4)
     x, y, _ = place.from_geodetic(np.stack([degrees[1], degrees[0], np.zeros(degrees.shape[1])], axis=-1)).T
     places = np.stack([x, y])
     pole = place.from_geodetic(np.array([math.copysign(90.0, place.latitude_deg), 0.0, 0.0]))
