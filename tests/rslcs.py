@@ -39,6 +39,7 @@ def write_rslc(path: Path, images: Mapping[str, np.ndarray], changed: Mapping[st
         f"{GEOLOCATION}/losUnitVectorX": -west,
         f"{GEOLOCATION}/losUnitVectorY": 0 * west,
         f"{GEOLOCATION}/groundTrackVelocity": SPEED + 0 * west,
+        **{f"{GEOLOCATION}/{name}": None for name in ("epsg", "coordinateX", "coordinateY")},
         "science/LSAR/identification/lookDirection": np.bytes_(look),
         "science/LSAR/identification/missionId": np.bytes_("NONE"),
         **{f"{IMAGES}/{name}": image for name, image in images.items()},

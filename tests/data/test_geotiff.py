@@ -113,7 +113,18 @@ def test_points_are_middles_of_pixels_if_the_file_says_so(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("code", "above"), [(5773, "sea level"), (3855, "sea level"), (5030, "ellipsoid"), (32767, "unknown")]
+    ("code", "above"),
+    [
+        (5773, "sea level"),
+        (3855, "sea level"),
+        (5030, "ellipsoid"),
+        (32767, "unknown"),
+        (7912, "ellipsoid"),
+        (5001, "unknown"),
+        (4977, "ellipsoid"),
+        (4342, "unknown"),
+        (5103, "sea level"),
+    ],
 )
 def test_what_heights_are_above(tmp_path, code, above):
     pytest.importorskip("pyproj")
@@ -206,3 +217,79 @@ def test_units_of_the_files_own_and_columns_to_the_west_are_refused(tmp_path):
     assert read_terrain(path).pitch_m == (2.0, 3.0)
     with pytest.raises(SarsplatError, match="columns that run west"):
         read_terrain(write_geotiff(tmp_path / "b.tif", HEIGHTS, scale=(-2.0, 3.0, 0.0)))
+
+
+def test_another_datum_is_reached_as_exactly_as_is_said_or_not_at_all(tmp_path):
+    """ED50 by EPSG's own shift of geocentric coordinates (ED50 to WGS 84 (1), 3 to 8 m); NAD27 has none in Europe."""
+    pyproj = pytest.importorskip("pyproj")
+    with pytest.warns(SarsplatWarning, match=r"\(EPSG:23032\), from where WGS 84 is reached to 2 m"):
+        place = read_terrain(on_map(tmp_path / "a.tif", 23032, 5e5 - 40, 5e6 + 45)).place
+    longitude, latitude = pyproj.Proj("+proj=utm +zone=32 +ellps=intl")(5e5, 5e6, inverse=True)
+    cartesian = pyproj.Transformer.from_pipeline("+proj=cart +ellps=intl")
+    x, y, z = cartesian.transform(longitude, latitude, 0)
+    shifted = np.array([x - 87, y - 98, z - 121])
+    assert np.hypot(*place.from_ecef(shifted)[:2]) < 10
+    plain = pyproj.Transformer.from_crs(4979, 4978, always_xy=True).transform(longitude, latitude, 0)
+    assert np.hypot(*place.from_ecef(np.array(plain))[:2]) > 100  # had the datum been ignored
+    forward = pyproj.Proj("+proj=utm +zone=18 +ellps=clrk66")
+    with pytest.warns(SarsplatWarning, match="stays unknown: nothing that is installed relates its datum to WGS 84"):
+        assert read_terrain(on_map(tmp_path / "b.tif", 26718, *forward(10, 40))).place is None
+
+
+def test_a_map_in_feet_is_refused_even_if_only_its_number_says_so(tmp_path):
+    pytest.importorskip("pyproj")
+    keys = (1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 2263)
+    tags = [(33922, "d", 6, (0.0, 0.0, 0.0, 1e6, 2e5, 0.0), True), (34735, "H", len(keys), keys, True)]
+    tifffile.imwrite(tmp_path / "a.tif", HEIGHTS, extratags=[*tags, (33550, "d", 3, (5.0, 5.0, 0.0), True)])
+    with pytest.raises(SarsplatError, match=r"EPSG:2263\) in another unit \(US survey foot\)"):
+        read_terrain(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize(("code", "said"), [(5715, "measured down"), (8051, "foot"), (6357, "measured down")])
+def test_depths_and_heights_in_feet_are_refused(tmp_path, code, said):
+    pytest.importorskip("pyproj")
+    with pytest.raises(SarsplatError, match=said):
+        read_terrain(on_map(tmp_path / "a.tif", 32632, 5e5, 5e6, 4096, 0, 1, code))
+
+
+def test_levels_of_heights_are_not_mixed_without_a_word():
+    image = MeasuredImage("a", np.ones((16, 16), np.float32), View(0, 40), (0.5, 0.5), (0.6, 0.6))
+
+    def made(terrain, place=None):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SarsplatWarning)
+            dataset = dataset_of([image], target="a", source={}, terrain=terrain, place=place)
+        return dataset.place, " ".join(dataset.source["assumptions"])
+
+    sea = replace(hill(), place=Place(10.0, 20.0, 30.0, height_above="sea level")).centred()
+    way = r"up to about 100 m apart, and gdalwarp -s_srs EPSG:326xx+5773"
+    place, said = made(sea)
+    assert place == sea.place and "heights are those of the terrain, above sea level" in said and way in said
+    spot = Place(10.0, 20.0, 80.0)
+    place, said = made(sea, spot)
+    assert place == spot and f"{sea.place.height_m:.1f} m above sea level, and the place 80.0 m above the WGS" in said
+    assert "only differences of heights are used" in said and way in said
+    place, said = made(replace(sea, place=replace(sea.place, height_above="ellipsoid")), spot)
+    assert way not in said
+    place, said = made(sea, Place(10.0, 20.0, 0.0, height_above="unknown"))  # of pictures on a map
+    assert (place.height_above, place.height_m) == ("sea level", pytest.approx(sea.place.height_m))
+
+
+def test_terrain_that_is_turned_ends_where_the_other_did():
+    """A slope, laid out around a place whose x is turned by 45°: it must not be level beyond the edges it had."""
+    x = np.arange(-20.0, 21.0)
+    slope = Terrain(np.tile(x, (41, 1)), (1.0, 1.0), Place(10.0, 20.0, 0.0))
+    around = slope.around(Place(10.0, 20.0, 0.0, 45.0), 100.0)
+    right, up = np.meshgrid(*(np.arange(-half, half + 0.1) for half in around.half_m))
+    np.testing.assert_allclose(around.heights_m, (right - up) * np.sqrt(0.5), atol=1e-6)
+    assert min(around.half_m) >= 13
+    assert min(slope.around(Place(10.0, 20.0, 0.0), 100.0).half_m) == 20
+
+
+def test_coordinates_far_from_where_a_system_is_for_are_told(tmp_path):
+    pytest.importorskip("pyproj")
+    for epsg, at, told in ((28992, (5e5, 5e6), True), (32632, (5e5, 5e6), False), (3832, (3e6, 1e6), False)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            assert read_terrain(on_map(tmp_path / "a.tif", epsg, *at)).place is not None
+        assert any("check its number and its coordinates" in str(one.message) for one in caught) == told

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -276,3 +277,34 @@ def test_what_counts_as_ground_is_said(block: Run, tmp_path: Path) -> None:
     vars(raised)["points"] = raised.points + np.array([0, 0, 100], np.float32)
     said = export(raised, tmp_path / "layover-shadow.tif", view=View(0, 60), pixel_m=1.0).summary
     assert "level ground at z = 0 (the lowest point of the surface is at 100.0" in said
+
+
+@pytest.mark.parametrize("what", ["dsm", "gamma0", "layover-shadow"])
+@pytest.mark.parametrize("place", [None, Place(45.0, 7.0, 3.0)], ids=["local", "on earth"])
+def test_maps_that_do_not_fit_into_memory_are_refused_before_they_are_made(
+    block: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: Any, place: Place | None
+) -> None:
+    """What they need is known before, and not much more than what they take."""
+    if place is not None:
+        pytest.importorskip("pyproj")
+    run, view = with_points(replace(block, place=place)), View(45.0, 40.0) if what == "layover-shadow" else None
+    points = np.concatenate([run.points[:500], run.points[:500] + np.array([500, 600, 0], np.float32)])
+    vars(run).update(points=points, normals=run.normals[:1000], points_gamma0=run.points_gamma0[:1000])
+    needed: list[float] = []
+    monkeypatch.setattr("sarsplat.exports.maps.required", lambda _, most, __: needed.append(most))
+    tracemalloc.start()
+    export(run, tmp_path / "a.tif", what, pixel_m=1.0, view=view)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < max(needed) < 1.6 * peak + 3e8  # of layover and shadow, some hundred places of each line at a time
+    monkeypatch.undo()
+    (tmp_path / "a.tif").unlink()
+    for module in ("sarsplat.memory", "sarsplat.exports.maps"):
+        monkeypatch.setattr(f"{module}.free_bytes", lambda: 1e7)
+    sentence = r"a map of \d+ × \d+ pixels of 1 m takes about 0.* GiB of memory, and 0.* GiB are free; give a larger"
+    with pytest.raises(SarsplatError, match=sentence) as refused:
+        export(run, tmp_path / "a.tif", what, pixel_m=1.0, view=view)
+    assert list(tmp_path.iterdir()) == []
+    if view is None:
+        larger = float(str(refused.value).rpartition(" ")[2])
+        export(run, tmp_path / "a.tif", what, pixel_m=larger)

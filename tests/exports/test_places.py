@@ -226,3 +226,23 @@ def test_the_command_says_where_it_is(anywhere: Run, tmp_path: Path, capsys: pyt
     assert "a.xyz.place.json: where on earth that is" in " ".join(capsys.readouterr().out.split())
     assert main(["info", str(folder)]) == 0
     assert "33.900000° S, 151.200000° E (WGS 84), -12.0 m above the ellipsoid" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["a.las", "dsm.tif"])
+def test_a_map_of_the_earth_that_is_cut_within_the_scene_is_refused(anywhere: Run, tmp_path: Path, name: str) -> None:
+    """Half of the points would lie 40,000 km from the others; also where the cut is not at the very origin."""
+    pytest.importorskip("pyproj")
+    for east_m in (0.0, 20.0):
+        place = Place(10.0, 180.0 + east_m / 1.1e5, 5.0)
+        with pytest.raises(SarsplatError, match=r"cut in two within the scene.*such as EPSG:326(01|60)"):
+            export(
+                at(anywhere, place), tmp_path / name, crs="EPSG:3857", **({} if name == "a.las" else {"pixel_m": 5.0})
+            )
+    MapSystem.of(Place(10.0, 179.9, 5.0), "EPSG:3857").to_map(anywhere.points)
+
+
+def test_a_datum_that_nothing_relates_to_the_place_is_refused(anywhere: Run, tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    assert "reached from WGS 84 to 10 m" in str(MapSystem.of(Place(40.0, -75.0, 5.0), "EPSG:26718"))
+    with pytest.raises(SarsplatError, match=r"nothing that is installed relates the two at 40\.0000°, 10\.0000°"):
+        export(at(anywhere, Place(40.0, 10.0, 5.0)), tmp_path / "a.las", crs="EPSG:26718")

@@ -11,9 +11,11 @@ import tifffile
 from geocoded import UTM_33N, on_map, write_map, write_maps
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset, read_terrain, write_terrain
-from sarsplat.errors import SarsplatError
+from sarsplat.data.georeference import Georeference
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.importers import import_folder
+from sarsplat.importers.geocoded import on_ground
 from terrains import terrain
 
 RESOLUTION = (0.5, 0.45)
@@ -285,3 +287,49 @@ def test_complex_pictures_keep_their_power(tmp_path: Path) -> None:
     made = imported(folder, quantity=None)
     assert made.signal is None
     np.testing.assert_allclose(made.power, plain.power, rtol=1e-5)
+
+
+def lying(longitude: float, latitude: float, epsg: int | None, stated: float | None = None, **more) -> Georeference:
+    """Of 64 pixels to a side, 10⁻⁵ of a unit of degrees apart, around a place; or 1 m apart, with `step`."""
+    step = more.get("step", 1e-5)
+    affine = np.array([[step, 0.0, longitude - 31.5 * step], [0.0, -step, latitude + 31.5 * step]])
+    return Georeference(affine, "projected" if "step" in more else "geographic", epsg, 1.0, stated)
+
+
+def laid_out(*georeferences: Georeference):
+    names = [f"{k}.tif" for k in range(len(georeferences))]
+    return on_ground([(64, 64)] * len(georeferences), georeferences, 90.0, names)
+
+
+def test_pictures_on_both_sides_of_the_date_line_lie_together() -> None:
+    pytest.importorskip("pyproj")
+    affines, place = laid_out(lying(180.00002, 10.0, 4326), lying(-180.0, 10.0, 4326))
+    apart = affines[0][:, 2] - affines[1][:, 2]
+    assert apart == pytest.approx((2e-5 * 111_320 * np.cos(np.radians(10)), 0), abs=0.01)
+    assert abs(place.longitude_deg) == pytest.approx(180.0, abs=1e-4)
+
+
+def test_pictures_of_a_pole_are_refused() -> None:
+    pytest.importorskip("pyproj")
+    with pytest.raises(SarsplatError, match="lies around a pole, where there is no north"):
+        laid_out(lying(2_000_010.0, 2_000_005.0, 5041, step=1.0))
+    assert laid_out(lying(2_000_500.0, 2_000_005.0, 5041, step=1.0))[1].latitude_deg > 89.99
+
+
+def test_datums_and_units_of_maps_are_minded() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    with pytest.warns(SarsplatWarning, match="EPSG:4267, from where WGS 84 is reached to 7 m"):
+        place = laid_out(lying(-120.0, 40.0, 4267))[1]
+    away = pyproj.Geod(ellps="WGS84").inv(-120, 40, place.longitude_deg, place.latitude_deg)[2]
+    assert 80 < away < 110  # of NAD27 there, westwards
+    with pytest.raises(SarsplatError, match="nothing that is installed relates its datum to WGS 84"):
+        laid_out(lying(10.0, 40.0, 4267))
+    with pytest.raises(SarsplatError, match=r"EPSG:2263\) in another unit \(US survey foot\)"):
+        laid_out(lying(1e6, 2e5, 2263, 1.0, step=1.0))
+    with pytest.raises(SarsplatError, match="but not in degrees"):
+        laid_out(lying(2.0, 48.0, 4326, 0.9 * np.pi / 180))
+    with pytest.warns(SarsplatWarning, match=r"is for longitudes 6° to 12° .*check its number"):
+        laid_out(lying(5e5 + 2e6, 5e6, 32632, step=1.0))
+    with pytest.warns(SarsplatWarning, match="reached to 4 m"):
+        affine = laid_out(lying(1e6, 2e5, 2263, 1200 / 3937, step=1.0))[0][0]
+    assert np.hypot(*affine[:, 0]) == pytest.approx(0.3048, rel=1e-3)

@@ -14,7 +14,7 @@ pytest.importorskip("h5py")
 
 import h5py
 
-from rslcs import IMAGES, RANGES, SPEED, SWATHS, halves, write_rslc
+from rslcs import IMAGES, RANGES, SPEED, SWATHS, TIMES, halves, write_rslc
 from sarsplat import preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
@@ -84,6 +84,87 @@ def test_views_are_those_of_the_geolocation(tmp_path):
     assert math.cos(math.radians(view.grazing_deg)) == pytest.approx(expected)
     assert imported(tmp_path, heading_deg=270.0).views[0].azimuth_deg == pytest.approx(0)
     assert imported(tmp_path, heading_deg=0.0).views[0].azimuth_deg == pytest.approx(270)
+
+
+NODES = np.arange(-500.0, 1501.0, 500.0), 99.8 + 0.15 * np.arange(5), 799e3 + 1000.0 * np.arange(5)
+"""Heights, times and ranges of a geolocation grid, as far apart as NISAR's."""
+
+
+def on_orbit(longitude_deg: float, height_m: float, time_s: float, range_m: float) -> np.ndarray:
+    """Longitude and latitude, degrees, of what is to the right of a circular orbit at zero Doppler, by pyproj alone."""
+    pyproj, optimize = pytest.importorskip("pyproj"), pytest.importorskip("scipy.optimize")
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    radius, rate = 7.12e6, np.radians(0.06)  # m, rad/s
+    node, inclined, along = np.radians(longitude_deg - 4.0), np.radians(98.4), np.radians(40.0) + rate * (time_s - 100)
+    upwards = np.array([-np.sin(node) * np.cos(inclined), np.cos(node) * np.cos(inclined), np.sin(inclined)])
+    ahead = np.array([np.cos(node), np.sin(node), 0.0])
+    radar = radius * (np.cos(along) * ahead + np.sin(along) * upwards)
+    flight = np.cos(along) * upwards - np.sin(along) * ahead
+
+    def astray(place: np.ndarray) -> Any:
+        line = np.array(to_ecef.transform(*place, height_m)) - radar
+        return np.linalg.norm(line) - range_m, line @ flight
+
+    below = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True).transform(*radar)
+    return np.asarray(optimize.fsolve(astray, (below[0] + 3.0, below[1]), xtol=1e-13))
+
+
+def grid_on_orbit(longitude_deg: float, turned: bool = False) -> dict[str, Any]:
+    places = np.array(
+        [[[on_orbit(longitude_deg, h, t, r) for r in NODES[2]] for t in NODES[1]] for h in NODES[0]],
+    )
+    west = np.full(places.shape[:3], np.sqrt(1 - np.sin(np.radians(55.0)) ** 2))
+    step = -1 if turned else 1
+    return {
+        "Grid/heightAboveEllipsoid": NODES[0][::step],
+        "Grid/zeroDopplerTime": NODES[1],
+        "Grid/slantRange": NODES[2],
+        "losUnitVectorX": -west,
+        "losUnitVectorY": 0 * west,
+        "groundTrackVelocity": 0 * west + SPEED,
+        "epsg": np.int32(4326),
+        "coordinateX": ((places[::step, ..., 0] + 180) % 360) - 180,
+        "coordinateY": places[::step, ..., 1],
+    }
+
+
+@pytest.mark.parametrize(("longitude", "height", "turned"), [(10.0, 0.0, False), (187.92, 812.0, True)])
+def test_the_place_on_earth_is_that_of_the_spot(tmp_path, longitude, height, turned):
+    """Where range, zero Doppler and height meet; the second grid lies across 180°."""
+    pyproj = pytest.importorskip("pyproj")
+    changed = grid_on_orbit(longitude, turned)
+    if turned:
+        assert np.ptp(changed["coordinateX"]) > 300
+    made = imported(tmp_path, changed=changed, height_m=height, heading_deg=30.0, pixel=(21, 14))
+    place = made.place
+    truth = on_orbit(longitude, height, TIMES[0] + 21 * 5e-4, RANGES[0] + 14 * 6.0)
+    metres = pyproj.Geod(ellps="WGS84").inv(*truth, place.longitude_deg, place.latitude_deg)[2]
+    assert metres < 0.2
+    assert (place.height_m, place.height_above, place.x_towards_deg) == (height, "ellipsoid", 30.0)
+    assert read_dataset(tmp_path / "out").place == place
+    higher = on_orbit(longitude, height + 10, TIMES[0] + 21 * 5e-4, RANGES[0] + 14 * 6.0)
+    aside = pyproj.Geod(ellps="WGS84").inv(*truth, *higher)[2] / 10
+    [said] = [text for text in made.source["assumptions"] if "for each metre by which the spot is higher" in text]
+    assert f"moves by {aside:.2g} m sideways" in said
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"epsg": np.int32(32632)},
+        {"epsg": None},
+        {"coordinateX": None},
+        {"coordinateY": np.zeros((2, 2))},
+        {"coordinateY": np.full((5, 5, 5), 91.0)},
+        {"coordinateY": np.full((5, 5, 5), np.nan)},
+        {"coordinateY": 10 + np.random.default_rng(0).normal(size=(5, 5, 5))},
+        {"Grid/zeroDopplerTime": np.floor(NODES[1])},
+        {"Grid/zeroDopplerTime": NODES[1] + 50},
+    ],
+)
+def test_a_grid_that_does_not_tell_the_place_leaves_it_out(tmp_path, changed):
+    assert imported(tmp_path, changed={**grid_on_orbit(10.0), **changed}).place is None
+    assert imported(tmp_path).place is None
 
 
 def test_a_coarse_grid_may_fall(tmp_path):

@@ -1,6 +1,7 @@
 """Layover and shadow on a map of heights, against closed forms and a search by brute force."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -104,3 +105,33 @@ def test_left_looking_is_the_same_and_tilted_or_bistatic_views_are_refused() -> 
 def test_maps_that_are_too_large_are_refused() -> None:
     with pytest.raises(SarsplatError, match="too large for layover and shadow"):
         layover_shadow(np.zeros((30, 40)), (0.001, 1000.0), View(20, 40))
+
+
+@pytest.mark.parametrize("azimuth", [45.0, 17.0, 300.0])
+def test_a_long_and_narrow_map_takes_no_more_than_it_holds(azimuth: float) -> None:
+    """Not its length squared."""
+    line = 3 * np.sin(np.arange(3000) / 5) ** 2
+    tracemalloc.start()
+    classes = layover_shadow(line[None], (1.0, 1.0), View(azimuth, 40))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3000 * 3000  # bytes
+    short = layover_shadow(line[None, :200], (1.0, 1.0), View(azimuth, 40))
+    assert (classes[0, 5:195] == short[0, 5:195]).all()  # what hides a place is less than 5 m away
+
+
+def test_what_does_not_fit_into_memory_is_refused_before_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    for shape in ((900, 1100), (300, 4000)):
+        heights = np.zeros(shape)
+        heights[::7] = np.nan
+        needed: list[float] = []
+        monkeypatch.setattr("sarsplat.radar.layover_shadow.required", lambda _, most, __, to=needed: to.append(most))
+        tracemalloc.start()
+        layover_shadow(heights, (1.0, 1.0), View(45, 40))
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < needed[0] < 1.5 * peak
+        monkeypatch.undo()
+    monkeypatch.setattr("sarsplat.memory.free_bytes", lambda: 0.25 * 2**30)
+    with pytest.raises(SarsplatError, match=r"4000 places takes about 0\..* GiB of memory, and 0\.25 GiB .* cut it in"):
+        layover_shadow(heights, (1.0, 1.0), View(45, 40))

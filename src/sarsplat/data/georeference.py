@@ -15,8 +15,19 @@ from sarsplat.errors import SarsplatError, shown
 PIXEL_SCALE, TIEPOINT, TRANSFORMATION, KEYS = 33550, 33922, 34264, 34735
 _MODEL, _RASTER, _GEOGRAPHIC_CODE, _PROJECTED_CODE, _LENGTH = 1024, 1025, 2048, 3072, 3076
 _PROJECTED, _GEOGRAPHIC, _POINT, _DEFINED_ELSEWHERE, _METRE = 1, 2, 2, 32767, 9001
-_METRES = {_METRE: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+_METRES: dict[int | None, float] = {_METRE: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Of EPSG's units of length: metre, foot, US survey foot."""
+_ANGLE = 2054
+_DEGREE = math.pi / 180
+_RADIANS: dict[int | None, float] = {
+    9101: 1.0,
+    9102: _DEGREE,
+    9103: _DEGREE / 60,
+    9104: _DEGREE / 3600,
+    9105: 0.9 * _DEGREE,
+    9122: _DEGREE,
+}
+"""Of its units of angle: radian, degree, minute, second, grad."""
 
 _SMALLEST, _LARGEST, _FLATTEST = 1e-12, 1e12, 1e-3
 """In a map's units; the last is a sine."""
@@ -40,12 +51,16 @@ class Georeference:
     unit_m : float or None
         Length of the map's unit, m, by the file alone, of degrees meaningless; None if it is none of the usual
         ones.
+    stated : float or None
+        What the file itself says of the unit: length, m, or angle, rad; None if it says nothing, as files with a number
+        need not, or nothing that is known.
     """
 
     affine: Float64[np.ndarray, "2 3"]
     kind: MapKind | None
     epsg: int | None
     unit_m: float | None
+    stated: float | None = None
 
     @property
     def on_map(self) -> bool:
@@ -89,7 +104,8 @@ def georeference_of(tags: Mapping[int, Any], name: str) -> Georeference | None:
     number = code if kind and code is not None and 1024 <= code < _DEFINED_ELSEWHERE else None
     if keys.get(_RASTER) != _POINT:  # places are those of corners
         affine[:, 2] += affine[:, :2] @ (0.5, 0.5)
-    return Georeference(affine, kind, number, _METRES.get(keys.get(_LENGTH, _METRE)))
+    stated = _RADIANS.get(keys.get(_ANGLE)) if kind == "geographic" else _METRES.get(keys.get(_LENGTH))
+    return Georeference(affine, kind, number, _METRES.get(keys.get(_LENGTH, _METRE)), stated)
 
 
 def _sizes_pixels(affine: Float64[np.ndarray, "2 3"]) -> bool:

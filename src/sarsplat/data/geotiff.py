@@ -17,7 +17,7 @@ from jaxtyping import Float64
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.georeference import Georeference, georeference_of, keys_of
-from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map
+from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map, refuse_vertical
 from sarsplat.data.packed_tiff import masked_out, pixels_of
 from sarsplat.data.raster import HEIGHTS_ABOVE, LEVELS, Raster, RasterSystem
 from sarsplat.errors import SarsplatError, counted, shown
@@ -214,6 +214,8 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
             )
     if keys.get(_VERTICAL) in _IN_FEET:
         raise SarsplatError(f"{path} has heights in feet (EPSG:{keys[_VERTICAL]}); convert them to metres")
+    if _VERTICAL in keys:
+        refuse_vertical(keys[_VERTICAL], str(path))
     if keys.get(_LENGTH) == _DEFINED_ELSEWHERE and (size := _length_m(tags)) not in (None, 1.0):
         raise SarsplatError(f"{path} has lengths in a unit of {size:g} m; convert it to metres")
     if _TRANSFORMATION in tags:

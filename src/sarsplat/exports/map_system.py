@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 from jaxtyping import Float64, Real
 
+from sarsplat.data.map_place import is_within
 from sarsplat.data.raster import LEVELS
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.extras import install_command
@@ -22,6 +23,8 @@ _STEP_M = 100.0
 """Over which directions are compared; short against the earth."""
 _STRETCHED = 0.01
 _INEXACT_M = 0.5
+_CUT_M = 1e7
+"""No scene is so large, but the two ends of a map of the earth are farther apart."""
 _ASTRAY_M = 0.1
 """Way there and back: ellipsoids that are not concentric leave millimetres."""
 _HEIGHT_WKT = (
@@ -87,7 +90,7 @@ class MapSystem:
             )
         made = cls(place, found)
         made._check()
-        if (area := found.area_of_use) is not None and not _is_in(area.bounds, place):
+        if (area := found.area_of_use) is not None and not is_within(area.bounds, place):
             west, south, east, north = area.bounds
             warnings.warn(
                 f"--crs {name} ({found.name}) is for longitudes {west:g}° to {east:g}° and latitudes {south:g}° to "
@@ -101,7 +104,7 @@ class MapSystem:
 
     def _check(self) -> None:
         """Refuse a system that cannot show the place there and back."""
-        points = _STEP_M * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        points = _STEP_M * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
         there = self.to_map(points)
         if not np.isfinite(there).all() or not np.abs(self.to_scene(there) - points).max() < _ASTRAY_M:
             raise SarsplatError(
@@ -128,12 +131,24 @@ class MapSystem:
             operations = TransformerGroup("EPSG:4979", self.crs, always_xy=True, area_of_interest=here).transformers
         if not operations:
             raise SarsplatError(f"--crs {self.crs.name} cannot be reached from WGS 84; give another")
+        if "ballpark" in operations[0].description.lower():
+            raise SarsplatError(
+                f"--crs {self.crs.name} has another datum than WGS 84, and nothing that is installed relates the two "
+                f"at {latitude:.4f}°, {longitude:.4f}°: it may be some hundred metres away; give another, such as "
+                f"{usual_system(self.place)}"
+            )
         return operations[0]
 
     def to_map(self, points: Real[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """East, north and height, m, of points of the scene; infinite where the system has none."""
         latitude, longitude, height = self.place.to_geodetic(points).T
         east, north = self._operation.transform(longitude, latitude, height)[:2]
+        known = np.stack([east, north])[:, np.isfinite(east) & np.isfinite(north)]
+        if known.size and np.ptp(known, axis=1).max() > _CUT_M:
+            raise SarsplatError(
+                f"--crs {self.crs.name} is cut in two within the scene, as along the date line, and would show parts "
+                f"at both ends of the earth; give another, such as {usual_system(self.place)}"
+            )
         return np.stack([east, north, height], axis=-1)
 
     def to_scene(self, places: Real[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
@@ -188,11 +203,3 @@ def usual_system(place: Place) -> str:
         return _POLAR["N" if place.latitude_deg > 0 else "S"]
     zone = int((place.longitude_deg + 180) // 6) % 60 + 1
     return f"EPSG:{(32600 if place.latitude_deg >= 0 else 32700) + zone}"
-
-
-def _is_in(bounds_deg: tuple[float, float, float, float], place: Place) -> bool:
-    """Whether a place lies between west, south, east and north; an area may lie across the date line."""
-    west, south, east, north = bounds_deg
-    turns = [place.longitude_deg + turn for turn in (-360.0, 0.0, 360.0)]
-    within = any(west <= turn <= (east if west <= east else east + 360.0) for turn in turns)
-    return within and south <= place.latitude_deg <= north

@@ -17,6 +17,7 @@ from sarsplat.data.raster import Raster, RasterSystem
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.map_system import MapSystem, usual_system
 from sarsplat.geometry import Terrain, View
+from sarsplat.memory import free_bytes, required
 from sarsplat.names import Map
 from sarsplat.radar.layover_shadow import LAYOVER, SHADOW, UNKNOWN, layover_shadow
 from sarsplat.runs import Run
@@ -25,6 +26,17 @@ from sarsplat.surface.neighbours import spacing_m
 
 _MOST_PIXELS = 16384
 """Along a side."""
+
+_PIXEL, _POINT = 60, 200
+"""Bytes that are needed at a time for each pixel of heights or γ⁰, and for each point in them."""
+_ON_GROUND = 200
+"""And for each pixel where ground may be."""
+_CLASSED, _CLASSING = 80, 600e6
+"""And for each pixel of layover and shadow, and for any."""
+_AT_A_TIME = 1 << 20
+"""Pixels."""
+_LARGER = 1.2
+"""Than what would just fit."""
 
 _APART = 5.0
 """Holes between points no farther apart than this many of their median distances are chance: of points strewn at
@@ -176,7 +188,7 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
     parts = [(coordinates.of(points), run.normals[:, 2], gamma0), *_ground(run, pixel, coordinates)]
     places, upward, gamma0 = (np.concatenate(column) for column in zip(*parts, strict=True))
     first, last = np.floor(places[:, :2].min(axis=0) / pixel), np.floor(places[:, :2].max(axis=0) / pixel)
-    columns, rows = (_counted(count, pixel) for count in last - first + 1)
+    columns, rows = _counted(last - first + 1, pixel, _PIXEL, _POINT * len(places))
     at = np.stack([last[1] - np.floor(places[:, 1] / pixel), np.floor(places[:, 0] / pixel) - first[0]], axis=1)
     shown = uppermost(at.astype(np.int64), (rows, columns), places[:, 2], upward, gamma0 if brightness else None, cell)
     values = without_holes(shown, max(cell, _APART * apart) / (pixel * least)).astype(np.float32)
@@ -200,7 +212,7 @@ def _layover_shadow(
     reach_m = max(0.0, float(np.nanmax(lift))) * max(view.look.slope, 1 / view.look.slope)
     pitch = seen.pitch_m[0] * coordinates.metres[0], seen.pitch_m[1] * coordinates.metres[1]
     margin = reach_m / min(pitch) + 2
-    _counted(max(seen.values.shape) + 2 * margin, seen.pitch_m[0])
+    _counted(np.array(seen.values.shape) + 2 * margin, seen.pitch_m[0], _CLASSED, _CLASSING)
     wide = _padded(seen, int(margin))
     unseen = np.isnan(wide.values)
     heights = np.where(unseen, _ground_heights(run, wide, coordinates), wide.values)
@@ -218,7 +230,8 @@ def _ground(
     reach = max(view.look.corner_m(*half) for view in views)
     corners = coordinates.of(np.array([[x * reach, y * reach, 0.0] for x in (-1, 1) for y in (-1, 1)]))
     first, last = np.floor(corners[:, :2].min(axis=0) / pixel), np.floor(corners[:, :2].max(axis=0) / pixel)
-    x, y = ((low + np.arange(_counted(high - low + 1, pixel)) + 0.5) * pixel for low, high in zip(first, last))
+    counts = _counted(last - first + 1, pixel, _ON_GROUND)
+    x, y = ((low + np.arange(count) + 0.5) * pixel for low, count in zip(first, counts, strict=True))
     around = coordinates.back(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
     around = np.column_stack([around, _ground_z(run, around)])
     target = model.target(model.degree(run.iteration)).detach()
@@ -239,9 +252,14 @@ def _ground_z(run: Run, places: Float64[np.ndarray, "p 2"]) -> Float64[np.ndarra
 
 def _ground_heights(run: Run, raster: Raster, coordinates: Coordinates) -> Float64[np.ndarray, "rows columns"]:
     """Heights of the ground in the pixels of a map, in the map's coordinates, m."""
-    places = coordinates.back(np.stack(raster.centres, axis=-1).reshape(-1, 2))
-    heights = coordinates.of(np.column_stack([places, _ground_z(run, places)]))[:, 2]
-    return heights.reshape(raster.values.shape)
+    x, y = raster.centres
+    heights, each = np.empty(raster.values.shape), max(1, _AT_A_TIME // raster.values.shape[1])
+    for first in range(0, len(heights), each):
+        some = slice(first, first + each)
+        places = coordinates.back(np.stack([x[some], y[some]], axis=-1).reshape(-1, 2))
+        above = coordinates.of(np.column_stack([places, _ground_z(run, places)]))[:, 2]
+        heights[some] = above.reshape(x[some].shape)
+    return heights
 
 
 def _padded(raster: Raster, margin: int) -> Raster:
@@ -251,14 +269,22 @@ def _padded(raster: Raster, margin: int) -> Raster:
     return replace(raster, values=values, corner_m=(left - margin * dx, top + margin * dy))
 
 
-def _counted(count: float, pixel: float) -> int:
-    """The number of pixels along a side; refused if they are too many."""
-    if count > _MOST_PIXELS:
+def _counted(
+    counts: Float64[np.ndarray, " 2"], pixel: float, each_bytes: float, more_bytes: float = 0.0
+) -> tuple[int, int]:
+    """The numbers of pixels along two sides; refused if they are too many, or need more memory than there is."""
+    largest = float(max(counts))
+    if largest > _MOST_PIXELS:
         raise SarsplatError(
-            f"a map with a side of {count:.0f} pixels of {pixel:g} m is too large; give a larger --pixel, such as "
-            f"{2 * count * pixel / _MOST_PIXELS:.2g}"
+            f"a map with a side of {largest:.0f} pixels of {pixel:g} m is too large; give a larger --pixel, such as "
+            f"{2 * largest * pixel / _MOST_PIXELS:.2g}"
         )
-    return int(count)
+    one, other = map(int, counts)
+    needed = each_bytes * one * other + more_bytes
+    larger = _LARGER * pixel * math.sqrt(max(1.0, needed / max(free_bytes(), 1.0)))
+    what = f"a map of {one} × {other} pixels of {pixel:g} m"
+    required(what, needed, f"give a larger --pixel, such as {larger:.2g}")
+    return one, other
 
 
 def _unseen_ground(run: Run) -> str:

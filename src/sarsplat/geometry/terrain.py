@@ -13,6 +13,9 @@ from jaxtyping import Float, Float64
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.place import Place
 
+_ROUNDED = 0.01
+"""Of a pitch: what is as far beyond an edge still counts as on it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
@@ -110,7 +113,12 @@ class Terrain:
                 f"the terrain is {2 * self.half_m[0]:.4g} m × {2 * self.half_m[1]:.4g} m around {self.place}, but the "
                 f"scene is at {place}, {math.hypot(*away):.4g} m from there; give terrain that shows it"
             )
-        counts = [max(1, math.ceil(min(reach_m, *margins) / pitch)) for pitch in self.pitch_m]
+        ahead = self.place.axes @ other.axes[0]
+        square = float(margins.min() / np.abs(ahead[:2]).sum())  # half of the largest one, turned, that is on it
+        counts = [
+            max(1, math.ceil(reach_m / pitch) if reach_m <= square else math.floor(square / pitch + _ROUNDED))
+            for pitch in self.pitch_m
+        ]
         xs, ys = (np.arange(-count, count + 1) * pitch for count, pitch in zip(counts, self.pitch_m, strict=True))
         places = np.stack([*np.meshgrid(xs, ys), np.zeros((len(ys), len(xs)))], axis=-1)
         own = self.place.from_ecef(other.to_ecef(places)).reshape(-1, 3)

@@ -139,9 +139,10 @@ def _around_middle(
 def _told_of_map(system: Georeference) -> str:
     known = system.epsg is not None or system.kind == "geographic"
     north = "true north" if known else "the north of the map, whose lengths are taken for true ones"
+    taken = ", taken for WGS 84" if system.kind == "geographic" and system.epsg is None else ""
     return (
-        f"the pictures lie on a map in {system.system}; the scene's origin is the middle of what all of them show, and "
-        f"azimuths are counted from {north}"
+        f"the pictures lie on a map in {system.system}{taken}; the scene's origin is the middle of what all of them "
+        f"show, and azimuths are counted from {north}"
     )
 
 

@@ -8,15 +8,17 @@ layover and shadow are again where the radar had them.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 from scipy.ndimage import map_coordinates, minimum_filter, spline_filter
 
 from sarsplat.data.georeference import Georeference
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.data.map_place import INEXACT_M, NOT_RELATED, exactness_m, far_outside, refuse_other_unit
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.extras import install_command
 from sarsplat.geometry import ImageGrid, Place, Terrain, View
 from sarsplat.importers.images import MeasuredImage
@@ -29,6 +31,7 @@ _BENT = 0.1
 
 _SPLINE = 3
 
+_DEGREE = math.pi / 180
 _WGS_84 = 4326
 """Number of longitude and latitude in EPSG's list."""
 
@@ -96,6 +99,12 @@ def on_ground(
                 f"{names[0]} lies in {first.system} and {name} in {other.system}; bring all into one, as by "
                 "gdalwarp -t_srs"
             )
+    if first.kind == "geographic":  # the same longitudes may be 360° apart, as beside the date line
+        turns = [round((first.affine[0, 2] - one.affine[0, 2]) / 360.0) for one in georeferences]
+        georeferences = [
+            replace(one, affine=one.affine + np.array([[0.0, 0.0, 360.0 * turn], [0.0, 0.0, 0.0]]))
+            for one, turn in zip(georeferences, turns, strict=True)
+        ]
     corners = [_corners(shape, one) for shape, one in zip(shapes, georeferences, strict=True)]
     low = np.max([place.min(axis=1) for place in corners], axis=0)
     high = np.min([place.max(axis=1) for place in corners], axis=0)
@@ -137,8 +146,16 @@ def _axes_on_earth(
             f"{name} lies at {middle[0]:g}, {middle[1]:g} in {georeference.system}, which is nowhere; correct its tags"
         )
     place = Place(float(degrees[1, 0]), float(degrees[0, 0]), 0.0, x_towards_deg, "unknown")
+    if georeference.epsg not in (None, _WGS_84) and (outside := far_outside(georeference.epsg, place)) is not None:
+        warnings.warn(f"{name} lies in {georeference.system}, {outside}", SarsplatWarning, stacklevel=4)
     x, y, _ = place.from_geodetic(np.stack([degrees[1], degrees[0], np.zeros(degrees.shape[1])], axis=-1)).T
     places = np.stack([x, y])
+    pole = place.from_geodetic(np.array([math.copysign(90.0, place.latitude_deg), 0.0, 0.0]))
+    if math.hypot(*pole[:2]) < np.hypot(*places).max():
+        raise SarsplatError(
+            f"{name} lies around a pole, where there is no north from which azimuths are counted; cut the pictures so "
+            "that they do not show it"
+        )
     axes = np.stack([places[:, 1] - places[:, 2], places[:, 3] - places[:, 4]], axis=1) / (2 * half)
     bent = float(np.abs(places - axes @ steps).max())
     if bent > _BENT * pitch * float(np.hypot(*axes).min()):
@@ -152,6 +169,8 @@ def _axes_on_earth(
 def _geodetic(georeference: Georeference, places: Float64[np.ndarray, "2 n"], name: str) -> Float64[np.ndarray, "2 n"]:
     """Longitude and latitude of places on a map, degrees, WGS 84."""
     if georeference.epsg in (None, _WGS_84):
+        if georeference.stated not in (None, _DEGREE):
+            raise SarsplatError(f"{name} lies in {georeference.system}, but not in degrees; write it again in degrees")
         return places
     try:
         import pyproj
@@ -163,7 +182,14 @@ def _geodetic(georeference: Georeference, places: Float64[np.ndarray, "2 n"], na
         across = pyproj.Transformer.from_crs(georeference.epsg, _WGS_84, always_xy=True)
     except pyproj.exceptions.ProjError as error:
         raise SarsplatError(f"{name} lies in {georeference.system}, which pyproj does not know; use another") from error
-    return np.stack(across.transform(*places))
+    refuse_other_unit(georeference.epsg, georeference.stated, name)
+    found = np.stack(across.transform(*places))
+    if (exact_m := exactness_m(across)) is None:
+        raise SarsplatError(f"{name} lies in {georeference.system}; {NOT_RELATED}")
+    if exact_m > INEXACT_M:
+        text = f"{name} lies in {georeference.system}, from where WGS 84 is reached to {exact_m:g} m"
+        warnings.warn(text, SarsplatWarning, stacklevel=4)
+    return found
 
 
 def _corners(shape: tuple[int, int], georeference: Georeference) -> Float64[np.ndarray, "2 4"]:

@@ -19,6 +19,8 @@ from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
 from sarsplat.data.header import Box, Calibration, Pair
 from sarsplat.data.image import power_of
+from sarsplat.data.map_place import UNCONVERTED
+from sarsplat.data.raster import LEVELS
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
 from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, View
@@ -274,10 +276,22 @@ def _on_earth(
     if terrain is None or terrain.place is None:
         return place, terrain
     if place is None:
+        level = terrain.place.height_above
+        if level != "ellipsoid":
+            assumptions.append(f"heights are those of the terrain, above {LEVELS[level]}, also on maps: {UNCONVERTED}")
         return terrain.place, terrain
     reach = max(ground_radius_m([image.view], image.grid) for image in images)
-    assumptions.append("the terrain is laid out around the place of the images, whose height is that of the terrain")
-    return place, terrain.around(place, reach).centred()
+    around = terrain.around(place, reach).centred()
+    ground = around.place
+    assert ground is not None  # of `around`
+    if place.height_above == "unknown":  # as of pictures on a map
+        place = replace(place, height_m=ground.height_m, height_above=ground.height_above)
+    said = f"the terrain is laid out around the place of the images; there it is {ground.height_m:.1f} m above "
+    said += f"{LEVELS[ground.height_above]}, and the place {place.height_m:.1f} m above {LEVELS[place.height_above]}"
+    if ground.height_above != place.height_above or ground.height_above == "unknown":
+        said += f"; of the terrain only differences of heights are used, and {UNCONVERTED}"
+    assumptions.append(said)
+    return place, around
 
 
 def write_imported(

@@ -9,6 +9,7 @@ scene are the same but for noise, and their mean is one channel, HV, unless both
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -21,13 +22,15 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import Stack, View
+from sarsplat.geometry import Place, Stack, View
 from sarsplat.importers.images import AboutImages, MeasuredImage, check_sides, dataset_of, write_imported
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.rslc_file import Rslc, read_rslc
 from sarsplat.names import CrossPolarised
 from sarsplat.radiometry import to_db
 
+_HIGHER_M = 10.0
+"""Over which it is seen how far a place moves with its height."""
 _UNWEIGHTED = 0.886
 """Width of a response at half power, for a band of 1 without weights."""
 
@@ -89,6 +92,7 @@ def import_rslc(
     rslc = read_rslc(Path(file))
     spot = _spot(rslc, pixel)
     view, spacing, widths, wider = _seen(rslc, spot, height_m, heading_deg)
+    place, told = _place(rslc, spot, height_m, heading_deg)
     lines, samples = _cut(rslc, spot, size_m, spacing)
     signals = {
         name[::-1]: np.ascontiguousarray(rslc.read(name, lines, samples).T[:, :: 1 if rslc.look == "right" else -1])
@@ -117,6 +121,7 @@ def import_rslc(
         "assumptions": [
             f"the origin of the scene is pixel {spot[0]:g}, {spot[1]:g}, {height_m:g} m above the ellipsoid, and the "
             "ground there is level at z = 0",
+            *told,
             f"the x axis points to the compass heading {heading_deg:g}°, so azimuth = compass bearing of the radar − "
             f"{heading_deg:g}°",
             "what is farther away has less phase in the file, whose polarisations are named by what is transmitted and "
@@ -126,7 +131,7 @@ def import_rslc(
             + ", as far as the pixels hold them: the file states wider ones" * wider,
         ],
     }
-    dataset = dataset_of([image], target=target, source=source, calibration=calibration, **about)
+    dataset = dataset_of([image], target=target, source=source, calibration=calibration, place=place, **about)
     return write_imported(out, dataset, overwrite=overwrite)
 
 
@@ -149,7 +154,7 @@ def _seen(
     """
     if not abs(heading_deg) <= 360:
         raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
-    time, away = (first + step * at for (first, step), at in zip((rslc.times_s, rslc.ranges_m), spot, strict=True))
+    time, away = _when_and_where(rslc, spot)
     east, north, speed = rslc.geolocation.at(height_m, time, away)
     up = math.sqrt(max(1 - east**2 - north**2, 0.0))
     if not 0 < up < 1 or not 1 < speed < 1e5:
@@ -165,6 +170,29 @@ def _seen(
     widest = np.maximum(stated, spacing)
     widths = _UNWEIGHTED * float(widest[0]), _UNWEIGHTED * float(widest[1])
     return View.towards((ahead, left, up)), spacing, widths, tuple(widest) != stated
+
+
+def _when_and_where(rslc: Rslc, spot: tuple[float, float]) -> tuple[float, float]:
+    """Azimuth time, s, and slant range, m, of a pixel."""
+    (start, interval), (near, step) = rslc.times_s, rslc.ranges_m
+    return start + interval * spot[0], near + step * spot[1]
+
+
+def _place(
+    rslc: Rslc, spot: tuple[float, float], height_m: float, heading_deg: float
+) -> tuple[Place | None, list[str]]:
+    """Where on earth the spot is, if the file's geolocation grid tells it, and what that depends on."""
+    found, higher = (rslc.geolocation.place(h, *_when_and_where(rslc, spot)) for h in (height_m, height_m + _HIGHER_M))
+    if found is None:
+        return None, []
+    place = replace(Place.of_ecef(found, heading_deg), height_m=height_m)
+    if higher is None:
+        return place, []
+    aside = math.hypot(*place.from_ecef(higher)[:2]) / _HIGHER_M
+    return place, [
+        f"where on earth that is comes from the geolocation grid and moves by {aside:.2g} m sideways for each metre by "
+        "which the spot is higher"
+    ]
 
 
 def _cut(

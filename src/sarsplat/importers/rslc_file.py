@@ -18,6 +18,7 @@ from jaxtyping import Complex64, Float64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.place import ecef_of_geodetic
 from sarsplat.importers.needed import require
 from sarsplat.importers.pictures import power_or_signal
 
@@ -31,6 +32,9 @@ _POLARISATIONS = ("HH", "HV", "VH", "VV")
 _LOOKS = ("left", "right")
 _WITHOUT_DATA = "it describes images without holding them, as examples of a format do, so give the whole product"
 _MOST_NUMBERS = 1 << 24
+_NEAREST, _ASTRAY_M = 4, 0.2
+"""Places of the geolocation grid between which others are found, and how far those of one fewer may be from these."""
+_WGS_84 = 4326
 _LARGEST_CHUNK = 64 << 20
 """Bytes that are unpacked at a time, whatever is asked for."""
 
@@ -46,6 +50,8 @@ class GeolocationGrid:
     """Of the unit vector from a place to the radar."""
     speed: Float64[np.ndarray, "h t r"]
     """Of the radar's image along the ground, m/s."""
+    places: Float64[np.ndarray, "h t r 3"] | None = None
+    """Geocentric, m; None if the file does not give them, or not in longitude and latitude (WGS 84)."""
 
     def at(self, height_m: float, time_s: float, range_m: float) -> tuple[float, float, float]:
         """East and north of that unit vector, and the speed; beyond its edges as at these."""
@@ -56,6 +62,35 @@ class GeolocationGrid:
             found = found[low] * (1 - index + low) + found[min(low + 1, len(line) - 1)] * (index - low)
         east, north, speed = map(float, found)
         return east, north, speed
+
+    def place(self, height_m: float, time_s: float, range_m: float) -> Float64[np.ndarray, " 3"] | None:
+        """What the radar saw at a height, a time and a range, geocentric, m; None if the grid does not tell it.
+
+        Places bend between those of the grid: polynomials through the four nearest along each axis follow them, and
+        what they differ by from those through three is their error.
+        """
+        if self.places is None:
+            return None
+        found = [self.places, self.places]
+        for line, at in zip(self.axes, (height_m, time_s, range_m), strict=True):
+            if not line[0] <= at <= line[-1] or not (np.diff(line) > 0).all():  # the latter are rounded
+                return None
+            for k, count in enumerate((_NEAREST, _NEAREST - 1)):
+                nearest = np.sort(np.argsort(abs(line - at), kind="stable")[:count])
+                if at in line:  # whatever there is beside it
+                    nearest = np.flatnonzero(line == at)
+                elif len(nearest) < count:
+                    return None
+                found[k] = np.tensordot(_weights(line[nearest], at), found[k][nearest], 1)
+        best, other = found
+        return best if np.linalg.norm(best - other) < _ASTRAY_M else None
+
+
+def _weights(nodes: Float64[np.ndarray, " n"], at: float) -> Float64[np.ndarray, " n"]:
+    """Of values at the nodes, in the polynomial through them (Lagrange's)."""
+    return np.array(
+        [np.prod((at - np.delete(nodes, k)) / (node - np.delete(nodes, k))) for k, node in enumerate(nodes)]
+    )
 
 
 @dataclass(frozen=True)
@@ -272,4 +307,23 @@ class _Fields:
                     "get it again"
                 )
         rising = tuple(slice(None, None, step) for step in steps)
-        return GeolocationGrid((axes[0], axes[1], axes[2]), *(value[rising] for value in values))
+        places = self._places(name, axes[0][:: steps[0]], expected)
+        east, north, speed = (value[rising] for value in values)
+        return GeolocationGrid(
+            (axes[0], axes[1], axes[2]), east, north, speed, None if places is None else places[rising]
+        )
+
+    def _places(
+        self, name: str, heights: Float64[np.ndarray, " h"], shape: tuple[int, ...]
+    ) -> Float64[np.ndarray, "h t r 3"] | None:
+        """Geocentric places of a grid with these heights, as it is stored, if it has them in longitude and latitude."""
+        try:
+            if self.number(f"{name}/epsg", 0, 1e9) != _WGS_84:
+                return None
+            longitude, latitude = (self._array(f"{name}/{one}") for one in ("coordinateX", "coordinateY"))
+        except SarsplatError:  # the images are of use without it
+            return None
+        if not longitude.shape == latitude.shape == shape or abs(latitude).max() > 90 or abs(longitude).max() > 360:
+            return None
+        above = np.broadcast_to(heights[:, None, None], shape)
+        return ecef_of_geodetic(np.stack([latitude, longitude, above], axis=-1))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, UInt8
+from jaxtyping import Bool, Float, Float64, Int64, UInt8
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
+from sarsplat.memory import required
 from sarsplat.progress import stage
 
 FREE, SHADOW, LAYOVER, BOTH, UNKNOWN = 0, 1, 2, 3, 255
@@ -29,8 +30,13 @@ _STEP = 0.5
 
 _AT_A_TIME = 1 << 22
 """Places."""
-_MOST_PLACES = 1 << 33
-"""As many bytes."""
+_MOST_PLACES, _MOST_LINES = 1 << 33, 1 << 24
+"""As many bytes; and as many lines across the map."""
+_PIXEL, _PLACE = 40, 130
+"""Bytes that are needed for each pixel of the map, and for each place that is looked at."""
+_SMALLER = "cut it in parts, or make its pixels larger"
+_ALONG_AN_EDGE = 1e-9
+"""Of half a map's side, by which a line nears it at each step: so near 0 that it never reaches it."""
 
 
 @checks_arguments
@@ -70,23 +76,30 @@ def layover_shadow(
     step, ahead = _STEP * min(pitch_m), view.look.ahead
     axes = np.array([[-ahead[1], ahead[0]], ahead])  # along a line of azimuths, and away from the radar along each
     half = np.array([(columns - 1) / 2 * pitch_m[0], (rows - 1) / 2 * pitch_m[1]])  # from the middle, rows along -y
-    lines, places = (2 * math.ceil(float(reach) / step) + 1 for reach in abs(axes) @ half)
-    if lines * places > _MOST_PLACES:
+    lines, most = (2 * math.ceil(float(reach) / step) + 1 for reach in abs(axes) @ half)
+    steps = axes / (half + np.array(pitch_m) / 2) * step
+    if lines > _MOST_LINES or lines * (spans := _on_map(np.arange(lines) - lines // 2, most, steps))[1] > _MOST_PLACES:
         raise SarsplatError(
             f"a map of {rows} × {columns} places {pitch_m[0]:g} m × {pitch_m[1]:g} m apart is too large for layover "
-            "and shadow; cut it in parts, or make its pixels larger and square"
+            f"and shadow; {_SMALLER} and square"
         )
+    starts, places = spans
+    required(
+        f"layover and shadow on {rows} × {columns} places",
+        _PIXEL * rows * columns + lines * places + _PLACE * min(lines * places, max(_AT_A_TIME, places)),
+        _SMALLER,
+    )
     known = np.isfinite(heights_m)
     if not known.any():
         return np.full((rows, columns), UNKNOWN, np.uint8)
     held = _with_known(heights_m.astype(np.float64), known)
-    along = (np.arange(places) - places // 2) * step
     found = np.empty((lines, places), np.uint8)
     each = max(1, _AT_A_TIME // places)
     with stage("layover and shadow", lines) as shown:
         for first in range(0, lines, each):
             some = np.arange(first, min(first + each, lines))
-            x, y = np.moveaxis(((some - lines // 2) * step)[:, None, None] * axes[0] + along[:, None] * axes[1], -1, 0)
+            along = (starts[some, None] + np.arange(places)) * step
+            x, y = ((some - lines // 2) * step)[:, None] * axes[0][:, None, None] + along * axes[1][:, None, None]
             where = np.stack([(half[1] - y) / pitch_m[1], (x + half[0]) / pitch_m[0]])
             z = map_coordinates(held, where, order=1, mode="nearest")
             inside = ((where > -0.5) & (where < np.array([rows, columns])[:, None, None] - 0.5)).all(axis=0)
@@ -99,9 +112,27 @@ def layover_shadow(
     for row in range(rows):
         y = half[1] - row * pitch_m[1]
         line, place = (np.rint((axis[0] * x + axis[1] * y) / step).astype(np.int64) for axis in axes)
-        classes[row] = found[line + lines // 2, place + places // 2]
+        classes[row] = found[line + lines // 2, place - starts[line + lines // 2]]
     classes[~known] = UNKNOWN
     return classes
+
+
+def _on_map(
+    lines: Int64[np.ndarray, " lines"], most: int, axes: Float64[np.ndarray, "2 2"]
+) -> tuple[Int64[np.ndarray, " lines"], int]:
+    """The first of the `most` places of each line that may be on the map, and of how many from there on any is.
+
+    A long and narrow map has a few of each line, wherever on it these are: all places would be its length squared.
+    `axes` are steps across and along lines, in halves of the map's sides.
+    """
+    first, last = np.full(len(lines), float(-(most // 2))), np.full(len(lines), float(most // 2))
+    for across, along in axes.T:  # |line · across + place · along| ≤ 1
+        if abs(along) > _ALONG_AN_EDGE:  # or else the line stays between these edges
+            ends = (np.array([[-1.0], [1.0]]) - lines * across) / along
+            first, last = np.maximum(first, ends.min(axis=0) - 1), np.minimum(last, ends.max(axis=0) + 1)  # rounded
+    first = np.floor(first)
+    count = max(1, int((np.ceil(last) - first).max()) + 1)
+    return np.minimum(first, most // 2 + 1 - count).astype(np.int64), count
 
 
 def _with_known(
@@ -114,7 +145,7 @@ def _with_known(
 
 
 def _along_lines(
-    z: Float64[np.ndarray, "lines places"], ground_range: Float64[np.ndarray, " places"], view: View
+    z: Float64[np.ndarray, "lines places"], ground_range: Float64[np.ndarray, "lines places"], view: View
 ) -> UInt8[np.ndarray, "lines places"]:
     """Classes along lines away from the radar."""
     elevation, slant_range = view.look.in_section(ground_range, z)
