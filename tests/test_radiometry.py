@@ -50,6 +50,19 @@ def test_the_bright_level_ignores_a_glint_and_is_never_zero() -> None:
     assert radiometry.bright_level(np.zeros((2, 2))) == 1.0
 
 
+@pytest.mark.parametrize("db", [20, 30, 40])
+def test_the_usual_peak_is_the_largest_power_but_for_few_echoes_that_outshine_all_others(db: int) -> None:
+    target = np.exp(np.random.default_rng(0).normal(0, 1.5, 3000))
+    image = np.zeros((100, 100))
+    image.flat[: len(target)] = target
+    assert radiometry.usual_peak(image) == image.max()  # 19 dB above its upper quartile
+    image.flat[5000:5100] = 10 ** (db / 10) * image.max() * np.exp(-np.linspace(0, 14, 100))  # with its skirts
+    assert 1 <= radiometry.usual_peak(image) / target.max() < 3
+    assert radiometry.usual_peak(np.pad(image, 300)) == radiometry.usual_peak(image)  # of any size
+    assert radiometry.usual_peak(np.zeros(3)) == 0
+    assert radiometry.usual_peak(np.eye(5)) == 1
+
+
 def test_brightness_is_linear_in_decibels() -> None:
     np.testing.assert_allclose(radiometry.shade(np.array([200.0, 100.0, 1.0, 0.0]), 100.0), [1, 1, 0.5, 0])
     np.testing.assert_allclose(radiometry.shade(np.array([1.0]), 100.0, 25.0), [0.2])

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Real
 
 __all__ = [
     *("DYNAMIC_RANGE_DB", "amplitude", "beta0_of_gamma0", "beta0_of_sigma0", "bright_level", "brighter"),
-    *("difference_db", "from_db", "gamma0_of_beta0", "shade", "sigma0_of_beta0", "to_db"),
+    *("difference_db", "from_db", "gamma0_of_beta0", "shade", "sigma0_of_beta0", "to_db", "usual_peak"),
 ]
 
 DYNAMIC_RANGE_DB = 40.0
@@ -79,6 +79,22 @@ def sigma0_of_beta0(beta0: Power, grazing_deg: float) -> Power:
 def bright_level(power: Real[np.ndarray, "*pixels"]) -> float:
     """Level that the brightest 0.1 % of pixels exceed, so that a corner reflector does not darken the rest; never 0."""
     return float(np.quantile(power, 0.999)) or float(power.max()) or 1.0
+
+
+def usual_peak(power: Real[np.ndarray, "*values"]) -> float:
+    """The largest power; or a lower level, if few echoes outshine all others by far, as corner reflectors do.
+
+    The level is 20 dB above what a quarter of all echoes exceed that are less than 60 dB below it. It depends neither
+    on how much of an image is empty, nor on how bright the few are. Of targets alone, the largest power of an image is
+    4 dB to 20 dB above that quarter, so that it is the largest.
+    """
+    peak = float(power.max(initial=0.0))
+    while True:
+        echoes = power[power > 1e-6 * peak]
+        level = 100.0 * float(np.quantile(echoes, 0.75)) if echoes.size else 0.0
+        if not 0 < level < peak:
+            return peak
+        peak = level
 
 
 def shade(

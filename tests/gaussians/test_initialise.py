@@ -85,6 +85,19 @@ def test_dim_pixels_do_not_count():
     assert loose.high[2] > expected.high[2] + 0.5  # now the corner counts, which is near: what is high comes early
 
 
+@pytest.mark.parametrize("db", [30, 40])
+def test_a_corner_reflector_does_not_cut_the_target_off(db):
+    images = masks(box_points())
+    dim = np.float32(0.15) * images  # 8 dB below what is bright of it
+    images = np.where(np.arange(GRID.columns) % 3 == 0, images, dim)
+    expected = bounded_region(images, VIEWS, GRID)
+    for image, target in zip(images, images.copy(), strict=True):
+        rows, columns = np.nonzero(target)
+        image[rows[len(rows) // 2], columns[len(rows) // 2]] = 10 ** (db / 10)
+    region = bounded_region(images, VIEWS, GRID)
+    np.testing.assert_allclose([*region.low, *region.high], [*expected.low, *expected.high])
+
+
 def test_dark_image_and_contradictory_images():
     images = masks(box_points())
     images[4] = 0.0

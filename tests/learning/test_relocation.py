@@ -43,6 +43,14 @@ def test_at_most_half_is_idle_and_nobody_joins_what_scatters_nothing() -> None:
     assert len(pairs(torch.zeros(4), 0.5, generator())[0]) == 0
 
 
+def test_a_corner_reflector_leaves_the_others_at_work() -> None:
+    sigma = torch.linspace(0.5, 1.5, 1000)
+    sigma[:10] = 1e5
+    idle, strong = pairs(sigma, 0.01, generator())
+    assert len(idle) < 50  # what holds a hundredth of powers that count as no more than 125
+    assert pairs(sigma / 1e3, 0.01, generator())[0].tolist() == idle.tolist()
+
+
 def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     config = replace(preset("default"), iterations=80, gaussians=400, relocation=Relocation(rounds=1))
     trainer = Trainer(dataset, config)

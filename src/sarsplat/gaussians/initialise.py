@@ -12,10 +12,10 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.radiometry import brighter
+from sarsplat.radiometry import brighter, usual_peak
 
 BRIGHT_DB = -30.0
-"""Pixels above this, relative to the brightest of the set, show the target, dB."""
+"""Pixels above this, relative to the brightest of the set (`usual_peak`), show the target, dB."""
 
 _ONE_SIDE = 1e-3
 """Length of the mean direction to the radars, below which they are on all sides."""
@@ -69,7 +69,7 @@ def bounded_region(
     views, grid
         Where they were taken from, and where their pixels lie.
     threshold_db : float
-        Pixels above this, relative to the maximum of all, count as bright, dB.
+        Pixels above this, relative to `usual_peak` of all, count as bright, dB.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def bounded_region(
     """
     from scipy.optimize import linprog  # here, because it takes half a second to import, and only trainings start
 
-    bright = brighter(power, threshold_db)
+    bright = brighter(power, threshold_db, usual_peak(power))
     aloft = views[0].aloft
     normals, offsets = ([], []) if aloft else ([np.array([0.0, 0.0, -1.0])], [0.0])
     shown: list[tuple[Float64[np.ndarray, " 3"], float]] = []

@@ -25,6 +25,7 @@ from sarsplat.geometry.terrain import heights_of
 from sarsplat.geometry.view import along_ways
 from sarsplat.memory import required
 from sarsplat.progress import stage
+from sarsplat.radiometry import usual_peak
 from sarsplat.renderer import render
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells
@@ -109,7 +110,10 @@ def extract_points(
 
 
 def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, share: float) -> Bool[Tensor, " n"]:
-    """The fewest Gaussians that return this share of the power in images; those outside of all images do not count."""
+    """The fewest Gaussians that return this share of the power in images; those outside of all images do not count.
+
+    What outshines all others counts as no more than their `usual_peak`.
+    """
     rays, strongest = RayGrid.for_image(grid), gaussians.means.new_zeros(len(gaussians))
     channel, means = gaussians.scattering.power_channel, gaussians.means.double().cpu().numpy()
     for some in some_at_once(gaussians, spread(views, _MOST_VIEWS), grid, rays):
@@ -117,6 +121,7 @@ def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, sha
             sections = render(gaussians, some, grid, rays=rays).cross_sections[..., channel]
         inside = torch.from_numpy(np.stack([imaged(means, view, grid) for view in some])).to(sections.device)
         strongest = torch.maximum(strongest, (sections * inside).amax(0))
+    strongest = strongest.clamp(max=usual_peak(strongest.cpu().numpy()))
     order = strongest.argsort(descending=True, stable=True)
     before = strongest[order].double().cumsum(0) - strongest[order]
     return torch.zeros_like(strongest, dtype=torch.bool).index_put((order,), before < share * strongest.double().sum())

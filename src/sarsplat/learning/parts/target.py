@@ -22,7 +22,7 @@ from sarsplat.learning.dropout import share_dropped
 from sarsplat.learning.levels import Levels
 from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, in_rows, late, normal_nats
 from sarsplat.learning.scene_frame import SceneFrame
-from sarsplat.radiometry import brighter
+from sarsplat.radiometry import brighter, usual_peak
 from sarsplat.regions.outlines import levels_db, outline
 from sarsplat.regions.stack_region import enough_gaussians, imaged_sample
 from sarsplat.renderer import Bounds
@@ -278,7 +278,7 @@ def _cells(train: Dataset) -> float:
     if train.ground:
         shown = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
     else:
-        shown = brighter(train.power, BRIGHT_DB).sum()
+        shown = brighter(train.power, BRIGHT_DB, usual_peak(train.power)).sum()
     return float(shown / len(train) * math.prod(train.grid.spacing_m) / train.grid.cell_m**2)
 
 

@@ -13,6 +13,7 @@ from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
 from sarsplat.learning.strategies.ranking import running_sums
 from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
+from sarsplat.radiometry import usual_peak
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Relocation
 
@@ -48,9 +49,10 @@ def pairs(
     """Indices of the idle Gaussians, and of the strong one that each joins; no index in both.
 
     Idle are the weakest that together have at most `idle_share` of all radar cross-sections σ, m². The probability to
-    be joined is proportional to σ.
+    be joined is proportional to σ. What outshines all others counts as no more than their `usual_peak`: by a corner
+    reflector, all of a target would be idle.
     """
-    sigma = cross_sections.double()
+    sigma = cross_sections.double().clamp(max=usual_peak(cross_sections.cpu().numpy()))
     order = sigma.argsort(stable=True)
     held = running_sums(sigma[order])
     idle = order[held <= idle_share * held[-1]][: len(order) // 2]
