@@ -46,7 +46,7 @@ def test_at_most_half_is_idle_and_nobody_joins_what_scatters_nothing() -> None:
 def test_a_corner_reflector_leaves_the_others_at_work() -> None:
     sigma = torch.linspace(0.5, 1.5, 1000)
     sigma[:10] = 1e5
-    idle, strong = pairs(sigma, 0.01, generator())
+    idle, _ = pairs(sigma, 0.01, generator())
     assert len(idle) < 50  # what holds a hundredth of powers that count as no more than 125
     assert pairs(sigma / 1e3, 0.01, generator())[0].tolist() == idle.tolist()
 
