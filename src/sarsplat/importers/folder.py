@@ -21,7 +21,7 @@ from sarsplat.importers.from_map import EAST_DEG, Seen, from_map, producers_grou
 from sarsplat.importers.images import AboutImages, MeasuredImage, assume, dataset_of, view_of, write_imported
 from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
-from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
+from sarsplat.importers.table import PER_UNIT, ListedPicture, PictureTable, read_picture_table
 from sarsplat.importers.tiffs import first_georeference
 from sarsplat.importers.values import read_values
 from sarsplat.names import Backscatter, Projection, Quantity, RadarSide, Side, Transmit
@@ -185,6 +185,7 @@ def import_folder(
         picture = replace(picture, looks_left=look == "left") if look and picture.looks_left is None else picture
         values = read_values(picture.path, guessed, _either(picture.scale, scale), _either(picture.offset, offset))
         guessed = values.quantity
+        _refuse_other_unit(listed, guessed)
         left = mirrored if picture.looks_left is None else picture.looks_left
         view = _view(listed, picture, (azimuth_offset_deg, counter_clockwise), grazing_deg, left)
         if view.apart_deg and (geocoded or backscatter != "beta0"):
@@ -250,6 +251,16 @@ def import_folder(
         **about,
     )
     return write_imported(out, dataset, overwrite=overwrite)
+
+
+def _refuse_other_unit(listed: PictureTable, quantity: Quantity) -> None:
+    """Refuse pictures that are taken for something else than the table's column of their scales says they hold."""
+    for meaning, held in PER_UNIT.items():
+        if meaning in listed.columns and "scale" not in listed.columns and quantity not in held:
+            raise SarsplatError(
+                f"{listed.path} scales pictures by {shown(listed.columns[meaning])}, which is for "
+                f"{' or '.join(held)}, but they are taken for {quantity}; give --quantity {held[0]}"
+            )
 
 
 def _recording(

@@ -39,6 +39,8 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "receive-grazing": ("receivergrazing", "rxgrazing", "rxgraz", "receiveelevation", "rxelevation", "rxel"),
     "scale": (),
     "offset": (),
+    "dn-per-magnitude": (),
+    "dn-per-power": (),
     "view": ("viewname", "stack"),
     "baseline": ("baselinerad", "lookoffset"),
     "polarisation": ("polarization", "pol"),
@@ -55,6 +57,9 @@ _ROUNDED_DEG = 1.0 + 1e-6
 
 _ONLY_IF_NAMED = ("scale", "offset")
 """Too many things are called that."""
+
+PER_UNIT = {"dn-per-magnitude": ("amplitude", "complex"), "dn-per-power": ("power",)}
+"""Meaning → what the pixels are then: numbers per unit of magnitude, or of power."""
 
 WAYS = ("transmit-azimuth", "transmit-grazing", "receive-azimuth", "receive-grazing")
 """Of a transmitter and a receiver apart, all four or none."""
@@ -196,7 +201,7 @@ class ListedPicture:
     tilt_deg: float | None
     """By how much its azimuth axis rises above the level one."""
     scale: float | None
-    """What the pixels are multiplied by."""
+    """What the pixels are multiplied by; where the table says what they hold, 1 / dn-per-magnitude or dn-per-power."""
     offset: float | None
     """What is then added to them."""
     view: str | None
@@ -324,7 +329,7 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         split=_split(table, row, text("split")),
         looks_left=_looks_left(table, row, text("look")),
         tilt_deg=number("tilt"),
-        scale=number("scale"),
+        scale=_scale(table, row, columns),
         offset=number("offset"),
         view=text("view") or None,
         baseline_rad=number("baseline"),
@@ -361,6 +366,18 @@ def _refuse_other_sum(table: CsvTable, row: Row, columns: Columns) -> None:
             f"add to 90°; say which of them holds at the target with --columns grazing={names[0]} or "
             f"--columns incidence={names[1]}"
         )
+
+
+def _scale(table: CsvTable, row: Row, columns: Columns) -> float | None:
+    """What a row's pixels are multiplied by; one that says nothing is refused if others do: all must compare."""
+    if "scale" in columns:
+        return table.number(row, columns["scale"]) if row[1][columns["scale"]] else None
+    column = next((columns[one] for one in PER_UNIT if one in columns), None)
+    if column is None or not any(cells[column] for _, cells in table.rows):
+        return None
+    if (numbers := table.number(row, column)) <= 0:
+        raise SarsplatError(f"{table.path}, line {row[0]}: {column} is {numbers:g}; it must be a positive number")
+    return 1 / numbers
 
 
 def _split(table: CsvTable, row: Row, text: str) -> str | None:
