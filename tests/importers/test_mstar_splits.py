@@ -203,11 +203,11 @@ def test_chips_without_azimuth_are_of_the_same_sets_as_others_of_their_vehicle(t
     assert {one["set"] for one in some.source["unplaced"]} == {"test-17-9563", "test-15-9566"} <= {*some.splits()}
     write_measured_chips([tmp_path / "every"], tmp_path / "out", Encoding(format="png"))
     with (tmp_path / "out" / "labels.csv").open(newline="") as file:
-        labels = list(csv.DictReader(file))
-    assert {row["split"] for row in labels} == {"train", "test-17-9566", "test-15-9566"}
-    for row in labels:
-        (published,) = [one for one in rows[1:] if one[0] == row["name"]]
-        assert [row["serial"], row["desired_depression_deg"]] == published[2:4]
+        labelled = list(csv.DictReader(file))
+    assert {row["split"] for row in labelled} == {"train", "test-17-9566", "test-15-9566"}
+    for label in labelled:
+        (published,) = [one for one in rows[1:] if one[0] == label["name"]]
+        assert [label["serial"], label["desired_depression_deg"]] == published[2:4]
 
 
 def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missing(

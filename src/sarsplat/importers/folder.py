@@ -29,6 +29,9 @@ from sarsplat.radiometry import beta0_of_gamma0, beta0_of_sigma0
 
 Pair = tuple[float, float]
 
+_AGREE_DEG, _LEAST_DEG = 5.0, 1.0
+"""By how much an azimuth may miss what a heading says: maps' norths, small squints. The second is a grazing angle."""
+
 _HALFWAY_DEG = 0.1
 """Angles of one radar that are said beside those of two may be rounded."""
 
@@ -314,8 +317,12 @@ def _stated(
 
 def _azimuth(listed: PictureTable, picture: ListedPicture, counter_clockwise: bool) -> float:
     """The direction to the radar, degrees clockwise, as the table counts: of a flight's heading, to its side."""
+    heading = picture.heading_deg
     if picture.azimuth_deg is not None:
-        return -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
+        azimuth = -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
+        if heading is not None and picture.looks_left is not None:
+            _refuse_other_heading(listed, picture, azimuth, heading + (90 if picture.looks_left else -90))
+        return azimuth
     column = shown(listed.columns["heading"])
     if picture.looks_left is None:
         raise SarsplatError(
@@ -328,8 +335,23 @@ def _azimuth(listed: PictureTable, picture: ListedPicture, counter_clockwise: bo
             f"{listed.path} has headings ({column}), which run clockwise; leave out --counter-clockwise, or name a "
             "column of azimuths with --columns azimuth=NAME"
         )
-    assert picture.heading_deg is not None  # a column of either is there
-    return picture.heading_deg + (90 if picture.looks_left else -90)
+    assert heading is not None  # a column of either is there
+    return heading + (90 if picture.looks_left else -90)
+
+
+def _refuse_other_heading(listed: PictureTable, picture: ListedPicture, azimuth: float, across: float) -> None:
+    """Of a table with both, the radar must be where the flight's heading and its side have it, or ahead or behind by
+    its squint: above level flight, an azimuth axis that is tilted by τ is squinted by atan(tan τ / sin θ).
+    """
+    grazing = math.radians(min(max(picture.grazing_deg or 0.0, _LEAST_DEG), 90.0))
+    squint = math.degrees(math.atan(math.tan(math.radians(picture.tilt_deg or 0.0)) / math.sin(grazing)))
+    if abs((azimuth - across + 180) % 360 - 180) > _AGREE_DEG + abs(squint):
+        side = "left" if picture.looks_left else "right"
+        raise SarsplatError(
+            f"{listed.path}: {picture.name} has an azimuth of {picture.azimuth_deg:g}°, but a radar with the heading "
+            f"{picture.heading_deg:g}° that looks to its {side} is in the direction {across % 360:g}°; say which holds "
+            "with --columns azimuth=NAME or --columns heading=NAME, or mend the table"
+        )
 
 
 def _beta0(

@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 from jaxtyping import Complex64, Float32, Shaped, UInt8
 
+from sarsplat.arguments import expect
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid
@@ -60,6 +61,8 @@ class Encoding:
     near: Side = "bottom"
 
     def __post_init__(self) -> None:
+        expect(int, jpeg_quality=self.jpeg_quality)
+        expect(int | None, crop=self.crop)
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise SarsplatError(f"{name} is {shown(getattr(self, name))}; give one of {', '.join(choices)}")
