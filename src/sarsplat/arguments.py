@@ -94,6 +94,11 @@ def _expect(kinds: Sequence[Any], name: str, value: object) -> None:
         raise SarsplatError(f"{name} {_instead(value, kinds)}")
 
 
+def is_number(value: object) -> bool:
+    """Whether a value is a real number; True and False are none, although Python counts with them."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
 def described(value: object) -> str:
     """The value as an error quotes it; where that is long, or an address in memory, its type and shape."""
     shape, text = getattr(value, "shape", None), repr(value)
@@ -154,7 +159,10 @@ def _is(value: object, kind: Any) -> bool:
     if not isinstance(origin, type) or origin is Any or getattr(origin, "_is_protocol", False):
         return True  # what anything is, or the function sees to itself
     if origin in _NUMBERS:
-        return isinstance(value, _NUMBERS[origin]) or getattr(value, "shape", None) == ()
+        number = isinstance(value, _NUMBERS[origin]) or getattr(value, "shape", None) == ()
+        return number and (
+            origin is bool or (not isinstance(value, bool) and "bool" not in str(getattr(value, "dtype", "")))
+        )
     return isinstance(value, os.PathLike if origin is Path else origin)
 
 

@@ -279,6 +279,36 @@ def test_headings_tell_where_the_radar_is(tmp_path: Path) -> None:
         imported(folder, look="right", counter_clockwise=True)
 
 
+def test_headings_that_contradict_azimuths_are_refused(tmp_path: Path) -> None:
+    folder = write(tmp_path / "in")
+    straight = imported(folder)
+
+    def told(turned: float, columns: str = "file,azimuth,heading,look,incidence") -> None:
+        rows = [columns]
+        for number, view in enumerate(VIEWS):
+            bearing = (view.azimuth_deg + 90) % 360
+            rows.append(f"{number:03d}.tif,{bearing},{(bearing + 90 + turned) % 360},right,{view.incidence_deg}")
+        (folder / "table.csv").write_text("\n".join(rows))
+
+    for turned in (0.0, 3.0):
+        told(turned)
+        assert imported(folder).views == straight.views
+    for turned in (180.0, 90.0, -20.0):
+        told(turned)
+        with pytest.raises(
+            SarsplatError, match=r"000.tif has an azimuth of .*°, but a radar with the heading .* looks to"
+        ):
+            imported(folder)
+    assert imported(folder, columns={"azimuth": "azimuth"}).views == straight.views
+    assert imported(folder, columns={"heading": "heading"}).views[0].azimuth_deg == pytest.approx(
+        (straight.views[0].azimuth_deg - 20.0) % 360
+    )
+    told(180.0, "file,azimuth,heading,anything,incidence")  # perhaps of the target: no side is known
+    assert imported(folder).views == straight.views
+    with pytest.raises(SarsplatError, match="say which holds with --columns azimuth=NAME or --columns heading=NAME"):
+        imported(folder, look="right")
+
+
 def test_complex_pictures_keep_their_power(tmp_path: Path) -> None:
     folder = write(tmp_path / "in")
     plain = imported(folder)

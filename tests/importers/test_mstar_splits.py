@@ -17,6 +17,8 @@ from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers import import_mstar
 from sarsplat.importers.mstar_splits import SPLITS, in_words, splits_in
+from sarsplat.samples import write_measured_chips
+from sarsplat.samples.encoding import Encoding
 
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # those expected are named
 
@@ -169,6 +171,8 @@ def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Pat
             "file": "unplaced/0000.tif",
             "set": "train",
             "grazing_deg": 17.1,
+            "serial": "9563",
+            "depression_deg": 17,
         }
         import tifffile
 
@@ -177,6 +181,34 @@ def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Pat
         power = tifffile.imread(bmp2.path / one["file"]) * bmp2.source["mean_power"]
         np.testing.assert_allclose(power, np.maximum(turned, 2) ** 2, rtol=1e-5)
         assert read_dataset(bmp2.path).fingerprint() == bmp2.fingerprint()
+
+
+def test_chips_without_azimuth_are_of_the_same_sets_as_others_of_their_vehicle(tmp_path: Path) -> None:
+    folder = jpegs(tmp_path / "chips", nested=True)
+    table = folder / "labels.csv"
+    with table.open(newline="") as file:
+        rows = list(csv.reader(file))
+    for row in rows[1:]:
+        if row[2] == "9566" and "5deg" in row[0] and row[5].startswith("9"):
+            row[5] = ""
+    with table.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    kept = {"labels": table, "target_class": "BMP2", "split": "eoc-version"}
+    every = import_mstar(folder, tmp_path / "every", train_views="all", **kept)
+    assert every.splits() == ("train", "test-17-9566", "test-15-9566")
+    assert [(one["set"], one["serial"]) for one in every.source["unplaced"]] == [
+        ("train", "9563"),
+        ("test-15-9566", "9566"),
+    ]
+    some = import_mstar(folder, tmp_path / "some", train_views=2, **kept)
+    assert {one["set"] for one in some.source["unplaced"]} == {"test-17-9563", "test-15-9566"} <= {*some.splits()}
+    write_measured_chips([tmp_path / "every"], tmp_path / "out", Encoding(format="png"))
+    with (tmp_path / "out" / "labels.csv").open(newline="") as file:
+        labelled = list(csv.DictReader(file))
+    assert {row["split"] for row in labelled} == {"train", "test-17-9566", "test-15-9566"}
+    for label in labelled:
+        (published,) = [one for one in rows[1:] if one[0] == label["name"]]
+        assert [label["serial"], label["desired_depression_deg"]] == published[2:4]
 
 
 def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missing(

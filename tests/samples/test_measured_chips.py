@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,10 @@ from sarsplat import ImageGrid, View, write_dataset
 from sarsplat.cli import main
 from sarsplat.cli.importers import recognised
 from sarsplat.data import read_dataset
-from sarsplat.errors import SarsplatError
-from sarsplat.importers import import_mstar
-from sarsplat.names import Side
+from sarsplat.data.masks import read_masks
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.importers import import_folder, import_mstar
+from sarsplat.names import ChipScale, Side
 from sarsplat.samples import write_measured_chips
 from sarsplat.samples.encoding import Encoding
 
@@ -142,3 +144,72 @@ def test_labels_say_what_is_unusual_about_views(tmp_path: Path) -> None:
     legs = views[0].legs
     assert [float(apart[f"{way}_azimuth_deg"]) for way in ("transmit", "receive")] == [leg.azimuth_deg for leg in legs]
     assert (tilted["tilt_deg"], tilted["look"], tilted["receive_azimuth_deg"]) == ("5.0", "left", "")
+
+
+@pytest.mark.parametrize("scale", ["max", "fixed"])
+def test_magnitudes_are_had_back_from_chips_that_are_each_scaled_alone(
+    datasets: list[Path], tmp_path: Path, scale: ChipScale
+) -> None:
+    write_measured_chips(datasets, tmp_path / "out", Encoding(scale=scale, jpeg_quality=100))
+    with (tmp_path / "out" / "labels.csv").open(newline="") as file:
+        scales = {row["path"]: row["dn_per_magnitude"] for row in csv.DictReader(file)}
+    assert (len(set(scales.values())) > 1) == (scale == "max")
+    measured = read_dataset(datasets[1])
+    labels, out = tmp_path / "out" / "labels.csv", tmp_path / "out"
+    again = import_mstar(out, tmp_path / "a", labels=labels, target_class="BMP2", train_views="all", split="soc")
+    folder = import_folder(out, tmp_path / "b", target_class="BMP2", near="bottom")
+    assert again.splits() == measured.splits()
+    for dataset in (again, folder):
+        for entry, power in zip(dataset.entries, dataset.power, strict=True):
+            (index,) = [
+                k
+                for k, one in enumerate(measured.entries)
+                if abs(one.view.azimuth_deg - entry.view.azimuth_deg) % 360 < 1e-4
+            ]
+            expected = measured.power[index]
+            assert np.abs(np.sqrt(power) - np.sqrt(expected)).mean() < 0.02 * np.sqrt(expected).mean()
+
+
+def test_power_in_eight_bits_is_read_as_power_or_not_at_all(datasets: list[Path], tmp_path: Path) -> None:
+    out, labels = tmp_path / "out", tmp_path / "out" / "labels.csv"
+    write_measured_chips(datasets, out, Encoding(format="png", quantity="power"))
+    with pytest.raises(
+        SarsplatError, match="which is for power, but they are taken for amplitude; give --quantity power"
+    ):
+        import_folder(out, tmp_path / "a", target_class="BMP2", near="bottom")
+    back = import_folder(out, tmp_path / "a", target_class="BMP2", near="bottom", quantity="power", ground=False)
+    measured = read_dataset(datasets[1])
+    np.testing.assert_allclose(back.power[0], measured.power[0], atol=0.03 * measured.power.max())
+    write_measured_chips(datasets, out, Encoding(quantity="power"), overwrite=True)
+    with pytest.raises(SarsplatError, match="so its chips hold power, but MSTAR's hold magnitude"):
+        import_mstar(out, tmp_path / "b", labels=labels, target_class="BMP2", train_views="all", split="soc")
+
+
+def test_chips_without_azimuth_travel_with_their_dataset(datasets: list[Path], tmp_path: Path) -> None:
+    read = read_dataset(datasets[0])
+    write_dataset(tmp_path / "copy", read)
+    assert (tmp_path / "copy/unplaced/0000.tif").read_bytes() == (datasets[0] / "unplaced/0000.tif").read_bytes()
+    assert write_measured_chips([tmp_path / "copy"], tmp_path / "a", Encoding()).counts == {
+        ("train", "T72"): 4,
+        ("test-15", "T72"): 2,
+    }
+    with pytest.warns(SarsplatWarning, match="1 chip without azimuth beside the images of T72 are not written"):
+        write_dataset(tmp_path / "brighter", replace(read, power=2 * read.power))
+    with pytest.warns(SarsplatWarning, match="no longer those of a folder"):
+        written = write_dataset(tmp_path / "train", read.select("train"))
+    for name in ("brighter", "train"):
+        assert "unplaced" not in read_dataset(tmp_path / name).source
+    assert "unplaced" not in written.source
+    assert write_measured_chips([tmp_path / "train"], tmp_path / "b", Encoding()).counts == {("train", "T72"): 3}
+
+
+def test_masks_travel_with_their_dataset(tmp_path: Path) -> None:
+    power = np.ones((2, 8, 8), np.float32)
+    dataset = dataset_of(
+        ImageGrid(8, 8, (0.2, 0.2), (0.3, 0.3)), [(View(0.0, 30.0), "train"), (View(9.0, 30.0), "test")], power
+    )
+    masks = np.arange(128, dtype=np.uint8).reshape(2, 8, 8) % 3
+    write_dataset(tmp_path / "one", dataset, masks=masks)
+    again = write_dataset(tmp_path / "two", read_dataset(tmp_path / "one"))
+    found = read_masks(tmp_path / "two" / "masks", again, again.splits())
+    assert np.array_equal([found[0], found[1]], masks)

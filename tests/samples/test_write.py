@@ -90,7 +90,7 @@ def test_stopped_anywhere_it_goes_on_and_ends_the_same(run: Run, tmp_path, shard
     write_chips(made, tmp_path / "whole", shard=shard)
     encode, drawn, left = write._encoded, [], 3
 
-    def stops(chips: object, index: int) -> bytes:
+    def stops(chips: object, index: int) -> tuple[bytes, float]:
         drawn.append(index)
         if len(drawn) > left:
             raise KeyboardInterrupt

@@ -8,7 +8,6 @@ import operator
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from numbers import Real as RealNumber
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,7 +15,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Complex, Complex64, Real
 
-from sarsplat.arguments import checks_arguments, expect
+from sarsplat.arguments import checks_arguments, expect, is_number
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration, DatasetHeader
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of_passes
 from sarsplat.errors import SarsplatError, counted, shown
@@ -68,7 +67,7 @@ class DatasetEntry:
         if self.turn is not None:
             self.turn.check(self.view)
         std = self.azimuth_std_deg
-        if not isinstance(std, RealNumber) or not 0 <= std <= _LEAST_CERTAIN_DEG:  # also catches NaN
+        if not is_number(std) or not 0 <= std <= _LEAST_CERTAIN_DEG:  # also catches NaN
             raise SarsplatError(
                 f"azimuth_std_deg {shown(std)} of the image {shown(self.name)} is not a number between 0 and "
                 f"{_LEAST_CERTAIN_DEG:g}; give degrees, and find azimuths that are known less well another way first"

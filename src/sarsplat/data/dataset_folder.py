@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from sarsplat.arguments import checks_arguments
+from sarsplat.data.beside import MASKS, beside
 from sarsplat.data.dataset import AS_THEY_ARE, TERRAIN, Dataset, DatasetEntry, passes_of
-from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
+from sarsplat.data.files import inside, open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.geotiff import read_terrain, write_terrain
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
@@ -43,6 +44,9 @@ def write_dataset(
 ) -> Dataset:
     """Write a dataset, whole or not at all.
 
+    What lies beside the images of one that was read from a folder goes with it, unless it is given or the images have
+    changed since: masks, and chips without azimuth.
+
     Parameters
     ----------
     path : str or Path
@@ -55,7 +59,7 @@ def write_dataset(
         True masks of simulated images, row 0 near: 0 clutter, 1 target, 2 shadow. They are put in the folder `masks`,
         from where `read_masks` reads them.
     pictures : mapping of str to numpy.ndarray, float32 [rows, columns], optional
-        Linear power of images that are kept beside those of the dataset, by FOLDER/FILE; nothing else reads them.
+        Linear power of images that are kept beside those of the dataset, by FOLDER/FILE, as its `source` lists them.
     overwrite : bool
         Whether an existing dataset may be replaced.
 
@@ -73,6 +77,10 @@ def write_dataset(
     _require_training(dataset)
     mesh = _mesh_bytes(dataset, truth_mesh)
     drawn = {} if masks is None else encode_masks(masks, dataset)
+    if pictures is None:
+        kept = beside(dataset, lambda folder: _unchanged(dataset, folder))
+        dataset, pictures = replace(dataset, source=kept.source), kept.pictures
+        drawn = kept.masks if masks is None else drawn
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
     header = written.header()
     pixels = dataset.power if dataset.signal is None else dataset.signal
@@ -85,9 +93,9 @@ def write_dataset(
         with plain_os_errors("write", folder):
             (folder / "images").mkdir()
             if drawn:
-                (folder / "masks").mkdir()
+                (folder / MASKS).mkdir()
         for name, png in drawn.items():
-            write_bytes(folder / "masks" / name, png)
+            write_bytes(folder / MASKS / name, png)
         for index, item in enumerate(header.views):
             unusual = dataset.views[index].unusual.replace("°", " deg")
             what = "beta0 in linear power" if dataset.signal is None else "complex amplitude, root of beta0,"
@@ -98,11 +106,30 @@ def write_dataset(
                 f"{dataset.grid.spacing_m[1]:.6g} m (slant range); set {item.split}"
             ) + ("" if item.stack is None else "; one page for each pass")
             write_tiff(folder / item.file, pixels[index], description)
-        for picture, power in (pictures or {}).items():
+        for picture, power in pictures.items():
             with plain_os_errors("write", folder):
                 (folder / picture).parent.mkdir(exist_ok=True)
             write_tiff(folder / picture, power, "SAR image, beta0 in linear power; row 0 is near range")
     return written
+
+
+def _unchanged(dataset: Dataset, folder: Path) -> bool:
+    """Whether the images of a dataset, of which the first and the last are looked at, are still those in a folder."""
+    header = read_header(folder)
+    files = {item.name: item.file for item in header.views}
+    pixels = dataset.power if dataset.signal is None else dataset.signal
+    if header.pixels != ("power" if dataset.signal is None else "complex"):
+        return False
+    for index in (0, -1):
+        if (name := dataset.entries[index].name) not in files:
+            return False
+        try:
+            stored = read_tiff(inside(folder, files[name]), pixels.shape[1:], pixels.dtype)
+        except SarsplatError:  # of another size, or gone
+            return False
+        if not np.array_equal(stored, pixels[index]):
+            return False
+    return True
 
 
 def _require_training(dataset: Dataset) -> None:
@@ -144,14 +171,14 @@ def read_dataset(path: str | Path) -> Dataset:
     with _blamed_on(path / HEADER):
         grid = ImageGrid.of(**msgspec.structs.asdict(header.grid))
         entries = tuple(_entry(index, item) for index, item in enumerate(header.views))
-        files = [_inside(path, item.file) for item in header.views]
+        files = [inside(path, item.file) for item in header.views]
         if len({file.resolve() for file in files}) < len(files):
             raise SarsplatError("two views name the same image file; give each view its own")
         passes = passes_of(entries)
         if passes and header.pixels != "complex":
             raise SarsplatError('stacks need phases, but pixels is "power"; store complex amplitudes, or no stack')
-        mesh = None if header.truth_mesh is None else _inside(path, header.truth_mesh)
-        heights = None if header.terrain is None else _inside(path, header.terrain)
+        mesh = None if header.truth_mesh is None else inside(path, header.truth_mesh)
+        heights = None if header.terrain is None else inside(path, header.terrain)
     with plain_os_errors("read", path):  # a name may be longer than the system has names
         if mesh is not None and not mesh.is_file():
             raise SarsplatError(f"{path} is missing its mesh {shown(mesh.name)}; {_MAKE_ONE}")
@@ -230,15 +257,3 @@ def _view(index: int, item: ViewHeader) -> View:
 def _stack(index: int, item: ViewHeader) -> Stack | None:
     with _blamed_on(f"views[{index}].stack"):
         return None if item.stack is None else Stack(**msgspec.structs.asdict(item.stack))
-
-
-def _inside(folder: Path, name: str) -> Path:
-    """`folder / name`, which must not lead out of the folder, not even by a link."""
-    path = folder / name
-    try:
-        inside = name.isprintable() and path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError):  # a name the system cannot hold, or a loop of links
-        inside = False
-    if not name or not inside:
-        raise SarsplatError(f"the file {shown(name)} is not inside the dataset's folder; use a plain relative path")
-    return path

@@ -318,3 +318,15 @@ def _what_does_not_fit(data: bytes, complaint: str) -> str:
     except (ValueError, LookupError, TypeError, RecursionError):  # such as 1e999, or a key of any letters
         return f"{place}: {what}"
     return f"{place}: {what}" if isinstance(value, dict) else f"{place} is {shown(value)}: {what}"
+
+
+def inside(folder: Path, name: str) -> Path:
+    """`folder / name`, which must not lead out of the folder, not even by a link."""
+    path = folder / name
+    try:
+        inside = name.isprintable() and path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):  # a name the system cannot hold, or a loop of links
+        inside = False
+    if not name or not inside:
+        raise SarsplatError(f"the file {shown(name)} is not inside the dataset's folder; use a plain relative path")
+    return path

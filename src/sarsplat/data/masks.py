@@ -60,7 +60,7 @@ def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = 
     masks: dict[int, Mask] = {}
     missing: list[Path] = []
     asked = folder
-    for index, name in _mask_names(dataset, chosen).items():
+    for index, name in mask_names(dataset, chosen).items():
         asked = folder / name
         with plain_os_errors("read", folder):
             if asked.is_file():
@@ -119,7 +119,7 @@ def encode_masks(masks: Masks, dataset: Dataset) -> dict[PurePosixPath, bytes]:
         )
     if masks.max() > SHADOW:
         raise SarsplatError(f"a mask holds the number {masks.max()}; {_NUMBERS}")
-    names = _mask_names(dataset, dataset.splits())
+    names = mask_names(dataset, dataset.splits())
     nested = next((name for name in names.values() if len(name.parts) > 1), None)
     if nested is not None or dataset.source.get("kind") == "mstar":
         what = "these are measured chips" if nested is None else f"the name {shown(str(nested))} has a folder in it"
@@ -142,7 +142,7 @@ def pillow() -> ModuleType:
     return Image
 
 
-def _mask_names(dataset: Dataset, splits: Collection[str]) -> dict[int, PurePosixPath]:
+def mask_names(dataset: Dataset, splits: Collection[str]) -> dict[int, PurePosixPath]:
     """Name of the mask of each image of some sets, by the image's index in the dataset; all names differ."""
     images: dict[PurePosixPath, str] = {}
     names = {}

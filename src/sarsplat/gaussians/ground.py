@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 
 from jaxtyping import Float
 from torch import Tensor
 
+from sarsplat.arguments import is_number
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Terrain
 
@@ -54,7 +54,7 @@ class Ground:
                 wanted = "one number" + (", or a lattice [ny, nx]" if 2 in dimensions else "")
                 raise SarsplatError(f"the ground's {name} has shape {tuple(tensor.shape)}; give {wanted}")
         for name, length, positive in (("pitch_m", self.pitch_m, True), ("height_m", self.span_m[0], False)):
-            if not isinstance(length, Real) or not math.isfinite(length) or (positive and length <= 0):
+            if not is_number(length) or not math.isfinite(length) or (positive and length <= 0):
                 what = "a positive, finite" if positive else "a finite"
                 raise SarsplatError(f"the ground's {name} is {length}; give {what} number of metres")
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.arguments import checks_arguments, described, expect
+from sarsplat.arguments import checks_arguments, described, expect, is_number
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.responses import GAUSSIAN, Response, response_of, variance_of, width_of
 
@@ -34,7 +33,7 @@ def _check_pair(name: str, values: tuple[float, ...]) -> None:
 
 def _check_lengths(name: str, values: tuple[float, ...]) -> None:
     _check_pair(name, values)
-    if not all(isinstance(value, Real) and _MIN_LENGTH <= value <= _MAX_LENGTH for value in values):
+    if not all(is_number(value) and _MIN_LENGTH <= value <= _MAX_LENGTH for value in values):
         limits = f"{_MIN_LENGTH:g} to {_MAX_LENGTH:g}"
         raise SarsplatError(f"{name} {values} must be positive and finite, in metres ({limits})")
 
@@ -74,7 +73,7 @@ class ImageGrid:
         if max(self.rows, self.columns) > _MAX_PIXELS:
             raise SarsplatError(f"{size} is too large; give at most {_MAX_PIXELS} per side")
         _check_pair("image centre", self.center_m)
-        if not all(isinstance(value, Real) and abs(value) <= _MAX_LENGTH for value in self.center_m):
+        if not all(is_number(value) and abs(value) <= _MAX_LENGTH for value in self.center_m):
             raise SarsplatError(f"image centre {self.center_m} must be a pair of finite metres")
         _check_lengths("pixel spacing", self.spacing_m)
         _check_lengths("resolution", self.resolution_m)

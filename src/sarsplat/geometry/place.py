@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import cached_property
-from numbers import Real
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from jaxtyping import Float64
 from jaxtyping import Real as RealArray
 
-from sarsplat.arguments import described
+from sarsplat.arguments import checks_arguments, described, is_number
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.vectors import direction_of, places_of
 
 DATUM = "WGS 84"
 """Of all latitudes, longitudes and geocentric coordinates here."""
@@ -65,7 +65,7 @@ class Place:
     def __post_init__(self) -> None:
         for field, name in _FIELDS.items():
             value = getattr(self, field)
-            if not isinstance(value, Real) or not math.isfinite(value):
+            if not is_number(value) or not math.isfinite(value):
                 raise SarsplatError(
                     f"the {name} {described(value)} of a place on earth is not a finite number; give one"
                 )
@@ -95,7 +95,9 @@ class Place:
     @classmethod
     def of_ecef(cls, origin: RealArray[np.ndarray, " 3"], x_towards_deg: float = 90.0) -> Self:
         """The place whose origin has these geocentric coordinates, m."""
-        latitude, longitude, height = map(float, geodetic_of_ecef(np.asarray(origin, np.float64)))
+        latitude, longitude, height = map(
+            float, geodetic_of_ecef(direction_of(origin, "place in geocentric coordinates"))
+        )
         return cls(latitude, longitude, height, x_towards_deg)
 
     def as_dict(self) -> dict[str, Any]:
@@ -121,11 +123,11 @@ class Place:
 
     def to_ecef(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
         """Geocentric coordinates, m, of points of the scene."""
-        return self.ecef + np.asarray(points, np.float64) @ self.axes
+        return self.ecef + places_of(points, "points of the scene") @ self.axes
 
     def from_ecef(self, places: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
         """Points of the scene, m, at geocentric coordinates."""
-        return (np.asarray(places, np.float64) - self.ecef) @ self.axes.T
+        return (places_of(places, "geocentric coordinates") - self.ecef) @ self.axes.T
 
     def to_geodetic(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
         """Latitude and longitude, degrees, and height, m, of points of the scene."""
@@ -133,14 +135,15 @@ class Place:
 
     def from_geodetic(self, places: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
         """Points of the scene, m, at a latitude and a longitude, degrees, and a height, m."""
-        return self.from_ecef(ecef_of_geodetic(np.asarray(places, np.float64)))
+        return self.from_ecef(ecef_of_geodetic(places_of(places, "latitudes, longitudes and heights")))
 
     def enu(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
         """Points of the scene as east, north and up from its origin, m."""
-        x, y, z = np.moveaxis(np.asarray(points, np.float64), -1, 0)
+        x, y, z = np.moveaxis(places_of(points, "points of the scene"), -1, 0)
         sine, cosine = math.sin(math.radians(self.x_towards_deg)), math.cos(math.radians(self.x_towards_deg))
         return np.stack([sine * x - cosine * y, cosine * x + sine * y, z], axis=-1)
 
+    @checks_arguments
     def bearing_deg(self, azimuth_deg: float) -> float:
         """Compass bearing, 0 to 360°, of a view's azimuth, degrees."""
         return (azimuth_deg + self.x_towards_deg) % 360.0

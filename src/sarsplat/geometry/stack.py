@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.arguments import checks_arguments
+from sarsplat.arguments import checks_arguments, is_number
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.grids import ImageGrid
 from sarsplat.geometry.view import View
@@ -69,14 +68,14 @@ class Stack:
 
     def __post_init__(self) -> None:
         wavelength = self.wavelength_m
-        if not isinstance(wavelength, Real) or not _LEAST_WAVELENGTH <= wavelength <= _LARGEST_WAVELENGTH:
+        if not is_number(wavelength) or not _LEAST_WAVELENGTH <= wavelength <= _LARGEST_WAVELENGTH:
             raise SarsplatError(
                 f"wavelength_m is {shown(wavelength)}; give {_LEAST_WAVELENGTH:g} to {_LARGEST_WAVELENGTH:g} metres"
             )
         if not isinstance(self.offsets_rad, tuple | list) or not self.offsets_rad:
             raise SarsplatError(f"offsets_rad is {shown(self.offsets_rad)}; give the b/R of each pass, at least one")
         for offset in self.offsets_rad:
-            if not isinstance(offset, Real) or not abs(offset) <= _WIDEST:
+            if not is_number(offset) or not abs(offset) <= _WIDEST:
                 raise SarsplatError(f"an offset is {shown(offset)}; give b/R in radians, at most ±{_WIDEST}")
         self._check_polarisations()
         if len(set(zip(self.offsets_rad, self.of_channels, strict=True))) < len(self.offsets_rad):
@@ -109,7 +108,7 @@ class Stack:
         if not isinstance(noise, tuple | list) or len(noise) != len(self.offsets_rad):
             raise SarsplatError(f"noise is {shown(noise)}; give a power for each of {len(self.offsets_rad)} channels")
         for power in noise:
-            if not isinstance(power, Real) or not 0 < power <= LOUDEST:
+            if not is_number(power) or not 0 < power <= LOUDEST:
                 raise SarsplatError(
                     f"the noise of a channel is {shown(power)}; give a positive power, at most {LOUDEST:g}"
                 )

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from numbers import Real
 
 import numpy as np
 from jaxtyping import Float, Float64
 
+from sarsplat.arguments import is_number
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.place import Place
 
@@ -52,7 +52,7 @@ class Terrain:
             at = tuple(int(k) for k in np.argwhere(~np.isfinite(heights))[0])
             raise SarsplatError(f"the terrain's height {at} is {heights[at]}; fill in what is not known")
         pitch = self.pitch_m
-        if len(pitch) != 2 or not all(isinstance(p, Real) and math.isfinite(p) and p > 0 for p in pitch):
+        if len(pitch) != 2 or not all(is_number(p) and math.isfinite(p) and p > 0 for p in pitch):
             raise SarsplatError(f"the terrain's pitch_m is {pitch}; give two positive, finite numbers of metres (x, y)")
         object.__setattr__(self, "heights_m", heights.astype(np.float64))
         object.__setattr__(self, "pitch_m", (float(pitch[0]), float(pitch[1])))

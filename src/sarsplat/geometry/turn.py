@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from sarsplat.arguments import checks_arguments, is_number
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.vectors import direction_of
 from sarsplat.geometry.view import View
 
 _FARTHEST_DEG = 36_000.0  # a hundred turns
@@ -53,13 +55,7 @@ class Turn:
     name: str = ""
 
     def __post_init__(self) -> None:
-        try:
-            axis = np.asarray(self.axis, float)
-        except (TypeError, ValueError):
-            axis = np.zeros(0)
-        if axis.shape != (3,) or not np.isfinite(axis).all() or not axis.any():
-            raise SarsplatError(f"the rotation axis {shown(self.axis)} has no direction; give three numbers, not all 0")
-        object.__setattr__(self, "axis", tuple(axis.tolist()))
+        object.__setattr__(self, "axis", tuple(direction_of(self.axis, "rotation axis").tolist()))
         limits = {
             "angle_deg": (-_FARTHEST_DEG, _FARTHEST_DEG, "degrees since the beginning of the pass"),
             "axis_std_deg": (0.0, _LEAST_CERTAIN_DEG, "degrees, and find an axis that is known less well another way"),
@@ -67,7 +63,7 @@ class Turn:
         }
         for name, (low, high, give) in limits.items():
             value = getattr(self, name)
-            if not isinstance(value, int | float | np.number) or not low <= value <= high:  # also catches NaN
+            if not is_number(value) or not low <= value <= high:  # also catches NaN
                 raise SarsplatError(f"{name} {shown(value)} is not a number between {low:g} and {high:g}; give {give}")
             object.__setattr__(self, name, float(value))
         if not isinstance(self.name, str):
@@ -85,9 +81,10 @@ class Turn:
 
     def seen_from(self, line_of_sight: Float64[np.ndarray, " 3"] | Sequence[float | int]) -> View:
         """The view of the frame, whose line of sight is this at the beginning of the pass, in the target's frame."""
-        sight = np.asarray(line_of_sight, float)
+        sight = direction_of(line_of_sight, "line of sight")
         return View.isar(turned(sight, self.axis, -self.angle_deg), self.axis)
 
+    @checks_arguments
     def check(self, view: View) -> None:
         """Refuse a view of the frame that is not one of this rotation."""
         across = np.cross(view.direction, self._unit)
@@ -97,6 +94,7 @@ class Turn:
                 "View.isar(line_of_sight, rotation_axis) with the axis of its turn"
             )
 
+    @checks_arguments
     def corrected(self, view: View, tilts_deg: tuple[float, float], faster: float) -> View:
         """The view of a frame, if its pass has another axis and rate than was assumed.
 

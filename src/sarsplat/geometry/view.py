@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Self, get_args
 
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.arguments import checks_arguments, described
+from sarsplat.arguments import checks_arguments, described, is_number
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.look import Look
+from sarsplat.geometry.vectors import direction_of
 from sarsplat.names import RadarSide
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
@@ -97,7 +97,7 @@ class View:
             value = getattr(self, field)
             if type(value).__name__ == "Tensor":
                 raise SarsplatError(f"{name} is a tensor, but views have no gradients; {_TURNED}")
-            if not isinstance(value, Real):
+            if not is_number(value):
                 give = "degrees" if field in _ANGLES else "1 where cross-range is scaled as it is"
                 raise SarsplatError(f"{name} {described(value)} is not a number; give {give}")
             object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
@@ -174,7 +174,7 @@ class View:
     @checks_arguments
     def towards(cls, direction: Float64[np.ndarray, " 3"] | Sequence[float], *, aloft: bool = False) -> Self:
         """The view from a direction, above the horizon unless aloft, of any length; the zenith becomes 89.999°."""
-        x, y, z = direction
+        x, y, z = map(float, direction_of(direction, "direction to the radar"))
         grazing = math.degrees(math.atan2(z, math.hypot(x, y)))
         return cls(math.degrees(math.atan2(-y, x)) % 360.0, max(min(grazing, _STEEPEST), -_STEEPEST), aloft=aloft)
 
@@ -202,10 +202,7 @@ class View:
         SarsplatError
             If they are along the same line, or one has no direction.
         """
-        sight, axis = np.asarray(line_of_sight, float), np.asarray(rotation_axis, float)
-        for name, vector in (("line of sight", sight), ("rotation axis", axis)):
-            if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-                raise SarsplatError(f"the {name} {vector.tolist()} has no direction; give three numbers, not all 0")
+        sight, axis = direction_of(line_of_sight, "line of sight"), direction_of(rotation_axis, "rotation axis")
         level = cls.towards(sight, aloft=True)
         axis = axis / np.abs(axis).max()  # of any length: no square overflows
         along = np.cross(level.direction, axis / np.linalg.norm(axis))  # as the radar moves, seen from the target
@@ -250,11 +247,7 @@ class View:
         """
         ways = []
         for name, given in (("transmitter", transmit), ("receiver", receive)):
-            vector = np.asarray(given, float)
-            if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-                raise SarsplatError(
-                    f"the way to the {name} {vector.tolist()} has no direction; give three numbers, not all 0"
-                )
+            vector = direction_of(given, f"way to the {name}")
             ways.append(vector / np.linalg.norm(vector))
         u_t, u_r = ways
         if (u_t == u_r).all():

@@ -21,13 +21,16 @@ from sarsplat.importers.from_map import EAST_DEG, Seen, from_map, producers_grou
 from sarsplat.importers.images import AboutImages, MeasuredImage, assume, dataset_of, view_of, write_imported
 from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside, warn_of_world_files
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
-from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
+from sarsplat.importers.table import PER_UNIT, ListedPicture, PictureTable, read_picture_table
 from sarsplat.importers.tiffs import first_georeference
 from sarsplat.importers.values import read_values
 from sarsplat.names import Backscatter, Projection, Quantity, RadarSide, Side, Transmit
 from sarsplat.radiometry import beta0_of_gamma0, beta0_of_sigma0
 
 Pair = tuple[float, float]
+
+_AGREE_DEG, _LEAST_DEG = 5.0, 1.0
+"""By how much an azimuth may miss what a heading says: maps' norths, small squints. The second is a grazing angle."""
 
 _HALFWAY_DEG = 0.1
 """Angles of one radar that are said beside those of two may be rounded."""
@@ -185,6 +188,7 @@ def import_folder(
         picture = replace(picture, looks_left=look == "left") if look and picture.looks_left is None else picture
         values = read_values(picture.path, guessed, _either(picture.scale, scale), _either(picture.offset, offset))
         guessed = values.quantity
+        _refuse_other_unit(listed, guessed)
         left = mirrored if picture.looks_left is None else picture.looks_left
         view = _view(listed, picture, (azimuth_offset_deg, counter_clockwise), grazing_deg, left)
         if view.apart_deg and (geocoded or backscatter != "beta0"):
@@ -253,6 +257,16 @@ def import_folder(
     return write_imported(out, dataset, overwrite=overwrite)
 
 
+def _refuse_other_unit(listed: PictureTable, quantity: Quantity) -> None:
+    """Refuse pictures that are taken for something else than the table's column of their scales says they hold."""
+    for meaning, held in PER_UNIT.items():
+        if meaning in listed.columns and "scale" not in listed.columns and quantity not in held:
+            raise SarsplatError(
+                f"{listed.path} scales pictures by {shown(listed.columns[meaning])}, which is for "
+                f"{' or '.join(held)}, but they are taken for {quantity}; give --quantity {held[0]}"
+            )
+
+
 def _recording(
     wavelength_m: float | None, transmit: Transmit, noise: float | None, conjugate: bool, flattened: bool
 ) -> Recording | None:
@@ -304,8 +318,12 @@ def _stated(
 
 def _azimuth(listed: PictureTable, picture: ListedPicture, counter_clockwise: bool) -> float:
     """The direction to the radar, degrees clockwise, as the table counts: of a flight's heading, to its side."""
+    heading = picture.heading_deg
     if picture.azimuth_deg is not None:
-        return -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
+        azimuth = -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
+        if heading is not None and picture.looks_left is not None:
+            _refuse_other_heading(listed, picture, azimuth, heading + (90 if picture.looks_left else -90))
+        return azimuth
     column = shown(listed.columns["heading"])
     if picture.looks_left is None:
         raise SarsplatError(
@@ -318,8 +336,23 @@ def _azimuth(listed: PictureTable, picture: ListedPicture, counter_clockwise: bo
             f"{listed.path} has headings ({column}), which run clockwise; leave out --counter-clockwise, or name a "
             "column of azimuths with --columns azimuth=NAME"
         )
-    assert picture.heading_deg is not None  # a column of either is there
-    return picture.heading_deg + (90 if picture.looks_left else -90)
+    assert heading is not None  # a column of either is there
+    return heading + (90 if picture.looks_left else -90)
+
+
+def _refuse_other_heading(listed: PictureTable, picture: ListedPicture, azimuth: float, across: float) -> None:
+    """Of a table with both, the radar must be where the flight's heading and its side have it, or ahead or behind by
+    its squint: above level flight, an azimuth axis that is tilted by τ is squinted by atan(tan τ / sin θ).
+    """
+    grazing = math.radians(min(max(picture.grazing_deg or 0.0, _LEAST_DEG), 90.0))
+    squint = math.degrees(math.atan(math.tan(math.radians(picture.tilt_deg or 0.0)) / math.sin(grazing)))
+    if abs((azimuth - across + 180) % 360 - 180) > _AGREE_DEG + abs(squint):
+        side = "left" if picture.looks_left else "right"
+        raise SarsplatError(
+            f"{listed.path}: {picture.name} has an azimuth of {picture.azimuth_deg:g}°, but a radar with the heading "
+            f"{picture.heading_deg:g}° that looks to its {side} is in the direction {across % 360:g}°; say which holds "
+            "with --columns azimuth=NAME or --columns heading=NAME, or mend the table"
+        )
 
 
 def _beta0(

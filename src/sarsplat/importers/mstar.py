@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Float32, Num
 
 from sarsplat.arguments import checks_arguments
+from sarsplat.data.beside import UNPLACED
 from sarsplat.data.coverage import nearest_to
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.orientation import oriented
@@ -36,8 +37,6 @@ from sarsplat.importers.mstar_chips import Chip, plain_name, read_chips
 from sarsplat.importers.mstar_splits import SPLITS, divide
 from sarsplat.names import MstarSplit
 
-UNPLACED = "unplaced"
-"""Folder in a dataset of chips without azimuth, and where its `source` lists them."""
 MIN_DN = 2.0
 """Digital numbers are raised to this: below it lies nothing but quantisation, and zero has no logarithm."""
 MIN_POWER = 1e-3
@@ -116,8 +115,8 @@ def import_mstar(
     """
     depressions = [train_depression] if isinstance(train_depression, int) else list(train_depression)
     _check(train_views, depressions)  # before thousands of chips are read
-    table = None if labels is None else Path(labels)
-    unplaced: dict[str, list[Chip]] = {}
+    table, several = None if labels is None else Path(labels), False
+    unplaced: list[tuple[str, Chip]] = []  # with their sets
     counts: list[dict[str, int | str]] = []
     if split is None:
         every = _one_vehicle(read_chips(Path(chips), table, target_class), target_class, serial)
@@ -133,8 +132,13 @@ def import_mstar(
             )
         train = _training_chips(placed, train_views, depressions)
         every = [*placed, *(chip for chip in divided.test if chip.placed)]
-        for name, of in (("train", divided.train), ("test", divided.test)):
-            unplaced[name] = [chip for chip in of if not chip.placed]
+        of_split = [*divided.train, *divided.test]
+        several = len({plain_name(chip.serial) for chip in of_split}) > 1
+        left_out = len(train) < len(placed)  # then no chip without azimuth is trained on, either
+        unplaced += [
+            (_test_set(chip, several) if left_out else "train", chip) for chip in divided.train if not chip.placed
+        ]
+        unplaced += [(_test_set(chip, several), chip) for chip in divided.test if not chip.placed]
     if not any(chip.magnitude.any() for chip in train):
         black = "the training chip is" if len(train) == 1 else f"all {len(train)} training chips are"
         raise SarsplatError(f"{black} black; choose others, or remove what is black from {chips}")
@@ -152,7 +156,7 @@ def import_mstar(
             chip.resolution_m,
             response=chip.response,
             azimuth_std_deg=azimuth_std_deg if chip.azimuth_std_deg is None else chip.azimuth_std_deg,
-            split="train" if index < len(train) else _test_set(chip, split, every),
+            split="train" if index < len(train) else _test_set(chip, several),
         )
         for index, (chip, pixels) in enumerate(zip(ordered, _pixels(ordered, len(train)), strict=True))
     ]
@@ -166,7 +170,7 @@ def import_mstar(
         "mirrored": mirrored,
         **_calibration(ordered),
         "cut_to_common_size": len({image.pixels.shape for image in images}) > 1,
-        "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg} for chip in ordered],
+        "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg, **_planned(chip)} for chip in ordered],
         "assumptions": _assumptions(ordered, images, mirrored),
     }
     if split is not None:
@@ -176,15 +180,14 @@ def import_mstar(
     return write_imported(out, dataset, overwrite=overwrite, pictures=pictures)
 
 
-def _test_set(chip: Chip, split: MstarSplit | None, every: Sequence[Chip]) -> str:
+def _test_set(chip: Chip, several: bool) -> str:
     """The set of a chip that is not trained on: by depression angle, and by vehicle where a split has several."""
     name = f"test-{chip.depression}"
-    several = split is not None and len({plain_name(one.serial) for one in every}) > 1
     return f"{name}-{plain_name(chip.serial) or 'unnamed'}" if several else name
 
 
 def _with_unplaced(
-    dataset: Dataset, unplaced: dict[str, list[Chip]], mirrored: bool
+    dataset: Dataset, unplaced: list[tuple[str, Chip]], mirrored: bool
 ) -> tuple[Dataset, dict[str, Float32[np.ndarray, "rows columns"]]]:
     """The dataset, whose source lists chips without azimuth, and their power on its scale by the names of their files.
 
@@ -193,21 +196,25 @@ def _with_unplaced(
     rows, columns = dataset.grid.rows, dataset.grid.columns
     pictures: dict[str, Float32[np.ndarray, "rows columns"]] = {}
     listed = []
-    for name, chips in unplaced.items():
-        for chip in chips:
-            file = f"{UNPLACED}/{len(pictures):04}.tif"
-            image = oriented(_pixels([chip], 1)[0], "bottom", mirrored)
-            power = abs(image) ** 2 if np.iscomplexobj(image) else image
-            top, left = (power.shape[0] - rows) // 2, (power.shape[1] - columns) // 2
-            if top < 0 or left < 0:
-                raise SarsplatError(
-                    f"{chip.name} has {power.shape[0]} × {power.shape[1]} pixels, fewer than the other chips of "
-                    f"{dataset.target} ({rows} × {columns}); take it away"
-                )
-            scaled = power[top : top + rows, left : left + columns] / dataset.source["mean_power"]
-            pictures[file] = scaled.astype(np.float32)
-            listed.append({"name": chip.name, "file": file, "set": name, "grazing_deg": chip.grazing_deg})
+    for name, chip in unplaced:
+        file = f"{UNPLACED}/{len(pictures):04}.tif"
+        image = oriented(_pixels([chip], 1)[0], "bottom", mirrored)
+        power = abs(image) ** 2 if np.iscomplexobj(image) else image
+        top, left = (power.shape[0] - rows) // 2, (power.shape[1] - columns) // 2
+        if top < 0 or left < 0:
+            raise SarsplatError(
+                f"{chip.name} has {power.shape[0]} × {power.shape[1]} pixels, fewer than the other chips of "
+                f"{dataset.target} ({rows} × {columns}); take it away"
+            )
+        scaled = power[top : top + rows, left : left + columns] / dataset.source["mean_power"]
+        pictures[file] = scaled.astype(np.float32)
+        listed.append({"name": chip.name, "file": file, "set": name, "grazing_deg": chip.grazing_deg, **_planned(chip)})
     return (replace(dataset, source={**dataset.source, UNPLACED: listed}) if listed else dataset), pictures
+
+
+def _planned(chip: Chip) -> dict[str, Any]:
+    """The vehicle and the collection of a chip, by which it is told apart."""
+    return {"serial": chip.serial, "depression_deg": chip.depression}
 
 
 def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> list[Chip]:

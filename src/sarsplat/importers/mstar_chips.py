@@ -27,6 +27,8 @@ _AZIMUTH_STD = "azimuth_std_deg"
 """A column that may be missing, and empty."""
 _DN_PER_MAGNITUDE = "dn_per_magnitude"
 """A column that may be missing, and empty, but not for some chips only."""
+_DN_PER_POWER = "dn_per_power"
+"""Of chips of ours that hold power."""
 _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 
 
@@ -257,6 +259,11 @@ def read_labels(path: Path) -> CsvTable:
 
 def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:
     """Magnitude of one digital number of each chip; 1 if the table scales none of them."""
+    if _DN_PER_POWER in table.columns:
+        raise SarsplatError(
+            f"{table.path} has a column {_DN_PER_POWER}, so its chips hold power, but MSTAR's hold magnitude; import "
+            "them with `sarsplat import folder --quantity power`"
+        )
     given = [row.get(_DN_PER_MAGNITUDE, "") for _, row in rows]
     if not any(given):
         return [1.0] * len(rows)

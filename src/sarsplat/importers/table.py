@@ -6,6 +6,7 @@ What a column means is what the user calls it, or recognised by its usual names.
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -39,6 +40,8 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "receive-grazing": ("receivergrazing", "rxgrazing", "rxgraz", "receiveelevation", "rxelevation", "rxel"),
     "scale": (),
     "offset": (),
+    "dn-per-magnitude": (),
+    "dn-per-power": (),
     "view": ("viewname", "stack"),
     "baseline": ("baselinerad", "lookoffset"),
     "polarisation": ("polarization", "pol"),
@@ -55,6 +58,12 @@ _ROUNDED_DEG = 1.0 + 1e-6
 
 _ONLY_IF_NAMED = ("scale", "offset")
 """Too many things are called that."""
+
+_INSTEAD = {"azimuth": {"heading"}, "heading": {"azimuth"}}
+"""Meanings of which one that is chosen leaves the other out."""
+
+PER_UNIT = {"dn-per-magnitude": ("amplitude", "complex"), "dn-per-power": ("power",)}
+"""Meaning → what the pixels are then: numbers per unit of magnitude, or of power."""
 
 WAYS = ("transmit-azimuth", "transmit-grazing", "receive-azimuth", "receive-grazing")
 """Of a transmitter and a receiver apart, all four or none."""
@@ -85,7 +94,7 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
     if elevations <= set(chosen):
         raise SarsplatError("--columns names both a grazing and an incidence angle; name one of them")
     for meaning in MEANINGS:
-        others = elevations if meaning in elevations else {"azimuth"} if meaning == "heading" else set()
+        others = elevations if meaning in elevations else _INSTEAD.get(meaning, set())
         otherwise_named = bool(others & set(chosen)) and (meaning not in elevations or named_elevation)
         if meaning not in (*chosen, *_ONLY_IF_NAMED) and not otherwise_named:
             usual = _recognised(table, meaning, chosen)
@@ -180,7 +189,7 @@ class ListedPicture:
     azimuth_deg: float | None
     """As it stands in the table; None if a heading or two ways stand there instead."""
     heading_deg: float | None
-    """Of the radar's flight, as it stands in the table."""
+    """Of the radar's flight, as it stands in the table; also beside an azimuth, with which it must agree."""
     grazing_deg: float | None
     ways_deg: tuple[float, float, float, float] | None
     """Azimuth and grazing angle of the transmitter, then of the receiver, as they stand in the table."""
@@ -196,7 +205,7 @@ class ListedPicture:
     tilt_deg: float | None
     """By how much its azimuth axis rises above the level one."""
     scale: float | None
-    """What the pixels are multiplied by."""
+    """What the pixels are multiplied by; where the table says what they hold, 1 / dn-per-magnitude or dn-per-power."""
     offset: float | None
     """What is then added to them."""
     view: str | None
@@ -252,7 +261,8 @@ def read_picture_table(
         warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, which are left out")
     target = _one_class(table, columns, target_class, list(row_of.values()))
     wanted = {at: row for at, row in row_of.items() if target is None or row[1][columns["class"]] == target}
-    pictures = (_listed(table, row, columns, at) for at, row in _placed(table, columns, wanted).items())
+    heading = _heading(table, columns, named)
+    pictures = (_listed(table, row, columns, heading, at) for at, row in _placed(table, columns, wanted).items())
     return PictureTable(table.path, columns, target, tuple(pictures))
 
 
@@ -302,7 +312,14 @@ def _the_table(folder: Path, files: list[Path]) -> Path:
     return tables[0]
 
 
-def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPicture:
+def _heading(table: CsvTable, columns: Columns, named: Mapping[str, str]) -> str | None:
+    """The column of headings: they count beside azimuths, too, unless only the column of these was named."""
+    if "heading" in columns or {"azimuth", "az"} & set(named):
+        return columns.get("heading")
+    return _recognised(table, "heading", columns)
+
+
+def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, path: Path) -> ListedPicture:
     def text(meaning: str) -> str:
         return row[1][columns[meaning]] if meaning in columns else ""
 
@@ -327,7 +344,7 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         azimuth_deg=number("azimuth")
         if ways is not None or "azimuth" not in columns
         else table.number(row, columns["azimuth"]),
-        heading_deg=table.number(row, columns["heading"]) if "heading" in columns else None,
+        heading_deg=_heading_deg(table, row, columns, heading),
         grazing_deg=90 - incidence if grazing is None and incidence is not None else grazing,
         ways_deg=ways,
         spacing_m=pair("spacing"),
@@ -336,12 +353,18 @@ def _listed(table: CsvTable, row: Row, columns: Columns, path: Path) -> ListedPi
         split=_split(table, row, text("split")),
         looks_left=_looks_left(table, row, text("look")),
         tilt_deg=number("tilt"),
-        scale=number("scale"),
+        scale=_scale(table, row, columns),
         offset=number("offset"),
         view=text("view") or None,
         baseline_rad=number("baseline"),
         polarisation=text("polarisation").upper() or None,
     )
+
+
+def _heading_deg(table: CsvTable, row: Row, columns: Columns, heading: str | None) -> float | None:
+    if heading is None or ("azimuth" in columns and not math.isfinite(parsed(row[1][heading], table.decimal_comma))):
+        return None
+    return table.number(row, heading)
 
 
 def _ways(table: CsvTable, row: Row, angles: Mapping[str, float | None]) -> tuple[float, float, float, float] | None:
@@ -373,6 +396,18 @@ def _refuse_other_sum(table: CsvTable, row: Row, columns: Columns) -> None:
             f"add to 90°; say which of them holds at the target with --columns grazing={names[0]} or "
             f"--columns incidence={names[1]}"
         )
+
+
+def _scale(table: CsvTable, row: Row, columns: Columns) -> float | None:
+    """What a row's pixels are multiplied by; one that says nothing is refused if others do: all must compare."""
+    if "scale" in columns:
+        return table.number(row, columns["scale"]) if row[1][columns["scale"]] else None
+    column = next((columns[one] for one in PER_UNIT if one in columns), None)
+    if column is None or not any(cells[column] for _, cells in table.rows):
+        return None
+    if (numbers := table.number(row, column)) <= 0:
+        raise SarsplatError(f"{table.path}, line {row[0]}: {column} is {numbers:g}; it must be a positive number")
+    return 1 / numbers
 
 
 def _split(table: CsvTable, row: Row, text: str) -> str | None:

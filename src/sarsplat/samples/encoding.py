@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any, get_args
 
 import numpy as np
-from jaxtyping import Complex64, Shaped, UInt8
+from jaxtyping import Complex64, Float32, Shaped, UInt8
 
+from sarsplat.arguments import expect
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid
@@ -60,6 +61,8 @@ class Encoding:
     near: Side = "bottom"
 
     def __post_init__(self) -> None:
+        expect(int, jpeg_quality=self.jpeg_quality)
+        expect(int | None, crop=self.crop)
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise SarsplatError(f"{name} is {shown(getattr(self, name))}; give one of {', '.join(choices)}")
@@ -90,6 +93,16 @@ class Encoding:
             return self.crop, self.crop
         return (grid.rows, grid.columns) if self.near in ("top", "bottom") else (grid.columns, grid.rows)
 
+    @property
+    def scale_column(self) -> str:
+        """Of tables of labels: the column of `numbers_per_unit`."""
+        return "dn_per_power" if self.quantity == "power" else "dn_per_magnitude"
+
+    def numbers_per_unit(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> float:
+        """What the unit of √β⁰ becomes in the pixels of a sample, or that of β⁰ if pixels are power."""
+        white = self._white(np.abs(self._seen(sample)), brightest)
+        return (_WHITE if self.eight_bit else 1) / (white**2 if self.quantity == "power" else white)
+
     def encoded(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> bytes:
         """The file of a sample; `brightest` is the power that is white if all chips have one scale."""
         pixels = self._pixels(sample, brightest)
@@ -111,17 +124,27 @@ class Encoding:
         return np.array(Image.open(io.BytesIO(self.encoded(sample, brightest))))
 
     def _pixels(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> Shaped[np.ndarray, "m n"]:
-        sample = np.rot90(sample, -SIDES.index(self.near))
-        if self.crop is not None:  # as whoever cuts the whole chip would
-            top, left = ((side - self.crop) // 2 for side in sample.shape)
-            sample = sample[top : top + self.crop, left : left + self.crop]
+        sample = self._seen(sample)
         magnitude = np.abs(sample)
-        white = float(magnitude.max()) if self.scale == "max" else brightest**0.5 if self.scale == "fixed" else 1.0
-        scaled = (sample if self.quantity == "complex" else magnitude) / np.float32(white or 1.0)
+        white = self._white(magnitude, brightest)
+        scaled = (sample if self.quantity == "complex" else magnitude) / np.float32(white)
         values = scaled**2 if self.quantity == "power" else scaled
         if self.eight_bit:
             return np.rint(_WHITE * values.clip(0, 1)).astype(np.uint8)
         return np.ascontiguousarray(values)
+
+    def _seen(self, sample: Complex64[np.ndarray, "rows columns"]) -> Complex64[np.ndarray, "m n"]:
+        """The part that is stored, turned as it is stored."""
+        sample = np.rot90(sample, -SIDES.index(self.near))
+        if self.crop is None:
+            return sample
+        top, left = ((side - self.crop) // 2 for side in sample.shape)  # as whoever cuts the whole chip would
+        return sample[top : top + self.crop, left : left + self.crop]
+
+    def _white(self, magnitude: Float32[np.ndarray, "m n"], brightest: float) -> float:
+        """The magnitude that is white, or 1 where pixels are not of 8 bits."""
+        white = float(magnitude.max()) if self.scale == "max" else brightest**0.5 if self.scale == "fixed" else 1.0
+        return white or 1.0
 
 
 def _picture(pixels: UInt8[np.ndarray, "m n"]) -> Any:

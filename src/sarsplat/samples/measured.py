@@ -16,9 +16,9 @@ from jaxtyping import Complex64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, new_folder, read_dataset
+from sarsplat.data.beside import UNPLACED, read_unplaced, unplaced_in
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.files import read_json, write_bytes, write_json
-from sarsplat.data.tiff import read_tiff
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import ChipQuantity, Side
@@ -31,10 +31,6 @@ LABELS = "labels.csv"
 MARKER = "measured-chips.json"
 """The file that marks a folder of them."""
 _SCHEMA, _SCHEMA_VERSION = "sarsplat-measured-chips", 1
-
-_UNPLACED = "unplaced"
-"""Where a dataset's source lists chips without azimuth, which are kept beside its images."""
-_UNPLACED_FILE = re.compile(r"unplaced/\d+\.tif")
 
 _COLUMNS = (
     *("path", "class", "split", "name", "azimuth_deg", "grazing_deg"),
@@ -147,6 +143,8 @@ def write_measured_chips(
         write_json(folder / MARKER, {**record, "datasets": list(map(str, folders)), **vars(encoding)})
         for path in folders:
             dataset = read_dataset(path)
+            planned, serials = _planned(dataset), dataset.source.get("serials")
+            serial = serials[0] if isinstance(serials, list) and len(serials) == 1 else ""
             for chip in _chips_of(path, dataset):
                 at = chip.split, _plain(dataset.target)
                 number = counts.get(at, 0)
@@ -154,10 +152,12 @@ def write_measured_chips(
                 file = Path(*at) / f"{number:08d}{ENDINGS[encoding.format]}"
                 (folder / file).parent.mkdir(parents=True, exist_ok=True)
                 (folder / file).write_bytes(encoding.encoded(chip.amplitude, brightest))
-                rows.append(_row(file, dataset, chip))
+                scale = encoding.numbers_per_unit(chip.amplitude, brightest)
+                known = planned.get(chip.name, (serial, round(chip.grazing_deg)))
+                rows.append({**_row(file, dataset, chip, known), encoding.scale_column: scale})
             views += dataset.views
             shows.advance(1, dataset.target)
-        write_bytes(folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views))))
+        write_bytes(folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views), encoding.scale_column)))
     return MeasuredChips(counts, size)
 
 
@@ -202,33 +202,28 @@ def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
     amplitudes = np.sqrt(dataset.power) if dataset.signal is None else dataset.signal
     for entry, amplitude in zip(dataset.entries, amplitudes, strict=True):
         yield _Measured(entry.split, entry.name, entry.view, entry.view.grazing_deg, amplitude.astype(np.complex64))
-    tests = sorted({entry.split for entry in dataset.entries if entry.split != "train"})
-    for one in _unplaced(path, dataset):
-        angle = round(one["grazing_deg"])
-        left_out = f"test-{angle}"  # also of training chips, where only some of them are trained on
-        split = left_out if left_out in tests else one["set"]
-        power = read_tiff(path / one["file"], (dataset.grid.rows, dataset.grid.columns))
-        yield _Measured(split, one["name"], None, one["grazing_deg"], np.sqrt(power).astype(np.complex64))
+    for one in unplaced_in(dataset.source, path):
+        power = read_unplaced(dataset, path, one["file"])
+        yield _Measured(one["set"], one["name"], None, one["grazing_deg"], np.sqrt(power).astype(np.complex64))
 
 
-def _unplaced(path: Path, dataset: Dataset) -> list[dict[str, Any]]:
-    """What the source says of chips without azimuth; nothing in it is trusted, as it names files and folders."""
-    listed: list[Any] = dataset.source.get(_UNPLACED, [])
-    kinds = {"name": str, "file": str, "set": str, "grazing_deg": int | float}
-    for one in listed if isinstance(listed, list) else [listed]:
-        whole = isinstance(one, dict) and all(isinstance(one.get(key), kind) for key, kind in kinds.items())
-        if not whole or not _UNPLACED_FILE.fullmatch(one["file"]) or one["set"] not in ("train", "test"):
-            raise SarsplatError(f"{path} lists chips without azimuth that are none ({shown(one)}); import it again")
-    return listed
+def _planned(dataset: Dataset) -> dict[str, tuple[str, int]]:
+    """Serial number and planned depression angle, degrees, by the names of those chips of which they are known."""
+    known = {}
+    for key in ("chips", UNPLACED):
+        listed: Any = dataset.source.get(key, [])
+        for one in listed if isinstance(listed, list) else []:
+            if isinstance(one, dict) and isinstance(one.get("serial"), str) and type(one.get("depression_deg")) is int:
+                known[str(one.get("name"))] = one["serial"], one["depression_deg"]
+    return known
 
 
-def _row(file: Path, dataset: Dataset, chip: _Measured) -> dict[str, Any]:
-    serials = dataset.source.get("serials", [])
+def _row(file: Path, dataset: Dataset, chip: _Measured, planned: tuple[str, int]) -> dict[str, Any]:
     azimuth = None if chip.view is None else chip.view.azimuth_deg
     placed = ("", "") if azimuth is None else (azimuth, round(-azimuth % 360, 6))
     unusual = () if chip.view is None else unusual_values(chip.view)
     named = (file.as_posix(), dataset.target, chip.split, chip.name, placed[0], chip.grazing_deg)
-    labels = (serials[0] if len(serials) == 1 else "", round(chip.grazing_deg), chip.grazing_deg, placed[1])
+    labels = (*planned, chip.grazing_deg, placed[1])
     lengths = (*dataset.grid.spacing_m, *dataset.grid.resolution_m)
     return dict(zip((*_COLUMNS, *UNUSUAL_COLUMNS), (*named, *labels, *lengths, *unusual), strict=False))
 

@@ -12,11 +12,14 @@ import json
 import math
 import tarfile
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import msgspec
+import numpy as np
+from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder
@@ -46,6 +49,9 @@ _APART = ("transmit_azimuth_deg", "transmit_grazing_deg", "receive_azimuth_deg",
 """And if a run's is bistatic; clockwise, as `azimuth_deg`."""
 
 UNUSUAL_COLUMNS = (*_TILTED, *_APART)
+
+_SCALES = "scales.npy"
+"""The file of the scales of what is finished, until the table has them."""
 
 MARKER = "chips.json"
 """The file that marks a folder of chips."""
@@ -104,47 +110,64 @@ def write_chips(
 
     with new_folder(out, overwrite, marker=MARKER, goes_on=goes_on) as folder:
         _put(folder / MARKER, made)
-        total = len(chips)
+        total, scales = len(chips), _scales(folder / _SCALES, len(chips))
         with progress(f"chips to {out}", total, quiet) as reporter:
-            for done in _files(chips, folder) if shard is None else _shards(chips, folder, shard):
+            for done in _files(chips, folder, scales) if shard is None else _shards(chips, folder, scales, shard):
                 reporter.update(done)
-        _put(folder / LABELS, _table(chips, shard))
+        _put(folder / LABELS, _table(chips, shard, scales))
+        del scales  # some systems remove no file that is open
+        (folder / _SCALES).unlink()
 
 
-def _files(chips: Chips, folder: Path) -> Iterator[int]:
+def _scales(path: Path, count: int) -> Float64[np.ndarray, " n"]:
+    """How each chip is scaled, which is known when it is drawn, in a file that processes share; 0 where it is not."""
+    with suppress(OSError, ValueError):  # it is not there, or not whole
+        kept: Float64[np.ndarray, " n"] = np.lib.format.open_memmap(path, "r+")
+        if kept.shape == (count,):
+            return kept
+    new: Float64[np.ndarray, " n"] = np.lib.format.open_memmap(path, "w+", np.float64, (count,))
+    return new
+
+
+def _files(chips: Chips, folder: Path, scales: Float64[np.ndarray, " n"]) -> Iterator[int]:
     """Write each chip that is not there; how many are there in all, after each."""
     for target in chips.classes:
         (folder / target).mkdir(exist_ok=True)
 
     def write(index: int) -> None:
-        _put(folder / _file(chips, index), _encoded(chips, index))
+        content, scales[index] = _encoded(chips, index)
+        _put(folder / _file(chips, index), content)
 
-    missing = [index for index in range(len(chips)) if not _there(folder / _file(chips, index))]
+    missing = [n for n in range(len(chips)) if not (scales[n] and _there(folder / _file(chips, n)))]
     for done, _ in enumerate(made_each(write, missing), len(chips) - len(missing) + 1):
         yield done
 
 
-def _shards(chips: Chips, folder: Path, size: int) -> Iterator[int]:
+def _shards(chips: Chips, folder: Path, scales: Float64[np.ndarray, " n"], size: int) -> Iterator[int]:
     """Write each shard that is not there; how many chips are there in all, after each."""
     shards = [range(first, min(first + size, len(chips))) for first in range(0, len(chips), size)]
-    missing = {n: indices for n, indices in enumerate(shards) if not _there(folder / _shard(n))}
+    missing = {n: some for n, some in enumerate(shards) if not (scales[some].all() and _there(folder / _shard(n)))}
     each = made_each(lambda index: _encoded(chips, index), list(chain(*missing.values())))
     done = len(chips) - sum(map(len, missing.values()))
     for number, indices in missing.items():
         encoded = dict(zip(indices, each, strict=False))
+        scales[indices] = [scale for _, scale in encoded.values()]
         _put(folder / _shard(number), _packed(chips, number, encoded))
         yield (done := done + len(indices))
 
 
-def _encoded(chips: Chips, index: int) -> bytes:
-    return chips.encoding.encoded(chips.sample(index), chips.brightest)
+def _encoded(chips: Chips, index: int) -> tuple[bytes, float]:
+    """The file of a chip, and its `numbers_per_unit`."""
+    sample = chips.sample(index)
+    encoding = chips.encoding
+    return encoding.encoded(sample, chips.brightest), encoding.numbers_per_unit(sample, chips.brightest)
 
 
-def _packed(chips: Chips, number: int, encoded: dict[int, bytes]) -> bytes:
+def _packed(chips: Chips, number: int, encoded: dict[int, tuple[bytes, float]]) -> bytes:
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-        for index, content in encoded.items():
-            row = _row(chips, index, _shard(number))
+        for index, (content, scale) in encoded.items():
+            row = _row(chips, index, _shard(number), scale)
             members = {
                 ENDINGS[chips.encoding.format]: content,
                 ".cls": str(chips.classes.index(row["class"])).encode(),
@@ -169,18 +192,19 @@ def _shard(number: int) -> str:
     return f"chips-{number:06d}.tar"
 
 
-def _table(chips: Chips, shard: int | None) -> bytes:
+def _table(chips: Chips, shard: int | None, scales: Float64[np.ndarray, " n"]) -> bytes:
     text = io.StringIO(newline="")
     table = csv.DictWriter(text, _columns(chips), lineterminator="\n")
     table.writeheader()
     for index in range(len(chips)):
         path = _file(chips, index) if shard is None else _shard(index // shard)
-        table.writerow(_row(chips, index, path))
+        table.writerow(_row(chips, index, path, float(scales[index])))
     return text.getvalue().encode()
 
 
 def _columns(chips: Chips) -> tuple[str, ...]:
-    return (*_COLUMNS, *unusual_columns([chips.label(place).view for place in range(len(chips.runs))]))
+    unusual = unusual_columns([chips.label(place).view for place in range(len(chips.runs))])
+    return (*_COLUMNS, chips.encoding.scale_column, *unusual)
 
 
 def unusual_columns(views: Iterable[View]) -> tuple[str, ...]:
@@ -196,13 +220,13 @@ def unusual_values(view: View) -> tuple[float | str, ...]:
     return (view.tilt_deg, view.side, *ways)
 
 
-def _row(chips: Chips, index: int, path: str) -> dict[str, Any]:
+def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:
     label = chips.label(index)
     view, grid = label.view, chips.runs[label.run].grid
     angles = (round(view.grazing_deg), view.grazing_deg, round(-view.azimuth_deg % 360, 6))
     lengths = (*grid.spacing_m, *grid.resolution_m)
     named = (path, label.target, view.azimuth_deg, view.grazing_deg, label.seed, str(chips.runs[label.run].path))
-    every = (*named, label.run, *angles, *lengths, *unusual_values(view))
+    every = (*named, label.run, *angles, *lengths, scale, *unusual_values(view))
     return dict(zip(_columns(chips), every, strict=False))
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Real
 
 import numpy as np
 from jaxtyping import Float64
 
+from sarsplat.arguments import is_number
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses.response import Response
 
@@ -39,7 +39,7 @@ class Taylor(Response):
 
     def __post_init__(self) -> None:
         level, count = self.level_db, self.sidelobes
-        in_range = isinstance(level, Real) and 10 <= level <= 100 and type(count) is int and 1 <= count <= 64
+        in_range = is_number(level) and 10 <= level <= 100 and type(count) is int and 1 <= count <= 64
         if not in_range:  # also catches NaN
             raise SarsplatError(
                 f"a Taylor response of level_db {shown(level)} and sidelobes {shown(count)} is not possible; give 10 "
