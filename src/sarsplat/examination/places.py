@@ -357,7 +357,7 @@ def _parted(dataset: Dataset, scene: _OnGround, fits: Sequence[Fit]) -> tuple[fl
     usual = _usual(given)
     found = []
     for k, fit in enumerate(given):
-        if fit.correlation == -1 or fits[k].apart_deg > _FARTHEST_ALONE_DEG:
+        if not -1 < fit.correlation < usual or fits[k].apart_deg > _FARTHEST_ALONE_DEG:
             continue
         for what, flip in _FLIPS.items():
             better = scene.across(k, flip)
