@@ -185,3 +185,28 @@ def test_images_without_speckle_are_not_asked_for_it():
     smooth = np.ones((COUNT, 1, 1)) * np.exp(-((np.mgrid[-20:20, -24:24] / 3.0) ** 2).sum(axis=0))
     noise = np.random.default_rng(0).normal(1, 0.01, smooth.shape)
     assert copied_images(replace(pictures(), power=(smooth * noise + 1e-6).astype(np.float32))) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(np.sqrt, "amplitude or smoothed"), (np.square, "squared, or all others amplitude")],
+    ids=["root", "square"],
+)
+def test_one_image_in_another_unit_is_found_by_its_speckle(change, said, seed):
+    dataset = pictures(seed)
+    power = dataset.power.copy()
+    power[5] = change(power[5]) * np.median(power) / np.median(change(power[5]))  # as bright as the others
+    (text,) = scaled(replace(dataset, power=power))
+    assert "ground of 005 is" in text
+    assert f"as if it were {said}" in text
+
+
+def test_clean_test_images_among_speckled_ones_pass():
+    dataset = pictures()
+    power = dataset.power.copy()
+    power[6:] = power.mean(axis=0)
+    entries = tuple(replace(entry, split="test" if k >= 6 else "train") for k, entry in enumerate(dataset.entries))
+    clean = replace(dataset, power=power, entries=entries, clean_tests=True)
+    assert scaled(clean) == []
+    assert "as if it were amplitude or smoothed" in scaled(replace(clean, clean_tests=False))[0]
