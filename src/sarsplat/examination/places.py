@@ -122,10 +122,7 @@ class _OnGround:
 
     def spectrum(self, k: int, view: View, flip: _Flip = _AS_IT_IS) -> _Spectrum:
         """Spectrum of image k on the ground, as if it were of this view, mirrored or turned before."""
-        angle = math.radians(view.azimuth_deg)
-        across = math.cos(angle) * self.x + math.sin(angle) * self.y
-        along = math.cos(angle) * self.y - math.sin(angle) * self.x
-        azimuth, slant_range = view.look.to_image(across, along)
+        azimuth, slant_range = np.tensordot(view.look.gradients[:, :2], np.stack([self.x, self.y]), 1)
         column = (azimuth - self.grid.azimuth_m[0]) / self.grid.spacing_m[0]
         row = (slant_range - self.grid.range_m[0]) / self.grid.spacing_m[1]
         image = self.bright[k][:: flip[0], :: flip[1]]
