@@ -49,7 +49,7 @@ _STEP_DEG = 5.0
 """Of the azimuths that are tried for an image."""
 
 _ALIKE = 0.6
-"""Correlation of neighbours in three quarters of all images: of fewer, nothing follows from what is unlike."""
+"""Correlation of neighbours, the median of all images: below, nothing follows from what is unlike."""
 
 _CANDIDATES = 12
 """Images that are looked at more closely: those least like their neighbours."""
@@ -202,7 +202,7 @@ def examine_places(dataset: Dataset, ground: bool, examined: Examination) -> Non
     if not told:
         examined.checks["single azimuths"] = f"cannot be determined: none has two others within {_FARTHEST_DEG:.0f}°"
         return
-    if _usual(fits) < _ALIKE:
+    if np.median([fits[k].correlation for k in told]) < _ALIKE:
         examined.checks["single azimuths"] = "cannot be determined: images of neighbouring azimuths are not alike"
         return
     flipped, parted, elsewhere = (find(dataset, scene, fits) for find in (_flipped, _parted, _elsewhere))
