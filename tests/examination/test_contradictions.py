@@ -373,8 +373,8 @@ def test_numbers_of_images_are_no_azimuths(ground: float | None, step: int) -> N
         assert "--columns azimuth=NAME" in said
     in_order = replace(numbered(dataset, range(count), 100.0), source={})
     said = examine(in_order).contradictions
-    assert bool(said) == (step == 15)
-    assert all("match better if these are spread all round" in text for text in said)
+    assert [text for text in said if "match better if these are spread all round" in text] == said[: step == 15]
+    assert len(said) == (step < 45)  # so far apart that images are unlike, they are found to be in the wrong places
 
 
 @pytest.mark.parametrize(("first", "ground"), [(0, None), (1, 0.05), (70, 0.05)])

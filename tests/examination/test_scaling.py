@@ -185,3 +185,37 @@ def test_images_without_speckle_are_not_asked_for_it():
     smooth = np.ones((COUNT, 1, 1)) * np.exp(-((np.mgrid[-20:20, -24:24] / 3.0) ** 2).sum(axis=0))
     noise = np.random.default_rng(0).normal(1, 0.01, smooth.shape)
     assert copied_images(replace(pictures(), power=(smooth * noise + 1e-6).astype(np.float32))) == []
+
+
+def large(seed: int) -> Dataset:
+    """Four times as large, so that the speckle of a single image can be measured."""
+    parts = [pictures(4 * seed + k).power for k in range(4)]
+    power = np.concatenate([np.concatenate(parts[:2], axis=1), np.concatenate(parts[2:], axis=1)], axis=2)
+    dataset = pictures(seed)
+    return replace(dataset, power=power, grid=replace(dataset.grid, rows=80, columns=96))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(np.sqrt, "amplitude or smoothed"), (np.square, "squared, or all others amplitude")],
+    ids=["root", "square"],
+)
+def test_one_image_in_another_unit_is_found_by_its_speckle(change, said, seed):
+    dataset = large(seed)
+    power = dataset.power.copy()
+    power[5] = change(power[5]) * np.median(power) / np.median(change(power[5]))  # as bright as the others
+    assert scaled(dataset) == []
+    (text,) = scaled(replace(dataset, power=power))
+    assert "ground of 005 is" in text
+    assert f"as if it were {said}" in text
+
+
+def test_clean_test_images_among_speckled_ones_pass():
+    dataset = large(0)
+    power = dataset.power.copy()
+    power[8:] = power[:8].mean(axis=0) * np.random.default_rng(0).gamma(20, 1 / 20, power[8:].shape)
+    entries = tuple(replace(entry, split="test" if k >= 8 else "train") for k, entry in enumerate(dataset.entries))
+    clean = replace(dataset, power=power, entries=entries, clean_tests=True)
+    assert scaled(clean) == []
+    assert "as if it were amplitude or smoothed" in scaled(replace(clean, clean_tests=False))[0]

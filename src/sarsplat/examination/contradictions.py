@@ -17,6 +17,7 @@ from sarsplat.examination.copied import copied_images
 from sarsplat.examination.on_map import OnMap, on_map
 from sarsplat.examination.orientation import Orientation, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
+from sarsplat.examination.places import examine_places
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.repeated import repeated_images
 from sarsplat.examination.running_numbers import Counting, counting
@@ -96,7 +97,10 @@ def examine(dataset: Dataset) -> Examination:
     if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
         counts = counting(dataset.views)
         spread = None if counts is None else [counts.spread[k] for k in places]
+        before = len(examined.contradictions)
         upright = _upright(chosen, examined, counts, spread)
+        if "azimuths" in examined.checks and len(examined.contradictions) == before:
+            examine_places(_of_one_channel(dataset), upright.ground, examined)
         speckled = cut_off < MUCH and examine_units(upright, examined)
         if speckled and not repeated_images(dataset) and (copies := copied_images(dataset)):
             examined.contradictions.extend(copies)

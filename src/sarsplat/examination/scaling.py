@@ -4,13 +4,17 @@ were stretched one by one, and single images of another scale.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float64, Int, Real
 
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.examination.outcome import Examination
+from sarsplat.examination.units import clutter
 from sarsplat.radiometry import to_db
+from sarsplat.regions.outlines import levels_db, outline
 
 _CUT_OFF = 0.01
 """Share of an image at its largest value from which on what is cut off is as large as a target: one or two per cent."""
@@ -37,6 +41,10 @@ _OTHER_DB = 8.0
 _OTHER_DEVIATIONS = 8.0
 """By how much the ground of one image may differ from that of the others: gains of measured chips differ by 3 dB."""
 
+_CONTRASTS = (0.72, 1.39)
+"""Standard deviation over mean of the ground, of one image over that of the others, within which they agree. Of a root
+or of a square it is 0.5 or 1.8 times as large; honest images of one set have 0.93 to 1.2."""
+
 _OWN_SCALES = ("mstar", "sample")
 """Kinds of datasets whose images are known to have scales of their own, which are learned with `--preset measured`."""
 
@@ -54,7 +62,11 @@ def examine_scaling(dataset: Dataset, examined: Examination, speckled: bool, cut
     """
     if dataset.source.get("kind") in _OWN_SCALES:
         return
-    wrong = [*(_stretched(dataset, speckled) if cut_off < _CUT_OFF else ()), *_other_level(dataset)]
+    wrong = [
+        *(_stretched(dataset, speckled) if cut_off < _CUT_OFF else ()),
+        *_other_level(dataset),
+        *(_other_contrast(dataset) if speckled else ()),
+    ]
     examined.contradictions.extend(wrong)
     examined.checks["scale"] = "see below" if wrong else "no image seems to have another scale than the others"
 
@@ -144,4 +156,33 @@ def _other_level(dataset: Dataset) -> list[str]:
         f"the ground of {dataset.entries[worst].name} is {abs(away[worst]):.1f} dB "
         f"{'brighter' if away[worst] > 0 else 'darker'} than that of the others{many}, so it seems to be of another "
         f"scale or unit; {_ONE_SCALE}"
+    ]
+
+
+def _other_contrast(dataset: Dataset) -> list[str]:
+    """Single images whose speckle is weaker or stronger than that of all others, as of amplitude among power."""
+    if dataset.clean_tests:
+        dataset = dataset.select("train")
+    views = range(len(dataset))
+    if len(dataset) < _FEWEST:
+        return []
+    grounds = []
+    for image in (dataset.power[k : k + 1] for k in views):
+        levels = levels_db(image, dataset.grid, ground=True)
+        grounds.append(clutter(image, levels, [outline(levels[0])], dataset.grid))
+    fine = {k: ground.contrast for k, ground in zip(views, grounds, strict=True) if ground and not ground.coarse}
+    if len(fine) < _FEWEST:
+        return []
+    usual = float(np.median(list(fine.values())))
+    other = {
+        k: contrast / usual for k, contrast in fine.items() if not _CONTRASTS[0] < contrast / usual < _CONTRASTS[1]
+    }
+    if not other or 2 * len(other) > len(fine):
+        return []
+    worst = max(other, key=lambda k: abs(math.log(max(other[k], np.finfo(float).tiny))))
+    many = f" ({counted(len(other), 'image')} of {len(dataset)} differ as much)" if len(other) > 1 else ""
+    as_if = "amplitude or smoothed" if other[worst] < 1 else "squared, or all others amplitude or smoothed"
+    return [
+        f"the standard deviation over mean of the ground of {dataset.entries[worst].name} is {fine[worst]:.2f}, and "
+        f"that of the others {usual:.2f}{many}, as if it were {as_if}; give all images in one unit"
     ]

@@ -233,6 +233,11 @@ class Clutter:
     """3 dB width in azimuth and slant range of the response that correlates neighbouring pixels of speckle so much;
     None if they hardly do."""
 
+    @property
+    def coarse(self) -> bool:
+        """Whether pixels have too few values to measure speckle by."""
+        return self.values < _FEWEST_VALUES
+
 
 def clutter(
     power: Real[np.ndarray, "v rows columns"],

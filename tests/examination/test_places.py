@@ -1,0 +1,138 @@
+"""Single images that are not where they belong are named; those that are, pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from datasets import dataset_of
+from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
+from sarsplat.data import Dataset
+from sarsplat.examination.contradictions import examine
+from sarsplat.geometry import ImageGrid, View
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("embreex")
+
+GRID = ImageGrid(41, 37, (0.4, 0.35), (0.5, 0.45))
+"""Of odd sizes, and of uneven pixels."""
+
+
+def scene(ground: float | None, views: Sequence[View]) -> Dataset:
+    """A lorry with a mast beside a container: of no symmetry."""
+    lorry = ((6, 2, 1), (0, 0, 0.5)), ((1.5, 1.8, 1.2), (2.2, 0, 1.6)), ((0.8, 0.8, 1), (-2, 0.6, 1.5))
+    parts = []
+    for size, place in (*lorry, ((2.5, 1.2, 1.5), (-1.5, 3, 0.75))):
+        part = trimesh.creation.box(size)
+        part.apply_translation(place)
+        parts.append(part)
+    mesh = trimesh.util.concatenate(parts)
+    images = [
+        simulate_raycast(mesh, view, GRID, ScatteringLaw(), ground_gamma0=ground, ray_spacing=0.07) for view in views
+    ]
+    return dataset_of(GRID, [(view, "train") for view in views], np.stack(images), ground=ground is not None)
+
+
+def speckled(dataset: Dataset) -> Dataset:
+    return replace(dataset, power=add_speckle(dataset.power, 1, np.random.default_rng(0)), looks=1)
+
+
+@pytest.fixture(scope="module")
+def all_round() -> Dataset:
+    return speckled(scene(0.05, [View(float(azimuth), 30.0) for azimuth in range(7, 367, 15)]))
+
+
+@pytest.fixture(scope="module")
+def bare() -> Dataset:
+    return scene(None, [View(float(azimuth), 45.0) for azimuth in range(0, 360, 20)])
+
+
+def with_views(dataset: Dataset, change: Callable[[int, View], View]) -> Dataset:
+    entries = [replace(entry, view=change(k, entry.view)) for k, entry in enumerate(dataset.entries)]
+    return replace(dataset, entries=tuple(entries))
+
+
+def with_order(dataset: Dataset, order: Sequence[int]) -> Dataset:
+    """The images in another order, under the same names and directions."""
+    return replace(dataset, power=dataset.power[list(order)])
+
+
+def swapped(dataset: Dataset, *pairs: tuple[int, int]) -> Dataset:
+    order = list(range(len(dataset)))
+    for i, j in pairs:
+        order[i], order[j] = order[j], order[i]
+    return with_order(dataset, order)
+
+
+def flipped(dataset: Dataset, which: Sequence[int], turn: Callable[[np.ndarray], np.ndarray]) -> Dataset:
+    power = dataset.power.copy()
+    for k in which:
+        power[k] = turn(power[k])
+    return replace(dataset, power=power)
+
+
+@pytest.mark.parametrize("kind", ["all_round", "bare"])
+def test_images_in_their_places_pass(kind: str, request: pytest.FixtureRequest) -> None:
+    dataset = request.getfixturevalue(kind)
+    found = examine(dataset)
+    assert found.contradictions == []
+    assert f"none of {len(dataset)} images matches those of another azimuth" in found.checks["single azimuths"]
+
+
+@pytest.mark.parametrize("pair", [(2, 8), (0, 13), (5, 9)])
+@pytest.mark.parametrize("kind", ["all_round", "bare"])
+def test_two_files_swapped_are_named(kind: str, pair: tuple[int, int], request: pytest.FixtureRequest) -> None:
+    dataset = request.getfixturevalue(kind)
+    (text,) = examine(swapped(dataset, pair)).contradictions
+    for k in pair:
+        assert f"{k:03d} (azimuth {dataset.views[k].azimuth_deg:g}°" in text
+    assert "in each other's place" in text
+    assert "exchange the files, or their angles" in text
+
+
+def test_two_pairs_are_both_named(all_round: Dataset) -> None:
+    (text,) = examine(swapped(all_round, (2, 8), (12, 19))).contradictions
+    assert [f"{k:03d} (" in text for k in range(24)] == [k in (2, 8, 12, 19) for k in range(24)]
+
+
+def test_swaps_across_grazing_angles_are_named() -> None:
+    views = [View(float(azimuth), grazing) for grazing in (25.0, 45.0) for azimuth in range(0, 360, 20)]
+    dataset = speckled(scene(0.05, views))
+    assert examine(dataset).contradictions == []
+    (text,) = examine(swapped(dataset, (3, 25))).contradictions
+    assert "003 (azimuth 60°, grazing 25°) and 025 (azimuth 140°, grazing 45°)" in text
+
+
+def test_a_wrong_azimuth_is_named_with_the_right_one(all_round: Dataset) -> None:
+    wrong = with_views(all_round, lambda k, view: View(view.azimuth_deg + 100 * (k == 6), view.grazing_deg))
+    (text,) = examine(wrong).contradictions
+    assert text.startswith("006 (azimuth 197°, grazing 30°) matches images around azimuth ")
+    assert float(text.split("around azimuth ")[1].split("°")[0]) == pytest.approx(97, abs=10)
+
+
+@pytest.mark.parametrize(
+    ("turn", "what"),
+    [
+        (lambda image: image[:, ::-1], "mirrored"),
+        (lambda image: image[::-1], "upside down"),
+        (lambda image: image[::-1, ::-1], "turned by a half"),
+    ],
+)
+def test_a_part_that_is_the_other_way_round_is_found(
+    turn: Callable[[np.ndarray], np.ndarray], what: str, all_round: Dataset
+) -> None:
+    (text,) = examine(flipped(all_round, [4], turn)).contradictions
+    assert text.startswith("004 (azimuth 67°, grazing 30°) matches its neighbours better")
+    (text,) = examine(flipped(all_round, range(3, 11), turn)).contradictions
+    assert what in text
+    assert text.endswith("give all images the same way round")
+
+
+def test_few_or_lonely_images_say_nothing(all_round: Dataset) -> None:
+    few = examine(all_round.take(range(0, 24, 4)))
+    assert few.checks["single azimuths"] == "cannot be determined: too few images"
+    lonely = examine(all_round.take(range(0, 24, 3)))
+    assert lonely.checks["single azimuths"] == "cannot be determined: none has two others within 31°"
