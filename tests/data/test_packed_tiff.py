@@ -71,6 +71,42 @@ def test_complex_pixels(tmp_path, options, kind):
     np.testing.assert_array_equal(read_pixels(tmp_path / "a.tif"), pixels)
 
 
+@pytest.mark.parametrize("kind", ["complex64", "complex_int16"])
+@pytest.mark.parametrize("compression", ["DEFLATE", "LZW"])
+@pytest.mark.parametrize("order", ["LITTLE", "BIG"])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_complex_pixels_with_a_predictor(tmp_path, kind, compression, order):
+    """Of which tifffile makes other numbers."""
+    pixels = np.round(1000 * (FLOATS + 1j * FLOATS[::-1])).astype("complex64")
+    options = {"compress": compression, "predictor": 2, "ENDIANNESS": order}
+    with rasterio.open(
+        tmp_path / "a.tif", "w", driver="GTiff", height=37, width=50, count=1, dtype=kind, **options
+    ) as file:
+        file.write(pixels[None])
+    np.testing.assert_array_equal(read_pixels(tmp_path / "a.tif"), pixels)
+
+
+@pytest.mark.parametrize("compression", ["DEFLATE", "LZW", "ZSTD"])
+@pytest.mark.parametrize("shape", [{"blockysize": 10}, {"tiled": True, "blockxsize": 16, "blockysize": 32}])
+@pytest.mark.parametrize("empty", [0.0, -9.0])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_blocks_that_a_file_leaves_out_hold_no_data(tmp_path, capfd, compression, shape, empty):
+    for part in (np.s_[35:], np.s_[:5], np.s_[15:16]):  # of strips, only the last, which is shorter
+        pixels = np.full((37, 50), empty, np.float32)
+        pixels[part] = FLOATS[part]
+        options = {"compress": compression, "predictor": 3, "SPARSE_OK": True, "nodata": empty, **shape}
+        read = read_pixels(written(tmp_path / "a.tif", pixels, **options))
+        np.testing.assert_array_equal(read, pixels)
+    assert capfd.readouterr().err == ""  # as libtiff may write to
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_a_number_of_bits_that_is_not_read_is_named_with_one_that_is(tmp_path):
+    path = written(tmp_path / "a.tif", (FLOATS > 0).astype(np.uint32), nbits=24)
+    with pytest.raises(SarsplatError, match=r"a\.tif holds uint32 numbers as 24 bits each, .* -co NBITS=32"):
+        read_pixels(path)
+
+
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_large_ones_are_read_some_rows_at_a_time(tmp_path, monkeypatch):
     monkeypatch.setattr(packed_tiff, "_BYTES_AT_ONCE", 1000)

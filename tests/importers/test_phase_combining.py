@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from pulses import C
 from sarsplat.geometry import ImageGrid
@@ -86,6 +87,21 @@ def test_pulses_that_others_say_nothing_of_are_all_kept():
     aperture = whole_flight(flight(1200, 2, 1e4, jitter_m=0.01), np.zeros(3))
     grid = ImageGrid(50, 40, (0.25, 0.25), aperture.resolution_m(TAYLOR))
     assert len(combined(aperture, grid).kept) == len(aperture.history)
+
+
+def test_a_small_image_takes_few_pulses():
+    aperture = whole_flight(flight(1200, 2, 1e4), np.zeros(3))
+    for side in (1, 3, 6):
+        grid = ImageGrid(side, side, (0.25, 0.25), aperture.resolution_m(TAYLOR))
+        assert len(combined(aperture, grid).kept) < 20
+
+
+def test_an_antenna_that_rises_where_it_all_but_stands_still_is_no_reason_to_run_out_of_memory():
+    along = np.linspace(-1, 1, 1200)
+    places, turns = along**9, np.stack([1e3 * along, -1e3 * along], axis=1)
+    kept, weights = phase_combining._few(places, turns)
+    assert len(kept) == 1200
+    assert (weights != sparse.eye_array(1200)).nnz == 0
 
 
 def test_reads_piece_by_piece_what_it_would_read_at_once(monkeypatch):

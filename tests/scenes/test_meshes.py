@@ -58,6 +58,22 @@ def test_vertices_may_be_counted_back_from_a_face(tmp_path):
         assert mesh.bounds == pytest.approx(BOX.bounds)
 
 
+def test_indented_lines_and_comments_that_end_in_a_backslash_are_read(tmp_path):
+    lines = ["# C:\\models\\", *("\tv {} {} {}".format(*vertex) for vertex in BOX.vertices)]
+    lines += [" f {} {} {} {} # a side".format(*(k + 1 for k in quad)) for quad in QUADS]
+    mesh = load_mesh(write(tmp_path / "box.obj", "\n".join([*lines, ""])))
+    assert mesh.area == pytest.approx(28)
+    assert mesh.bounds == pytest.approx(BOX.bounds)
+
+
+@pytest.mark.parametrize("face", ["f 0 1 2", "f 1 2 0", "f 1/1 00/1 2/1", "f 0 -1 -2", "f -9 1 2"])
+def test_faces_of_vertices_that_there_are_not_are_refused(tmp_path, face):
+    """Trimesh takes 0 for the last vertex."""
+    path = write(tmp_path / "a.obj", f"{SQUARE}vt 0 0\nf 1 2 3\n{face}\n")
+    with pytest.raises(SarsplatError, match=r"a\.obj' has faces that refer to missing vertices; repair the mesh"):
+        load_mesh(path)
+
+
 def test_gaussians_in_a_glb_are_named(tmp_path):
     scene = json.dumps({"asset": {"version": "2.0"}, "extensionsUsed": ["KHR_gaussian_splatting"]}).encode()
     scene += b" " * (-len(scene) % 4)

@@ -13,6 +13,7 @@ import logging
 import math
 import struct
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from sarsplat.extras import install_command
 
 _KNOWN = {COMPRESSION.LZW, COMPRESSION.ADOBE_DEFLATE, COMPRESSION.DEFLATE, COMPRESSION.ZSTD, COMPRESSION.JPEG}
 """What Pillow's libtiff is asked for."""
+_BITS = (8, 16, 32, 64, 128)
 _DIFFERENCES, _FLOATING_POINT = 2, 3
 """Predictors."""
 _JPEG_TABLES = 347
@@ -44,6 +46,8 @@ def pixels_of(page: Any, data: bytes, name: str) -> Shaped[np.ndarray, "*shape"]
     Raises whatever tifffile or Pillow raise about damaged files, and `SarsplatError` for a compression that neither
     knows. How much they unpack to is for the caller to check before.
     """
+    if page.predictor == _DIFFERENCES and np.dtype(page.dtype).kind == "c" and _can_be_unpacked(page):
+        return _unpacked(page, data, name)  # of these tifffile adds up the numbers, where libtiff does their bits
     try:
         return np.asarray(page.asarray(maxworkers=1))
     except Exception as error:
@@ -53,8 +57,8 @@ def pixels_of(page: Any, data: bytes, name: str) -> Shaped[np.ndarray, "*shape"]
             return _unpacked(page, data, name)
         bits = int(page.bitspersample)
         how, remedy = page.compression.name, "COMPRESS=DEFLATE -co PREDICTOR=1"
-        if bits % 8:
-            how, remedy = f"{bits} bits each", f"NBITS={bits + -bits % 8}"
+        if bits not in _BITS:
+            how, remedy = f"{bits} bits each", f"NBITS={next(more for more in _BITS if more >= min(bits, _BITS[-1]))}"
         raise SarsplatError(
             f"{name} holds {page.dtype} numbers as {how}, which is not read; write it again, as by "
             f"gdal_translate -co {remedy}"
@@ -65,7 +69,7 @@ def _can_be_unpacked(page: Any) -> bool:
     jpeg = page.compression == COMPRESSION.JPEG
     return (
         page.compression in _KNOWN
-        and page.bitspersample in ((8,) if jpeg else (8, 16, 32, 64, 128))
+        and page.bitspersample in ((8,) if jpeg else _BITS)
         and not (jpeg and page.samplesperpixel > 1)
         and page.fillorder == 1
         and page.imagedepth == 1
@@ -73,7 +77,7 @@ def _can_be_unpacked(page: Any) -> bool:
 
 
 def _unpacked(page: Any, data: bytes, name: str) -> Shaped[np.ndarray, "*shape"]:
-    """The pixels by way of their bytes; of tiles and strips, some rows at a time."""
+    """The pixels by way of their bytes; of tiles and strips, some rows at a time. Those left out hold no data."""
     together = page.planarconfig != PLANARCONFIG.SEPARATE
     samples = page.samplesperpixel if together else 1
     wide, high = (page.tilewidth, page.tilelength) if page.is_tiled else (page.imagewidth, page.rowsperstrip)
@@ -87,10 +91,15 @@ def _unpacked(page: Any, data: bytes, name: str) -> Shaped[np.ndarray, "*shape"]
         for first in range(0, down, at_once):
             rows = min(at_once, down - first)
             begin = (plane * down + first) * across
-            height = high * rows if page.is_tiled else min(high * rows, page.imagelength - high * first)
-            file = _of_bytes(page, data, slice(begin, begin + rows * across), (width, high), (width * across, height))
-            pieces = _read_by_pillow(page, file, name).reshape(height, across, width)
-            parts.append(_numbers(page, pieces, samples).reshape(height, across * wide, samples))
+            stored = [k for k in range(begin, begin + rows * across) if page.databytecounts[k]]
+            numbers = np.full((rows * across, high, wide, samples), page.nodata, page.dtype)
+            if stored:
+                cut = 0 if page.is_tiled or stored[-1] + 1 < (plane + 1) * down else high * down - page.imagelength
+                file = _of_bytes(page, data, stored, (width, high), (width, high * len(stored) - cut))
+                pieces = np.pad(_read_by_pillow(page, file, name), ((0, cut), (0, 0)))
+                numbers[np.array(stored) - begin] = _numbers(page, pieces, samples).reshape(-1, *numbers.shape[1:])
+            numbers = numbers.reshape(rows, across, high, wide, samples).swapaxes(1, 2)
+            parts.append(numbers.reshape(rows * high, across * wide, samples))
         planes.append(np.concatenate(parts)[: page.imagelength, : page.imagewidth])
     return (planes[0] if together else np.stack(planes)).reshape(page.shape)
 
@@ -107,12 +116,12 @@ def _read_by_pillow(page: Any, file: bytes, name: str) -> UInt8[np.ndarray, "row
         return np.asarray(Image.open(io.BytesIO(file), formats=("TIFF",)))
 
 
-def _of_bytes(page: Any, data: bytes, part: slice, piece: tuple[int, int], size: tuple[int, int]) -> bytes:
-    """A TIFF of some tiles or strips: a grey picture, whose pixels are their bytes.
+def _of_bytes(page: Any, data: bytes, which: Sequence[int], piece: tuple[int, int], size: tuple[int, int]) -> bytes:
+    """A TIFF of some tiles or strips, one below the other: a grey picture, whose pixels are their bytes.
 
     A `piece` is so many bytes wide and so many rows high, and the picture is of this `size`.
     """
-    pieces = [data[place : place + length] for place, length in zip(page.dataoffsets[part], page.databytecounts[part])]
+    pieces = [data[page.dataoffsets[k] : page.dataoffsets[k] + page.databytecounts[k]] for k in which]
     lengths = [len(one) for one in pieces]
     if sum(lengths) > len(data):
         raise ValueError("its tiles or strips overlap")
@@ -145,17 +154,16 @@ def _of_bytes(page: Any, data: bytes, part: slice, piece: tuple[int, int], size:
     return b"".join([struct.pack("<2sHI", b"II", 42, directory_at), *pieces, filling, directory, bytes(4), arrays])
 
 
-def _numbers(page: Any, pieces: UInt8[np.ndarray, "rows across bytes"], samples: int) -> Shaped[np.ndarray, "*shape"]:
-    """The numbers of unpacked bytes, without what a predictor did to them in each piece by itself."""
-    order, size = page.parent.byteorder, page.bitspersample // 8
-    rows, across, _ = pieces.shape
+def _numbers(page: Any, pieces: UInt8[np.ndarray, "rows bytes"], samples: int) -> Shaped[np.ndarray, "*shape"]:
+    """The numbers of unpacked bytes, without what a predictor did to them in each row of a piece."""
+    order, size, rows = page.parent.byteorder, page.bitspersample // 8, len(pieces)
     pieces = np.ascontiguousarray(pieces)
     if page.predictor == _DIFFERENCES:
-        whole = pieces.view(f"{order}u{size}").reshape(rows, across, -1, samples)
-        pieces, order = np.cumsum(whole, axis=2, dtype=f"=u{size}").view(np.uint8), "="
+        whole = pieces.view(f"{order}u{size}").reshape(rows, -1, samples)
+        pieces, order = np.cumsum(whole, axis=1, dtype=f"=u{size}").view(np.uint8), "="
     elif page.predictor == _FLOATING_POINT:  # the highest bytes of a row first, then the next ones
-        whole = np.cumsum(pieces.reshape(rows, across, -1, samples), axis=2, dtype=np.uint8)
-        pieces = np.ascontiguousarray(whole.reshape(rows, across, size, -1).swapaxes(2, 3))
+        whole = np.cumsum(pieces.reshape(rows, -1, samples), axis=1, dtype=np.uint8)
+        pieces = np.ascontiguousarray(whole.reshape(rows, size, -1).swapaxes(1, 2))
         order = ">"
     flat = pieces.reshape(-1)
     if page.sampleformat == SAMPLEFORMAT.COMPLEXINT:

@@ -123,7 +123,10 @@ def _few(
         return everything  # the direction turns back, so that places do not tell pulses apart
     band = float(np.abs(np.diff(turns[chord], axis=0) / steps[:, None]).max()) * 2
     travelled = np.maximum.accumulate(np.abs(places - places[0]))
-    needed = np.linspace(0, travelled[-1], math.ceil(_OVERSAMPLING * band * travelled[-1]) + 2)
+    evenly = max(_OVERSAMPLING * band * travelled[-1] + 2, _TAPS + 1)
+    if evenly > _WORTH * count:  # without end where directions all but stand still while phases change
+        return everything
+    needed = np.linspace(0, travelled[-1], math.ceil(evenly))
     kept = np.unique(np.append(np.searchsorted(travelled, needed), count - 1))
     phases = np.exp(2j * np.pi * turns)
     while _TAPS < len(kept) <= _WORTH * count:

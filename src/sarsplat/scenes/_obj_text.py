@@ -1,4 +1,4 @@
-"""OBJ files as trimesh understands them: lines that end in LF, and vertices that are counted from the first one."""
+"""OBJ files as trimesh understands them: without comments and indentation, and vertices counted from the first one."""
 
 from __future__ import annotations
 
@@ -6,19 +6,30 @@ import re
 
 from sarsplat.errors import SarsplatError
 
-_RELATIVE = re.compile(rb"^f[^\n#]*[ \t/]-", re.MULTILINE)
+_MISSING = "has faces that refer to missing vertices; repair the mesh"
+_COMMENT = re.compile(rb"#[^\n]*")
+_INDENTED = re.compile(rb"\n[ \t]+")
+_RELATIVE = re.compile(rb"^f[^\n]*[ \t/]-", re.MULTILINE)
+_ZERO = re.compile(rb"^f[^\n]*[ \t]0+(?![0-9])", re.MULTILINE)
 _BACK = re.compile(rb"-[0-9]{1,12}")
 
 
 def plain_obj(data: bytes) -> bytes:
-    """The same file; refused if a face counts back beyond the first vertex."""
+    """The same file without comments, continued lines and indentation; refused if a face refers to no vertex.
+
+    A comment may end with a backslash, as a folder of Windows does, without going on in the next line.
+    """
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    data = _COMMENT.sub(b"", data).replace(b"\\\n", b" ")
+    data = _INDENTED.sub(b"\n", data).lstrip()
+    if _ZERO.search(data):  # for trimesh this is the last vertex
+        raise SarsplatError(_MISSING)
     if not _RELATIVE.search(data):
         return data
     seen = {b"v": 0, b"vt": 0, b"vn": 0}
     lines = []
-    for line in data.replace(b"\\\n", b" ").split(b"\n"):
-        words = line.partition(b"#")[0].split()
+    for line in data.split(b"\n"):
+        words = line.split()
         if words and words[0] in seen:
             seen[words[0]] += 1
         elif words and words[0] == b"f":
@@ -33,6 +44,6 @@ def _corner(word: bytes, seen: list[int]) -> bytes:
     for place, (number, count) in enumerate(zip(numbers, seen, strict=False)):
         if _BACK.fullmatch(number):
             if not -count <= int(number) < 0:
-                raise SarsplatError("has faces that refer to missing vertices; repair the mesh")
+                raise SarsplatError(_MISSING)
             numbers[place] = b"%d" % (count + 1 + int(number))
     return b"/".join(numbers)
