@@ -68,18 +68,18 @@ def examine(dataset: Dataset) -> Examination:
     Parameters
     ----------
     dataset : Dataset
-        At most 120 images, evenly chosen, are looked at, of stacks their first channel; for images that are the same
-        or constant, all.
+        At most 120 images, evenly chosen, are looked at, of stacks their first channel; for images that are the same,
+        constant, out of place or of another unit, all.
 
     Returns
     -------
     Examination
         Contradictions: angles that look like radians; images that are constant or the same; pixels and lines that are
         too bright to be echoes, or were cut off; images that are not on one scale; images that lie on a map; near range
-        that is not row 0; azimuths that only count the images; azimuths in the opposite sense, or mirrored images;
-        grazing angles that are incidence angles; ground in images that are said to show none; values that are not
-        power; speckle of another number of looks; a resolution that the images do not have. The zero of the azimuth
-        cannot be determined from images.
+        that is not row 0; azimuths that only count the images; single images that belong to another azimuth, or are
+        mirrored; azimuths in the opposite sense, or mirrored images; grazing angles that are incidence angles; ground
+        in images that are said to show none; values that are not power; speckle of another number of looks; a
+        resolution that the images do not have. The zero of the azimuth cannot be determined from images.
     """
     examined = Examination()
     columns = dataset.source.get("columns")
