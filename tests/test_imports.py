@@ -226,7 +226,9 @@ def test_everything_imports_without_what_windows_lacks(fresh):
 ANGLES = {"azimuth_deg", "grazing_deg", "incidence_deg"}
 TRIGONOMETRY = {"sin", "cos", "tan", "radians", "deg2rad"}
 WITHOUT_A_LOOK = {"radiometry.py", "cli/sky.py", "report/sky.py", "examination/neighbouring_views.py"}
-"""Converts for an angle that users give; draw angles on a round map; asks in which sense azimuths run."""
+WITHOUT_A_LOOK |= {"importers/folder.py"}
+"""Converts for an angle that users give; draw angles on a round map; asks in which sense azimuths run; by how much a
+stated tilt turns a heading."""
 
 
 def computed_with(tree: ast.AST) -> list[int]:

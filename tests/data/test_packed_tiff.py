@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from sarsplat.data import packed_tiff
+from sarsplat.data import geotiff, packed_tiff
 from sarsplat.data.geotiff import read_heights
 from sarsplat.errors import SarsplatError
 from sarsplat.importers.pictures import read_picture, read_pixels
@@ -129,6 +130,19 @@ def test_heights_with_a_predictor_and_overviews(tmp_path):
         file.build_overviews([2, 4])
     np.testing.assert_array_equal(read_heights(path).raster.values, FLOATS)
     np.testing.assert_array_equal(read_pixels(path), FLOATS)
+
+
+@pytest.mark.parametrize("compression", ["DEFLATE", "LZW"])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_heights_in_a_tile_that_is_far_larger_than_they_are_are_refused(tmp_path, monkeypatch, compression):
+    monkeypatch.setattr(geotiff, "_HARMLESS", 1 << 20)
+    options = {"compress": compression, "tiled": True, "blockxsize": 4096, "blockysize": 2048}
+    path = written(tmp_path / "a.tif", np.zeros((9, 9), np.uint8), **options)
+    tracemalloc.start()
+    with pytest.raises(SarsplatError, match=r"a\.tif holds .*uint8.* of shape \(9, 9\)"):
+        read_heights(path)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 22
+    tracemalloc.stop()
 
 
 @pytest.mark.parametrize("inside", [True, False])  # a file beside it is GDAL's habit before 3.9

@@ -34,6 +34,8 @@ from sarsplat.surface.points import extract_points
 from sarsplat.tiles import render_tiled
 from terrains import slope
 
+pytestmark = pytest.mark.filterwarnings("ignore:.* of the target's surface is below the ground")
+
 
 def apart(first: tuple[float, float], second: tuple[float, float], **how: object) -> View:
     return View.bistatic(View(*first).direction, View(*second).direction, **how)  # type: ignore[arg-type]

@@ -112,7 +112,7 @@ def read_heights(path: str | Path) -> MapHeights:
             page: Any = tiff.pages.first
             tags = {tag.code: tag.value for tag in page.tags.values()}
             bands, shape = page.samplesperpixel, page.shape
-            size = math.prod(shape) * np.dtype(page.dtype).itemsize
+            size = max(math.prod(shape), math.prod(page.chunks)) * np.dtype(page.dtype).itemsize
             allowed = max(_TIMES * len(data), _HARMLESS)
             heights = pixels_of(page, data, str(path)) if bands == 1 and size <= allowed else None
             absent = None if heights is None else masked_out(tiff, page, data, path)

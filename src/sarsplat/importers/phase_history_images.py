@@ -27,7 +27,6 @@ from sarsplat.importers.histories import read_phase_history
 from sarsplat.importers.images import AboutScene, MeasuredImage, assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.needed import require
 from sarsplat.importers.phase_apertures import Aperture, apertures
-from sarsplat.importers.phase_combining import Combined
 from sarsplat.importers.phase_history import FARTHEST_M, SPEED_OF_LIGHT, PhaseHistory, flights
 from sarsplat.progress import progress
 
@@ -271,6 +270,8 @@ def focus(
     """
     require("finufft", "phase history needs", "phase-history")
     import finufft
+
+    from sarsplat.importers.phase_combining import Combined  # here: whoever asks for a file's facts need not load SciPy
 
     _check_extent(aperture, grid)
     history = aperture.history
