@@ -12,9 +12,7 @@ from jaxtyping import Float64, Int, Real
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.examination.outcome import Examination
-from sarsplat.examination.units import clutter
 from sarsplat.radiometry import to_db
-from sarsplat.regions.outlines import levels_db, outline
 
 _CUT_OFF = 0.01
 """Share of an image at its largest value from which on what is cut off is as large as a target: one or two per cent."""
@@ -161,6 +159,9 @@ def _other_level(dataset: Dataset) -> list[str]:
 
 def _other_contrast(dataset: Dataset) -> list[str]:
     """Single images whose speckle is weaker or stronger than that of all others, as of amplitude among power."""
+    from sarsplat.examination.units import clutter  # here: these need SciPy; see `with_data`
+    from sarsplat.regions.outlines import levels_db, outline
+
     if dataset.clean_tests:
         dataset = dataset.select("train")
     views = range(len(dataset))
