@@ -40,6 +40,13 @@ def test_views_gap_and_chart(dataset: Path, said) -> None:
     assert "0° (nose)" in told
 
 
+def test_azimuths_that_are_0_but_for_rounding_are_said_to_be(tmp_path: Path, said) -> None:
+    views = [View(azimuth + 4e-12 * (-1) ** k, 45.0) for k, azimuth in enumerate(range(360, 0, -15), 1)]
+    images = np.random.default_rng(0).random((len(views), 8, 8), np.float32)
+    write_dataset(tmp_path / "data", dataset_of(GRID, [(view, "train") for view in views], images))
+    assert re.search(r"train +45° +24 +0° … 345°", said(f"info {tmp_path / 'data'}"))
+
+
 def rows(symbols=PRETTY, train=(), test=(), width=80) -> list[str]:
     return sky_chart(train, test, width, symbols).plain.splitlines()
 

@@ -206,7 +206,7 @@ def _table(groups: list[ViewGroup]) -> Table:
 
 
 def _azimuths(group: ViewGroup) -> str:
-    azimuths = sorted(set(group.azimuths_deg))
+    azimuths = sorted({round(azimuth, 6) % 360 for azimuth in group.azimuths_deg})  # 0 is seldom 0 to the last bit
     if len(azimuths) <= _LISTED:
         return ", ".join(f"{azimuth:.4g}" for azimuth in azimuths) + "°"
     gap, step = group.gap, group.step_deg
