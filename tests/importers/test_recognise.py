@@ -181,8 +181,8 @@ def test_a_tiff_of_others_may_be_a_picture(tmp_path, capsys):
     tifffile.imwrite(path, np.ones((40, 30), np.float32), software="sarsplat")
     assert recognised(path) is None
     write_geotiff(path, np.ones((40, 30), np.float32))
-    assert main(["info", str(path)]) == 2
-    assert "lies on a map" in capsys.readouterr().err
+    assert main(["info", str(path)]) == 0
+    assert "a map (GeoTIFF)" in capsys.readouterr().out
 
 
 def test_other_nitf_files_and_unknown_endings_are_named(tmp_path, capsys):

@@ -168,11 +168,7 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
     if on_map and ours:
         return _map(path, description)
     if on_map:
-        raise SarsplatError(
-            f"{path} lies on a map (GeoTIFF); give heights as --terrain or to `sarsplat export "
-            f"{shlex.quote(str(path))} layover-shadow.tif --azimuth DEGREES --grazing DEGREES`, and pictures with a "
-            "table to `sarsplat import folder --geocoded`, which `sarsplat info` of their folder writes out"
-        )
+        return _others_map(path, description)
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
     pixels = read_tiff(path, (shape[0], shape[1]), kind)
@@ -185,8 +181,24 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
     return f"a {'complex' if kind == 'complex64' else 'power'} image", rows
 
 
+def _others_map(path: Path, description: str) -> tuple[str, dict[str, str]]:
+    """A GeoTIFF of another program, of which nobody but who wrote it knows whether it is heights or a picture."""
+    heights = (
+        f"give heights as --terrain or to `sarsplat export {shlex.quote(str(path))} layover-shadow.tif --azimuth "
+        "DEGREES --grazing DEGREES`"
+    )
+    picture = (
+        "pictures with a table to `sarsplat import folder --geocoded`, which `sarsplat info` of their folder writes out"
+    )
+    try:
+        kind, rows = _map(path, description)
+    except SarsplatError as error:  # a picture may hold what no heights do
+        raise SarsplatError(f"{path} lies on a map (GeoTIFF); {heights}, and {picture}") from error
+    return kind, {**rows, "if heights": heights, "if power": f"give {picture}"}
+
+
 def _map(path: Path, description: str) -> tuple[str, dict[str, str]]:
-    """A GeoTIFF of ours: a map that `export` wrote, or a dataset's terrain."""
+    """What a GeoTIFF of one band holds: a map that `export` wrote, a dataset's terrain, or anyone's heights."""
     import numpy as np
 
     from sarsplat.data.geotiff import read_heights
