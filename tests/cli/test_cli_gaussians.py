@@ -7,9 +7,11 @@ import pytest
 import tifffile
 import torch
 
+from datasets import dataset_of
 from sarsplat.cli import main
-from sarsplat.data import write_gaussians_ply
+from sarsplat.data import write_dataset, write_gaussians_ply
 from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.geometry import ImageGrid, View
 from upright import upright
 
 COUNT = 60
@@ -97,3 +99,14 @@ def test_a_mesh_of_sparse_gaussians_is_not_told_to_train_longer(tmp_path, refuse
     write_gaussians_ply(tmp_path / "a.ply", thin)
     told = refused(f"export {tmp_path}/a.ply {tmp_path}/a.glb")
     assert "train" not in told and "export the Gaussians themselves" in told
+
+
+def test_gaussians_alone_are_not_scored_on_ground_without_a_word(tmp_path, capsys):
+    """Nothing scatters where they are not, so speckled ground is impossible to them: that was a dash in the table."""
+    grid = ImageGrid(16, 16, (0.3, 0.3), (0.3, 0.3))
+    power = np.random.default_rng(0).exponential(size=(8, 16, 16)).astype(np.float32)
+    views = [(View(45.0 * k, 40.0), "test" if k % 4 == 0 else "train") for k in range(8)]
+    write_dataset(tmp_path / "field", dataset_of(grid, views, power, ground=True, looks=1))
+    write_gaussians_ply(tmp_path / "g.ply", scene())
+    assert main(["evaluate", str(tmp_path / "g.ply"), "--dataset", str(tmp_path / "field"), "--no-points"]) == 0
+    assert "evaluate the run that it was exported from" in " ".join(capsys.readouterr().err.split())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from datasets import dataset_of
 from sarsplat.cli import main
 from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, SarImage, read_dataset, write_dataset
-from sarsplat.geometry import ImageGrid, Turn, View
+from sarsplat.geometry import ImageGrid, Place, Turn, View
 from sarsplat.runs import Run
 from sarsplat.runs.told_apart import names_of
 from sarsplat.sweeps import Plan
@@ -38,6 +39,21 @@ def test_views_gap_and_chart(dataset: Path, said) -> None:
     assert re.search(r"train +45° +17 +210° … 90°, clockwise +15° +120°", told)
     assert re.search(r"test +30° +1 +150° +– +–", told)
     assert "0° (nose)" in told
+
+
+def test_azimuths_of_a_place_count_from_a_bearing(dataset: Path, tmp_path: Path, said) -> None:
+    """Houses have no nose."""
+    write_dataset(tmp_path / "site", replace(read_dataset(dataset), place=Place(47.4, 8.5, 430.0, x_towards_deg=90)))
+    told = said(f"info {tmp_path / 'site'}")
+    assert "0° (compass bearing 90°)" in told
+    assert "nose" not in told
+
+
+def test_azimuths_that_are_0_but_for_rounding_are_said_to_be(tmp_path: Path, said) -> None:
+    views = [View(azimuth + 4e-12 * (-1) ** k, 45.0) for k, azimuth in enumerate(range(360, 0, -15), 1)]
+    images = np.random.default_rng(0).random((len(views), 8, 8), np.float32)
+    write_dataset(tmp_path / "data", dataset_of(GRID, [(view, "train") for view in views], images))
+    assert re.search(r"train +45° +24 +0° … 345°", said(f"info {tmp_path / 'data'}"))
 
 
 def rows(symbols=PRETTY, train=(), test=(), width=80) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from functools import cache
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from datasets import dataset_of
 from geocoded import on_map
@@ -132,6 +134,11 @@ def test_the_import_says_it_and_its_remedy_mends_it(tmp_path: Path) -> None:
     (said,) = contradictions(geocoded="level", columns={"azimuth": "heading"})
     assert "(--columns heading=NAME --look right)" in said
     assert contradictions(geocoded="level", look="right") == []
+    for name, _, _ in rows:  # an interpolation that averages
+        np.save(tmp_path / name, gaussian_filter(np.load(tmp_path / name), 0.5))
+    (said,) = contradictions(geocoded="level", look="right")
+    assert (match := re.search(r"interpolated to the map \(--looks (\S+)\), or square the values", said))
+    assert contradictions(geocoded="level", look="right", looks=float(match[1])) == []
 
 
 @pytest.mark.skipif(not CHIPS.is_dir(), reason="no measured chips")

@@ -238,6 +238,12 @@ def test_info_says_what_a_map_holds(block: Run, tmp_path: Path, capsys: pytest.C
         dem.write(np.full((1, 8, 9), 20000, np.uint16))
     assert main(["info", str(tmp_path / "dem.tif")]) == 2
     assert "lies on a map (GeoTIFF); give heights as --terrain" in capsys.readouterr().err
+    with rasterio.open(tmp_path / "dem.tif", "r+") as dem:
+        dem.write(np.full((1, 8, 9), 400, np.uint16))
+    assert main(["info", str(tmp_path / "dem.tif")]) == 0  # nobody but who wrote it knows whether these are heights
+    told = " ".join(capsys.readouterr().out.split())
+    assert "8 rows × 9 columns of 1 m × 1 m" in told and "numbers 400 … 400" in told
+    assert "if heights give heights as --terrain" in told and "--geocoded" in told
 
 
 def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: Run, tmp_path: Path) -> None:

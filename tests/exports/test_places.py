@@ -201,7 +201,7 @@ def test_a_ring_is_cut_where_it_crosses_the_date_line() -> None:
 
 @pytest.mark.parametrize(("name", "crs"), [("a.las", "EPSG:32632"), ("a.geojson", None)])
 def test_a_run_of_no_place_says_how_to_give_it_one(anywhere: Run, tmp_path: Path, name: str, crs: Any) -> None:
-    with pytest.raises(SarsplatError, match=r"the run in memory does not know where on earth it is; import SICDs, or"):
+    with pytest.raises(SarsplatError, match=r"the run in memory does not know where on earth it is; import SICDs or"):
         export(anywhere, tmp_path / name, crs=crs)
     assert list(tmp_path.iterdir()) == []
 

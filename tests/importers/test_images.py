@@ -98,7 +98,7 @@ def test_training_views_are_of_every_grazing_angle():
 def test_zeros_are_raised_and_that_is_said():
     images = [measured(index) for index in range(2)]
     images[1].pixels[3:5, 4] = 0
-    with pytest.warns(SarsplatWarning, match=r"2 pixels of 3520 held zero.*raised to -30 dB"):
+    with pytest.warns(SarsplatWarning, match=r"2 pixels of 3,520 held zero.*raised to -30 dB"):
         made = imported(images)
     assert made.power.min() > 0
 

@@ -181,16 +181,31 @@ def test_a_tiff_of_others_may_be_a_picture(tmp_path, capsys):
     tifffile.imwrite(path, np.ones((40, 30), np.float32), software="sarsplat")
     assert recognised(path) is None
     write_geotiff(path, np.ones((40, 30), np.float32))
-    assert main(["info", str(path)]) == 2
-    assert "lies on a map" in capsys.readouterr().err
+    assert main(["info", str(path)]) == 0
+    assert "a map (GeoTIFF)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("a.xyz", "exported for other programs; open it with"),
+        ("a.geojson", "open it with QGIS"),
+        ("a.las", "open it with CloudCompare"),
+        ("a.ply.place.json", "says where on earth a.ply is"),
+    ],
+)
+def test_what_is_only_exported_is_named_with_who_reads_it(tmp_path, capsys, name, told):
+    (tmp_path / name).write_text("1 2 3")
+    assert main(["info", str(tmp_path / name)]) == 2
+    assert told in capsys.readouterr().err
 
 
 def test_other_nitf_files_and_unknown_endings_are_named(tmp_path, capsys):
     (tmp_path / "old.ntf").write_bytes(b"NITF02.00" + bytes(900))
     assert main(["info", str(tmp_path / "old.ntf")]) == 2
     assert "is a NITF file of another version than 2.1, so it is not a SICD" in capsys.readouterr().err
-    (tmp_path / "a.xyz").write_text("1 2 3")
-    assert main(["info", str(tmp_path / "a.xyz")]) == 2
+    (tmp_path / "a.abc").write_text("1 2 3")
+    assert main(["info", str(tmp_path / "a.abc")]) == 2
     assert "is not a file that this command recognises by its ending" in capsys.readouterr().err
 
 

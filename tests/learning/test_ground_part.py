@@ -12,7 +12,7 @@ import torch
 from datasets import dataset_of
 from sarsplat import Dataset, Ground, Trainer, preset, reconstruct
 from sarsplat.gaussians import Gaussians, Harmonics
-from sarsplat.geometry import ImageGrid, View
+from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.renderer import render
 from sarsplat.settings.sections import FlatGround
 from upright import upright
@@ -51,10 +51,22 @@ def test_a_run_says_what_it_learned_of_the_ground(unit: float) -> None:
     """In the unit of the images, which chips without calibration choose as they like."""
     views = [View(60.0 * k, (25.0, 40.0, 60.0)[k % 3]) for k in range(6)]
     dataset = seen(views, Ground(torch.tensor(0.2 * unit)))
-    said = reconstruct(dataset, replace(SHORT, iterations=60), quiet=True).facts["ground"]
-    match = re.fullmatch(r"a plane, γ⁰ (\S+) \(linear\)", said)
+    facts = reconstruct(dataset, replace(SHORT, iterations=60), quiet=True).facts
+    match = re.fullmatch(r"a plane, γ⁰ (\S+) \(linear\)", facts["ground"])
     assert match
     assert float(match[1]) == pytest.approx(0.2 * unit, rel=0.1)
+
+
+def test_a_run_says_where_it_looked_for_the_target_and_that_its_ground_was_terrain() -> None:
+    """What stands outside of the box is not in the result, and nothing else says so."""
+    dataset = seen([View(60.0 * k, 35.0) for k in range(6)], Ground(torch.tensor(0.2)))
+    dataset = replace(dataset, target_box_m=((-2, -1, 0), (2.5, 1, 2)))
+    flat = reconstruct(dataset, replace(SHORT, iterations=1), quiet=True).facts
+    assert flat["looked in"] == "x -2 … 2.5, y -1 … 1, z 0 … 2 m (--target-box gives another)"
+    hilly = replace(dataset, terrain=Terrain(np.zeros((60, 60), np.float32), (0.5, 0.5)))
+    facts = reconstruct(hilly, replace(SHORT, iterations=1), quiet=True).facts
+    assert "z 0 … 2 m above the terrain" in facts["looked in"]
+    assert facts["ground"].startswith("terrain, γ⁰ ")
 
 
 def test_texture_is_learned_where_it_is() -> None:

@@ -125,7 +125,13 @@ def _of_gaussians(file: Path, dataset: Path | None, mesh: Path | None) -> Run:
 
     gaussians = read_gaussians_ply(file)
     if dataset is not None:
-        return Run.from_gaussians(gaussians, dataset=read_dataset(dataset))
+        scored = read_dataset(dataset)
+        if scored.ground:
+            console.warn(
+                f"the images of {dataset} show ground, and {file} holds Gaussians without any, so that scores of "
+                "images are low or missing; evaluate the run that it was exported from"
+            )
+        return Run.from_gaussians(gaussians, dataset=scored)
     if mesh is None:
         raise SarsplatError(f"{file} holds Gaussians without images; give --dataset DIR, or --mesh FILE for the points")
     alone = Run.from_gaussians(gaussians)

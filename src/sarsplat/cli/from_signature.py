@@ -287,4 +287,7 @@ def _draw(preview: Path, dataset: Dataset, orientations: list[tuple[str, ...]]) 
     from sarsplat.report.check_sheet import check_sheet
 
     write_bytes(preview, check_sheet(dataset, orientations=orientations))
-    console.say(f"look at {preview}: shadows must fall downwards, and a target's nose point along the dotted arrow")
+    arrow = "a target's nose point along the dotted arrow"
+    if dataset.place is not None:
+        arrow = f"the dotted arrow point to the compass bearing {dataset.place.x_towards_deg:.4g}°"
+    console.say(f"look at {preview}: shadows must fall downwards, and {arrow}")

@@ -92,7 +92,7 @@ def dataset_name(folder: Path) -> str:
 _MEANT = {
     ("--spacing", "METRES"): "distance of pixels in the slant plane, m; two numbers if it differs, azimuth and range",
     ("--resolution", "METRES"): "3 dB width of a point, m; two numbers if it differs, azimuth and range",
-    ("--size", "METRES"): "side of the square of ground that is cut out, m",
+    ("--size", "METRES"): "side of the images, m, in azimuth and slant range",
     ("--wavelength", "METRES"): "that of the radar, m",
     ("--grazing", "DEGREES"): "of the line of sight above the horizon: 90 minus the incidence angle",
     ("--quantity", "QUANTITY"): "what the numbers are: amplitude, power or db",

@@ -25,6 +25,11 @@ _MARKERS = ("config.json", "contact-sheet.png")
 
 _GEO_KEYS = 34735
 """The tag of TIFFs that lie on a map."""
+_EXPORTED = (".geojson", ".las", ".laz", ".npz", ".pcd", ".xyz")
+"""Endings of files that we write and do not read."""
+
+_PLACE = ".place.json"
+"""Of what lies beside those with the scene's own coordinates."""
 _SUNK = 0.02  # of the size of a mesh: wheels may sink in
 _UNDERSTOOD = (
     "a dataset, a run, rendered images, generated chips, images to import, a PLY of Gaussians or points, a power TIFF "
@@ -113,13 +118,26 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
             )
         case ".json" | ".geojson" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
             _refuse_part(path)
+            _refuse_export(path)
             raise SarsplatError(f"{path} is not a file that this command recognises; give {_UNDERSTOOD}")
         case ".obj" | ".stl" | ".off" | ".glb":
             return _mesh(path)
     from sarsplat.data.foreign_splats import refuse_foreign
 
     refuse_foreign(path)
+    _refuse_export(path)
     raise SarsplatError(f"{path} is not a file that this command recognises by its ending; give {_UNDERSTOOD}")
+
+
+def _refuse_export(path: Path) -> None:
+    """Point from what `export` writes, and nothing here reads, to who reads it."""
+    if path.name.endswith(_PLACE):
+        raise SarsplatError(f"{path} says where on earth {path.name.removesuffix(_PLACE)} is; read it as text")
+    if path.suffix.lower() in _EXPORTED:
+        from sarsplat.exports import FORMATS  # takes torch, which other files need not wait for
+
+        programs = " or ".join(FORMATS[path.suffix.lower().removeprefix(".")].opened_with.values())
+        raise SarsplatError(f"{path} is of a kind that is exported for other programs; open it with {programs}")
 
 
 def _describe_plan(path: Path) -> None:
@@ -168,11 +186,7 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
     if on_map and ours:
         return _map(path, description)
     if on_map:
-        raise SarsplatError(
-            f"{path} lies on a map (GeoTIFF); give heights as --terrain or to `sarsplat export "
-            f"{shlex.quote(str(path))} layover-shadow.tif --azimuth DEGREES --grazing DEGREES`, and pictures with a "
-            "table to `sarsplat import folder --geocoded`, which `sarsplat info` of their folder writes out"
-        )
+        return _others_map(path, description)
     if len(shape) != 2:
         raise SarsplatError(f"{path} is a TIFF of shape {shape}; give a power image, which has only rows and columns")
     pixels = read_tiff(path, (shape[0], shape[1]), kind)
@@ -185,8 +199,24 @@ def _tiff(path: Path) -> tuple[str, dict[str, str]]:
     return f"a {'complex' if kind == 'complex64' else 'power'} image", rows
 
 
+def _others_map(path: Path, description: str) -> tuple[str, dict[str, str]]:
+    """A GeoTIFF of another program, of which nobody but who wrote it knows whether it is heights or a picture."""
+    heights = (
+        f"give heights as --terrain or to `sarsplat export {shlex.quote(str(path))} layover-shadow.tif --azimuth "
+        "DEGREES --grazing DEGREES`"
+    )
+    picture = (
+        "pictures with a table to `sarsplat import folder --geocoded`, which `sarsplat info` of their folder writes out"
+    )
+    try:
+        kind, rows = _map(path, description)
+    except SarsplatError as error:  # a picture may hold what no heights do
+        raise SarsplatError(f"{path} lies on a map (GeoTIFF); {heights}, and {picture}") from error
+    return kind, {**rows, "if heights": heights, "if power": f"give {picture}"}
+
+
 def _map(path: Path, description: str) -> tuple[str, dict[str, str]]:
-    """A GeoTIFF of ours: a map that `export` wrote, or a dataset's terrain."""
+    """What a GeoTIFF of one band holds: a map that `export` wrote, a dataset's terrain, or anyone's heights."""
     import numpy as np
 
     from sarsplat.data.geotiff import read_heights

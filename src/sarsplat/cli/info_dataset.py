@@ -51,13 +51,16 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
     symbols = symbols_for(terminal.encoding)
     train = dataset.select("train").views
     tests = [entry.view for entry in dataset.entries if entry.split != "train"]
-    console.show(sky_chart(train, tests, terminal.width, symbols))
+    place = dataset.place  # a spot on earth has no nose
+    zero = "nose" if place is None else f"compass bearing {place.x_towards_deg:.4g}°"
+    console.show(sky_chart(train, tests, terminal.width, symbols, zero))
     console.say(legend([split for split in dataset.splits() if split != "train"], symbols, train[0].aloft))
     if plot is not None and kind is not None:
         from sarsplat.data import write_bytes
         from sarsplat.report.sky import sky_picture
 
-        write_bytes(plot, sky_picture(train, tests, f"{dataset.target}: {counted(len(dataset), 'view')}", kind))
+        title = f"{dataset.target}: {counted(len(dataset), 'view')}"
+        write_bytes(plot, sky_picture(train, tests, title, kind, zero))
         console.say(f"wrote {plot}")
 
 
@@ -206,7 +209,7 @@ def _table(groups: list[ViewGroup]) -> Table:
 
 
 def _azimuths(group: ViewGroup) -> str:
-    azimuths = sorted(set(group.azimuths_deg))
+    azimuths = sorted({round(azimuth, 6) % 360 for azimuth in group.azimuths_deg})  # 0 is seldom 0 to the last bit
     if len(azimuths) <= _LISTED:
         return ", ".join(f"{azimuth:.4g}" for azimuth in azimuths) + "°"
     gap, step = group.gap, group.step_deg

@@ -44,8 +44,8 @@ def symbols_for(encoding: str) -> Symbols:
     return PRETTY
 
 
-def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: Symbols) -> Text:
-    """The sky from above: straight overhead in the middle, the horizon around, azimuth 0° (the nose) at the top.
+def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: Symbols, zero: str = "nose") -> Text:
+    """The sky from above: straight overhead in the middle, the horizon around, azimuth 0° and what it is at the top.
 
     At most `width` columns; a training view hides a test view in the same place.
     """
@@ -78,12 +78,12 @@ def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: 
             x, y = place(view.azimuth_deg, view.grazing_deg)
             cells[y // _DOTS_DOWN][x // _DOTS_ACROSS] = symbol
             styles[y // _DOTS_DOWN, x // _DOTS_ACROSS] = style
-    return _labelled(cells, styles)
+    return _labelled(cells, styles, f"0° ({zero})")
 
 
-def _labelled(cells: Sequence[Sequence[str]], styles: dict[tuple[int, int], str]) -> Text:
+def _labelled(cells: Sequence[Sequence[str]], styles: dict[tuple[int, int], str], zero: str) -> Text:
     columns, margin = len(cells[0]), 5
-    text = Text("0° (nose)".center(columns + 2 * margin).rstrip() + "\n", no_wrap=True)
+    text = Text(zero.center(columns + 2 * margin).rstrip() + "\n", no_wrap=True)
     for row, line in enumerate(cells):
         at_the_middle = row == len(cells) // 2
         text.append("270° ".rjust(margin) if at_the_middle else " " * margin)

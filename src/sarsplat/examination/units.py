@@ -166,6 +166,12 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
         }
         if known is not None:  # no numbers that could be squared: the looks are wrong sooner
             remedies = {"looks": "give another number of looks (--looks)"} | known
+        elif dataset.source.get("geocoded"):  # so that amplitude is what they are less likely to be
+            looks = f"--looks {1 / ground.contrast**2:.2g}"
+            remedies = {
+                "looks": f"give the looks that are left after pixels were interpolated to the map ({looks})",
+                "quantity": f"{remedies['quantity']} if they are amplitude",
+            }
         wrong = (
             f"the {measured}, as of amplitude with {stated} ({of_amplitude:.2f}), not of power ({of_power:.2f}); "
             + _remedy(dataset, **remedies)

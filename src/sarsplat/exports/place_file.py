@@ -23,7 +23,7 @@ _ABOUT = (
     "geocentric position, m, if height_m is above the ellipsoid."
 )
 _MAKE_ONE = (
-    "import SICDs, or a terrain with a coordinate system (--terrain), or tell the dataset in Python with "
+    "import SICDs or CPHD, or a terrain with a coordinate system (--terrain), or tell the dataset in Python with "
     "replace(dataset, place=sarsplat.Place(LATITUDE, LONGITUDE, HEIGHT)), and reconstruct that"
 )
 

@@ -233,7 +233,7 @@ def dataset_of(
         pixels[zeros] = math.sqrt(least) if pixels.dtype.kind == "c" else least
         assume(
             assumptions,
-            f"{counted(int(zeros.sum()), 'pixel')} of {zeros.size} held zero, which no radar measures; raised "
+            f"{counted(int(zeros.sum()), 'pixel')} of {zeros.size:,} held zero, which no radar measures; raised "
             f"to {to_db(_LEAST_POWER):g} dB of the median power",
         )
     if calibration == "relative":

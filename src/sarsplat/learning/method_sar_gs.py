@@ -31,6 +31,7 @@ from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS
 from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, corrected_views, uncertain_passes
 from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
+from sarsplat.regions.target_region import spans
 from sarsplat.renderer import GroundBounce, channel_of
 from sarsplat.renderer.covariances import stacks_of
 from sarsplat.renderer.steps import attenuate, project
@@ -284,7 +285,19 @@ class GaussianReconstruction(Reconstruction):
     def facts(self) -> dict[str, str]:
         own = self.config.preset == OWN_LOOP
         made = {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
-        return made | {"scattering": self.gaussians.scattering.in_words} | self._rotations | self._ground
+        return (
+            made
+            | {"scattering": self.gaussians.scattering.in_words, "looked in": self._box}
+            | self._rotations
+            | self._ground
+        )
+
+    @property
+    def _box(self) -> str:
+        """Where Gaussians may lie: whatever else stands in the scene is left out, or taken for ground."""
+        region = self.model.frame.region
+        above = "" if self.model.frame.terrain is None else " above the terrain"
+        return f"{spans(region.low, region.high)} m{above} (--target-box gives another)"
 
     @property
     def _rotations(self) -> dict[str, str]:
@@ -304,7 +317,8 @@ class GaussianReconstruction(Reconstruction):
         if ground.exponent is not None:
             sines = [view.look.sine for view in self.snapshot.views]
             gamma0 += float(ground.exponent.detach()) * float(np.log(sines).mean())
-        facts = {"ground": f"a plane, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
+        shape = "a plane" if self.model.frame.terrain is None else "terrain"
+        facts = {"ground": f"{shape}, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
         for echo in self.model.echoes():
             if isinstance(echo, GroundBounce):
                 share = float(echo.reflectivity.detach())

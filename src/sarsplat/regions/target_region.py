@@ -35,7 +35,7 @@ def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> 
 
 def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
     """What of the target lies outside, by the true shape or else by the images; a list of one sentence, or empty."""
-    spans = f"the box it is looked for in ({_spans(region.low, region.high)} m)"
+    box = f"the box it is looked for in ({spans(region.low, region.high)} m)"
     remedy = "give another with --target-box, in Python Config(target_box=...)"
     low, high = region.low - margin_m, region.high + margin_m
     if dataset.truth_mesh is not None:
@@ -47,7 +47,7 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
         least, most = vertices.min(axis=0), vertices.max(axis=0)
         if (least >= low).all() and (most <= high).all():
             return []
-        return [f"the target ({_spans(least, most)} m) is not all inside of {spans} and will be cut off; {remedy}"]
+        return [f"the target ({spans(least, most)} m) is not all inside of {box} and will be cut off; {remedy}"]
     if not dataset.ground:
         return []
     train = levelled(dataset.select("train"))
@@ -56,7 +56,7 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
     share = float(above_db[~inside].sum() / above_db.sum()) if above_db.any() else 0.0
     if not share > _MUCH:
         return []
-    return [f"{math.floor(100 * share)} % of what stands out from the ground lies outside of {spans}; {remedy}"]
+    return [f"{math.floor(100 * share)} % of what stands out from the ground lies outside of {box}; {remedy}"]
 
 
 def box_misses(dataset: Dataset) -> list[str]:
@@ -66,5 +66,6 @@ def box_misses(dataset: Dataset) -> list[str]:
     return cut_off(Region.box(*dataset.target_box_m), 0.0, dataset)
 
 
-def _spans(low: np.ndarray, high: np.ndarray) -> str:
+def spans(low: np.ndarray, high: np.ndarray) -> str:
+    """A box, m: "x -3.2 … 9.7, y 0.3 … 7.8, z 0 … 5"."""
     return ", ".join(f"{name} {a:.3g} … {b:.3g}" for name, a, b in zip("xyz", low, high, strict=True))

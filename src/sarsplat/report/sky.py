@@ -14,10 +14,13 @@ from sarsplat.report.sheet import new_figure, to_png
 _SIZE = (5.6, 6.0)  # inches
 
 
-def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: str = "png") -> bytes:
+def sky_picture(
+    train: Sequence[View], test: Sequence[View], title: str, kind: str = "png", zero: str = "nose"
+) -> bytes:
     """The sky from above, a point for every view: overhead in the middle, the horizon, or aloft the nadir, around.
 
-    Shades the largest gap in azimuth between training views, of which there must be one, unless they are aloft.
+    `zero` is what lies at azimuth 0. Shades the largest gap in azimuth between training views, of which there must be
+    one, unless they are aloft.
     """
     figure = new_figure(*_SIZE)
     axes: Any = figure.add_axes((0.1, 0.12, 0.8, 0.72), projection="polar")  # PolarAxes
@@ -31,7 +34,7 @@ def sky_picture(train: Sequence[View], test: Sequence[View], title: str, kind: s
     axes.set_rgrids([90 - angle for angle in rings], [f"{angle}°" for angle in rings], angle=22.5)
     axes.tick_params(colors=DARK.muted, labelsize=9, length=3)
     axes.set_xticks([math.radians(angle) for angle in range(0, 360, 45)])
-    axes.set_xticklabels(["0° (nose)", *(f"{angle}°" for angle in range(45, 360, 45))])
+    axes.set_xticklabels([f"0° ({zero})", *(f"{angle}°" for angle in range(45, 360, 45))])
     axes.grid(color=DARK.line, linewidth=0.8)
     below = ""
     if not aloft:  # where no azimuth is a side of its own

@@ -229,6 +229,8 @@ def read_header(path: Path) -> Header:
             made = (usual / HEADER).is_file()
             one = f"such as {usual}" if made else f"which `sarsplat reconstruct {path} --out {usual}` makes"
             raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, {one}")
+        if path.is_file():
+            raise SarsplatError(f"{path} is a file, but a run is a folder that holds {HEADER}; give the folder")
         what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
         raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
     data = read_json(header, dict[str, Any])
