@@ -84,3 +84,31 @@ def test_a_wall_along_a_row_is_true():
 def test_coarsely_quantised_ground_has_no_hot_lines():
     dataset = images()
     assert found(replace(dataset, power=np.where(dataset.power > 1.5, np.float32(1), np.float32(1e-3)))) == []
+
+
+def unweighted(offset: tuple[float, float], reflector_db: float) -> Dataset:
+    """Speckle and a point of exactly critical sampling without weighting, so many pixels off the middle of one."""
+    size, count = 48, 6
+    frequency = np.fft.fftfreq(size)
+    rng = np.random.default_rng(4)
+    amplitude = rng.standard_normal((count, size, size)) + 1j * rng.standard_normal((count, size, size))
+    along, across = (
+        np.exp(-2j * np.pi * frequency * (place + off)) for place, off in zip((20, 30), offset, strict=True)
+    )
+    point = np.fft.ifft2(np.outer(along, across))
+    power = np.abs(amplitude / np.sqrt(2) + 10 ** (reflector_db / 20) * point) ** 2
+    grid = ImageGrid(size, size, (0.2, 0.2), (0.2 * 0.886, 0.2 * 0.886))
+    views = [(View(360 * k / count, 30.0), "train") for k in range(count)]
+    return dataset_of(grid, views, power.astype(np.float32), ground=True, calibration="relative", looks=1.0)
+
+
+@pytest.mark.parametrize("reflector_db", [40.0, 60.0])
+def test_a_critically_sampled_reflector_is_true_wherever_it_is_in_its_pixel(reflector_db):
+    for offset in ((0, 0), (0, 0.5), (0.003, 0), (0.03, 0.01), (0.1, -0.1), (0.5, 0.5)):
+        assert found(unweighted(offset, reflector_db)) == []
+
+
+@pytest.mark.parametrize("level_db", [60.0, 120.0, 170.0])
+def test_a_hot_pixel_is_named_among_critically_sampled_ones(level_db):
+    (said,) = found(changed(unweighted((0.2, 0.3), 10.0), (3, 11, 12), 10 ** ((level_db + 10) / 10)))
+    assert said.startswith("1 pixel of 1 image stands alone, such as row 11, column 12 of 003")

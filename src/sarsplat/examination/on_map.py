@@ -46,7 +46,7 @@ class OnMap:
         """
         if self.shadow.side(LEAST_SHADOW_DB) is not None:
             return False
-        if self.turned_shadow.side(LEAST_SHADOW_DB) is not None:
+        if self.turned_shadow.side(LEAST_SHADOW_DB) is not None and self.shadow_gain > LEAST_SHADOW_DB:
             return True
         return self.stays.supports(LEAST_SENSE) and (
             self.shadow_gain > LEAST_SHADOW_DB

@@ -36,8 +36,8 @@ _ON_EACH_SIDE = 2
 
 _LEAST_GAIN, _GAIN_AT_30_DEG = 0.05, 0.1
 """Correlation by which an image must match better elsewhere at least, and by how much more if its neighbours are 30°
-away, by the square of that: the farther, the less they are like it by themselves. No honest set comes near; see
-docs/reference/checks.md."""
+away, by the square of that: the farther, the less they are like it by themselves. Of honest sets, SLICY comes nearest
+for a single image, to 0.7 of it; see docs/lab/2026-11-single-azimuths.md."""
 
 _ALONE = 2.0
 """Factor on that if nothing else speaks for it: of a pair, each image does."""

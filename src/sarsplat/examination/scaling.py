@@ -12,7 +12,7 @@ from jaxtyping import Float64, Int, Real
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.examination.outcome import Examination
-from sarsplat.radiometry import to_db
+from sarsplat.radiometry import LEAST_POWER, to_db
 
 _CUT_OFF = 0.01
 """Share of an image at its largest value from which on what is cut off is as large as a target: one or two per cent."""
@@ -42,6 +42,9 @@ _OTHER_DEVIATIONS = 8.0
 _CONTRASTS = (0.72, 1.39)
 """Standard deviation over mean of the ground, of one image over that of the others, within which they agree. Of a root
 or of a square it is 0.5 or 1.8 times as large; honest images of one set have 0.93 to 1.2."""
+
+_QUANTILES = (0.5, 0.75, 0.9)
+"""Levels of an image that another scale moves by the same: shadow, or a large target, moves some of them."""
 
 _OWN_SCALES = ("mstar", "sample")
 """Kinds of datasets whose images are known to have scales of their own, which are learned with `--preset measured`."""
@@ -142,8 +145,10 @@ def _other_level(dataset: Dataset) -> list[str]:
     """Single images whose ground is far brighter or darker than that of all others."""
     if len(dataset) < _FEWEST or not dataset.ground:
         return []
-    levels = to_db(np.maximum(np.median(dataset.power, axis=(1, 2)).astype(np.float64), np.finfo(np.float32).tiny))
-    away = levels - np.median(levels)
+    levels = to_db(np.quantile(dataset.power, _QUANTILES, axis=(1, 2)), least=LEAST_POWER)
+    each = levels - np.median(levels, axis=1, keepdims=True)
+    alike = (np.sign(each) == np.sign(each[0])).all(axis=0)
+    away = np.where(alike, np.sign(each[0]) * np.abs(each).min(axis=0), 0.0)
     usual = 1.4826 * float(np.median(np.abs(away)))
     other = np.abs(away) > max(_OTHER_DB, _OTHER_DEVIATIONS * usual)
     if not other.any() or 4 * other.sum() > len(dataset):

@@ -3,7 +3,9 @@
 A true point target, however bright, is spread over neighbouring pixels by the response of the system, so that the
 brightest of its neighbours cannot be darker than the response is one pixel away from its peak. Speckle may add to that:
 in N pixels of one look, drawn independently of each other, some pixel exceeds all of its eight neighbours t times with
-a probability below 8! N / t⁸.
+a probability below 8! N / t⁸. A Gaussian response stands for any of its width, also for that without weighting, whose
+zeros lie on the neighbours where pixels are as far apart as can be: there, a point exceeds them by what it is off the
+middle of its pixel.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from sarsplat.errors import counted
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.significance import CHANCE
 from sarsplat.geometry import ImageGrid
+from sarsplat.geometry.responses import Gaussian
 from sarsplat.radiometry import bright_level, to_db
 
 WIDEST_RANGE_DB = 100.0
@@ -30,6 +33,9 @@ A_FEW = 5
 
 _LINE_DB = 10.0
 """By which medians of neighbouring rows or columns of ground may differ, beside what the response allows."""
+
+_SINC_WIDTH = 0.8859
+"""3 dB width of the response without weighting, of the distance from its peak to its first zero."""
 
 _FEWEST_LINES = 3
 _FEWEST_IMAGES = 3
@@ -143,7 +149,11 @@ def _next_db(grid: ImageGrid, axis: int) -> float:
     """Of azimuth (0) or range (1): by how much the response falls from its peak to the next pixel, dB."""
     apart = np.array([0.0, grid.spacing_m[axis] / grid.resolution_m[axis]])
     peak, beside = grid.response.density(apart)
-    return float(to_db(peak, max(float(beside), 1e-30 * float(peak))))
+    fall = float(to_db(peak, max(float(beside), 1e-30 * float(peak))))
+    if not isinstance(grid.response, Gaussian):
+        return fall
+    unweighted = float(np.sinc(min(_SINC_WIDTH * apart[1], 1.0)))
+    return max(fall, -20 * math.log10(max(unweighted, math.sqrt(CHANCE) / 2)))  # off the middle along both axes
 
 
 def _speckle_db(pixels: int) -> float:
