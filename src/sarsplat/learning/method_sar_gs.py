@@ -285,12 +285,9 @@ class GaussianReconstruction(Reconstruction):
     def facts(self) -> dict[str, str]:
         own = self.config.preset == OWN_LOOP
         made = {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
-        return (
-            made
-            | {"scattering": self.gaussians.scattering.in_words, "looked in": self._box}
-            | self._rotations
-            | self._ground
-        )
+        looked = {} if own else {"looked in": self._box}
+        scattering = {"scattering": self.gaussians.scattering.in_words}
+        return made | scattering | looked | self._rotations | self._ground
 
     @property
     def _box(self) -> str:
