@@ -47,6 +47,25 @@ def test_what_stands_out_beyond_the_box_is_said(shown: Dataset) -> None:
     assert cut_off(target_region(shown, ground=True, box=Config(target_box=WHOLE).box_m), 0.3, shown) == []
 
 
+def test_what_stands_beside_the_box_is_said_however_small_it_is() -> None:
+    grid, power = ImageGrid(64, 64, (0.3, 0.3), (0.4, 0.4)), np.ones((len(VIEWS), 64, 64), np.float32)
+    for k, view in enumerate(VIEWS):
+        along = 6.0 * np.cos(np.radians(view.azimuth_deg)), 6.0 * np.sin(np.radians(view.azimuth_deg))
+        row, column = round(32 - along[0] * np.cos(np.radians(40.0)) / 0.3), round(32 - along[1] / 0.3)
+        power[k, row - 1 : row + 2, column - 1 : column + 2] = 30
+        power[k, 26:38, 26:38] = 100
+    entries = tuple(DatasetEntry(view, "train", f"{k}") for k, view in enumerate(VIEWS))
+    dataset = Dataset(grid, entries, power, target="two things", ground=True)
+    (said,) = cut_off(target_region(dataset, ground=True), 0.0, dataset)
+    assert said.startswith("what stands at x 5")
+    assert " is outside of the box it is looked for in (" in said
+    around = tuple(float(word) for word in said.partition("--target-box ")[2].split()[:6])
+    assert around[3] > 6
+    assert cut_off(target_region(dataset, ground=True, box=Config(target_box=around).box_m), 0.0, dataset) == []
+    power[:, 26:38, 26:38] = 1e5  # beside which it may be a response of glints
+    assert cut_off(target_region(dataset, ground=True), 0.0, dataset) == []
+
+
 def test_speckled_ground_alone_says_nothing() -> None:
     power = np.random.default_rng(0).exponential(size=(len(VIEWS), 40, 40)).astype(np.float32)
     power[:, 17:23, 17:23] *= 30

@@ -20,6 +20,7 @@ from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of_passes
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, Turn, View
+from sarsplat.typed import convert
 
 _FARTHEST_M = 1e6
 _LEAST_CERTAIN_DEG = 10.0
@@ -403,7 +404,7 @@ class Dataset:
         if self.place is not None:
             plain["place"] = self.place.as_dict()
         try:
-            return msgspec.convert(msgspec.to_builtins(plain), DatasetHeader)
+            return convert(msgspec.to_builtins(plain), DatasetHeader)
         except (msgspec.ValidationError, TypeError, RecursionError) as error:
             raise SarsplatError(
                 f"the dataset does not fit into JSON: {error}; use finite numbers, text, lists, dicts"

@@ -18,6 +18,7 @@ import msgspec
 from filelock import FileLock, Timeout
 
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.typed import decode
 
 T = TypeVar("T")
 
@@ -295,7 +296,7 @@ def decode_json(data: bytes, path: Path, type: type[T]) -> T:
             f"{path} packs {values} values into {len(data)} bytes, more than sarsplat ever writes; create it again"
         )
     try:
-        return msgspec.json.decode(data, type=type)
+        return decode(data, type)
     except msgspec.ValidationError as error:
         raise SarsplatError(f"{path}: {_what_does_not_fit(data, str(error))}; correct it or create it again") from error
     except RecursionError as error:

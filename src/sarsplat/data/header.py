@@ -8,6 +8,7 @@ import msgspec
 
 from sarsplat.geometry.place import HeightAbove, Place
 from sarsplat.geometry.responses import RESPONSES
+from sarsplat.typed import convert
 
 SCHEMA = "sarsplat-dataset"
 SCHEMA_VERSION = 2
@@ -164,7 +165,7 @@ class PlaceHeader(Strict, frozen=True):
 
 def place_header(place: Place | None) -> PlaceHeader | msgspec.UnsetType:
     """A place as headers hold it."""
-    return msgspec.UNSET if place is None else msgspec.convert(place.as_dict(), PlaceHeader)
+    return msgspec.UNSET if place is None else convert(place.as_dict(), PlaceHeader)
 
 
 class DatasetHeader(Strict, frozen=True, omit_defaults=True):

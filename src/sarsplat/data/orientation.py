@@ -12,6 +12,7 @@ from jaxtyping import Shaped
 
 from sarsplat.errors import SarsplatError
 from sarsplat.names import Side
+from sarsplat.typed import convert
 
 SIDES: tuple[Side, ...] = get_args(Side)
 
@@ -46,7 +47,7 @@ class Layout:
     def of(cls, source: Mapping[str, Any]) -> Self | None:
         """The layout that a dataset's `source` states; None if it was imported otherwise."""
         try:
-            return msgspec.convert(source.get("layout"), cls)
+            return convert(source.get("layout"), cls)
         except msgspec.ValidationError:
             return None
 

@@ -13,6 +13,7 @@ import msgspec
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.executors.executor import J, Means
 from sarsplat.executors.job import Job, work_named
+from sarsplat.typed import convert
 
 _AHEAD = 4
 """Jobs that are handed to the cluster at a time, for each of its processors: waiting for many takes long."""
@@ -58,7 +59,7 @@ def run(jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:
 def _do(work: str, job: dict[str, Any], out: str, again: bool) -> dict[str, Any] | None:
     """Remote function of Ray: the `do` of a work, with plain data as arguments and result."""
     kind = work_named(work)
-    result = kind.do(msgspec.convert(job, kind.job), Path(out), again)
+    result = kind.do(convert(job, kind.job), Path(out), again)
     return None if result is None else msgspec.to_builtins(result)
 
 
@@ -69,4 +70,4 @@ def _result(ray: Any, task: Any, job: Job, out: Path) -> Any:
     except ray.exceptions.RayError as error:
         first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         return work.lost(job, out, f"its node or process ended too often ({first}); {work.go_on}")
-    return None if answer is None else msgspec.convert(answer, work.result)
+    return None if answer is None else convert(answer, work.result)

@@ -21,6 +21,7 @@ import msgspec
 import torch
 
 from sarsplat.executors.job import Job, Work, work_named
+from sarsplat.typed import decode
 
 _SIGNALS = {one.value: one.name for one in signal.Signals}
 
@@ -90,10 +91,10 @@ class Worker:
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
         """Hand out the answers of a process, and after its end the results of those jobs that it was at."""
         assert process.stdout is not None
-        kind = tuple[str, self._work.result | None]  # type: ignore[name-defined]
+        kind: Any = tuple[str, self._work.result | None]  # type: ignore[name-defined]
         for line in process.stdout:
             if line.endswith(b"\n"):  # not half a line, which was its last
-                address, result = msgspec.json.decode(line, type=kind)
+                address, result = decode(line, kind)
                 self._asked.pop(address)[1].set_result(result)
         code = process.wait()
         with self._lock:
@@ -161,7 +162,7 @@ def serve(kind: Work, asked: SimpleQueue[bytes], answers: Answers, out: Path, ag
     """Do one job after the other; those on a GPU in a queue of their own there, beside those of other threads."""
     stream = None
     while True:
-        job = msgspec.json.decode(asked.get(), type=kind.job)
+        job = decode(asked.get(), kind.job)
         on_gpu = job.device == "cuda" and torch.cuda.is_available()
         if on_gpu and stream is None:
             stream = torch.cuda.Stream()

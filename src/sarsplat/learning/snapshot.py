@@ -15,6 +15,7 @@ from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.data.header import GridHeader
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, View
+from sarsplat.typed import convert
 
 # What files may say of a training: far more than any does, and little enough for sums and pictures.
 _Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
@@ -88,7 +89,7 @@ class Snapshot:
         """Read one back; refused if the file is missing, damaged, or not of a training."""
         tensors, state = load_checkpoint(path)
         try:
-            fields = msgspec.structs.asdict(msgspec.convert(state, _State))
+            fields = msgspec.structs.asdict(convert(state, _State))
             fields["grid"] = ImageGrid.of(**msgspec.structs.asdict(fields["grid"]))
             return cls(**fields, tensors=tensors)
         except (msgspec.ValidationError, SarsplatError) as error:

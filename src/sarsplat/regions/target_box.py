@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64, Int
 from scipy.ndimage import affine_transform, gaussian_filter, label
 
 from sarsplat.errors import SarsplatError
@@ -40,7 +41,7 @@ _SHADOW_DB = (-6.0, 3.0)
 _DARK_DB = (-4.5, -2.5)
 """Shadow is darker on average than the first in its middle; what is not darker than the second is none …"""
 
-_SURELY_DARK = 6.0
+_SURELY = 6.0
 """… between them it must be this many standard deviations of the ground: the darkest of many places is looked at."""
 
 _KNOWN = 0.6
@@ -97,16 +98,32 @@ def target_box(
     return np.array([*low, 0.0]), np.array([*high, height])
 
 
-def stands_out_db(
-    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
-) -> tuple[Float64[np.ndarray, "side side"], Float64[np.ndarray, " side"]]:
-    """What surely stands out from the ground: its decibels at places [y, x], else 0; the places along x and y, m.
+@dataclass(frozen=True)
+class StandingOut:
+    """What stands out from the ground, at places [y, x]; the mean over the images, of the places that all show."""
 
-    The mean over the images, of the places that all of them show; arguments and errors as for `target_box`.
-    """
+    axis: Float64[np.ndarray, " side"]
+    """The places along x and y, m."""
+    above_db: Float64[np.ndarray, "side side"]
+    """Decibels above the ground where it surely stands out, else 0."""
+    objects: tuple[Bool[np.ndarray, "side side"], ...]
+    """Connected parts of any size that are surely no noise, in decibels nearer to the target than to the ground."""
+
+
+def standing_out(
+    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
+) -> StandingOut:
+    """What stands out from the ground; arguments and errors as for `target_box`."""
     level_db, grid, axis = _levels(power, views, grid)
     above_db = _on_the_ground(np.maximum(level_db, _DARKEST_DB), views, grid, axis, np.ones(len(views)))
-    return np.where(above_db > _SURE_DB, above_db, 0.0), axis
+    sure = above_db > _SURE_DB
+    objects = []
+    if sure.any():
+        bright_db = float(np.quantile(above_db[sure], _BRIGHT_PART))
+        least_db = max(_SURE_DB, _SURELY * _typical(above_db)[1], bright_db / 2)
+        part, count = _parts(above_db, sure)
+        objects = [here for k in range(1, count + 1) if above_db[here := part == k].max() > least_db]
+    return StandingOut(axis, np.where(sure, above_db, 0.0), tuple(objects))
 
 
 def _levels(
@@ -135,18 +152,25 @@ def _extent(
     sure = above_db > _SURE_DB
     if not sure.any():
         return None
-    threshold_db = max(
-        _FAINTEST_DB,
-        _PROBABLE * _typical(above_db)[1],
-        float(np.quantile(above_db[sure], _BRIGHT_PART)) - _GLINT_DB,
-    )
-    part, count = label(above_db > threshold_db)
+    part, count = _parts(above_db, sure)
     weight = np.bincount(part.ravel(), (sure * above_db).ravel(), count + 1)
     weight[0] = 0  # what does not stand out
     if not weight.any():
         return None
     found = np.nonzero((weight >= _LARGE_PART * weight.max())[part])[1 - i]
     return [float(axis[found.min()]), float(axis[found.max()])]
+
+
+def _parts(
+    above_db: Float64[np.ndarray, "side side"], sure: Bool[np.ndarray, "side side"]
+) -> tuple[Int[np.ndarray, "side side"], int]:
+    """Numbers, from 1, of the connected parts that probably stand out, and how many there are."""
+    threshold_db = max(
+        _FAINTEST_DB,
+        _PROBABLE * _typical(above_db)[1],
+        float(np.quantile(above_db[sure], _BRIGHT_PART)) - _GLINT_DB,
+    )
+    return label(above_db > threshold_db)
 
 
 def _height(
@@ -163,7 +187,7 @@ def _height(
     clipped_db = np.clip(level_db, *_SHADOW_DB)
     noise_db = _typical(_on_the_ground(clipped_db, views, grid, axis, weights))[1]
     clipped_db[level_db > _SHADOW_DB[1]] = np.nan
-    dark = max(_DARK_DB[0], min(_DARK_DB[1], -_SURELY_DARK * noise_db))
+    dark = max(_DARK_DB[0], min(_DARK_DB[1], -_SURELY * noise_db))
     narrow, wide = (float(pick(high - low)) for pick in (np.min, np.max))
     step = max(grid.cell_m / 2, wide / _PLACES)
     x, y = (np.arange(a, b + step, step) for a, b in zip(low, high, strict=True))

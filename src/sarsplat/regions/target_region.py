@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from jaxtyping import Bool
 
 from sarsplat.data import Dataset
 from sarsplat.data.header import Box
@@ -12,11 +13,14 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import Region, bounded_region
 from sarsplat.geometry.terrain import heights_of
 from sarsplat.regions.flattened import levelled
-from sarsplat.regions.target_box import stands_out_db, target_box
+from sarsplat.regions.target_box import StandingOut, standing_out, target_box
 from sarsplat.scenes.meshes import read_mesh
 
 _MUCH = 0.2
 """Share of what stands out from the ground that may lie beyond the box: side lobes, and what is there by chance."""
+
+_NAMED = 3
+"""Things beside the box whose places are told."""
 
 
 def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> Region:
@@ -51,12 +55,31 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
     if not dataset.ground:
         return []
     train = levelled(dataset.select("train"))
-    above_db, axis = stands_out_db(train.power, train.views, train.grid)
-    inside = np.outer(*((low[i] <= axis) & (axis <= high[i]) for i in (1, 0)))
-    share = float(above_db[~inside].sum() / above_db.sum()) if above_db.any() else 0.0
-    if not share > _MUCH:
+    found = standing_out(train.power, train.views, train.grid)
+    inside = np.outer(*((low[i] <= found.axis) & (found.axis <= high[i]) for i in (1, 0)))
+    share = float(found.above_db[~inside].sum() / found.above_db.sum()) if found.above_db.any() else 0.0
+    if share > _MUCH:
+        return [f"{math.floor(100 * share)} % of what stands out from the ground lies outside of {box}; {remedy}"]
+    return _objects_beside(found, inside, region, box)
+
+
+def _objects_beside(found: StandingOut, inside: Bool[np.ndarray, "side side"], region: Region, box: str) -> list[str]:
+    """Where something stands beside the box, and a box around all; a list of one sentence, or empty."""
+    beside = [here for here in found.objects if not (here & inside).any()]
+    if not beside:
         return []
-    return [f"{math.floor(100 * share)} % of what stands out from the ground lies outside of {box}; {remedy}"]
+    ends = [[found.axis[np.flatnonzero(here.any(axis=i))[[0, -1]]] for i in (0, 1)] for here in beside]
+    corners = np.array(ends).transpose(2, 0, 1)  # the lowest x and y of each thing, and the highest
+    low = [*np.minimum(region.low[:2], corners[0].min(axis=0)), region.low[2]]
+    high = [*np.maximum(region.high[:2], corners[1].max(axis=0)), region.high[2]]
+    where = "; ".join(
+        f"x {a[0]:.3g} … {b[0]:.3g}, y {a[1]:.3g} … {b[1]:.3g} m" for a, b in zip(*corners[:, :_NAMED], strict=True)
+    )
+    more = f" and {len(beside) - _NAMED} more" if len(beside) > _NAMED else ""
+    return [
+        f"what stands at {where}{more} is outside of {box} and will be left out; --target-box "
+        f"{' '.join(f'{value:.3g}' for value in [*low, *high])} has all of it"
+    ]
 
 
 def box_misses(dataset: Dataset) -> list[str]:

@@ -41,6 +41,7 @@ from sarsplat.runs.run_folder import (
     require_replaceable,
 )
 from sarsplat.settings.config import DEFAULT_METHOD
+from sarsplat.typed import convert
 
 
 @dataclass
@@ -352,7 +353,7 @@ class Run(Result):
             If they are something else, or another process is writing the run.
         """
         try:
-            scores = msgspec.convert(metrics, Metrics)
+            scores = convert(metrics, Metrics)
         except msgspec.ValidationError as error:
             raise SarsplatError(
                 f"these are not the scores of a run ({error}); give what evaluate_run returns"

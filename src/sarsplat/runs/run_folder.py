@@ -16,6 +16,7 @@ from sarsplat.data import read_json, read_points_ply, read_versioned_json
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.header import PlaceHeader
 from sarsplat.errors import SarsplatError
+from sarsplat.typed import decode
 
 if TYPE_CHECKING:
     from sarsplat.learning.snapshot import Snapshot
@@ -187,7 +188,7 @@ class RunFolder:
         history: list[LogLine] = []
         for line in data.splitlines():
             try:
-                history.append(msgspec.json.decode(line, type=LogLine))
+                history.append(decode(line, LogLine))
             except (msgspec.MsgspecError, UnicodeDecodeError):
                 break
         return history

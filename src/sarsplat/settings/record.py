@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_
 import msgspec
 
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.typed import convert
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Record:
         for name, hint in _hints(type(self)).items():
             value = getattr(self, name)
             try:
-                object.__setattr__(self, name, msgspec.convert(value, hint))
+                object.__setattr__(self, name, convert(value, hint))
             except msgspec.ValidationError as error:
                 raise SarsplatError(f"{self._section}{name} is {shown(value)}; it must be {_allowed(hint)}") from error
 
