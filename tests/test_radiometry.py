@@ -63,6 +63,14 @@ def test_the_usual_peak_is_the_largest_power_but_for_few_echoes_that_outshine_al
     assert radiometry.usual_peak(np.eye(5)) == 1
 
 
+def test_white_is_the_largest_power_unless_it_outshines_all() -> None:
+    image = np.geomspace(1.0, 30.0, 10000)
+    assert radiometry.white_level(image) == image.max()
+    image[:9] = 1e6
+    assert radiometry.white_level(image) == 100 * radiometry.bright_level(image) < 3001
+    assert [radiometry.white_level(np.zeros(n)) for n in (0, 3)] == [1, 1]
+
+
 def test_brightness_is_linear_in_decibels() -> None:
     np.testing.assert_allclose(radiometry.shade(np.array([200.0, 100.0, 1.0, 0.0]), 100.0), [1, 1, 0.5, 0])
     np.testing.assert_allclose(radiometry.shade(np.array([1.0]), 100.0, 25.0), [0.2])

@@ -13,11 +13,11 @@ from jaxtyping import Bool, Float, Real
 
 __all__ = [
     *("DYNAMIC_RANGE_DB", "amplitude", "beta0_of_gamma0", "beta0_of_sigma0", "bright_level", "brighter"),
-    *("difference_db", "from_db", "gamma0_of_beta0", "shade", "sigma0_of_beta0", "to_db", "usual_peak"),
+    *("difference_db", "from_db", "gamma0_of_beta0", "shade", "sigma0_of_beta0", "to_db", "usual_peak", "white_level"),
 ]
 
 DYNAMIC_RANGE_DB = 40.0
-"""Pictures show this range below the brightest training pixel, dB; anything darker is black."""
+"""Pictures show this range below the brightest training pixel (`white_level`), dB; anything darker is black."""
 
 LEAST_POWER = float(np.finfo(np.float32).tiny)
 """Smaller powers count as this one in decibels (−379 dB), so that nothing is −inf."""
@@ -79,6 +79,17 @@ def sigma0_of_beta0(beta0: Power, grazing_deg: float) -> Power:
 def bright_level(power: Real[np.ndarray, "*pixels"]) -> float:
     """Level that the brightest 0.1 % of pixels exceed, so that a corner reflector does not darken the rest; never 0."""
     return float(np.quantile(power, 0.999)) or float(power.max()) or 1.0
+
+
+def white_level(power: Real[np.ndarray, "*pixels"]) -> float:
+    """What pictures show as white: the largest power, but no more than 20 dB above the brightest 0.1 %; never 0.
+
+    Of sets of targets the largest is 4 dB to 10 dB above these, so that only what outshines all is cut off, such as
+    corner reflectors, beside which a target would be black.
+    """
+    if not power.size:
+        return 1.0
+    return min(float(power.max(initial=0.0)), 100.0 * bright_level(power)) or 1.0
 
 
 def usual_peak(power: Real[np.ndarray, "*values"]) -> float:

@@ -18,7 +18,7 @@ from sarsplat.data.files import write_bytes
 from sarsplat.errors import SarsplatError
 from sarsplat.extras import install_command
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.radiometry import DYNAMIC_RANGE_DB, amplitude, to_db
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, amplitude, to_db, white_level
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,7 +114,7 @@ class SarImage:
             File to write; it must end in `.png`, and is replaced if it exists. For numbers there are
             `sarsplat.data.write_tiff` and datasets.
         dynamic_range_db : float
-            What is this far below the brightest pixel is black, dB.
+            What is this far below the brightest pixel (`radiometry.white_level`) is black, dB.
 
         Raises
         ------
@@ -226,7 +226,7 @@ def _matplotlib_needed() -> Iterator[None]:
 
 
 def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_range_db: float) -> None:
-    """White is the brightest pixel, black is `dynamic_range_db` below it and everything darker."""
+    """White is the `white_level`, black is `dynamic_range_db` below it and everything darker."""
     if not 0 < dynamic_range_db < np.inf:
         raise SarsplatError(
             f"a dynamic range of {dynamic_range_db} dB cannot be drawn; give a positive one, such as 40"
@@ -237,8 +237,7 @@ def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_ran
     figure.set_size_inches(max(width * scale, 1.5) + 1.9, max(height * scale, 1.5) + 1.0)
     figure.set_layout_engine("constrained")
     axes = figure.add_subplot()
-    brightest = float(power.max(initial=0))
-    top = to_db(brightest or 1.0)
+    top = to_db(white_level(power))
     shades = axes.imshow(
         np.maximum(to_db(power, least=0.0), top - dynamic_range_db),
         cmap=colormap(POWER),

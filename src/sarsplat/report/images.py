@@ -135,7 +135,7 @@ class Part:
 
 def power_bar() -> ColourBar:
     """What the greys of `Part.power` mean."""
-    return colour_bar("power, dB relative to the brightest training pixel", POWER, -DYNAMIC_RANGE_DB, 0)
+    return colour_bar("power, dB relative to the brightest training pixels", POWER, -DYNAMIC_RANGE_DB, 0)
 
 
 def difference_bar(difference: Difference) -> ColourBar:

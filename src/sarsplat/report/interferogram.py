@@ -12,6 +12,7 @@ from scipy.ndimage import correlate
 
 from sarsplat.colours import COHERENCE, PHASE, gradient, ramp
 from sarsplat.geometry import Stack, View
+from sarsplat.radiometry import white_level
 from sarsplat.report.figure import Block, ColourBar, Figure, colour_bar
 from sarsplat.report.images import Part, address, indexed, power_bar, target_window, view_name
 from sarsplat.report.layover import Slice
@@ -102,7 +103,7 @@ def phases_figure(run: Run, index: int, cut: Slice, window: int) -> Figure:
     height_m = spread_m(run.points)
     pair, level = Pair.longest(stack, view, height_m), stack.plane_phases(view, dataset.grid)
     rendered = run.render_covariances([view], stack)[0]
-    peak = float(dataset.images("train").max())
+    peak = white_level(dataset.images("train"))
     part = Part.of(dataset.grid, target_window(power[None], peak, dataset.score_margin), _LARGEST)
     blocks = []
     for name, image, parts, line in (

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Complex, Float64
 
 from sarsplat.data.coverage import evenly_chosen
+from sarsplat.radiometry import white_level
 from sarsplat.report.figure import Block, Figure
 from sarsplat.report.images import Part, address, indexed, target_window, view_name
 from sarsplat.report.interferogram import averaged, covariances
@@ -37,7 +38,7 @@ def pauli_figure(run: Run, window: int) -> Figure:
     """Some training images of the run's dataset in HH and VV, averaged over so many pixels, and what was learned."""
     train = run.dataset.select("train")
     assert train.signal is not None  # of stacks
-    part = Part.of(train.grid, target_window(train.power, float(train.power.max()), train.score_margin), _LARGEST)
+    part = Part.of(train.grid, target_window(train.power, white_level(train.power), train.score_margin), _LARGEST)
     shown = evenly_chosen(train.views, min(_SHOWN, len(train)))
     measured, rendered = [], []
     for index in shown:

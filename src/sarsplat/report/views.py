@@ -14,6 +14,7 @@ from sarsplat.data import Dataset, read_masks
 from sarsplat.errors import counted
 from sarsplat.evaluation import IMAGE_METRICS, Metric, UndefinedScore, predicted_masks
 from sarsplat.evaluation.metrics import ImagePair
+from sarsplat.radiometry import white_level
 from sarsplat.report.figure import Block, Figure, Panel, polyline
 from sarsplat.report.images import Part, difference_bar, power_bar, target_window, view_name
 from sarsplat.report.residual import Difference, Stack, fitted
@@ -90,7 +91,7 @@ def views_figure(
     indices = [one.index for one in chosen]
     views, truth = [dataset.views[index] for index in indices], dataset.power[indices]
     looks = dataset.select(dataset.entries[indices[0]].split).looks
-    peak, margin = float(dataset.images("train").max()), dataset.score_margin
+    peak, margin = white_level(dataset.images("train")), dataset.score_margin
     shown = dataset.take(indices)
     stacks = {name: fitted(truth, run.render(run.views_of(shown)), looks, margin) for name, run in runs.items()}
     part = Part.of(dataset.grid, target_window(np.maximum.reduce([truth, *stacks.values()]), peak, margin), largest)
@@ -166,7 +167,7 @@ def masks_figure(run: Run, folder: Path) -> Figure | None:
     anything = np.maximum(truth, predicted).max(axis=0)
     rows, columns = (_window(anything.max(axis=1 - axis)) for axis in (0, 1))
     part = Part.of(dataset.grid, (rows, columns), _LARGEST)
-    peak = float(dataset.images("train").max())
+    peak = white_level(dataset.images("train"))
     panels = []
     for image, view, true, own in zip(images.power, images.views, truth, predicted, strict=True):
         drawing = _outlines(true[rows, columns], "true") + _outlines(own[rows, columns], "own")

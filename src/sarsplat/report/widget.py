@@ -20,7 +20,7 @@ from sarsplat.data.coverage import largest_gap
 from sarsplat.geometry import View
 from sarsplat.geometry.view import seen_alike
 from sarsplat.progress import stage
-from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade, white_level
 from sarsplat.report.figure import colour_bar
 from sarsplat.report.images import Part, address, difference_bar, indexed, png, power_bar, target_window
 from sarsplat.report.residual import Difference, fitted
@@ -49,7 +49,7 @@ def widget(run: Run) -> dict[str, Any] | None:
     points, dataset = run.points, run.dataset
     if len(points) == 0:
         return None
-    peak = float(dataset.images("train").max())
+    peak = white_level(dataset.images("train"))
     looks = None if dataset.clean_tests else dataset.looks  # then only test images are shown
     window = target_window(dataset.power, peak, dataset.score_margin)
     part = Part.of(dataset.grid, window, _LARGEST)

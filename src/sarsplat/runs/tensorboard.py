@@ -16,7 +16,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.extras import install_command
-from sarsplat.radiometry import LEAST_POWER, shade
+from sarsplat.radiometry import LEAST_POWER, shade, white_level
 from sarsplat.runs.run_folder import HEADER, LogLine
 from sarsplat.runs.training_loop import Step
 
@@ -64,7 +64,7 @@ class TensorBoard:
         shown = [*_evenly(trained, training_views), *_evenly(tested, test_views)]
         self._entries = [dataset.entries[index] for index in shown]
         self._truth = dataset.power[shown]
-        self._brightest = float(self._truth.max(initial=0.0))
+        self._brightest = white_level(self._truth)
         self._waiting: list[Callable[[SummaryWriter], object]] = []
         self._writer: SummaryWriter | None = None
         self._began_at: int | None = None
@@ -122,7 +122,7 @@ class TensorBoard:
             self._waiting.append(methodcaller("add_scalar", name, value, line.iteration))
 
     def _images(self, kind: str, power: Float32[np.ndarray, "v rows columns"], iteration: int) -> None:
-        """White is the brightest pixel of the truth; row 0, near range, at the top."""
+        """White is the `white_level` of the truth; row 0, near range, at the top."""
         grey = np.round(255 * shade(power, max(self._brightest, LEAST_POWER))).astype(np.uint8)
         for entry, image in zip(self._entries, grey, strict=True):
             name = entry.name.replace("/", " ")  # which would make groups

@@ -16,6 +16,7 @@ from sarsplat.evaluation.points import surface_distance
 from sarsplat.geometry import View
 from sarsplat.learning.model import SceneModel
 from sarsplat.radar import Surface, surface_of_run
+from sarsplat.radiometry import white_level
 from sarsplat.report.interferogram import Interferogram, Pair, spread_m
 from sarsplat.runs import Run
 from sarsplat.viewer.subject import TRUTH, Cloud, OfScene, Subject, at_most, dataset_subject
@@ -51,8 +52,9 @@ class RunSubject(Subject):
             dataset = run.dataset
         except SarsplatError:  # rendering needs no images
             dataset = None
+        peak = run.brightest if dataset is None else white_level(dataset.images("train"))
         name = "a run" if run.path is None else run.path.name
-        super().__init__(f"{name}: {run.learned}", run.grid, run.snapshot.views, run.brightest, dataset)
+        super().__init__(f"{name}: {run.learned}", run.grid, run.snapshot.views, peak, dataset)
         self.knows_errors = self.truth is not None
         self.knows_phases = any(stack.interferometric for stack in run.snapshot.stacks)  # all are, or none
         self._errors: dict[str, Float[np.ndarray, " n"]] = {}

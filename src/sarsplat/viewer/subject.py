@@ -22,6 +22,7 @@ from sarsplat.learning import Trainer
 from sarsplat.learning.model import SceneModel
 from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mesh
 from sarsplat.radar.iso_range import contributions
+from sarsplat.radiometry import white_level
 from sarsplat.regions.target_region import target_region
 from sarsplat.renderer import GroundBounce
 from sarsplat.report.interferogram import Interferogram, Pair
@@ -224,7 +225,7 @@ def dataset_subject(dataset: Dataset) -> Subject:
     """The images of a dataset, and its true surface where there is one."""
     train = dataset.select("train")
     name = dataset.path.name if dataset.path else dataset.target
-    return Subject(f"{name}: dataset of {dataset.target}", dataset.grid, train.views, float(train.power.max()), dataset)
+    return Subject(f"{name}: dataset of {dataset.target}", dataset.grid, train.views, white_level(train.power), dataset)
 
 
 def at_most(places: Any, most: int = MAX_POINTS) -> Float32[np.ndarray, "n 3"]:
