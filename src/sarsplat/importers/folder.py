@@ -18,7 +18,8 @@ from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import View
 from sarsplat.importers.from_map import EAST_DEG, Seen, from_map, producers_ground
-from sarsplat.importers.images import AboutImages, MeasuredImage, assume, dataset_of, view_of, write_imported
+from sarsplat.importers.images import AboutImages, assume, dataset_of, write_imported
+from sarsplat.importers.measured_image import MeasuredImage, view_of
 from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside, warn_of_world_files
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
 from sarsplat.importers.table import PER_UNIT, ListedPicture, PictureTable, read_picture_table

@@ -23,7 +23,8 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Stack, View
-from sarsplat.importers.images import AboutImages, MeasuredImage, check_sides, dataset_of, write_imported
+from sarsplat.importers.images import AboutImages, check_sides, dataset_of, write_imported
+from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.rslc_file import Rslc, read_rslc
 from sarsplat.names import CrossPolarised

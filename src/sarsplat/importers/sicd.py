@@ -21,7 +21,8 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place
 from sarsplat.importers.files import each_once, warn_caller
-from sarsplat.importers.images import AboutImages, MeasuredImage, assume, check_sides, dataset_of, write_imported
+from sarsplat.importers.images import AboutImages, assume, check_sides, dataset_of, write_imported
+from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of, stack_image
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, layout_around, said_of_place, spot_of_centre, spot_of_pixel
