@@ -251,6 +251,20 @@ def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> Non
         )
 
 
+def check_heading(heading_deg: float) -> None:
+    """Refuse what is no compass heading; NaN, too."""
+    if not abs(heading_deg) <= 360:
+        raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
+
+
+def said_of_heading(heading_deg: float) -> str:
+    """What it means for azimuths that the scene's x axis points there."""
+    return (
+        f"the x axis points to the compass heading {heading_deg:g}°, so azimuth = compass bearing of the radar − "
+        f"{heading_deg:g}°"
+    )
+
+
 def assume(assumptions: list[str], text: str) -> None:
     """Add an assumption that is worth a warning."""
     assumptions.append(text)
