@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from datasets import dataset_of
+from lorries import lorry
 from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
 from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
@@ -22,28 +23,15 @@ from sarsplat.examination.units import contrast_of
 from sarsplat.geometry import ImageGrid, View
 
 trimesh = pytest.importorskip("trimesh")
-pytest.importorskip("embreex")
 
 GRID = ImageGrid(40, 36, (0.4, 0.35), (0.5, 0.45))
-
-
-@pytest.fixture(autouse=True)
-def coarsely(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The ground is compared in fewer places."""
-    monkeypatch.setattr("sarsplat.examination.neighbouring_views._PLACES", 48)
 
 
 @cache
 def simulated(
     ground: float | None, grid: ImageGrid = GRID, scale: float = 1.0, azimuths: range = range(0, 360, 30)
 ) -> Dataset:
-    """A long box with a cabin at one end and a mast: like a lorry, of no symmetry."""
-    parts = []
-    for size, place in (((6, 2, 1), (0, 0, 0.5)), ((1.5, 1.8, 1.2), (2.2, 0, 1.6)), ((0.8, 0.8, 1), (-2, 0.6, 1.5))):
-        part = trimesh.creation.box(np.multiply(size, scale))
-        part.apply_translation(np.multiply(place, scale))
-        parts.append(part)
-    mesh = trimesh.util.concatenate(parts)
+    mesh = lorry(scale=scale)
     views = [View(float(azimuth), grazing) for azimuth in azimuths for grazing in (30.0,)]
     images = [
         simulate_raycast(mesh, view, grid, ScatteringLaw(), ground_gamma0=ground, ray_spacing=min(grid.spacing_m) / 5)

@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter
 
 from datasets import dataset_of
 from geocoded import on_map
+from lorries import lorry
 from sarsplat import ScatteringLaw, add_speckle, import_folder, import_mstar, simulate_raycast
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatWarning
@@ -21,27 +22,11 @@ from sarsplat.examination.contradictions import examine
 from sarsplat.geometry import ImageGrid, View
 
 trimesh = pytest.importorskip("trimesh")
-pytest.importorskip("embreex")
 
 GRID = ImageGrid(64, 60, (0.3, 0.25), (0.4, 0.35))
 CHIPS = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 ROUND = tuple(range(0, 360, 30))
 TWO_SIDES = (74, 77, 80, 83, 86, 89, 92, 270, 273, 276, 279, 282, 285)
-
-
-@pytest.fixture(autouse=True)
-def coarsely(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The ground is compared in fewer places."""
-    monkeypatch.setattr("sarsplat.examination.neighbouring_views._PLACES", 48)
-
-
-def lorry():
-    parts = []
-    for size, place in (((6, 2, 1), (0, 0, 0.5)), ((1.5, 1.8, 1.2), (2.2, 0, 1.6)), ((0.8, 0.8, 1), (-2, 0.6, 1.5))):
-        part = trimesh.creation.box(size)
-        part.apply_translation(place)
-        parts.append(part)
-    return trimesh.util.concatenate(parts)
 
 
 def cylinder():

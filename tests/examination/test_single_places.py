@@ -9,27 +9,19 @@ import numpy as np
 import pytest
 
 from datasets import dataset_of
+from lorries import lorry
 from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
 from sarsplat.data import Dataset
 from sarsplat.examination.contradictions import examine
 from sarsplat.geometry import ImageGrid, View
-
-trimesh = pytest.importorskip("trimesh")
-pytest.importorskip("embreex")
 
 GRID = ImageGrid(41, 37, (0.4, 0.35), (0.5, 0.45))
 """Of odd sizes, and of uneven pixels."""
 
 
 def scene(ground: float | None, views: Sequence[View]) -> Dataset:
-    """A lorry with a mast beside a container: of no symmetry."""
-    lorry = ((6, 2, 1), (0, 0, 0.5)), ((1.5, 1.8, 1.2), (2.2, 0, 1.6)), ((0.8, 0.8, 1), (-2, 0.6, 1.5))
-    parts = []
-    for size, place in (*lorry, ((2.5, 1.2, 1.5), (-1.5, 3, 0.75))):
-        part = trimesh.creation.box(size)
-        part.apply_translation(place)
-        parts.append(part)
-    mesh = trimesh.util.concatenate(parts)
+    """A lorry beside a container."""
+    mesh = lorry(((2.5, 1.2, 1.5), (-1.5, 3, 0.75)))
     images = [
         simulate_raycast(mesh, view, GRID, ScatteringLaw(), ground_gamma0=ground, ray_spacing=0.07) for view in views
     ]
@@ -82,7 +74,7 @@ def test_images_in_their_places_pass(kind: str, request: pytest.FixtureRequest) 
     assert f"none of {len(dataset)} images matches those of another azimuth" in found.checks["single azimuths"]
 
 
-@pytest.mark.parametrize("pair", [(2, 8), (0, 13), (5, 9)])
+@pytest.mark.parametrize("pair", [(2, 8), (0, 13)])
 @pytest.mark.parametrize("kind", ["all_round", "bare"])
 def test_two_files_swapped_are_named(kind: str, pair: tuple[int, int], request: pytest.FixtureRequest) -> None:
     dataset = request.getfixturevalue(kind)
@@ -124,11 +116,14 @@ def test_a_wrong_azimuth_is_named_with_the_right_one(all_round: Dataset) -> None
 def test_a_part_that_is_the_other_way_round_is_found(
     turn: Callable[[np.ndarray], np.ndarray], what: str, all_round: Dataset
 ) -> None:
-    (text,) = examine(flipped(all_round, [4], turn)).contradictions
-    assert text.startswith("004 (azimuth 67°, grazing 30°) matches its neighbours better")
     (text,) = examine(flipped(all_round, range(3, 11), turn)).contradictions
     assert what in text
     assert text.endswith("give all images the same way round")
+
+
+def test_one_image_that_is_upside_down_is_found(all_round: Dataset) -> None:
+    (text,) = examine(flipped(all_round, [4], lambda image: image[::-1])).contradictions
+    assert text.startswith("004 (azimuth 67°, grazing 30°) matches its neighbours better upside down")
 
 
 def test_few_or_lonely_images_say_nothing(all_round: Dataset) -> None:

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from test_contradictions import GRID, simulated
 
+from lorries import lorry
 from sarsplat import ScatteringLaw, simulate_raycast
 from sarsplat.data import Dataset
 from sarsplat.examination.contradictions import examine
 from sarsplat.geometry import View
-
-trimesh = pytest.importorskip("trimesh")
-pytest.importorskip("embreex")
 
 
 def apart(azimuth: float, by: float = 40.0, grazing: float = 40.0, tilt: float = 0.0) -> View:
@@ -28,20 +26,10 @@ KINDS: dict[str, Callable[[float], View]] = {
 }
 
 
-@pytest.fixture(autouse=True)
-def coarsely(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sarsplat.examination.neighbouring_views._PLACES", 48)
-
-
 @cache
 def dataset(kind: str, ground: float | None = 0.05) -> Dataset:
-    """The lorry of test_contradictions from such views."""
-    parts = []
-    for size, place in (((6, 2, 1), (0, 0, 0.5)), ((1.5, 1.8, 1.2), (2.2, 0, 1.6)), ((0.8, 0.8, 1), (-2, 0.6, 1.5))):
-        part = trimesh.creation.box(size)
-        part.apply_translation(place)
-        parts.append(part)
-    mesh, plain = trimesh.util.concatenate(parts), simulated(None)
+    """A lorry from such views."""
+    mesh, plain = lorry(), simulated(None)
     views = [KINDS[kind](view.azimuth_deg) for view in plain.views]
     how = {"law": ScatteringLaw(), "ground_gamma0": ground, "ray_spacing": 0.08}
     power = np.stack([simulate_raycast(mesh, view, GRID, **how) for view in views])

@@ -121,17 +121,20 @@ def test_a_long_and_narrow_map_takes_no_more_than_it_holds(azimuth: float) -> No
 
 
 def test_what_does_not_fit_into_memory_is_refused_before_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    for shape in ((900, 1100), (300, 4000)):
+    monkeypatch.setattr("sarsplat.radar.layover_shadow._AT_A_TIME", 1 << 18)
+    for shape in ((225, 275), (75, 1000)):
         heights = np.zeros(shape)
         heights[::7] = np.nan
         needed: list[float] = []
-        monkeypatch.setattr("sarsplat.radar.layover_shadow.required", lambda _, most, __, to=needed: to.append(most))
-        tracemalloc.start()
-        layover_shadow(heights, (1.0, 1.0), View(45, 40))
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
+        with monkeypatch.context() as patch:
+            patch.setattr("sarsplat.radar.layover_shadow.required", lambda _, most, __, to=needed: to.append(most))
+            tracemalloc.start()
+            layover_shadow(heights, (1.0, 1.0), View(45, 40))
+            peak = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
         assert peak < needed[0] < 1.5 * peak
-        monkeypatch.undo()
-    monkeypatch.setattr("sarsplat.memory.free_bytes", lambda: 0.25 * 2**30)
-    with pytest.raises(SarsplatError, match=r"4000 places takes about 0\..* GiB of memory, and 0\.25 GiB .* cut it in"):
+    monkeypatch.setattr("sarsplat.memory.free_bytes", lambda: 2**30 / 64)
+    with pytest.raises(
+        SarsplatError, match=r"1000 places takes about 0\..* GiB of memory, and 0\.016 GiB .* cut it in"
+    ):
         layover_shadow(heights, (1.0, 1.0), View(45, 40))

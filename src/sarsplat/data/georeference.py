@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
 
+from sarsplat.data.foreign_tiff import KEYS, PIXEL_SCALE, TIEPOINT, TRANSFORMATION, PageTags
 from sarsplat.errors import SarsplatError, shown
 
-PIXEL_SCALE, TIEPOINT, TRANSFORMATION, KEYS = 33550, 33922, 34264, 34735
-_MODEL, _RASTER, _GEOGRAPHIC_CODE, _PROJECTED_CODE, _LENGTH = 1024, 1025, 2048, 3072, 3076
-_PROJECTED, _GEOGRAPHIC, _POINT, _DEFINED_ELSEWHERE, _METRE = 1, 2, 2, 32767, 9001
-_METRES: dict[int | None, float] = {_METRE: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+MODEL, RASTER, LENGTH = 1024, 1025, 3076
+_GEOGRAPHIC_CODE, _PROJECTED_CODE = 2048, 3072
+_PROJECTED, GEOGRAPHIC, AREA, POINT, DEFINED_ELSEWHERE, METRE = 1, 2, 1, 2, 32767, 9001
+"""Keys, and what they may be."""
+_METRES: dict[int | None, float] = {METRE: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Of EPSG's units of length: metre, foot, US survey foot."""
 _ANGLE = 2054
 _DEGREE = math.pi / 180
@@ -81,7 +82,7 @@ class Georeference:
         return "no system" if self.kind is None else f"a {self.kind} system without a number"
 
 
-def georeference_of(tags: Mapping[int, Any], name: str) -> Georeference | None:
+def georeference_of(tags: PageTags, name: str) -> Georeference | None:
     """Where pixels lie by the tags of a TIFF's page (code → value); None if they do not say it.
 
     Tie points alone, as of images in the geometry of a radar, are no map. Refused if the tags make no sense; `name` is
@@ -98,14 +99,14 @@ def georeference_of(tags: Mapping[int, Any], name: str) -> Georeference | None:
         return None
     if not _sizes_pixels(affine):
         raise SarsplatError(f"{name} has GeoTIFF tags by which its pixels have no size; write them again")
-    kinds: dict[int | None, MapKind] = {_PROJECTED: "projected", _GEOGRAPHIC: "geographic"}
-    kind = kinds.get(keys.get(_MODEL))
+    kinds: dict[int | None, MapKind] = {_PROJECTED: "projected", GEOGRAPHIC: "geographic"}
+    kind = kinds.get(keys.get(MODEL))
     code = keys.get(_PROJECTED_CODE if kind == "projected" else _GEOGRAPHIC_CODE)
-    number = code if kind and code is not None and 1024 <= code < _DEFINED_ELSEWHERE else None
-    if keys.get(_RASTER) != _POINT:  # places are those of corners
+    number = code if kind and code is not None and 1024 <= code < DEFINED_ELSEWHERE else None
+    if keys.get(RASTER) != POINT:  # places are those of corners
         affine[:, 2] += affine[:, :2] @ (0.5, 0.5)
-    stated = _RADIANS.get(keys.get(_ANGLE)) if kind == "geographic" else _METRES.get(keys.get(_LENGTH))
-    return Georeference(affine, kind, number, _METRES.get(keys.get(_LENGTH, _METRE)), stated)
+    stated = _RADIANS.get(keys.get(_ANGLE)) if kind == "geographic" else _METRES.get(keys.get(LENGTH))
+    return Georeference(affine, kind, number, _METRES.get(keys.get(LENGTH, METRE)), stated)
 
 
 def _sizes_pixels(affine: Float64[np.ndarray, "2 3"]) -> bool:
@@ -117,7 +118,7 @@ def _sizes_pixels(affine: Float64[np.ndarray, "2 3"]) -> bool:
     return min(pitches) > _SMALLEST and abs(a * e - b * d) > _FLATTEST * pitches[0] * pitches[1]
 
 
-def _affine(tags: Mapping[int, Any]) -> Float64[np.ndarray, "2 3"] | None:
+def _affine(tags: PageTags) -> Float64[np.ndarray, "2 3"] | None:
     """(x, y) of raster coordinates (column, row)."""
     if TRANSFORMATION in tags:
         matrix = np.asarray(tags[TRANSFORMATION], np.float64).reshape(4, 4)
@@ -129,7 +130,7 @@ def _affine(tags: Mapping[int, Any]) -> Float64[np.ndarray, "2 3"] | None:
     return np.array([[scale[0], 0.0, x - column * scale[0]], [0.0, -scale[1], y + row * scale[1]]])
 
 
-def keys_of(tags: Mapping[int, Any]) -> dict[int, int]:
-    """GeoKeys whose values are in the directory itself."""
+def keys_of(tags: PageTags, place: int = 0) -> dict[int, int]:
+    """GeoKeys whose values are in the directory itself, or in another tag: then their places there."""
     numbers = [int(number) for number in tags.get(KEYS, ())]
-    return {key: value for key, place, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if place == 0}
+    return {key: value for key, where, _, value in zip(*(numbers[4 + k :: 4] for k in range(4))) if where == place}

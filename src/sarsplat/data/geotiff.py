@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import re
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,34 @@ import tifffile
 from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.files import open_file, write_bytes
-from sarsplat.data.georeference import Georeference, georeference_of, keys_of
+from sarsplat.data.files import write_bytes
+from sarsplat.data.foreign_tiff import (
+    DOUBLES,
+    GDAL_METADATA,
+    KEYS,
+    NO_DATA,
+    PIXEL_SCALE,
+    TEXTS,
+    TIEPOINT,
+    TRANSFORMATION,
+    PageTags,
+    gdal_items,
+    opened_tiff,
+    tags_of,
+)
+from sarsplat.data.georeference import (
+    AREA,
+    DEFINED_ELSEWHERE,
+    GEOGRAPHIC,
+    LENGTH,
+    METRE,
+    MODEL,
+    POINT,
+    RASTER,
+    Georeference,
+    georeference_of,
+    keys_of,
+)
 from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map, refuse_vertical
 from sarsplat.data.packed_tiff import masked_out, pixels_of
 from sarsplat.data.raster import HEIGHTS_ABOVE, LEVELS, Raster, RasterSystem
@@ -24,17 +49,11 @@ from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place, Terrain
 from sarsplat.geometry.place import HeightAbove
 
-_PIXEL_SCALE, _TIEPOINT, _TRANSFORMATION, _NO_DATA = 33550, 33922, 34264, 42113
-_KEYS, _DOUBLES, _TEXTS = 34735, 34736, 34737
-_RASTER, _AREA = 1025, 1
-_MODEL, _PROJECTED, _GEOGRAPHIC = 1024, 1, 2
-_UNITS = {3076: "lengths", 4099: "heights"}
+_UNITS = {LENGTH: "lengths", 4099: "heights"}
 _VERTICAL = 4096
 _IN_FEET = (5702, 5754, 6130, 6131, 6132, 6360, 8050, 8052, 8228)
 """Numbers of EPSG's systems of heights in feet, for which GDAL writes no unit."""
-_METRE, _DEFINED_ELSEWHERE = 9001, 32767
-_LENGTH, _LENGTH_SIZE = 3076, 3077
-_GDAL_METADATA = 42112
+_LENGTH_SIZE = 3077
 _HIGHEST_M, _USUAL_HOLE = 12_000.0, -9999.0
 """No height of the earth's surface, above or below the sea, is beyond the first; the second marks holes everywhere."""
 _TIMES, _HARMLESS = 64, 1 << 30
@@ -105,23 +124,14 @@ class MapHeights:
 def read_heights(path: str | Path) -> MapHeights:
     """Heights of a GeoTIFF of one band as they are; refused as in `read_terrain`, but if some are not known."""
     path = Path(path)
-    with open_file(path) as file:
-        data = file.read()
-    try:
-        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            page: Any = tiff.pages.first
-            tags = {tag.code: tag.value for tag in page.tags.values()}
-            bands, shape = page.samplesperpixel, page.shape
-            size = max(math.prod(shape), math.prod(page.chunks)) * np.dtype(page.dtype).itemsize
-            allowed = max(_TIMES * len(data), _HARMLESS)
-            heights = pixels_of(page, data, str(path)) if bands == 1 and size <= allowed else None
-            absent = None if heights is None else masked_out(tiff, page, data, path)
-    except SarsplatError:
-        raise
-    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
-        raise SarsplatError(
-            f"{path} is not a readable TIFF ({shown(str(error))}); write it again with gdal_translate -co COMPRESS=NONE"
-        ) from error
+    with opened_tiff(path, " with gdal_translate -co COMPRESS=NONE") as (tiff, data):
+        page: Any = tiff.pages.first
+        tags = tags_of(page)
+        bands, shape = page.samplesperpixel, page.shape
+        size = max(math.prod(shape), math.prod(page.chunks)) * np.dtype(page.dtype).itemsize
+        allowed = max(_TIMES * len(data), _HARMLESS)
+        heights = pixels_of(page, data, str(path)) if bands == 1 and size <= allowed else None
+        absent = None if heights is None else masked_out(tiff, page, data, path)
     if bands != 1:
         raise SarsplatError(f"{path} has {bands} bands; give one of heights, as by gdal_translate -b 1")
     if heights is None or heights.ndim != 2 or heights.dtype.kind not in "iuf":
@@ -134,7 +144,7 @@ def read_heights(path: str | Path) -> MapHeights:
     where = _where(path, tags, lies, (heights.shape[0], heights.shape[1]))
     table = np.where(np.isfinite(heights), heights, np.nan).astype(np.float64)
     with suppress(TypeError, ValueError):  # it names none
-        table[heights == float(tags.get(_NO_DATA, "nan"))] = np.nan
+        table[heights == float(tags.get(NO_DATA, "nan"))] = np.nan
     if absent is not None:
         table[absent] = np.nan
     _refuse_holes(path, table)
@@ -147,7 +157,7 @@ def read_heights(path: str | Path) -> MapHeights:
 def terrain_bytes(terrain: Terrain) -> bytes:
     """A GeoTIFF that `read_terrain` reads to the same bits; the origin of its system is that of the scene."""
     (dx, dy), (half_x, half_y) = terrain.pitch_m, terrain.half_m
-    keys = (1, 1, 0, 4, _MODEL, 0, 1, _PROJECTED, 1025, 0, 1, 2, 3072, 0, 1, _DEFINED_ELSEWHERE, 3076, 0, 1, _METRE)
+    keys = RasterSystem.local(POINT).keys
     buffer = io.BytesIO()
     tifffile.imwrite(
         buffer,
@@ -157,9 +167,9 @@ def terrain_bytes(terrain: Terrain) -> bytes:
         description="height of the ground, m; columns along x, rows from +y to -y",
         software="sarsplat",
         extratags=[
-            (_PIXEL_SCALE, "d", 3, (dx, dy, 0.0), True),
-            (_TIEPOINT, "d", 6, (0.0, 0.0, 0.0, -half_x, half_y, 0.0), True),
-            (_KEYS, "H", len(keys), keys, True),
+            (PIXEL_SCALE, "d", 3, (dx, dy, 0.0), True),
+            (TIEPOINT, "d", 6, (0.0, 0.0, 0.0, -half_x, half_y, 0.0), True),
+            (KEYS, "H", len(keys), keys, True),
         ],
     )
     return buffer.getvalue()
@@ -171,11 +181,10 @@ def write_terrain(path: str | Path, terrain: Terrain) -> None:
     write_bytes(Path(path), terrain_bytes(terrain))
 
 
-def _refuse_scaled(path: Path, tags: dict[int, Any]) -> None:
+def _refuse_scaled(path: Path, tags: PageTags) -> None:
     """Refuse numbers that are heights only with the scale, the offset or the unit of GDAL's metadata."""
-    said = str(tags.get(_GDAL_METADATA, ""))
     for role, usual in (("scale", 1.0), ("offset", 0.0)):
-        for text in re.findall(rf'<Item[^<>]*role="{role}"[^<>]*>([^<>]*)</Item>', said):
+        for text in gdal_items(tags, role):
             with suppress(ValueError):
                 if float(text) == usual:
                     continue
@@ -183,7 +192,7 @@ def _refuse_scaled(path: Path, tags: dict[int, Any]) -> None:
                 f"{path} holds numbers that become heights by their {role} of {shown(text)}, which is not applied; "
                 "write the heights themselves, as by gdal_translate -unscale -ot Float32"
             )
-    for text in re.findall(r'<Item[^<>]*role="unittype"[^<>]*>([^<>]*)</Item>', said):
+    for text in gdal_items(tags, "unittype"):
         if text.strip().lower() not in ("", "m", "metre", "meter", "metres", "meters"):
             raise SarsplatError(f"{path} has heights in {shown(text)}; convert them to metres")
 
@@ -199,16 +208,16 @@ def _refuse_holes(path: Path, heights: Float64[np.ndarray, "rows columns"]) -> N
         )
 
 
-def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]:
+def _pitch(path: Path, tags: PageTags) -> tuple[tuple[float, float], bool]:
     """Distances of pixels along x and y, m, and whether rows go upwards (north)."""
     keys = keys_of(tags)
-    if keys.get(_MODEL) == _GEOGRAPHIC:
+    if keys.get(MODEL) == GEOGRAPHIC:
         raise SarsplatError(
             f"{path} is in degrees of latitude and longitude; bring it into metres, as by "
             "gdalwarp -t_srs EPSG:326xx (the UTM zone)"
         )
     for key, what in _UNITS.items():
-        if keys.get(key, _METRE) not in (_METRE, _DEFINED_ELSEWHERE):
+        if keys.get(key, METRE) not in (METRE, DEFINED_ELSEWHERE):
             raise SarsplatError(
                 f"{path} has {what} in another unit than metres (EPSG {keys[key]}); convert it to metres"
             )
@@ -216,17 +225,17 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
         raise SarsplatError(f"{path} has heights in feet (EPSG:{keys[_VERTICAL]}); convert them to metres")
     if _VERTICAL in keys:
         refuse_vertical(keys[_VERTICAL], str(path))
-    if keys.get(_LENGTH) == _DEFINED_ELSEWHERE and (size := _length_m(tags)) not in (None, 1.0):
+    if keys.get(LENGTH) == DEFINED_ELSEWHERE and (size := _length_m(tags)) not in (None, 1.0):
         raise SarsplatError(f"{path} has lengths in a unit of {size:g} m; convert it to metres")
-    if _TRANSFORMATION in tags:
-        a, b, _, _, d, e, *_ = map(float, tags[_TRANSFORMATION])
+    if TRANSFORMATION in tags:
+        a, b, _, _, d, e, *_ = map(float, tags[TRANSFORMATION])
         if b or d:
             raise SarsplatError(f"{path} is turned against its system's axes; straighten it, as by gdalwarp")
         if a < 0:
             raise SarsplatError(f"{path} has columns that run west; straighten it, as by gdalwarp")
         pitch, upwards = (abs(a), abs(e)), e > 0
-    elif _PIXEL_SCALE in tags:
-        scale = [float(number) for number in tags[_PIXEL_SCALE]]
+    elif PIXEL_SCALE in tags:
+        scale = [float(number) for number in tags[PIXEL_SCALE]]
         if scale[0] < 0:
             raise SarsplatError(f"{path} has columns that run west; straighten it, as by gdalwarp")
         pitch, upwards = (scale[0], scale[1]), False
@@ -240,7 +249,7 @@ def _pitch(path: Path, tags: dict[int, Any]) -> tuple[tuple[float, float], bool]
     return pitch, upwards
 
 
-def _where(path: Path, tags: dict[int, Any], lies: Georeference | None, shape: tuple[int, int]) -> MapPlace | None:
+def _where(path: Path, tags: PageTags, lies: Georeference | None, shape: tuple[int, int]) -> MapPlace | None:
     """Where its middle is on earth, if its system has a number."""
     if lies is None or lies.kind != "projected" or lies.epsg is None:
         return None
@@ -248,31 +257,25 @@ def _where(path: Path, tags: dict[int, Any], lies: Georeference | None, shape: t
     return place_on_map(lies.epsg, (float(x), float(y)), str(path), _height_above(tags) or "unknown")
 
 
-def _height_above(tags: dict[int, Any]) -> HeightAbove | None:
+def _height_above(tags: PageTags) -> HeightAbove | None:
     """What the file says that heights are measured from: by a vertical system, or as our own maps say it."""
     if (code := keys_of(tags).get(_VERTICAL)) is not None:
         return height_above_of(code)
-    said = str(tags.get(_GDAL_METADATA, ""))
+    said = str(tags.get(GDAL_METADATA, ""))
     return next((name for name, level in LEVELS.items() if f'"{HEIGHTS_ABOVE}">{level}<' in said), None)
 
 
-def _system(tags: dict[int, Any]) -> RasterSystem:
+def _system(tags: PageTags) -> RasterSystem:
     """What the file says of its coordinates, as it says it, but for pixels, which are areas in rasters of ours."""
-    numbers = [int(number) for number in tags.get(_KEYS, ())]
+    numbers = [int(number) for number in tags.get(KEYS, ())]
     for k in range(4, len(numbers) - 3, 4):
-        if numbers[k] == _RASTER:
-            numbers[k + 3] = _AREA
-    doubles = tags.get(_DOUBLES, ())
-    values = doubles if isinstance(doubles, tuple) else (doubles,)
-    return RasterSystem(
-        tuple(numbers), tuple(map(float, values)), str(tags.get(_TEXTS, "")), height_above=_height_above(tags)
-    )
+        if numbers[k] == RASTER:
+            numbers[k + 3] = AREA
+    doubles = tuple(map(float, np.atleast_1d(tags.get(DOUBLES, ()))))
+    return RasterSystem(tuple(numbers), doubles, str(tags.get(TEXTS, "")), height_above=_height_above(tags))
 
 
-def _length_m(tags: dict[int, Any]) -> float | None:
+def _length_m(tags: PageTags) -> float | None:
     """Length of a unit that the file itself defines, m, if it does."""
-    numbers, doubles = [int(number) for number in tags.get(_KEYS, ())], np.atleast_1d(tags.get(_DOUBLES, ()))
-    for key, place, _, index in zip(*(numbers[4 + k :: 4] for k in range(4))):
-        if key == _LENGTH_SIZE and place == _DOUBLES and index < len(doubles):
-            return float(doubles[index])
-    return None
+    index, doubles = keys_of(tags, DOUBLES).get(_LENGTH_SIZE), np.atleast_1d(tags.get(DOUBLES, ()))
+    return None if index is None or index >= len(doubles) else float(doubles[index])

@@ -14,10 +14,10 @@ import tifffile
 from jaxtyping import Float64, Shaped
 
 from sarsplat.data.files import write_bytes
+from sarsplat.data.foreign_tiff import DOUBLES, GDAL_METADATA, KEYS, NO_DATA, PIXEL_SCALE, TEXTS, TIEPOINT
+from sarsplat.data.georeference import AREA
 from sarsplat.geometry.place import HeightAbove
 
-_PIXEL_SCALE, _TIEPOINT, _NO_DATA = 33550, 33922, 42113
-_KEYS, _DOUBLES, _TEXTS, _GDAL_METADATA = 34735, 34736, 34737, 42112
 _TILE = (256, 256)
 
 HEIGHTS_ABOVE = "HEIGHTS_ABOVE"
@@ -47,9 +47,9 @@ class RasterSystem:
         return cls((1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, code), height_above=height_above)
 
     @classmethod
-    def local(cls) -> RasterSystem:
-        """The scene's own axes, x to the right and y upwards, in metres."""
-        return cls((1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 32767, 3076, 0, 1, 9001))
+    def local(cls, pixels: int = AREA) -> RasterSystem:
+        """The scene's own axes, x to the right and y upwards, in metres; pixels are areas or points."""
+        return cls((1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, pixels, 3072, 0, 1, 32767, 3076, 0, 1, 9001))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,25 +106,25 @@ def write_raster(
     """
     values, system = raster.values, raster.system
     tags: list[Any] = [
-        (_PIXEL_SCALE, "d", 3, (*raster.pitch_m, 0.0), True),
-        (_TIEPOINT, "d", 6, (0.0, 0.0, 0.0, *raster.corner_m, 0.0), True),
-        (_KEYS, "H", len(system.keys), system.keys, True),
+        (PIXEL_SCALE, "d", 3, (*raster.pitch_m, 0.0), True),
+        (TIEPOINT, "d", 6, (0.0, 0.0, 0.0, *raster.corner_m, 0.0), True),
+        (KEYS, "H", len(system.keys), system.keys, True),
     ]
     if system.doubles:
-        tags.append((_DOUBLES, "d", len(system.doubles), system.doubles, True))
+        tags.append((DOUBLES, "d", len(system.doubles), system.doubles, True))
     if system.texts:
-        tags.append((_TEXTS, "s", 0, system.texts, True))
-    tags.append((_GDAL_METADATA, "s", 0, _metadata(description, unit, system.height_above), True))
+        tags.append((TEXTS, "s", 0, system.texts, True))
+    tags.append((GDAL_METADATA, "s", 0, _metadata(description, unit, system.height_above), True))
     shown: dict[str, Any] = {"photometric": "minisblack"}
     if colours is None:
         values = values.astype(np.float32)
-        tags.append((_NO_DATA, "s", 0, "nan", True))
+        tags.append((NO_DATA, "s", 0, "nan", True))
     else:
         table = np.zeros((3, 256), np.uint16)
         for value, colour in colours.items():
             table[:, value] = np.array(colour) * 257
         shown = {"photometric": "palette", "colormap": table}
-        tags.append((_NO_DATA, "s", 0, "255", True))
+        tags.append((NO_DATA, "s", 0, "255", True))
     buffer = io.BytesIO()
     tifffile.imwrite(
         buffer,

@@ -86,9 +86,9 @@ def examine(dataset: Dataset) -> Examination:
     by_incidence = isinstance(columns, dict) and "incidence" in columns and "grazing" not in columns
     angles = suspicious_angles(dataset.select("train").views, by_incidence)
     wrong = suspicious_images(dataset)
-    examined.contradictions.extend([*angles, *wrong])
+    examined.contradictions.extend(angles)
     differ = "the only one is not constant" if len(dataset) == 1 else f"all {len(dataset)} differ, none is constant"
-    examined.checks["images"] = "see below" if wrong else differ
+    examined.conclude("images", wrong, differ)
     hot = examine_single_values(dataset, examined)
     cut_off = 0.0 if hot else examine_cut_off(dataset, examined)  # a line of hot pixels is not what is bright
     count = min(len(dataset), _MOST_IMAGES)
@@ -103,8 +103,7 @@ def examine(dataset: Dataset) -> Examination:
             examine_places(_of_one_channel(dataset), upright.ground, examined)
         speckled = cut_off < MUCH and examine_units(upright, examined)
         if speckled and not repeated_images(dataset) and (copies := copied_images(dataset)):
-            examined.contradictions.extend(copies)
-            examined.checks["images"] = "see below"
+            examined.conclude("images", copies, differ)
         if not hot:
             examine_scaling(dataset, examined, speckled, cut_off)
     return examined
@@ -147,14 +146,12 @@ def _upright(
             seen = look(ground=False)
     layout = Layout.of(dataset.source)
     if counts is not None and (seen.counted or (layout and counts.from_one and seen.opposite is not False)):
-        examined.contradictions.append(_counts(counts, seen))
-        examined.checks["azimuths"] = "see below"
+        examined.conclude("azimuths", [_counts(counts, seen)], "")
         return dataset  # of wrong azimuths nothing else follows
     if not seen.by_shadow:
         mapped = on_map(dataset.power, dataset.views, dataset.grid, seen, ground=ground)
         if mapped.certain:
-            examined.contradictions.append(_on_map(mapped))
-            examined.checks["geometry"] = "see below"
+            examined.conclude("geometry", [_on_map(mapped)], "")
             return dataset  # neither side is near range
     near = seen.near or "top"
     examined.checks["near range"] = _near_range(seen)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 
@@ -22,3 +23,8 @@ class Examination:
     contradictions: list[str] = field(default_factory=list)
     checks: dict[str, str] = field(default_factory=dict)
     orientations: list[tuple[str, ...]] = field(default_factory=list)
+
+    def conclude(self, check: str, wrong: Sequence[str], otherwise: str) -> None:
+        """Add the contradictions that one check found, or, if there are none, what there was to see."""
+        self.contradictions.extend(wrong)
+        self.checks[check] = "see below" if wrong else otherwise

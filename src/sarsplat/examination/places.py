@@ -14,12 +14,12 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Complex64, Float32
 from scipy.fft import irfft2, next_fast_len, rfft2
-from scipy.ndimage import map_coordinates
 
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
-from sarsplat.examination.neighbouring_views import reach
+from sarsplat.examination.neighbouring_views import normalised, reach, shown_at
 from sarsplat.examination.outcome import Examination
+from sarsplat.examination.repeated import named
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.regions.outlines import levels_db
 
@@ -123,13 +123,8 @@ class _OnGround:
     def spectrum(self, k: int, view: View, flip: _Flip = _AS_IT_IS) -> _Spectrum:
         """Spectrum of image k on the ground, as if it were of this view, mirrored or turned before."""
         azimuth, slant_range = np.tensordot(view.look.gradients[:, :2], np.stack([self.x, self.y]), 1)
-        column = (azimuth - self.grid.azimuth_m[0]) / self.grid.spacing_m[0]
-        row = (slant_range - self.grid.range_m[0]) / self.grid.spacing_m[1]
-        image = self.bright[k][:: flip[0], :: flip[1]]
-        ground = map_coordinates(image, [row, column], order=1, mode="constant", cval=0.0)
-        rest = np.where(self.inside, ground - ground[self.inside].mean(), 0.0)
-        norm = math.sqrt(float((rest**2).sum()))
-        return rfft2((rest / max(norm, np.finfo(float).tiny)).astype(np.float32), self.padded)
+        ground = shown_at(self.bright[k][:: flip[0], :: flip[1]], self.grid, azimuth, slant_range)
+        return rfft2(normalised(ground, self.inside).astype(np.float32), self.padded)
 
     def clockwise(self, k: int, j: int) -> float:
         """Degrees from image k clockwise to image j, −180 to 180."""
@@ -185,7 +180,7 @@ class _OnGround:
         """Let each of two images be of the other's view."""
         for values in (self.views, self.azimuths, self.grazings):
             values[i], values[j] = values[j], values[i]
-        self.known.clear()
+        self.known = {key: spectrum for key, spectrum in self.known.items() if key[0] not in (i, j)}
 
 
 def examine_places(dataset: Dataset, ground: bool, examined: Examination) -> None:
@@ -214,9 +209,8 @@ def examine_places(dataset: Dataset, ground: bool, examined: Examination) -> Non
     else:
         possible = [flipped, _said_of_swaps(dataset, pairs)]
     wrong = max((found for found in possible if found), default=None)
-    examined.contradictions.extend([] if wrong is None else [wrong[1]])
     none = f"none of {counted(len(told), 'image')} matches those of another azimuth better than its neighbours"
-    examined.checks["single azimuths"] = "see below" if wrong else none
+    examined.conclude("single azimuths", [] if wrong is None else [wrong[1]], none)
 
 
 def _coarse(dataset: Dataset, ground: bool, pitch_m: float) -> tuple[ImageGrid, Float32[np.ndarray, "v m n"]]:
@@ -274,15 +268,15 @@ def _swaps(scene: _OnGround, fits: Sequence[Fit]) -> list[tuple[float, int, int]
 def _said_of_swaps(dataset: Dataset, pairs: Sequence[tuple[float, int, int]]) -> tuple[float, str]:
     """Gain in correlation of all together, and a sentence that names them."""
     gain = sum(more for more, _, _ in pairs)
-    named = [f"{_named(dataset, i)} and {_named(dataset, j)}" for _, i, j in pairs]
+    swaps = [f"{named(dataset, i)} and {named(dataset, j)}" for _, i, j in pairs]
     higher = f"(correlation higher by {pairs[0][0] / 2:.2f})"
     if len(pairs) > _MOST_PAIRS:
         return gain, (
-            f"many images match their neighbours better in another's place, such as {named[0]} in each other's {higher}"
+            f"many images match their neighbours better in another's place, such as {swaps[0]} in each other's {higher}"
             "; check the azimuths, and the order of the files"
         )
     return gain, (
-        f"{', and so do '.join(named)} match their neighbours better in each other's place {higher}, so they seem to "
+        f"{', and so do '.join(swaps)} match their neighbours better in each other's place {higher}, so they seem to "
         "be swapped; exchange the files, or their angles"
     )
 
@@ -320,7 +314,7 @@ def _elsewhere(dataset: Dataset, scene: _OnGround, fits: Sequence[Fit]) -> tuple
     gain, k, azimuth = max(found)
     others = f" (and so do {counted(len(found) - 1, 'other image')})" if len(found) > 1 else ""
     return sum(gain for gain, _, _ in found), (
-        f"{_named(dataset, k)} matches images around azimuth {azimuth % 360:g}° better than its neighbours "
+        f"{named(dataset, k)} matches images around azimuth {azimuth % 360:g}° better than its neighbours "
         f"(correlation higher by {gain:.2f}){others}; correct its azimuth, or the file, or remove it"
     )
 
@@ -343,7 +337,7 @@ def _flipped(dataset: Dataset, scene: _OnGround, fits: Sequence[Fit]) -> tuple[f
     gain, k = max(found[what])
     others = f" (and {counted(many - 1, 'other image')} of {len(scene.views)})" if many > 1 else ""
     return sum(gain for gain, _ in found[what]), (
-        f"{_named(dataset, k)}{others} matches its neighbours better {what} (correlation higher by {gain:.2f}); give "
+        f"{named(dataset, k)}{others} matches its neighbours better {what} (correlation higher by {gain:.2f}); give "
         "all images the same way round"
     )
 
@@ -365,11 +359,6 @@ def _parted(dataset: Dataset, scene: _OnGround, fits: Sequence[Fit]) -> tuple[fl
         return None
     gain, k, what = max(found)
     return gain, (
-        f"images on either side of {_named(dataset, k)} match better if those beyond it, clockwise, are {what} "
+        f"images on either side of {named(dataset, k)} match better if those beyond it, clockwise, are {what} "
         f"(correlation higher by {gain:.2f}); give all images the same way round"
     )
-
-
-def _named(dataset: Dataset, k: int) -> str:
-    view = dataset.views[k]
-    return f"{dataset.entries[k].name} (azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°)"

@@ -78,12 +78,14 @@ def said_of_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]], how: str) 
     """A sentence that names the first of these pairs of images, which are the same in some way; or none."""
     if not pairs:
         return []
-    i, j = pairs[0]
-    one, other = (
-        f"{entry.name} (azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°)"
-        for entry in (dataset.entries[i], dataset.entries[j])
-    )
+    one, other = (named(dataset, k) for k in pairs[0])
     return [f"{one} and {other} are one and the same picture{how}{_more(pairs)}, {_REMEDY}"]
+
+
+def named(dataset: Dataset, k: int) -> str:
+    """The name of an image, and its angles."""
+    entry = dataset.entries[k]
+    return f"{entry.name} (azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°)"
 
 
 def _more(pairs: Sequence[tuple[int, int]]) -> str:

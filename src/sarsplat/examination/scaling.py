@@ -68,18 +68,15 @@ def examine_scaling(dataset: Dataset, examined: Examination, speckled: bool, cut
         *_other_level(dataset),
         *(_other_contrast(dataset) if speckled else ()),
     ]
-    examined.contradictions.extend(wrong)
-    examined.checks["scale"] = "see below" if wrong else "no image seems to have another scale than the others"
+    examined.conclude("scale", wrong, "no image seems to have another scale than the others")
 
 
 def examine_cut_off(dataset: Dataset, examined: Examination) -> float:
     """Add a contradiction if much is cut off at the largest value; returns the largest share of an image that is."""
     shares = np.array([share_at_top(image) for image in _parts(dataset)])
-    wrong = _cut_off(dataset, shares)
-    examined.contradictions.extend(wrong)
     some = f"{shares.mean():.2%} of the pixels, which hold the largest value of their image, were cut off"
-    examined.checks["largest values"] = (
-        "see below" if wrong else some if shares.mean() >= CUT_OFF_SAID else "not cut off"
+    examined.conclude(
+        "largest values", _cut_off(dataset, shares), some if shares.mean() >= CUT_OFF_SAID else "not cut off"
     )
     return float(shares.max())
 

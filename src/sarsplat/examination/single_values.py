@@ -55,8 +55,7 @@ def examine_single_values(dataset: Dataset, examined: Examination) -> bool:
     wrong = _said_of(alone, dataset)
     wrong += _ranges(dataset, {peak.index for peak in alone})
     wrong += _lines(dataset, bright)
-    examined.contradictions.extend(wrong)
-    examined.checks["single values"] = "see below" if wrong else "no pixel, row or column is too bright to be an echo"
+    examined.conclude("single values", wrong, "no pixel, row or column is too bright to be an echo")
     return bool(wrong)
 
 

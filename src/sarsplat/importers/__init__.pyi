@@ -1,5 +1,6 @@
 from .folder import import_folder
-from .images import AboutImages, AboutScene, MeasuredImage, dataset_of, summary, write_imported
+from .images import AboutImages, AboutScene, dataset_of, summary, write_imported
+from .measured_image import MeasuredImage
 from .mstar import import_mstar
 from .phase_history_images import import_phase_history
 from .phoenix import PhoenixChip, read_phoenix

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, Shaped
@@ -13,6 +12,7 @@ from jaxtyping import Bool, Float64, Int64, Shaped
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.examination.scaling import CUT_OFF_SAID, share_at_top
 from sarsplat.geometry import ImageGrid
+from sarsplat.importers.measured_image import MeasuredImage
 
 _CHANCE = 1e-4
 _THICK = 5
@@ -31,23 +31,7 @@ _FEW = 1 / 8
 _FEWEST_IMAGES = 3
 
 
-class _Measured(Protocol):
-    """What is needed here of a `MeasuredImage`."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def pixels(self) -> np.ndarray: ...
-    @property
-    def grid(self) -> ImageGrid: ...
-
-
-Image = TypeVar("Image", bound=_Measured)
-
-
-def with_data(images: Sequence[Image], ground: bool) -> tuple[list[Image], list[str]]:
+def with_data(images: Sequence[MeasuredImage], ground: bool) -> tuple[list[MeasuredImage], list[str]]:
     """Images without corners that hold no data, if they show ground, and what is to be said of what they hold."""
     _refuse_other_spacing(images)
     shares = [share_at_top(part) for image in images for part in _numbers(image)]
@@ -63,18 +47,18 @@ def with_data(images: Sequence[Image], ground: bool) -> tuple[list[Image], list[
     return cut, [*said, *([sentence] if sentence else [])]
 
 
-def _numbers(image: _Measured) -> list[Shaped[np.ndarray, "rows columns"]]:
+def _numbers(image: MeasuredImage) -> list[Shaped[np.ndarray, "rows columns"]]:
     """What may be cut off: power, or both parts of complex amplitudes; of stacks those of the first channel."""
     pixels = image.pixels if image.pixels.ndim == 2 else image.pixels[0]
     return [np.abs(pixels.real), np.abs(pixels.imag)] if pixels.dtype.kind == "c" else [pixels]
 
 
-def _without_empty_corners(images: Sequence[Image]) -> tuple[list[Image], str]:
+def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[MeasuredImage], str]:
     """Images cut to a rectangle that leaves out zeros that reach from a corner, and a sentence about it, or "".
 
     Refused if they are most of an image: then it is the target that was cut out.
     """
-    cut: list[Image] = []
+    cut: list[MeasuredImage] = []
     changed: list[str] = []
     for image in images:
         empty = _empty_corners((image.pixels == 0).reshape(-1, *image.pixels.shape[-2:]).all(axis=0))
@@ -133,7 +117,7 @@ def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, 
     return slice(top, bottom), slice(left, right)
 
 
-def _cut(image: Image, rows: slice, columns: slice) -> Image:
+def _cut(image: MeasuredImage, rows: slice, columns: slice) -> MeasuredImage:
     grid = image.grid
     center = (
         float(grid.azimuth_m[columns].mean()),
@@ -143,7 +127,7 @@ def _cut(image: Image, rows: slice, columns: slice) -> Image:
 
 
 def common_part(
-    images: Sequence[_Measured],
+    images: Sequence[MeasuredImage],
 ) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"], list[str]]:
     """Where the part that all images show begins and ends (azimuth, range), m, and the images that decide it.
 
@@ -171,7 +155,7 @@ def common_part(
     return low, high, [images[k].name for k in _at_its_ends(ends, np.arange(len(images)))]
 
 
-def _refuse_other_spacing(images: Sequence[_Measured]) -> None:
+def _refuse_other_spacing(images: Sequence[MeasuredImage]) -> None:
     """Refuse pixels so much larger than others that they are of another unit sooner than of another image."""
     spacing = np.array([image.grid.spacing_m for image in images])
     usual = np.median(spacing, axis=0)

@@ -6,7 +6,7 @@ must be plain, before sarkit is trusted with them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -16,7 +16,7 @@ from jaxtyping import Float64, Int64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.needed import require
-from sarsplat.importers.nitf import LONGEST_XML, plain_xml, sarkit_errors
+from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
 
 if TYPE_CHECKING:
     import lxml.etree
@@ -52,28 +52,22 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Cphd:
+class Cphd(Metadata):
     """What one file says; everything in it fits the file."""
 
-    path: Path
     version: str
-    tree: lxml.etree._ElementTree
     channels: list[Channel]
     domain: str
     """"FX", samples are of frequencies, or "TOA", of times of arrival."""
     sign: int
     """Of the phase of what is farther away, 1 or −1."""
 
-    def text(self, name: str) -> str:
-        """Text of an element, for people to read; "" if there is none."""
-        return _printable(self.tree.findtext(_any_version(name)))
-
     def load(self, name: str) -> Any:
         """Value of an element as sarkit reads it; None if there is none."""
         from sarkit.cphd import XmlHelper
 
         with sarkit_errors(self.path, "CPHD"):
-            return XmlHelper(self.tree).load(_any_version(name))
+            return XmlHelper(self.tree).load(any_version(name))
 
     @property
     def reference_ecef(self) -> Float64[np.ndarray, " 3"]:
@@ -142,7 +136,7 @@ def open_cphd(path: Path) -> Cphd:
         known = " and ".join(str(one["version"]) for one in VERSION_INFO.values())
         raise SarsplatError(f"{path} is CPHD of {shown(namespace)}; {known} are read, so get it in one of these")
     with sarkit_errors(path, "CPHD"):
-        made = Cphd(path, str(VERSION_INFO[namespace]["version"]), tree, _channels(path, tree, blocks), "", 0)
+        made = Cphd(path, tree, str(VERSION_INFO[namespace]["version"]), _channels(path, tree, blocks), "", 0)
         domain, sign = made.text("Global/DomainType"), made.load("Global/SGN")
         if made.text("CollectionID/CollectType") != "MONOSTATIC":
             raise SarsplatError(
@@ -154,7 +148,7 @@ def open_cphd(path: Path) -> Cphd:
                 f"{path} has {shown(domain)} as its domain and {shown(sign)} as sign of its phase; they must be FX or "
                 "TOA, and 1 or -1, so get it again"
             )
-        return Cphd(path, made.version, tree, made.channels, domain, sign)
+        return replace(made, domain=domain, sign=sign)
 
 
 def _tree(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, dict[str, int]]:
@@ -236,15 +230,6 @@ def _whole(path: Path, element: lxml.etree._Element, name: str) -> int:
 def _polarisation(tree: lxml.etree._ElementTree, channel: str) -> str:
     for one in tree.iterfind("{*}Channel/{*}Parameters"):
         if one.findtext("{*}Identifier") == channel:
-            pair = [_printable(one.findtext(_any_version(f"Polarization/{way}"))) for way in ("TxPol", "RcvPol")]
+            pair = [printable(one.findtext(any_version(f"Polarization/{way}"))) for way in ("TxPol", "RcvPol")]
             return ":".join(pair) if all(pair) else ""
     return ""
-
-
-def _printable(text: str | None) -> str:
-    return "".join(letter if letter.isprintable() else "?" for letter in (text or "").strip())[:80]
-
-
-def _any_version(name: str) -> str:
-    """A path of elements whatever their namespace, which is that of a version."""
-    return "/".join("{*}" + part for part in name.split("/"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Unpack
@@ -18,9 +18,11 @@ from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import View
 from sarsplat.importers.from_map import EAST_DEG, Seen, from_map, producers_ground
-from sarsplat.importers.images import AboutImages, MeasuredImage, assume, dataset_of, view_of, write_imported
+from sarsplat.importers.images import AboutImages, assume, dataset_of, write_imported
+from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside, warn_of_world_files
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
+from sarsplat.importers.picture_views import Angles, view_of_picture
 from sarsplat.importers.table import PER_UNIT, ListedPicture, PictureTable, read_picture_table
 from sarsplat.importers.tiffs import first_georeference
 from sarsplat.importers.values import read_values
@@ -28,12 +30,6 @@ from sarsplat.names import Backscatter, Projection, Quantity, RadarSide, Side, T
 from sarsplat.radiometry import beta0_of_gamma0, beta0_of_sigma0
 
 Pair = tuple[float, float]
-
-_AGREE_DEG, _LEAST_DEG = 5.0, 1.0
-"""By how much an azimuth may miss what a heading says: maps' norths, small squints. The second is a grazing angle."""
-
-_HALFWAY_DEG = 0.1
-"""Angles of one radar that are said beside those of two may be rounded."""
 
 
 @checks_arguments
@@ -182,31 +178,32 @@ def import_folder(
         )
     if azimuth_offset_deg is None:
         azimuth_offset_deg = EAST_DEG if geocoded else 0.0
-    guessed = quantity
+    angles = Angles(azimuth_offset_deg, counter_clockwise, grazing_deg)
     seen: list[Seen] = []
-    for picture in listed.pictures:
-        picture = replace(picture, looks_left=look == "left") if look and picture.looks_left is None else picture
-        values = read_values(picture.path, guessed, _either(picture.scale, scale), _either(picture.offset, offset))
-        guessed = values.quantity
-        _refuse_other_unit(listed, guessed)
-        left = mirrored if picture.looks_left is None else picture.looks_left
-        view = _view(listed, picture, (azimuth_offset_deg, counter_clockwise), grazing_deg, left)
+    for row in listed.pictures:
+        picture = _stated(row, look, spacing_m, resolution_m, azimuth_std_deg)
+        taken_for = seen[-1].values.quantity if seen else quantity
+        values = read_values(picture.path, taken_for, _either(picture.scale, scale), _either(picture.offset, offset))
+        _refuse_other_unit(listed, values.quantity)
+        view = view_of_picture(listed, picture, angles, mirrored if picture.looks_left is None else picture.looks_left)
         if view.apart_deg and (geocoded or backscatter != "beta0"):
             raise SarsplatError(
                 f"{listed.path}: {picture.name} has a transmitter and a receiver apart; --geocoded and --backscatter "
                 "are for images of one radar"
             )
         values = replace(values, image=_beta0(values.image, view, backscatter))
-        seen.append(Seen(_stated(picture, spacing_m, resolution_m, azimuth_std_deg), values, view, ground_range))
-    told = list(dict.fromkeys(text for one in seen for text in one.values.assumptions))
+        seen.append(Seen(picture, values, view, ground_range))
+    found = seen[-1].values.quantity
+    told = [f"the numbers are {found}"] if quantity is None else []
+    told += dict.fromkeys(text for one in seen for text in one.values.assumptions)
     if without := sum(int(one.values.unknown.sum()) for one in seen):
         assume(told, f"{counted(without, 'pixel')} hold what their files call no data, and are taken for zero")
+    place = None
     if geocoded:
         _refuse_layout(near, mirrored, recording)
         ground = producers_ground(geocoded, geocoded_height_m, about.get("terrain"))
         images, place = from_map(listed.path, seen, ground, azimuth_offset_deg, told)
     else:
-        place = None
         if geocoded_height_m:
             raise SarsplatError(
                 "--geocoded-height is for geocoded pictures; give --geocoded level too, or leave it out"
@@ -216,34 +213,24 @@ def import_folder(
         told.append(f"the radar is at the {near} of the pictures, which are {'' if mirrored else 'not '}mirrored")
     if recording is not None:
         images = stacks_of(listed, images, recording)
-    apart = any(image.view.apart_deg for image in images)
-    looks = {bool(one.picture.looks_left) for one in seen}
-    layout: dict[str, Any] = {"geocoded": geocoded} if geocoded else {}
-    if len(looks) == 1 and not geocoded:
-        layout = {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))}
-    headings = "heading" in listed.columns and "azimuth" not in listed.columns and not apart
-    resolution_known = resolution_m is not None or any("resolution" in meaning for meaning in listed.columns)
+    told += _said_of_angles(listed, angles, apart=any(image.view.apart_deg for image in images))
+    if backscatter != "beta0":
+        told.append(f"the power is {backscatter}, and became β⁰ as on level ground")
+    if resolution_m is None and not any("resolution" in meaning for meaning in listed.columns):
+        told.append("the resolution is the pixel spacing")
+    if recording is not None:
+        told += _said_of_phases(recording)
+    columns_said = ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items())
     source: dict[str, Any] = {
         "kind": "folder",
         "table": listed.path.name,
         "columns": listed.columns,
-        "quantity": guessed,
+        "quantity": found,
         "scale": scale,
         "offset": offset,
         "ground_range": ground_range,
-        **layout,  # if it is that of all
-        "assumptions": [
-            "columns of the table: " + ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items()),
-            *([f"the numbers are {guessed}"] if quantity is None else []),
-            *told,
-            *(["azimuths are 90° to the left of headings, or to the right where the radar looks left"] * headings),
-            f"azimuths are directions to the radar, {'counter-' if counter_clockwise else ''}clockwise; 0 is "
-            f"{azimuth_offset_deg:g}° from the target's nose",
-            *(["slant ranges are half of the way from the transmitter to the receiver"] if apart else []),
-            *([f"the power is {backscatter}, and became β⁰ as on level ground"] * (backscatter != "beta0")),
-            *([] if resolution_known else ["the resolution is the pixel spacing"]),
-            *([] if recording is None else _said_of_phases(recording)),
-        ],
+        **_layout(seen, geocoded, near, mirrored, counter_clockwise),
+        "assumptions": [f"columns of the table: {columns_said}", *told],
     }
     dataset = dataset_of(
         images,
@@ -279,6 +266,29 @@ def _recording(
     return None
 
 
+def _layout(
+    seen: Sequence[Seen], geocoded: Projection | None, near: Side, mirrored: bool, counter_clockwise: bool
+) -> dict[str, Any]:
+    """How pictures lay in their files, for remedies that name other options: if it is that of all."""
+    if geocoded:
+        return {"geocoded": geocoded}
+    looks = {bool(one.picture.looks_left) for one in seen}
+    return {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))} if len(looks) == 1 else {}
+
+
+def _said_of_angles(listed: PictureTable, angles: Angles, *, apart: bool) -> list[str]:
+    said = []
+    if "heading" in listed.columns and "azimuth" not in listed.columns and not apart:
+        said.append("azimuths are 90° to the left of headings, or to the right where the radar looks left")
+    said.append(
+        f"azimuths are directions to the radar, {'counter-' if angles.counter_clockwise else ''}clockwise; 0 is "
+        f"{angles.offset_deg:g}° from the target's nose"
+    )
+    if apart:
+        said.append("slant ranges are half of the way from the transmitter to the receiver")
+    return said
+
+
 def _said_of_phases(recording: Recording) -> list[str]:
     return [
         f"what is farther away has {'more' if recording.conjugate else 'less'} phase in the files",
@@ -300,7 +310,11 @@ def _refuse_layout(near: Side, mirrored: bool, recording: Recording | None) -> N
 
 
 def _stated(
-    picture: ListedPicture, spacing_m: Pair | None, resolution_m: Pair | None, azimuth_std_deg: float
+    picture: ListedPicture,
+    look: RadarSide | None,
+    spacing_m: Pair | None,
+    resolution_m: Pair | None,
+    azimuth_std_deg: float,
 ) -> ListedPicture:
     """The picture with what is said of all where its row says nothing."""
 
@@ -310,49 +324,11 @@ def _stated(
 
     return replace(
         picture,
+        looks_left=look == "left" if look and picture.looks_left is None else picture.looks_left,
         spacing_m=filled(picture.spacing_m, spacing_m),
         resolution_m=filled(picture.resolution_m, resolution_m),
         azimuth_std_deg=_either(picture.azimuth_std_deg, azimuth_std_deg),
     )
-
-
-def _azimuth(listed: PictureTable, picture: ListedPicture, counter_clockwise: bool) -> float:
-    """The direction to the radar, degrees clockwise, as the table counts: of a flight's heading, to its side."""
-    heading = picture.heading_deg
-    if picture.azimuth_deg is not None:
-        azimuth = -picture.azimuth_deg if counter_clockwise else picture.azimuth_deg
-        if heading is not None and picture.looks_left is not None:
-            _refuse_other_heading(listed, picture, azimuth, heading + (90 if picture.looks_left else -90))
-        return azimuth
-    column = shown(listed.columns["heading"])
-    if picture.looks_left is None:
-        raise SarsplatError(
-            f"{listed.path} has no azimuths but headings of the flight ({column}), and does not say to which side "
-            f"{picture.name} looks; give it with --look or a column look (right or left), or name a column of azimuths "
-            "with --columns azimuth=NAME"
-        )
-    if counter_clockwise:
-        raise SarsplatError(
-            f"{listed.path} has headings ({column}), which run clockwise; leave out --counter-clockwise, or name a "
-            "column of azimuths with --columns azimuth=NAME"
-        )
-    assert heading is not None  # a column of either is there
-    return heading + (90 if picture.looks_left else -90)
-
-
-def _refuse_other_heading(listed: PictureTable, picture: ListedPicture, azimuth: float, across: float) -> None:
-    """Of a table with both, the radar must be where the flight's heading and its side have it, or ahead or behind by
-    its squint: above level flight, an azimuth axis that is tilted by τ is squinted by atan(tan τ / sin θ).
-    """
-    grazing = math.radians(min(max(picture.grazing_deg or 0.0, _LEAST_DEG), 90.0))
-    squint = math.degrees(math.atan(math.tan(math.radians(picture.tilt_deg or 0.0)) / math.sin(grazing)))
-    if abs((azimuth - across + 180) % 360 - 180) > _AGREE_DEG + abs(squint):
-        side = "left" if picture.looks_left else "right"
-        raise SarsplatError(
-            f"{listed.path}: {picture.name} has an azimuth of {picture.azimuth_deg:g}°, but a radar with the heading "
-            f"{picture.heading_deg:g}° that looks to its {side} is in the direction {across % 360:g}°; say which holds "
-            "with --columns azimuth=NAME or --columns heading=NAME, or mend the table"
-        )
 
 
 def _beta0(
@@ -387,63 +363,3 @@ def _in_range(table: Path, one: Seen, near: Side, mirrored: bool) -> MeasuredIma
         azimuth_std_deg=picture.azimuth_std_deg or 0.0,
         split=picture.split,
     )
-
-
-def _view(
-    listed: PictureTable, picture: ListedPicture, azimuths: tuple[float, bool], grazing_deg: float | None, left: bool
-) -> View:
-    """The view of a picture, which is mirrored if the radar looks to the left: then it is one that looks right.
-
-    `azimuths` are the offset of the table's azimuths, degrees, and whether they run counter-clockwise.
-    """
-    name, (offset, counter_clockwise) = f"{listed.path}: {picture.name}", azimuths
-
-    def clockwise(azimuth_deg: float) -> float:
-        return offset + (-azimuth_deg if counter_clockwise else azimuth_deg)
-
-    tilt = picture.tilt_deg or 0.0
-    tilt = -tilt if left else tilt
-    if picture.ways_deg is not None:
-        return _of_two_ways(name, picture, picture.ways_deg, clockwise, tilt)
-    grazing = grazing_deg if picture.grazing_deg is None else picture.grazing_deg
-    if grazing is None:
-        raise SarsplatError(
-            f"{listed.path} does not say from what grazing angle {picture.name} is; name the column with "
-            "--columns grazing=NAME (or incidence=NAME), or give one angle for all with --grazing"
-        )
-    return view_of(name, offset + _azimuth(listed, picture, counter_clockwise), grazing, tilt)
-
-
-def _of_two_ways(
-    name: str,
-    picture: ListedPicture,
-    ways_deg: tuple[float, float, float, float],
-    clockwise: Callable[[float], float],
-    tilt_deg: float,
-) -> View:
-    """The view of a picture whose transmitter and receiver the table names; that of one radar if they are the same.
-
-    Refused if the row also says where one radar would be, and that is not halfway between them.
-    """
-    ends = [
-        view_of(f"{name}, {whose}", clockwise(azimuth), grazing)
-        for whose, azimuth, grazing in zip(("transmitter", "receiver"), ways_deg[::2], ways_deg[1::2], strict=True)
-    ]
-    if ends[0] == ends[1]:
-        view = replace(ends[0], tilt_deg=tilt_deg)
-    else:
-        try:
-            view = View.bistatic(ends[0].direction, ends[1].direction, tilt_deg=tilt_deg)
-        except SarsplatError as error:
-            raise SarsplatError(f"{name}: {error}") from error
-    stated = None if picture.azimuth_deg is None else clockwise(picture.azimuth_deg)
-    for what, said, halfway in (
-        ("azimuth", stated, view.azimuth_deg),
-        ("grazing angle", picture.grazing_deg, view.grazing_deg),
-    ):
-        if said is not None and abs((said - halfway + 180) % 360 - 180) > _HALFWAY_DEG:
-            raise SarsplatError(
-                f"{name} has the {what} {said:g}°, but halfway between its transmitter and its receiver is "
-                f"{halfway:.5g}°; leave its cell empty, or correct one of them"
-            )
-    return view

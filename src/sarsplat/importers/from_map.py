@@ -14,7 +14,7 @@ from sarsplat.data.image import power_of
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Terrain, View
 from sarsplat.importers.geocoded import MapPicture, on_ground, resampled
-from sarsplat.importers.images import MeasuredImage
+from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.own_lengths import check_spacing, lengths, spacing_beside
 from sarsplat.importers.table import ListedPicture
 from sarsplat.importers.values import Values

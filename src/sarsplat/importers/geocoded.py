@@ -21,7 +21,7 @@ from sarsplat.data.map_place import INEXACT_M, NOT_RELATED, exactness_m, far_out
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.extras import install_command
 from sarsplat.geometry import ImageGrid, Place, Terrain, View
-from sarsplat.importers.images import MeasuredImage
+from sarsplat.importers.measured_image import MeasuredImage
 
 _FEWEST = 8
 """Pixels along a side of what is left."""

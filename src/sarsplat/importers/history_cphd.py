@@ -21,9 +21,9 @@ from sarsplat.geometry import Place
 from sarsplat.geometry.responses import UNIFORM
 from sarsplat.importers.cphd_file import MAGIC, Channel, Cphd, open_cphd
 from sarsplat.importers.histories import PhaseHistoryFormat
-from sarsplat.importers.nitf import sarkit_errors
 from sarsplat.importers.phase_apertures import WIDEST_DEG, whole_flight
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory, Recorded
+from sarsplat.importers.sarkit_xml import sarkit_errors
 
 _MONOSTATIC_DEG = 0.5
 """Angle between the directions to where pulses were sent and received that a moving antenna does not reach."""

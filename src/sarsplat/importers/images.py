@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 from weakref import WeakKeyDictionary
@@ -13,21 +13,22 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Float32, Num, Shaped
 
-from sarsplat.arguments import checks_arguments, expect
+from sarsplat.arguments import checks_arguments
 from sarsplat.data.coverage import evenly_chosen, largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
-from sarsplat.data.header import Box, Calibration, Pair
+from sarsplat.data.header import Box, Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.map_place import UNCONVERTED
 from sarsplat.data.raster import LEVELS
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
 from sarsplat.examination.plausible import suspicions, warn
-from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, View
-from sarsplat.geometry.responses import GAUSSIAN, Response
+from sarsplat.geometry import ImageGrid, Place, Terrain
+from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.importers.band_limited import resample
 from sarsplat.importers.common_part import common_part, with_data
+from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.radiometry import to_db
 
 if TYPE_CHECKING:
@@ -84,84 +85,6 @@ class AboutImages(AboutScene, total=False):
 
     looks: float | None
     ground: bool
-
-
-@dataclass(frozen=True)
-class MeasuredImage:
-    """One image as a reader returns it.
-
-    Parameters
-    ----------
-    name : str
-        What to call it, e.g. its file.
-    pixels : numpy.ndarray, complex64 or float32 [rows, columns], or complex64 [P, rows, columns]
-        Complex amplitude if phase is available, otherwise linear power; row 0 near range, columns rising along the
-        flight of a right-looking radar. Of a stack, those of each channel, coregistered, not deramped.
-    view : View
-        From where it was taken.
-    spacing_m, resolution_m : (float, float)
-        Pixel spacing and 3 dB width of the power response (azimuth, slant range), m.
-    center_m : (float, float)
-        Where the centre of the image lies (azimuth, slant range), m from the scene centre.
-    azimuth_std_deg : float
-        Standard deviation of the azimuth, degrees.
-    split : str or None
-        Its set, if the source says so.
-    response : Response
-        Shape of the power response; Gaussian if unknown.
-    stack : Stack or None
-        The channels, if there are several.
-
-    Raises
-    ------
-    SarsplatError
-        If one of them is of another kind, or the pixels are no image.
-    """
-
-    name: str
-    pixels: Num[np.ndarray, "*channels rows columns"]
-    view: View
-    spacing_m: tuple[float, float]
-    resolution_m: tuple[float, float]
-    center_m: tuple[float, float] = (0.0, 0.0)
-    azimuth_std_deg: float = 0.0
-    split: str | None = None
-    response: Response = GAUSSIAN
-    stack: Stack | None = None
-
-    def __post_init__(self) -> None:
-        expect(str, name=self.name)
-        expect(np.ndarray, pixels=self.pixels)
-        expect(View, view=self.view)
-        expect(Pair, spacing_m=self.spacing_m, resolution_m=self.resolution_m, center_m=self.center_m)
-        expect(float, azimuth_std_deg=self.azimuth_std_deg)
-        expect(str | None, split=self.split)
-        expect(Response, response=self.response)
-        expect(Stack | None, stack=self.stack)
-        kinds, sides = ("fc", 2) if self.stack is None else ("c", 3)
-        if self.pixels.dtype.kind not in kinds or self.pixels.ndim != sides:
-            raise SarsplatError(
-                f"{self.name} holds {self.pixels.dtype} of shape {self.pixels.shape}; give "
-                + (
-                    "complex amplitudes, or power as float32, in rows and columns"
-                    if sides == 2
-                    else "a stack's channels"
-                )
-            )
-
-    @property
-    def grid(self) -> ImageGrid:
-        """Where its pixels lie."""
-        rows, columns = self.pixels.shape[-2:]
-        return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m, self.response)
-
-
-def view_of(name: str, azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0) -> View:
-    """From where the image of this name was taken, which an error names."""
-    try:
-        return replace(View(azimuth_deg, grazing_deg, tilt_deg), azimuth_deg=azimuth_deg % 360)
-    except SarsplatError as error:
-        raise SarsplatError(f"{name}: {error}") from error
 
 
 @checks_arguments
@@ -326,6 +249,20 @@ def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> Non
             f"--size {size_m:g} makes {columns:.0f} × {rows:.0f} pixels of {spacing} (azimuth × range); give a size "
             f"that makes {fewest} to {most} a side"
         )
+
+
+def check_heading(heading_deg: float) -> None:
+    """Refuse what is no compass heading; NaN, too."""
+    if not abs(heading_deg) <= 360:
+        raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
+
+
+def said_of_heading(heading_deg: float) -> str:
+    """What it means for azimuths that the scene's x axis points there."""
+    return (
+        f"the x axis points to the compass heading {heading_deg:g}°, so azimuth = compass bearing of the radar − "
+        f"{heading_deg:g}°"
+    )
 
 
 def assume(assumptions: list[str], text: str) -> None:

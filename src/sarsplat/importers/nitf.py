@@ -8,17 +8,13 @@ must add up to the file's, and the XML must be plain.
 from __future__ import annotations
 
 import re
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NoReturn
 
-import numpy as np
-
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.sarkit_xml import LONGEST_XML, plain_xml
 
 if TYPE_CHECKING:
     import lxml.etree
@@ -38,9 +34,6 @@ _KINDS = (
 _MOST_SEGMENTS = 100
 _XML_EXTENSIONS = ("XML_DATA_CONTENT", "SICD_XML", "SIDD_XML")
 _START_OF_XML = 4096  # in which the root is
-LONGEST_XML = 4 << 20
-"""Bytes of metadata, which no file comes near."""
-_HIGHEST_ORDER = 20
 _OTHERS = {
     b"NITF": "a NITF file of another version than 2.1",
     b"CPHD": "phase history (CPHD)",
@@ -176,42 +169,3 @@ def _sicd_xml(path: Path, text: bytes) -> lxml.etree._ElementTree:
             raise SarsplatError(f"{path} is a SIDD, a picture derived from SAR images; give the SICD it was made from")
         raise SarsplatError(f"{path} holds {shown(name)}, not a SICD; give files of complex SAR images (SICD)")
     return tree
-
-
-def plain_xml(path: Path, text: bytes, kind: str) -> lxml.etree._ElementTree:
-    """Metadata of a SICD or another `kind`, without entities or references to other files; refused if they are not
-    plain, or have polynomials of an absurd order.
-    """
-    import lxml.etree
-
-    plain = lxml.etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
-    try:
-        tree = lxml.etree.fromstring(text, plain).getroottree()
-    except (lxml.etree.LxmlError, ValueError) as error:
-        raise SarsplatError(
-            f"{path} has metadata that are not valid XML ({shown(str(error))}); get it again"
-        ) from error
-    if tree.docinfo.doctype or tree.docinfo.internalDTD is not None:
-        raise SarsplatError(f"{path} has a DOCTYPE in its XML, which no {kind} has, and is not read; get it elsewhere")
-    for element in tree.iter("{*}Coef"):  # sarkit makes an array as large as the highest exponents say
-        for power in (element.get(name, "0") for name in ("exponent1", "exponent2")):
-            if not (power.isascii() and power.isdigit() and int(power[:9]) <= _HIGHEST_ORDER):
-                raise SarsplatError(
-                    f"{path} has a polynomial with the exponent {shown(power)}; at most {_HIGHEST_ORDER} is plausible, "
-                    "so get it again"
-                )
-    return tree
-
-
-@contextmanager
-def sarkit_errors(path: Path, kind: str = "SICD") -> Iterator[None]:
-    """One sentence in place of whatever sarkit raises, which trusts its files; its warnings are hidden."""
-    try:
-        with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    except (SarsplatError, OSError, MemoryError):
-        raise
-    except Exception as error:
-        problem = shown(f"{type(error).__name__}: {error}")
-        raise SarsplatError(f"{path} is not a valid {kind} (sarkit says {problem}); get it again") from error

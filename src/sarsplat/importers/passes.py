@@ -10,7 +10,7 @@ import numpy as np
 
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Stack
-from sarsplat.importers.images import MeasuredImage
+from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.table import ListedPicture, PictureTable
 
 _NO_RADIANS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters"}

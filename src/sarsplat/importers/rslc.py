@@ -23,7 +23,15 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Stack, View
-from sarsplat.importers.images import AboutImages, MeasuredImage, check_sides, dataset_of, write_imported
+from sarsplat.importers.images import (
+    AboutImages,
+    check_heading,
+    check_sides,
+    dataset_of,
+    said_of_heading,
+    write_imported,
+)
+from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.rslc_file import Rslc, read_rslc
 from sarsplat.names import CrossPolarised
@@ -122,8 +130,7 @@ def import_rslc(
             f"the origin of the scene is pixel {spot[0]:g}, {spot[1]:g}, {height_m:g} m above the ellipsoid, and the "
             "ground there is level at z = 0",
             *told,
-            f"the x axis points to the compass heading {heading_deg:g}°, so azimuth = compass bearing of the radar − "
-            f"{heading_deg:g}°",
+            said_of_heading(heading_deg),
             "what is farther away has less phase in the file, whose polarisations are named by what is transmitted and "
             "what is received" + f"; it has one, {rslc.polarisations[0]}" * (not several),
             *assumptions,
@@ -152,8 +159,7 @@ def _seen(
     """From where the spot is seen, pixel spacing and 3 dB widths (azimuth, range) there, m, and whether the file states
     a wider band than its pixels can hold.
     """
-    if not abs(heading_deg) <= 360:
-        raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
+    check_heading(heading_deg)
     time, away = _when_and_where(rslc, spot)
     east, north, speed = rslc.geolocation.at(height_m, time, away)
     up = math.sqrt(max(1 - east**2 - north**2, 0.0))

@@ -21,7 +21,16 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place
 from sarsplat.importers.files import each_once, warn_caller
-from sarsplat.importers.images import AboutImages, MeasuredImage, assume, check_sides, dataset_of, write_imported
+from sarsplat.importers.images import (
+    AboutImages,
+    assume,
+    check_heading,
+    check_sides,
+    dataset_of,
+    said_of_heading,
+    write_imported,
+)
+from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of, stack_image
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, layout_around, said_of_place, spot_of_centre, spot_of_pixel
@@ -156,8 +165,7 @@ def _check_request(
 ) -> None:
     if not 0 < size_m <= _LARGEST_SIZE_M:  # also catches NaN
         raise SarsplatError(f"the size {size_m:g} m must be positive and at most {_LARGEST_SIZE_M:g} m")
-    if not abs(heading_deg) <= 360:
-        raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
+    check_heading(heading_deg)
     if around is not None and pixel is not None:
         raise SarsplatError("both a place (around) and a pixel were given; give one of them")
     if around is not None:
@@ -215,7 +223,6 @@ def _assumptions(
 ) -> list[str]:
     """What was taken for granted, in plain English."""
     around, pixel = given
-    heading = spot.x_towards_deg
     how = "as given" if around else f"what pixel {pixel} shows" if pixel else "the first image's scene centre point"
     if around and len(around) == 2:  # type: ignore[arg-type]
         how += ", as high as the first image's scene centre point"
@@ -224,8 +231,7 @@ def _assumptions(
     sentences = [
         f"the origin of the scene is {spot.latitude_deg:.6f}°, {spot.longitude_deg:.6f}°, {spot.height_m:.1f} m above "
         f"the ellipsoid ({how}), and the ground there is level at z = 0",
-        f"the x axis points to the compass heading {heading:g}°, so azimuth = compass bearing of the radar − "
-        f"{heading:g}°",
+        said_of_heading(spot.x_towards_deg),
         f"radars look to the {' and '.join(f'{look} ({count})' for look, count in sorted(looks.items()))}; images of "
         "left-looking ones are laid out as a right-looking radar at the same place would record them: columns run "
         "against the flight, and nothing is mirrored",

@@ -26,9 +26,9 @@ from sarsplat.geometry import ImageGrid, Place, Stack
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.geometry.stack import POLARISATIONS
 from sarsplat.importers.band_limited import interpolate, taps
-from sarsplat.importers.images import MeasuredImage
-from sarsplat.importers.nitf import sarkit_errors
+from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
+from sarsplat.importers.sarkit_xml import sarkit_errors
 from sarsplat.importers.sicd_file import Axis, Sicd
 from sarsplat.importers.sicd_geometry import Layout, middle_of, on_ground
 

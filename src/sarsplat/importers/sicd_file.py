@@ -13,7 +13,8 @@ from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
 from sarsplat.importers.needed import require
-from sarsplat.importers.nitf import Segment, read_nitf, sarkit_errors
+from sarsplat.importers.nitf import Segment, read_nitf
+from sarsplat.importers.sarkit_xml import Metadata, any_version, sarkit_errors
 
 if TYPE_CHECKING:
     import lxml.etree
@@ -221,26 +222,19 @@ class Axis:
         return min(self.bandwidth * self.spacing_m, 1.0)
 
 
-class SicdFields:
+class SicdFields(Metadata):
     """Single fields of the XML, each refused with a sentence if it is not what it must be."""
 
-    def __init__(self, path: Path, tree: lxml.etree._ElementTree) -> None:
+    def _load(self, name: str) -> Any:
         from sarkit.sicd import XmlHelper
 
-        self._path, self._tree, self._helper = path, tree, XmlHelper(tree)
-
-    def _load(self, name: str) -> Any:
-        return self._helper.load(_any_version(name))
-
-    def _text(self, name: str) -> str:
-        text = self._tree.findtext(_any_version(name)) or ""
-        return "".join(letter if letter.isprintable() else "?" for letter in text.strip())[:80]
+        return XmlHelper(self.tree).load(any_version(name))
 
     def _number(self, name: str, least: float, most: float) -> float:
         value = self._load(name)
         if not isinstance(value, int | float) or not least <= value <= most:  # also catches NaN
             raise SarsplatError(
-                f"{self._path} has {shown(value)} as {name}; it must be a number from {least:g} to {most:g}, so get it "
+                f"{self.path} has {shown(value)} as {name}; it must be a number from {least:g} to {most:g}, so get it "
                 "again"
             )
         return float(value)
@@ -249,16 +243,16 @@ class SicdFields:
         """A polynomial in two variables; None where there is none."""
         value = self._load(name)
         if value is not None and not np.all(np.abs(value) <= FARTHEST):
-            raise SarsplatError(f"{self._path} has a polynomial {name} that is not finite; get it again")
+            raise SarsplatError(f"{self.path} has a polynomial {name} that is not finite; get it again")
         return value
 
     def axis(self, name: str) -> Axis:
         """Rows (`Row`) or columns (`Col`)."""
         carrier = self.polynomial(f"Grid/{name}/DeltaKCOAPoly")
-        window = self._text(f"Grid/{name}/WgtType/WindowName")
+        window = self.text(f"Grid/{name}/WgtType/WindowName")
         sign = self._load(f"Grid/{name}/Sgn")
         if sign not in (1, -1):
-            raise SarsplatError(f"{self._path} has {shown(sign)} as Grid/{name}/Sgn; it must be 1 or -1")
+            raise SarsplatError(f"{self.path} has {shown(sign)} as Grid/{name}/Sgn; it must be 1 or -1")
         return Axis(
             self._number(f"Grid/{name}/SS", 1e-4, 1e4),
             self._number(f"Grid/{name}/ImpRespWid", 1e-4, 1e4),
@@ -273,23 +267,23 @@ class SicdFields:
         """The response that a window leads to, if it is one of ours and stated with its parameters."""
         if window == "UNIFORM":
             return UNIFORM
-        stated = {item.get("name"): item.text for item in self._tree.iterfind(_any_version(f"{name}/Parameter"))}
+        stated = {item.get("name"): item.text for item in self.tree.iterfind(any_version(f"{name}/Parameter"))}
         return stated_taylor(stated.get("SLL"), stated.get("NBAR")) if window == "TAYLOR" else GAUSSIAN
 
     def pixel_type(self) -> str:
         """One of those that sarkit knows."""
         from sarkit.sicd import PIXEL_TYPES
 
-        name = self._text("ImageData/PixelType")
+        name = self.text("ImageData/PixelType")
         if name not in PIXEL_TYPES:
-            raise SarsplatError(f"{self._path} has pixels of type {shown(name)}; give {', '.join(PIXEL_TYPES)}")
+            raise SarsplatError(f"{self.path} has pixels of type {shown(name)}; give {', '.join(PIXEL_TYPES)}")
         return name
 
     def amplitudes(self) -> Float64[np.ndarray, " 256"] | None:
         """The table of amplitudes, if there is one."""
         values = self._load("ImageData/AmpTable")
         if values is not None and not (np.shape(values) == (256,) and np.all((values >= 0) & (values <= LARGEST))):
-            raise SarsplatError(f"{self._path} has a table of amplitudes that is not 256 numbers ≥ 0; get it again")
+            raise SarsplatError(f"{self.path} has a table of amplitudes that is not 256 numbers ≥ 0; get it again")
         return values
 
     def centre_frequency(self) -> float | None:
@@ -308,12 +302,7 @@ class SicdFields:
             "start": "Timeline/CollectStart",
             "polarization": "ImageFormation/TxRcvPolarizationProc",
         }
-        return {key: text for key, name in names.items() if (text := self._text(name))}
-
-
-def _any_version(name: str) -> str:
-    """A path of elements whatever their namespace, which is that of a version."""
-    return "/".join("{*}" + part for part in name.split("/"))
+        return {key: text for key, name in names.items() if (text := self.text(name))}
 
 
 def modernise(path: Path, tree: lxml.etree._ElementTree) -> str:

@@ -18,7 +18,7 @@ from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, View
-from sarsplat.importers.nitf import sarkit_errors
+from sarsplat.importers.sarkit_xml import sarkit_errors
 from sarsplat.importers.sicd_file import Sicd
 
 _LATTICE = 9  # places to a side that a layout is fitted to

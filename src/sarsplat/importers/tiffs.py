@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,14 @@ import tifffile
 from jaxtyping import Bool, Shaped
 
 from sarsplat.data.files import open_file
-from sarsplat.data.georeference import KEYS, Georeference, georeference_of
+from sarsplat.data.foreign_tiff import KEYS, NO_DATA, PageTags, gdal_items, opened_tiff, tags_of
+from sarsplat.data.georeference import Georeference, georeference_of
 from sarsplat.data.packed_tiff import masked_out, pixels_of
 from sarsplat.errors import SarsplatError, shown
 
 TIFF = (".tif", ".tiff")
 _MOST_PAGES = 16
-_PHOTOMETRIC, _ORIENTATION, _GDAL_METADATA, _NO_DATA = 262, 274, 42112, 42113
+_PHOTOMETRIC, _ORIENTATION = 262, 274
 _WHITE_IS_ZERO, _PALETTE = 0, 3
 _OPAQUE = 255
 """In bands for transparency that GDAL writes beside numbers with a sign or a fraction."""
@@ -75,25 +75,16 @@ def unknown(pixels: Shaped[np.ndarray, "*shape"], tags: Tags) -> Bool[np.ndarray
 
 def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     """The pixels of the one image in a file, and its tags; of overviews nothing is read."""
-    with open_file(path) as file:
-        data = file.read()
-    try:
-        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            page = _the_page(path, tiff)
-            tags = {tag.code: tag.value for tag in page.tags.values()}
-            _refuse_meanings(path, page, tags)
-            whole, part = (_stored_bytes(page, shape) for shape in (page.shape, page.chunks))
-            packed = page.compression != tifffile.COMPRESSION.NONE
-            refuse_bomb(path, max(whole, part), len(data), packed)
-            pixels, absent = _without_alpha(path, page, pixels_of(page, data, str(path)))
-            if (masked := masked_out(tiff, page, data, path)) is not None:
-                absent = masked
-    except SarsplatError:
-        raise
-    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
-        raise SarsplatError(
-            f"{path} is not a readable TIFF ({shown(str(error))}); write it again, without compression"
-        ) from error
+    with opened_tiff(path, ", without compression") as (tiff, data):
+        page = _the_page(path, tiff)
+        tags = tags_of(page)
+        _refuse_meanings(path, page, tags)
+        whole, part = (_stored_bytes(page, shape) for shape in (page.shape, page.chunks))
+        packed = page.compression != tifffile.COMPRESSION.NONE
+        refuse_bomb(path, max(whole, part), len(data), packed)
+        pixels, absent = _without_alpha(path, page, pixels_of(page, data, str(path)))
+        if (masked := masked_out(tiff, page, data, path)) is not None:
+            absent = masked
     if absent is not None and not absent.any():
         absent = None
     return _black_is_zero(path, pixels, page, tags), replace(_tags(path, page, tags), absent=absent)
@@ -162,9 +153,9 @@ def _stored_bytes(page: Any, shape: tuple[int, ...]) -> int:
     return math.prod(shape) * int(page.bitspersample) // 8
 
 
-def _refuse_meanings(path: Path, page: Any, tags: Mapping[int, Any]) -> None:
+def _refuse_meanings(path: Path, page: Any, tags: PageTags) -> None:
     """Refuse what would be read as something else than it is."""
-    channels = [_CHANNEL.search(name) for name in _items(tags, "description")]
+    channels = [_CHANNEL.search(name) for name in gdal_items(tags, "description")]
     polarisations = [*dict.fromkeys(channel[0].upper() for channel in channels if channel)]
     if page.samplesperpixel > 1 and len(polarisations) > 1:
         raise SarsplatError(
@@ -181,7 +172,7 @@ def _refuse_meanings(path: Path, page: Any, tags: Mapping[int, Any]) -> None:
 
 
 def _black_is_zero(
-    path: Path, pixels: Shaped[np.ndarray, "*shape"], page: Any, tags: Mapping[int, Any]
+    path: Path, pixels: Shaped[np.ndarray, "*shape"], page: Any, tags: PageTags
 ) -> Shaped[np.ndarray, "*shape"]:
     """Brighter pixels have larger numbers, whichever way the file has it."""
     if tags.get(_PHOTOMETRIC) != _WHITE_IS_ZERO or page.samplesperpixel != 1:
@@ -199,14 +190,14 @@ def _white(page: Any) -> int:
     return (1 << int(page.bitspersample)) - 1
 
 
-def _tags(path: Path, page: Any, tags: Mapping[int, Any]) -> Tags:
+def _tags(path: Path, page: Any, tags: PageTags) -> Tags:
     no_data = None
-    if _NO_DATA in tags:
+    if NO_DATA in tags:
         try:
-            no_data = float(tags[_NO_DATA])
+            no_data = float(tags[NO_DATA])
         except (TypeError, ValueError) as error:
             raise SarsplatError(
-                f"{path} names the value of pixels without data as {shown(tags[_NO_DATA])}; give a number"
+                f"{path} names the value of pixels without data as {shown(tags[NO_DATA])}; give a number"
             ) from error
         if tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
             no_data = _white(page) - no_data
@@ -215,9 +206,9 @@ def _tags(path: Path, page: Any, tags: Mapping[int, Any]) -> Tags:
     return Tags(georeference_of(tags, str(path)), no_data, scale, offset, inverted)
 
 
-def _item(path: Path, tags: Mapping[int, Any], role: str) -> float | None:
+def _item(path: Path, tags: PageTags, role: str) -> float | None:
     """What GDAL's metadata say of the first band."""
-    items = _items(tags, role)
+    items = gdal_items(tags, role)
     if not items:
         return None
     try:
@@ -229,8 +220,3 @@ def _item(path: Path, tags: Mapping[int, Any], role: str) -> float | None:
             f"{path} names {shown(items[0])} as the {role} of its numbers; write it again with a finite one"
         )
     return value
-
-
-def _items(tags: Mapping[int, Any], role: str) -> list[str]:
-    """What GDAL's metadata say of the bands."""
-    return re.findall(rf'<Item[^<>]*role="{role}"[^<>]*>([^<>]*)</Item>', str(tags.get(_GDAL_METADATA, "")))

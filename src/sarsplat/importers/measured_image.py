@@ -1,0 +1,92 @@
+"""One image as a reader of some format returns it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Num
+
+from sarsplat.arguments import expect
+from sarsplat.data.header import Pair
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, Stack, View
+from sarsplat.geometry.responses import GAUSSIAN, Response
+
+
+@dataclass(frozen=True)
+class MeasuredImage:
+    """One image as a reader returns it.
+
+    Parameters
+    ----------
+    name : str
+        What to call it, e.g. its file.
+    pixels : numpy.ndarray, complex64 or float32 [rows, columns], or complex64 [P, rows, columns]
+        Complex amplitude if phase is available, otherwise linear power; row 0 near range, columns rising along the
+        flight of a right-looking radar. Of a stack, those of each channel, coregistered, not deramped.
+    view : View
+        From where it was taken.
+    spacing_m, resolution_m : (float, float)
+        Pixel spacing and 3 dB width of the power response (azimuth, slant range), m.
+    center_m : (float, float)
+        Where the centre of the image lies (azimuth, slant range), m from the scene centre.
+    azimuth_std_deg : float
+        Standard deviation of the azimuth, degrees.
+    split : str or None
+        Its set, if the source says so.
+    response : Response
+        Shape of the power response; Gaussian if unknown.
+    stack : Stack or None
+        The channels, if there are several.
+
+    Raises
+    ------
+    SarsplatError
+        If one of them is of another kind, or the pixels are no image.
+    """
+
+    name: str
+    pixels: Num[np.ndarray, "*channels rows columns"]
+    view: View
+    spacing_m: tuple[float, float]
+    resolution_m: tuple[float, float]
+    center_m: tuple[float, float] = (0.0, 0.0)
+    azimuth_std_deg: float = 0.0
+    split: str | None = None
+    response: Response = GAUSSIAN
+    stack: Stack | None = None
+
+    def __post_init__(self) -> None:
+        expect(str, name=self.name)
+        expect(np.ndarray, pixels=self.pixels)
+        expect(View, view=self.view)
+        expect(Pair, spacing_m=self.spacing_m, resolution_m=self.resolution_m, center_m=self.center_m)
+        expect(float, azimuth_std_deg=self.azimuth_std_deg)
+        expect(str | None, split=self.split)
+        expect(Response, response=self.response)
+        expect(Stack | None, stack=self.stack)
+        kinds, sides = ("fc", 2) if self.stack is None else ("c", 3)
+        if self.pixels.dtype.kind not in kinds or self.pixels.ndim != sides:
+            raise SarsplatError(
+                f"{self.name} holds {self.pixels.dtype} of shape {self.pixels.shape}; give "
+                + (
+                    "complex amplitudes, or power as float32, in rows and columns"
+                    if sides == 2
+                    else "a stack's channels"
+                )
+            )
+
+    @property
+    def grid(self) -> ImageGrid:
+        """Where its pixels lie."""
+        rows, columns = self.pixels.shape[-2:]
+        return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m, self.response)
+
+
+def view_of(name: str, azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0) -> View:
+    """From where the image of this name was taken, which an error names."""
+    try:
+        return replace(View(azimuth_deg, grazing_deg, tilt_deg), azimuth_deg=azimuth_deg % 360)
+    except SarsplatError as error:
+        raise SarsplatError(f"{name}: {error}") from error
