@@ -52,7 +52,7 @@ def pixels_of(page: Any, data: bytes, name: str) -> Shaped[np.ndarray, "*shape"]
             return _of_jpegs(page, data)
         _refuse_others(page, name)
         return np.asarray(page.asarray(maxworkers=1))
-    except (ImportError, ValueError) as error:
+    except Exception as error:  # of several types, as long as imagecodecs is missing
         if "imagecodecs" not in str(error):
             raise
         raise SarsplatError(
@@ -61,7 +61,8 @@ def pixels_of(page: Any, data: bytes, name: str) -> Shaped[np.ndarray, "*shape"]
 
 
 def _packing(page: Any) -> str:
-    words = [getattr(page.compression, "name", str(page.compression))]
+    how = page.compression
+    words = [how.name if isinstance(how, COMPRESSION) else f"compression {shown(how)}"]
     if page.predictor != 1:
         words.append(f"PREDICTOR={int(page.predictor)}")
     if page.bitspersample not in (8, 16, 32, 64, 128):
@@ -71,9 +72,8 @@ def _packing(page: Any) -> str:
 
 def _refuse_others(page: Any, name: str) -> None:
     kind = np.dtype(page.dtype).kind
-    if page.compression not in _READ:
-        remedy = "COMPRESS=DEFLATE -co PREDICTOR=1"
-    elif page.predictor == _DIFFERENCES and kind == "c":  # tifffile adds up the numbers, libtiff their bits
+    other_sums = page.predictor == _DIFFERENCES and kind == "c"  # of the numbers, where libtiff adds up their bits
+    if page.compression not in _READ or other_sums:
         remedy = "COMPRESS=DEFLATE -co PREDICTOR=1"
     elif page.bitspersample == _OTHER_ORDER and kind == "u":
         remedy = "NBITS=32"
