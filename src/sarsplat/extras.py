@@ -20,6 +20,7 @@ _MODULES = {
     "baselines": "trimesh skimage embreex",
     "view": "viser websockets matplotlib trimesh fcpw",
     "report": "matplotlib jinja2 trimesh skimage",
+    "tiff": "imagecodecs",
     "sicd": "sarkit lxml",
     "rslc": "h5py",
     "phase-history": "finufft sarkit lxml",

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
+from tifffile import _imagecodecs
 
-from sarsplat.data import geotiff, packed_tiff
+from sarsplat.data import geotiff
 from sarsplat.data.geotiff import read_heights
 from sarsplat.errors import SarsplatError
 from sarsplat.importers.pictures import read_picture, read_pixels
@@ -73,18 +76,14 @@ def test_complex_pixels(tmp_path, options, kind):
 
 
 @pytest.mark.parametrize("kind", ["complex64", "complex_int16"])
-@pytest.mark.parametrize("compression", ["DEFLATE", "LZW"])
-@pytest.mark.parametrize("order", ["LITTLE", "BIG"])
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-def test_complex_pixels_with_a_predictor(tmp_path, kind, compression, order):
+def test_complex_pixels_with_a_predictor_are_refused(tmp_path, kind):
     """Of which tifffile makes other numbers."""
-    pixels = np.round(1000 * (FLOATS + 1j * FLOATS[::-1])).astype("complex64")
-    options = {"compress": compression, "predictor": 2, "ENDIANNESS": order}
-    with rasterio.open(
-        tmp_path / "a.tif", "w", driver="GTiff", height=37, width=50, count=1, dtype=kind, **options
-    ) as file:
-        file.write(pixels[None])
-    np.testing.assert_array_equal(read_pixels(tmp_path / "a.tif"), pixels)
+    options = {"count": 1, "dtype": kind, "compress": "DEFLATE", "predictor": 2}
+    with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", height=37, width=50, **options) as file:
+        file.write((FLOATS[None] + 1j).astype("complex64"))
+    with pytest.raises(SarsplatError, match=r"complex64 numbers as ADOBE_DEFLATE PREDICTOR=2, .* -co PREDICTOR=1"):
+        read_pixels(tmp_path / "a.tif")
 
 
 @pytest.mark.parametrize("compression", ["DEFLATE", "LZW", "ZSTD"])
@@ -101,26 +100,47 @@ def test_blocks_that_a_file_leaves_out_hold_no_data(tmp_path, capfd, compression
     assert capfd.readouterr().err == ""  # as libtiff may write to
 
 
+@pytest.mark.parametrize(("bits", "kind"), [(4, "uint8"), (11, "uint16"), (31, "uint32")])
+@pytest.mark.parametrize("options", [{}, *OPTIONS[:2]])
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-def test_a_number_of_bits_that_is_not_read_is_named_with_one_that_is(tmp_path):
-    path = written(tmp_path / "a.tif", (FLOATS > 0).astype(np.uint32), nbits=24)
-    with pytest.raises(SarsplatError, match=r"a\.tif holds uint32 numbers as 24 bits each, .* -co NBITS=32"):
-        read_pixels(path)
-
-
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-def test_large_ones_are_read_some_rows_at_a_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(packed_tiff, "_BYTES_AT_ONCE", 1000)
-    for options in (OPTIONS[0], OPTIONS[1], OPTIONS[2]):
-        read = read_pixels(written(tmp_path / "a.tif", FLOATS.astype(np.float64), **options))
-        np.testing.assert_array_equal(read, FLOATS)
+def test_numbers_of_few_bits(tmp_path, bits, kind, options):
+    pixels = (np.abs(FLOATS) * 2**30 % 2**bits).astype(kind)
+    read = read_pixels(written(tmp_path / "a.tif", pixels, nbits=bits, **options))
+    np.testing.assert_array_equal(read, pixels)
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_jpeg_of_eight_bits_is_nearly_what_was_stored(tmp_path):
     smooth = np.add.outer(np.arange(40), np.arange(60)).astype(np.uint8)
-    read = read_pixels(written(tmp_path / "a.tif", smooth, compress="JPEG", JPEG_QUALITY=95))
-    assert np.abs(read.astype(int) - smooth).max() <= 2
+    for shape in ({"blockysize": 16}, {"tiled": True, "blockxsize": 32, "blockysize": 16}):
+        path = written(tmp_path / "a.tif", smooth, compress="JPEG", JPEG_QUALITY=95, **shape)
+        assert np.abs(read_pixels(path).astype(int) - smooth).max() <= 2
+    data = bytearray(path.read_bytes())
+    for start in range(len(data)):
+        if data[start : start + 2] == b"\xff\xc0":  # where each says how large it is
+            data[start + 5 : start + 9] = b"\xf0\0\xf0\0"
+    path.write_bytes(data)
+    with pytest.raises(SarsplatError, match=r"a\.tif is not a readable TIFF .*61440"):
+        read_pixels(path)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_without_imagecodecs_its_extra_is_named(tmp_path, monkeypatch):
+    few = tifffile.tifffile.CompressionCodec(encode=False)
+    monkeypatch.setattr(tifffile.tifffile, "imagecodecs", _imagecodecs)
+    monkeypatch.setattr(tifffile.TIFF, "DECOMPRESSORS", few)
+    monkeypatch.setattr(tifffile.TIFF, "UNPREDICTORS", tifffile.tifffile.PredictorCodec(encode=False))
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    assert read_pixels(written(tmp_path / "a.tif", FLOATS, compress="DEFLATE")).shape == FLOATS.shape
+    for pixels, options, words in (
+        (FLOATS, {"compress": "LZW"}, "LZW"),
+        (FLOATS, {"compress": "DEFLATE", "predictor": 3}, "ADOBE_DEFLATE PREDICTOR=3"),
+        (np.ones((37, 50), np.uint8), {"compress": "JPEG"}, "JPEG"),
+        (np.ones((37, 50), np.uint8), {"nbits": 4}, "NONE NBITS=4"),
+    ):
+        path = written(tmp_path / "a.tif", pixels, **options)
+        with pytest.raises(SarsplatError, match=rf"a\.tif is packed \({words}\), which needs imagecodecs; install it"):
+            read_pixels(path)
 
 
 def test_heights_with_a_predictor_and_overviews(tmp_path):
@@ -180,7 +200,7 @@ def test_opencv_writes_lzw(tmp_path):
     ("pixels", "options", "words"),
     [
         (FLOATS, {"compress": "LERC"}, r"a\.tif holds float32 numbers as LERC, .* COMPRESS=DEFLATE -co PREDICTOR=1"),
-        (np.ones((9, 9), np.uint8), {"NBITS": 4}, "holds uint8 numbers as 4 bits each, .* NBITS=8"),
+        (np.ones((9, 9), np.uint32), {"NBITS": 24}, "holds uint32 numbers as NONE NBITS=24, .* -co NBITS=32"),
         (np.ones((3, 32, 32), np.uint8), {"compress": "JPEG", "photometric": "YCBCR"}, "holds uint8 numbers as JPEG"),
     ],
 )
