@@ -127,7 +127,7 @@ def test_another_set_is_not_gone_on_with_and_not_lost(run: Run, tmp_path, change
         write_chips(other, tmp_path / "set")
     header = next(tmp_path.glob(".set.tmpdir/*/chips.json"))
     text = header.read_text()
-    header.write_text(text.replace('"schema_version": 4', '"schema_version": 3'))
+    header.write_text(text.replace('"schema_version": 5', '"schema_version": 3'))
     with pytest.raises(SarsplatError, match="that has a header that this version of the program does not read"):
         write_chips(first, tmp_path / "set")
     header.write_text(text.replace('"program": "', '"program": "0.'))

@@ -51,7 +51,7 @@ def import_folder(
     resolution_m: Pair | None = None,
     ground_range: bool = False,
     grazing_deg: float | None = None,
-    near: Side = "top",
+    near: Side | None = None,
     mirrored: bool = False,
     azimuth_offset_deg: float | None = None,
     counter_clockwise: bool = False,
@@ -85,13 +85,14 @@ def import_folder(
         What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth or heading (of the
         flight, degrees clockwise from north), grazing or incidence,
         spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
-        tilt, scale and offset, of bistatic images transmit-azimuth, transmit-grazing, receive-azimuth and
+        near-side, tilt, scale and offset, of bistatic images transmit-azimuth, transmit-grazing, receive-azimuth and
         receive-grazing, and of stacks view, baseline and polarisation. Usual names are recognised without it.
         What the table says of a picture precedes what is said of all.
     target_class : str, optional
         Take only the pictures of this class, if the table has a column of classes.
     quantity : {"amplitude", "power", "db", "complex"}, optional
-        What scale · pixel + offset is; without it, complex numbers are complex amplitude, whole numbers amplitude.
+        What scale · pixel + offset is; without it, complex numbers are complex amplitude, whole numbers amplitude, and
+        others what a column dn-per-magnitude or dn-per-power says.
     scale : float
         Factor on the pixels, e.g. 60/255 of decibels in 8 bits.
     offset : float
@@ -105,8 +106,8 @@ def import_folder(
         Lengths in range are along the ground; those in the slant plane are cos(grazing) times as long.
     grazing_deg : float, optional
         Grazing angle of all pictures, degrees, if the table has none.
-    near : {"top", "bottom", "left", "right"}
-        Side of the pictures that is near the radar.
+    near : {"top", "bottom", "left", "right"}, optional
+        Side of the pictures that is near the radar: the top, unless a column near-side says otherwise.
     mirrored : bool
         The pictures, turned with the near side up, are mirror images; so are columns in the order of time of a radar
         that looks to the left, which a column look says picture by picture.
@@ -174,6 +175,7 @@ def import_folder(
         grazing=grazing_deg is None,
         spacing=spacing_m is None and first_georeference(sorted(folder.rglob("*"))) is None,
         looking=look is not None,
+        compass=azimuth_offset_deg is not None or geocoded is not None,
     )
     if recording is None and lists_stacks(listed):
         raise SarsplatError(
@@ -186,7 +188,8 @@ def import_folder(
     seen: list[Seen] = []
     for picture in listed.pictures:
         picture = replace(picture, looks_left=look == "left") if look and picture.looks_left is None else picture
-        values = read_values(picture.path, guessed, _either(picture.scale, scale), _either(picture.offset, offset))
+        factors = _either(picture.scale, scale), _either(picture.offset, offset)
+        values = read_values(picture.path, guessed, *factors, listed.real)
         guessed = values.quantity
         _refuse_other_unit(listed, guessed)
         left = mirrored if picture.looks_left is None else picture.looks_left
@@ -201,8 +204,9 @@ def import_folder(
     told = list(dict.fromkeys(text for one in seen for text in one.values.assumptions))
     if without := sum(int(one.values.unknown.sum()) for one in seen):
         assume(told, f"{counted(without, 'pixel')} hold what their files call no data, and are taken for zero")
+    side: Side | None = None  # if it is that of all
     if geocoded:
-        _refuse_layout(near, mirrored, recording)
+        _refuse_layout(near or next((one.picture.near for one in seen), None), mirrored, recording)
         ground = producers_ground(geocoded, geocoded_height_m, about.get("terrain"))
         images, place = from_map(listed.path, seen, ground, azimuth_offset_deg, told)
     else:
@@ -211,16 +215,19 @@ def import_folder(
             raise SarsplatError(
                 "--geocoded-height is for geocoded pictures; give --geocoded level too, or leave it out"
             )
-        images = [_in_range(listed.path, one, near, mirrored) for one in seen]
+        sides = [_near(listed, one.picture, near) for one in seen]
+        images = [_in_range(listed.path, one, side, mirrored) for one, side in zip(seen, sides, strict=True)]
+        side = sides[0] if len(set(sides)) == 1 else None
         warn_of_world_files(one.picture.path for one in seen if one.values.tags.georeference is None)
-        told.append(f"the radar is at the {near} of the pictures, which are {'' if mirrored else 'not '}mirrored")
+        at = side or "side that the table says"
+        told.append(f"the radar is at the {at} of the pictures, which are {'' if mirrored else 'not '}mirrored")
     if recording is not None:
         images = stacks_of(listed, images, recording)
     apart = any(image.view.apart_deg for image in images)
     looks = {bool(one.picture.looks_left) for one in seen}
     layout: dict[str, Any] = {"geocoded": geocoded} if geocoded else {}
-    if len(looks) == 1 and not geocoded:
-        layout = {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))}
+    if len(looks) == 1 and side is not None:
+        layout = {"layout": asdict(Layout(side, mirrored, counter_clockwise, looks.pop()))}
     headings = "heading" in listed.columns and "azimuth" not in listed.columns and not apart
     resolution_known = resolution_m is not None or any("resolution" in meaning for meaning in listed.columns)
     source: dict[str, Any] = {
@@ -292,9 +299,19 @@ def _either(own: float | None, common: float) -> float:
     return common if own is None else own
 
 
-def _refuse_layout(near: Side, mirrored: bool, recording: Recording | None) -> None:
+def _near(listed: PictureTable, picture: ListedPicture, near: Side | None) -> Side:
+    """The side of a picture that is near; refused if the table says another than what is said of all."""
+    if near is not None and picture.near not in (None, near):
+        raise SarsplatError(
+            f"{listed.path}: near range of {picture.name} is at the {picture.near} ({listed.columns['near-side']}), "
+            f"but --near is {near}; leave it out, or mend the table"
+        )
+    return picture.near or near or "top"
+
+
+def _refuse_layout(near: Side | None, mirrored: bool, recording: Recording | None) -> None:
     """Refuse what is said of pictures in range and azimuth if they are geocoded."""
-    given = {"near": near != "top", "mirrored": mirrored, "wavelength": recording is not None}
+    given = {"near": near is not None, "mirrored": mirrored, "wavelength": recording is not None}
     if named := [name for name, value in given.items() if value]:
         raise SarsplatError(f"--{named[0]} is for pictures in range and azimuth; leave it out, or --geocoded")
 
