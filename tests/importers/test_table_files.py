@@ -47,7 +47,7 @@ def test_paths_of_another_machine(tmp_path, name):
 def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
     made = import_pictures(pictures(tmp_path, ["{index},{azimuth},1.047"] * 4, "file,azimuth,incidence"))
     assert "the incidence angles (1.047° to 1.047°) look like radians" in made.source["contradictions"][0]
-    with pytest.raises(SarsplatError, match=r"azimuth 90000.0 is not a number of degrees between ±3600"):
+    with pytest.raises(SarsplatError, match=r"line 3: azimuth is '90000'; directions are degrees, -360 to 360"):
         import_pictures(pictures(tmp_path, ["{index},{azimuth}000,30"] * 4))
 
 

@@ -19,7 +19,7 @@ from sarsplat.geometry.responses import TAYLOR, Response
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.phoenix import is_phoenix, read_phoenix
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.table import in_radians, near_side, unusual_look
+from sarsplat.importers.table import near_side, unusual_look
 from sarsplat.names import Side
 
 _DESIRED, _MEASURED, _AZIMUTH = "desired_depression_deg", "measured_depression_deg", "target_az_deg"
@@ -203,26 +203,20 @@ def _jpeg_chips(
                 f"{labels}, line {row[0]}: {column} is {shown(row[1][column])}, but MSTAR's radar is one, flies level "
                 "and looks to its right; import these chips with `sarsplat import folder`"
             )
-    azimuths = [table.direction(row, _AZIMUTH) if row[1][_AZIMUTH] else math.nan for row in chosen]
-    if in_radians([azimuth for azimuth in azimuths if math.isfinite(azimuth)]):
-        raise SarsplatError(
-            f"{labels} has no {_AZIMUTH} of {target_class[0]} beyond ±2π, and as radians they go all around; write "
-            "degrees"
-        )
     return [
         Chip(
             name=row[1]["path"],
             serial=row[1]["serial"],
             depression=round(table.number(row, _DESIRED)),
             grazing_deg=table.number(row, _MEASURED),
-            target_az_deg=azimuth % 360,
+            target_az_deg=table.direction(row, _AZIMUTH) % 360 if row[1][_AZIMUTH] else math.nan,
             read=partial(_magnitude, folder / row[1]["path"], step),
             step=step,
             near=near_side(table, row, _NEAR_SIDE) if row[1].get(_NEAR_SIDE) else "bottom",
             azimuth_std_deg=table.number(row, _AZIMUTH_STD) if row[1].get(_AZIMUTH_STD) else None,
             **_lengths(table, row),
         )
-        for row, azimuth, step in zip(chosen, azimuths, _steps(table, chosen), strict=True)
+        for row, step in zip(chosen, _steps(table, chosen), strict=True)
     ]
 
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sarsplat.data.coverage import largest_gap
 from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, counted, shown
@@ -74,9 +73,6 @@ _INSTEAD = {"azimuth": {"heading"}, "heading": {"azimuth"}}
 
 PER_UNIT: dict[str, tuple[Quantity, ...]] = {"dn-per-magnitude": ("amplitude", "complex"), "dn-per-power": ("power",)}
 """Meaning → what the pixels are then: numbers per unit of magnitude, or of power."""
-
-_WHOLE = 1, 50
-"""Whole numbers among radians: one, and one of fifty, for with two decimals one of a hundred is by chance."""
 
 WAYS = ("transmit-azimuth", "transmit-grazing", "receive-azimuth", "receive-grazing")
 """Of a transmitter and a receiver apart, all four or none."""
@@ -190,15 +186,6 @@ def _require_degrees(table: CsvTable, columns: Columns, compass: bool) -> None:
             )
 
 
-def in_radians(azimuths: Sequence[float]) -> bool:
-    """Whether azimuths are radians by all that can be seen: as these they go all around, and hardly one is whole."""
-    if not azimuths or max(map(abs, azimuths)) > math.tau + 0.01:
-        return False
-    few, one_of = _WHOLE
-    whole = sum(azimuth.is_integer() for azimuth in azimuths if azimuth)
-    return whole <= few + len(azimuths) / one_of and largest_gap(map(math.degrees, azimuths)).width_deg <= 90
-
-
 def near_side(table: CsvTable, row: Row, column: str) -> Side:
     """The side that a cell names."""
     side = row[1][column].lower()
@@ -303,8 +290,8 @@ def read_picture_table(
 
     `named` is that of `chosen_columns`; `target_class` is the one whose pictures are wanted; `grazing` and `spacing`
     say whether the table must have columns of these, `looking` whether it is known to which side the radar looks, and
-    `compass` whether azimuths may count from north. Rows without a picture and pictures without a row are warned of,
-    and azimuths that may be radians. Refused if the table is missing, damaged or lacks a column, names a file twice,
+    `compass` whether azimuths may count from north. Rows without a picture and pictures without a row are warned of.
+    Refused if the table is missing, damaged or lacks a column, names a file twice,
     none that exists or one outside the folder, several classes are in it of which none is chosen, or a cell or a column
     is not what it should be.
     """
@@ -326,12 +313,7 @@ def read_picture_table(
     target = _one_class(table, columns, target_class, list(row_of.values()))
     wanted = {at: row for at, row in row_of.items() if target is None or row[1][columns["class"]] == target}
     heading = _heading(table, columns, named)
-    pictures = [_listed(table, row, columns, heading, at) for at, row in _placed(table, columns, wanted).items()]
-    if in_radians([one.azimuth_deg for one in pictures if one.azimuth_deg is not None]):
-        warn_caller(
-            f"{table.path} has no azimuth ({columns['azimuth']}) beyond ±2π, and as radians they go all around; write "
-            "degrees, if that is what they are"
-        )
+    pictures = (_listed(table, row, columns, heading, at) for at, row in _placed(table, columns, wanted).items())
     return PictureTable(table.path, columns, target, tuple(pictures))
 
 

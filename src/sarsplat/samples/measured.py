@@ -36,7 +36,6 @@ _COLUMNS = (
     *("path", "class", "split", "name", "azimuth_deg", "grazing_deg"),
     *("serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"),  # what `import mstar` asks for
     *("azimuth_spacing_m", "range_spacing_m", "azimuth_resolution_m", "range_resolution_m"),  # and `import folder`
-    "near_side",
 )
 
 
@@ -150,7 +149,7 @@ def write_measured_chips(
         lacking = _lacking(counts)
         for split, target in lacking:
             (folder / split / target).mkdir()
-        write_bytes(folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views), encoding.scale_column)))
+        write_bytes(folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views), "near_side", encoding.scale_column)))
     if lacking:
         split, target = lacking[0]
         warnings.warn(
