@@ -262,10 +262,8 @@ def test_headings_tell_where_the_radar_is(tmp_path: Path) -> None:
     rows = ["file,Platform Heading (deg),look,incidence"]
     for number, view in enumerate(VIEWS):
         left = number % 2 == 1
-        bearing = view.azimuth_deg + 90
-        rows.append(
-            f"{number:03d}.tif,{(bearing + (-90 if left else 90)) % 360},{'left' if left else 'right'},{view.incidence_deg}"
-        )
+        heading = (view.azimuth_deg + (0 if left else 180)) % 360
+        rows.append(f"{number:03d}.tif,{heading},{'left' if left else 'right'},{view.incidence_deg}")
     (folder / "table.csv").write_text("\n".join(rows))
     made = imported(folder)
     assert [view.azimuth_deg for view in made.views] == pytest.approx([view.azimuth_deg for view in straight.views])

@@ -206,7 +206,7 @@ def test_chips_without_azimuth_travel_with_their_dataset(datasets: list[Path], t
         ("train", "T72"): 4,
         ("test-15", "T72"): 2,
     }
-    with pytest.warns(SarsplatWarning, match="1 chip without azimuth beside the images of T72 are not written"):
+    with pytest.warns(SarsplatWarning, match="left out 1 chip without azimuth beside the images of T72, because"):
         write_dataset(tmp_path / "brighter", replace(read, power=2 * read.power))
     with pytest.warns(SarsplatWarning, match="no longer those of a folder"):
         written = write_dataset(tmp_path / "train", read.select("train"))

@@ -238,7 +238,7 @@ def _complete(labels: Path, rows: Sequence[Row], unplaced: bool) -> list[Row]:
         what = f"{labels} has empty fields for {len(rows) - len(whole)} of {counted(len(rows), 'chip')}"
         if not whole:
             raise SarsplatError(f"{what} (line {line}: {missing} is empty); fill them in")
-        warn_caller(f"{what} (the first: {missing} in line {line}), which are ignored; fill them in if you need them")
+        warn_caller(f"{what} (the first: {missing} in line {line}), left out; fill in what you need")
     if planned := [line for line, row in whole if not row[_MEASURED]]:
         warn_caller(
             f"{labels} has no {_MEASURED} for {len(planned)} of {counted(len(whole), 'chip')} (the first in line "

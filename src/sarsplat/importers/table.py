@@ -309,7 +309,7 @@ def read_picture_table(
             )
     every = {path for path in inside if path.suffix.lower() in PICTURE_ENDINGS}
     if unlisted := len(every - set(row_of)):
-        warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, which are left out")
+        warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, left out")
     target = _one_class(table, columns, target_class, list(row_of.values()))
     wanted = {at: row for at, row in row_of.items() if target is None or row[1][columns["class"]] == target}
     heading = _heading(table, columns, named)
@@ -327,7 +327,7 @@ def _placed(table: CsvTable, columns: Columns, rows: dict[Path, Row]) -> dict[Pa
     first = next(row for at, row in rows.items() if at not in placed)
     warn_caller(
         f"{table.path} has no azimuth ({columns['azimuth']}) for {counted(len(rows) - len(placed), 'picture')} of "
-        f"{len(rows)} (the first in line {first[0]}), which are left out; fill them in if you need them"
+        f"{len(rows)} (the first in line {first[0]}), left out; fill in what you need"
     )
     return placed
 

@@ -149,7 +149,9 @@ def write_measured_chips(
         lacking = _lacking(counts)
         for split, target in lacking:
             (folder / split / target).mkdir()
-        write_bytes(folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views), "near_side", encoding.scale_column)))
+        write_bytes(
+            folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views), "near_side", encoding.scale_column))
+        )
     if lacking:
         split, target = lacking[0]
         warnings.warn(
