@@ -36,6 +36,8 @@ RADIANS = {
     "four decimals": views(np.round(np.radians([0, 10, 47, 98, 203, 359]), 4), [17]),
     "steps of 7.5": views(np.radians(np.arange(0, 360, 7.5)), [30]),
     "steps of 15, three decimals": views(np.round(np.radians(np.arange(0, 360, 15)), 3), [30]),
+    "against the sense of azimuths": views(-np.radians(np.arange(0, 360, 7.5)), [17]),
+    "on both sides of the nose": views(np.radians(np.arange(-180, 180, 7.5)), [17]),
     "steps of 15, two decimals": views(np.round(np.radians(np.arange(0, 360, 15)), 2), [30]),
     "uneven": views(np.radians(np.random.default_rng(0).uniform(0, 360, 36)), [17]),
     "azimuths in degrees": views(range(0, 360, 15), [0.5236]),

@@ -185,7 +185,7 @@ def test_true_north_is_not_that_of_the_map(tmp_path: Path) -> None:
     views = [View(view.azimuth_deg - turn, view.grazing_deg) for view in VIEWS]  # as the map shows them
     images = [seen(POINTS, view, GRID) for view in views]
     folder = write_maps(tmp_path / "in", images, views, GRID, SIDE, PITCH, corner=(x, y))
-    rows = [f"{k:03d}.tif,{view.azimuth_deg + 90},{view.incidence_deg}" for k, view in enumerate(VIEWS)]
+    rows = [f"{k:03d}.tif,{(view.azimuth_deg + 90) % 360},{view.incidence_deg}" for k, view in enumerate(VIEWS)]
     (folder / "table.csv").write_text("\n".join(["file,azimuth,incidence", *rows]))
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     east = POINTS @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -262,10 +262,8 @@ def test_headings_tell_where_the_radar_is(tmp_path: Path) -> None:
     rows = ["file,Platform Heading (deg),look,incidence"]
     for number, view in enumerate(VIEWS):
         left = number % 2 == 1
-        bearing = view.azimuth_deg + 90
-        rows.append(
-            f"{number:03d}.tif,{bearing + (-90 if left else 90)},{'left' if left else 'right'},{view.incidence_deg}"
-        )
+        heading = (view.azimuth_deg + (0 if left else 180)) % 360
+        rows.append(f"{number:03d}.tif,{heading},{'left' if left else 'right'},{view.incidence_deg}")
     (folder / "table.csv").write_text("\n".join(rows))
     made = imported(folder)
     assert [view.azimuth_deg for view in made.views] == pytest.approx([view.azimuth_deg for view in straight.views])

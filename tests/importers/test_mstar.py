@@ -34,7 +34,7 @@ def target_az(dataset: Dataset) -> list[float]:
 
 def test_what_was_assumed_is_said(chips, originals):
     assert import_chips(chips).source["assumptions"] == [
-        "near range is the bottom row of the published chips, and they are not mirror images",
+        "near range is at the bottom of the chips, and they are not mirror images",
         "azimuth = −TargetAz; the grazing angle is the measured depression",
         "pixels are 0.2031 m × 0.2021 m, the resolution is 0.3229 m × 0.3013 m (azimuth × range)",
         "all JPEGs are scaled alike",

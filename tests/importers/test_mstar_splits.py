@@ -85,7 +85,9 @@ def test_soc_takes_17_degrees_to_train_and_15_to_test_of_the_strict_vehicles(
 ) -> None:
     folder = (jpegs if kind == "jpeg" else phoenix)(tmp_path / "chips", nested)
     labels = folder / "labels.csv" if kind == "jpeg" else None
-    with pytest.warns(SarsplatWarning, match=r"BMP2: 8 chips do not belong to the split soc \(4 of 9566 at 15°, 4 of"):
+    with pytest.warns(
+        SarsplatWarning, match=r"BMP2: left out 8 chips that the split soc has not \(4 of 9566 at 15°, 4 of"
+    ):
         bmp2 = import_mstar(
             folder, tmp_path / "bmp2", labels=labels, target_class="BMP2", train_views="all", split="soc"
         )
@@ -141,7 +143,7 @@ def test_published_numbers_add_up() -> None:
 def test_a_chip_that_is_there_twice_counts_once(tmp_path: Path) -> None:
     folder = phoenix(tmp_path / "chips", nested=True)
     shutil.copytree(folder / "17_DEG" / "T72", folder / "copies" / "T72")
-    with pytest.warns(SarsplatWarning, match="T72: 4 chips are there twice, in several folders; each counts once"):
+    with pytest.warns(SarsplatWarning, match="T72: left out 4 chips lying in several folders, where each counts once"):
         t72 = import_mstar(folder, tmp_path / "t72", labels=None, target_class="T72", train_views="all", split="soc")
     assert len(t72.images("train")) == 4
 

@@ -297,6 +297,11 @@ MSTAR: Refusals = [
     (labels(b"\xff\xfe\x00"), "not a readable CSV"),
     (labels(CHIP + ",17.1,north\n"), "line 2: target_az_deg is 'north'"),
     (labels(CHIP + "\n"), "line 2: target_az_deg is empty"),
+    (labels(CHIP + ",17.1,-361\n"), "line 2: target_az_deg is '-361'; directions are degrees, -360 to 360"),
+    (
+        relabelled(lambda rows: [[*rows[0], "near_side"], [*rows[1], "south"], *rows[2:]]),
+        "line 2: near_side is 'south'; it must be one of top, right, bottom, left",
+    ),
     (labels(CHIP + ",95,3\n"), "T72/chip000.jpeg: grazing angle 95"),
     (third(lambda data: data[: len(data) // 2]), r"(?i)chip003\.jpeg is .*truncated"),
     (third(lambda data: data[:-40]), r"(?i)chip003\.jpeg is .*truncated"),

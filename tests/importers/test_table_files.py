@@ -5,6 +5,7 @@ from __future__ import annotations
 import unicodedata
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from made_imports import POWER, import_pictures, write_pictures
@@ -47,8 +48,39 @@ def test_paths_of_another_machine(tmp_path, name):
 def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
     made = import_pictures(pictures(tmp_path, ["{index},{azimuth},1.047"] * 4, "file,azimuth,incidence"))
     assert "the incidence angles (1.047° to 1.047°) look like radians" in made.source["contradictions"][0]
-    with pytest.raises(SarsplatError, match=r"azimuth 90000.0 is not a number of degrees between ±3600"):
+    with pytest.raises(SarsplatError, match=r"line 3: azimuth is '90000'; directions are degrees, -360 to 360"):
         import_pictures(pictures(tmp_path, ["{index},{azimuth}000,30"] * 4))
+
+
+@pytest.mark.parametrize(
+    ("named", "columns", "sentence"),
+    [
+        ("azimuth_rad", {"azimuth": "azimuth_rad"}, "'azimuth_rad' for the azimuth, which is not in degrees"),
+        ("Azimuth (gon)", {"azimuth": "Azimuth (gon)"}, "'Azimuth .gon.' for the azimuth, which is not in degrees"),
+        ("bearing", {}, "'bearing' for the azimuth, which counts from north by its name, .* with --azimuth-offset"),
+        ("compass_deg", {"azimuth": "compass_deg"}, "'compass_deg' for the azimuth, which counts from north"),
+    ],
+)
+def test_columns_that_say_that_they_are_no_degrees_from_the_nose(tmp_path, named, columns, sentence):
+    folder = pictures(tmp_path, ["{index},{azimuth},30"] * 4, f"file,{named},grazing")
+    with pytest.raises(SarsplatError, match=sentence):
+        import_pictures(folder, columns=columns)
+    if "north" in sentence:
+        turned = import_pictures(folder, columns=columns, azimuth_offset_deg=-30)
+        assert [view.azimuth_deg for view in turned.views] == [330, 60, 150, 240]
+
+
+def test_sides_that_are_near_are_those_of_the_table(tmp_path):
+    straight = import_pictures(pictures(tmp_path, ["{index},{azimuth},30"] * 4))
+    names = "file,azimuth,grazing,near_side"
+    folder = pictures(tmp_path, ["{index},{azimuth},30,Bottom"] * 3 + ["{index},{azimuth},30,"], names)
+    turned = import_pictures(folder)
+    np.testing.assert_array_equal(turned.power[:3], np.rot90(straight.power[:3], 2, axes=(1, 2)))
+    np.testing.assert_array_equal(turned.power[3], straight.power[3])
+    assert any("at the side that the table says" in text for text in turned.source["assumptions"])
+    folder = pictures(tmp_path, ["{index},{azimuth},30,below"] * 4, names)
+    with pytest.raises(SarsplatError, match=r"line 2: near_side is 'below'; it must be one of top, right, bottom"):
+        import_pictures(folder)
 
 
 def test_hidden_files_are_left_out(tmp_path, recwarn):

@@ -61,7 +61,14 @@ def test_a_folder_of_each_set_and_class_and_one_table(datasets: list[Path], tmp_
     (unplaced,) = [row for row in rows if not row["azimuth_deg"]]
     assert (unplaced["class"], unplaced["split"], unplaced["target_az_deg"]) == ("T72", "train", "")
     assert [row["target_az_deg"] for row in rows if row["split"] == "test-15"] == ["5.0", "95.0"] * 2
+    assert {(row["serial"], row["near_side"]) for row in rows} == {("SN_132", "bottom"), ("9563", "bottom")}
     assert json.loads((tmp_path / "out" / "measured-chips.json").read_text())["format"] == "png"
+    write_dataset(tmp_path / "train", read_dataset(datasets[0]).select("train"))
+    with pytest.warns(
+        SarsplatWarning, match="has 1 empty folder, the first test-15/T72, so that classes have the same"
+    ):
+        write_measured_chips([tmp_path / "train", datasets[1]], tmp_path / "more", Encoding())
+    assert [path.name for path in sorted((tmp_path / "more" / "test-15").iterdir())] == ["BMP2", "T72"]
 
 
 @pytest.mark.parametrize("near", ["bottom", "left"])
@@ -71,7 +78,11 @@ def test_the_command_that_imports_them_again_knows_how_they_lie(
     write_measured_chips(datasets, tmp_path / "out", Encoding(format="png", near=near))
     found = recognised(tmp_path / "out")
     assert found is not None and found.command is not None
-    assert f"--class BMP2 --near {near} --quantity amplitude" in found.command.replace("--class T72", "--class BMP2")
+    typed = found.command.replace("--class T72", "--class BMP2").split()
+    assert main([*typed[1:-1], str(tmp_path / "back")]) in (0, 1)
+    np.testing.assert_allclose(
+        np.sqrt(read_dataset(tmp_path / "back").power), np.sqrt(read_dataset(datasets[1]).power), atol=0.02
+    )
 
 
 def test_pixels_are_the_published_ones_scaled_and_cut_as_generated_ones_are(
@@ -146,18 +157,18 @@ def test_labels_say_what_is_unusual_about_views(tmp_path: Path) -> None:
     assert (tilted["tilt_deg"], tilted["look"], tilted["receive_azimuth_deg"]) == ("5.0", "left", "")
 
 
-@pytest.mark.parametrize("scale", ["max", "fixed"])
+@pytest.mark.parametrize(("scale", "near"), [("max", "bottom"), ("fixed", "left")])
 def test_magnitudes_are_had_back_from_chips_that_are_each_scaled_alone(
-    datasets: list[Path], tmp_path: Path, scale: ChipScale
+    datasets: list[Path], tmp_path: Path, scale: ChipScale, near: Side
 ) -> None:
-    write_measured_chips(datasets, tmp_path / "out", Encoding(scale=scale, jpeg_quality=100))
+    write_measured_chips(datasets, tmp_path / "out", Encoding(scale=scale, jpeg_quality=100, near=near))
     with (tmp_path / "out" / "labels.csv").open(newline="") as file:
         scales = {row["path"]: row["dn_per_magnitude"] for row in csv.DictReader(file)}
     assert (len(set(scales.values())) > 1) == (scale == "max")
     measured = read_dataset(datasets[1])
     labels, out = tmp_path / "out" / "labels.csv", tmp_path / "out"
     again = import_mstar(out, tmp_path / "a", labels=labels, target_class="BMP2", train_views="all", split="soc")
-    folder = import_folder(out, tmp_path / "b", target_class="BMP2", near="bottom")
+    folder = import_folder(out, tmp_path / "b", target_class="BMP2")
     assert again.splits() == measured.splits()
     for dataset in (again, folder):
         for entry, power in zip(dataset.entries, dataset.power, strict=True):
@@ -176,8 +187,10 @@ def test_power_in_eight_bits_is_read_as_power_or_not_at_all(datasets: list[Path]
     with pytest.raises(
         SarsplatError, match="which is for power, but they are taken for amplitude; give --quantity power"
     ):
-        import_folder(out, tmp_path / "a", target_class="BMP2", near="bottom")
-    back = import_folder(out, tmp_path / "a", target_class="BMP2", near="bottom", quantity="power", ground=False)
+        import_folder(out, tmp_path / "a", target_class="BMP2", quantity="amplitude")
+    with pytest.raises(SarsplatError, match=r"is at the bottom \(near_side\), but --near is top; leave it out"):
+        import_folder(out, tmp_path / "a", target_class="BMP2", near="top")
+    back = import_folder(out, tmp_path / "a", target_class="BMP2", ground=False)
     measured = read_dataset(datasets[1])
     np.testing.assert_allclose(back.power[0], measured.power[0], atol=0.03 * measured.power.max())
     write_measured_chips(datasets, out, Encoding(quantity="power"), overwrite=True)
@@ -193,7 +206,7 @@ def test_chips_without_azimuth_travel_with_their_dataset(datasets: list[Path], t
         ("train", "T72"): 4,
         ("test-15", "T72"): 2,
     }
-    with pytest.warns(SarsplatWarning, match="1 chip without azimuth beside the images of T72 are not written"):
+    with pytest.warns(SarsplatWarning, match="left out 1 chip without azimuth beside the images of T72, because"):
         write_dataset(tmp_path / "brighter", replace(read, power=2 * read.power))
     with pytest.warns(SarsplatWarning, match="no longer those of a folder"):
         written = write_dataset(tmp_path / "train", read.select("train"))

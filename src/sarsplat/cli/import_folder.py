@@ -182,19 +182,16 @@ def _command(
     pictures: Sequence[Path],
 ) -> str:
     """What to type; `of_map` is what GeoTIFFs need, None if there are none, and then a spacing is needed."""
+    from sarsplat.importers.table import PER_UNIT
+
     words = ["folder", str(folder)]
     if target_class is not None:
         words += ["--class", target_class]
-    if (folder / "measured-chips.json").is_file():
-        from sarsplat.samples.measured import WrittenAs
-
-        chips = WrittenAs.of(folder)
-        words += ["--near", chips.near, "--quantity", {"magnitude": "amplitude"}.get(chips.quantity, chips.quantity)]
     if lacking:
         words += ["--columns", ",".join(f"{meaning}=NAME" for meaning in lacking)]
     if not columns.keys() & {"grazing", "incidence", "transmit-grazing"}:
         words += ["--grazing", "DEGREES"]
-    else:
+    elif not columns.keys() & PER_UNIT.keys():
         words += _quantity(pictures)
     if of_map is None and not any("spacing" in meaning for meaning in columns):
         words += ["--spacing", "METRES"]

@@ -57,8 +57,7 @@ def _use(path: Path, made: Made) -> str:
     train = "mixed with measured chips (docs/how-to/chips.md)"
     if made.shard is not None:
         return f"train on: {path}/chips-*.tar, shuffled and {train}"
-    quantity = {"magnitude": "amplitude"}.get(made.quantity, made.quantity)
-    words = ["folder", str(path), "--near", made.near, "--quantity", quantity]
+    words = ["folder", str(path)]
     classes = dict.fromkeys(run.target for run in made.runs)
     words += ["--class", next(iter(classes))] if len(classes) > 1 else []
     return f"train on: {path}, {train}\nimport with: {typed_import(*words, out=dataset_name(path))}"

@@ -81,7 +81,7 @@ def beside(dataset: Dataset, unchanged: Callable[[Path], bool]) -> Beside:
     if folder is None or not unchanged(folder):
         lost = [counted(len(listed), "chip") + " without azimuth"] * bool(listed) + ["masks"] * bool(names)
         warnings.warn(
-            f"{' and '.join(lost)} beside the images of {dataset.target} are not written, because its images are no "
+            f"left out {' and '.join(lost)} beside the images of {dataset.target}, because its images are no "
             "longer those of a folder that was read; copy the folder, or write them yourself",
             SarsplatWarning,
             stacklevel=4,

@@ -45,6 +45,15 @@ class CsvTable:
             raise SarsplatError(f"{self.path}, line {row[0]}: {column} is {shown(row[1][column])}; {remedy}")
         return value
 
+    def direction(self, row: Row, column: str) -> float:
+        """A cell as degrees of a circle; refused if it is no number, or beyond a whole turn."""
+        value = self.number(row, column)
+        if abs(value) > 360:
+            raise SarsplatError(
+                f"{self.path}, line {row[0]}: {column} is {shown(row[1][column])}; directions are degrees, -360 to 360"
+            )
+        return value
+
 
 def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable:
     """Read a table in UTF-8, or UTF-16 with its mark, whose first line names the columns; empty rows are left out.

@@ -84,7 +84,7 @@ def suspicious_angles(views: Sequence[View], by_incidence: bool = False) -> list
     """
     if views[0].aloft:
         return []
-    azimuths = np.unique([view.azimuth_deg for view in views])
+    azimuths = np.unique([(view.azimuth_deg + 180) % 360 - 180 for view in views])
     grazings = np.unique([view.grazing_deg for view in views])
     incidences = 90 - grazings[::-1]
     low, steep = _radian_elevations(grazings), _radian_elevations(incidences)
@@ -111,9 +111,12 @@ def _radian_azimuths(azimuths: np.ndarray, elevations_too: bool) -> bool:
     """Whether azimuths look like radians: three or more within ±2π, spread over π/2, not rounded like degrees.
 
     Written as degrees are multiples of 0.05 and, unless the elevations look like radians too, evenly spaced
-    multiples of 0.01. Rounded radians are neither as a rule: 15°, 30°, 45° … are 0.26, 0.52, 0.79 ….
+    multiples of 0.01. Rounded radians are neither as a rule: 15°, 30°, 45° … are 0.26, 0.52, 0.79 …. On both sides of
+    zero, or below it, they must go all around: what is seen from ahead is seen from there.
     """
     if len(azimuths) < _FEW or not _within_a_turn(azimuths) or np.ptp(azimuths) < math.pi / 2:
+        return False
+    if azimuths[0] < 0 and largest_gap(np.degrees(azimuths)).width_deg > 90:
         return False
     even = not elevations_too and np.ptp(np.diff(azimuths)) < 1e-6 and _multiples(azimuths, 0.01)
     return not even and not _multiples(azimuths, 0.05)

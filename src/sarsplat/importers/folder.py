@@ -47,7 +47,7 @@ def import_folder(
     resolution_m: Pair | None = None,
     ground_range: bool = False,
     grazing_deg: float | None = None,
-    near: Side = "top",
+    near: Side | None = None,
     mirrored: bool = False,
     azimuth_offset_deg: float | None = None,
     counter_clockwise: bool = False,
@@ -81,13 +81,14 @@ def import_folder(
         What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth or heading (of the
         flight, degrees clockwise from north), grazing or incidence,
         spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
-        tilt, scale and offset, of bistatic images transmit-azimuth, transmit-grazing, receive-azimuth and
+        near-side, tilt, scale and offset, of bistatic images transmit-azimuth, transmit-grazing, receive-azimuth and
         receive-grazing, and of stacks view, baseline and polarisation. Usual names are recognised without it.
         What the table says of a picture precedes what is said of all.
     target_class : str, optional
         Take only the pictures of this class, if the table has a column of classes.
     quantity : {"amplitude", "power", "db", "complex"}, optional
-        What scale · pixel + offset is; without it, complex numbers are complex amplitude, whole numbers amplitude.
+        What scale · pixel + offset is; without it, complex numbers are complex amplitude, whole numbers amplitude, and
+        others what a column dn-per-magnitude or dn-per-power says.
     scale : float
         Factor on the pixels, e.g. 60/255 of decibels in 8 bits.
     offset : float
@@ -101,8 +102,8 @@ def import_folder(
         Lengths in range are along the ground; those in the slant plane are cos(grazing) times as long.
     grazing_deg : float, optional
         Grazing angle of all pictures, degrees, if the table has none.
-    near : {"top", "bottom", "left", "right"}
-        Side of the pictures that is near the radar.
+    near : {"top", "bottom", "left", "right"}, optional
+        Side of the pictures that is near the radar: the top, unless a column near-side says otherwise.
     mirrored : bool
         The pictures, turned with the near side up, are mirror images; so are columns in the order of time of a radar
         that looks to the left, which a column look says picture by picture.
@@ -170,6 +171,7 @@ def import_folder(
         grazing=grazing_deg is None,
         spacing=spacing_m is None and first_georeference(sorted(folder.rglob("*"))) is None,
         looking=look is not None,
+        compass=azimuth_offset_deg is not None or geocoded is not None,
     )
     if recording is None and lists_stacks(listed):
         raise SarsplatError(
@@ -183,7 +185,8 @@ def import_folder(
     for row in listed.pictures:
         picture = _stated(row, look, spacing_m, resolution_m, azimuth_std_deg)
         taken_for = seen[-1].values.quantity if seen else quantity
-        values = read_values(picture.path, taken_for, _either(picture.scale, scale), _either(picture.offset, offset))
+        factors = _either(picture.scale, scale), _either(picture.offset, offset)
+        values = read_values(picture.path, taken_for, *factors, listed.real)
         _refuse_other_unit(listed, values.quantity)
         view = view_of_picture(listed, picture, angles, mirrored if picture.looks_left is None else picture.looks_left)
         if view.apart_deg and (geocoded or backscatter != "beta0"):
@@ -199,8 +202,9 @@ def import_folder(
     if without := sum(int(one.values.unknown.sum()) for one in seen):
         assume(told, f"{counted(without, 'pixel')} hold what their files call no data, and are taken for zero")
     place = None
+    side: Side | None = None  # if it is that of all
     if geocoded:
-        _refuse_layout(near, mirrored, recording)
+        _refuse_layout(near or next((one.picture.near for one in seen), None), mirrored, recording)
         ground = producers_ground(geocoded, geocoded_height_m, about.get("terrain"))
         images, place = from_map(listed.path, seen, ground, azimuth_offset_deg, told)
     else:
@@ -208,9 +212,12 @@ def import_folder(
             raise SarsplatError(
                 "--geocoded-height is for geocoded pictures; give --geocoded level too, or leave it out"
             )
-        images = [_in_range(listed.path, one, near, mirrored) for one in seen]
+        sides = [_near(listed, one.picture, near) for one in seen]
+        images = [_in_range(listed.path, one, side, mirrored) for one, side in zip(seen, sides, strict=True)]
+        side = sides[0] if len(set(sides)) == 1 else None
         warn_of_world_files(one.picture.path for one in seen if one.values.tags.georeference is None)
-        told.append(f"the radar is at the {near} of the pictures, which are {'' if mirrored else 'not '}mirrored")
+        at = side or "side that the table says"
+        told.append(f"the radar is at the {at} of the pictures, which are {'' if mirrored else 'not '}mirrored")
     if recording is not None:
         images = stacks_of(listed, images, recording)
     told += _said_of_angles(listed, angles, apart=any(image.view.apart_deg for image in images))
@@ -229,7 +236,7 @@ def import_folder(
         "scale": scale,
         "offset": offset,
         "ground_range": ground_range,
-        **_layout(seen, geocoded, near, mirrored, counter_clockwise),
+        **_layout(seen, geocoded, side, mirrored, counter_clockwise),
         "assumptions": [f"columns of the table: {columns_said}", *told],
     }
     dataset = dataset_of(
@@ -267,13 +274,15 @@ def _recording(
 
 
 def _layout(
-    seen: Sequence[Seen], geocoded: Projection | None, near: Side, mirrored: bool, counter_clockwise: bool
+    seen: Sequence[Seen], geocoded: Projection | None, side: Side | None, mirrored: bool, counter_clockwise: bool
 ) -> dict[str, Any]:
     """How pictures lay in their files, for remedies that name other options: if it is that of all."""
     if geocoded:
         return {"geocoded": geocoded}
     looks = {bool(one.picture.looks_left) for one in seen}
-    return {"layout": asdict(Layout(near, mirrored, counter_clockwise, looks.pop()))} if len(looks) == 1 else {}
+    if len(looks) > 1 or side is None:
+        return {}
+    return {"layout": asdict(Layout(side, mirrored, counter_clockwise, looks.pop()))}
 
 
 def _said_of_angles(listed: PictureTable, angles: Angles, *, apart: bool) -> list[str]:
@@ -302,9 +311,19 @@ def _either(own: float | None, common: float) -> float:
     return common if own is None else own
 
 
-def _refuse_layout(near: Side, mirrored: bool, recording: Recording | None) -> None:
+def _near(listed: PictureTable, picture: ListedPicture, near: Side | None) -> Side:
+    """The side of a picture that is near; refused if the table says another than what is said of all."""
+    if near is not None and picture.near not in (None, near):
+        raise SarsplatError(
+            f"{listed.path}: near range of {picture.name} is at the {picture.near} ({listed.columns['near-side']}), "
+            f"but --near is {near}; leave it out, or mend the table"
+        )
+    return picture.near or near or "top"
+
+
+def _refuse_layout(near: Side | None, mirrored: bool, recording: Recording | None) -> None:
     """Refuse what is said of pictures in range and azimuth if they are geocoded."""
-    given = {"near": near != "top", "mirrored": mirrored, "wavelength": recording is not None}
+    given = {"near": near is not None, "mirrored": mirrored, "wavelength": recording is not None}
     if named := [name for name, value in given.items() if value]:
         raise SarsplatError(f"--{named[0]} is for pictures in range and azimuth; leave it out, or --geocoded")
 

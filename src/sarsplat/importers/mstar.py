@@ -151,7 +151,7 @@ def import_mstar(
     images = [
         MeasuredImage(
             chip.name,
-            oriented(pixels, "bottom", mirrored),
+            oriented(pixels, chip.near, mirrored),
             view_of(chip.name, sign * chip.target_az_deg, chip.grazing_deg),
             chip.spacing_m,
             chip.resolution_m,
@@ -199,7 +199,7 @@ def _with_unplaced(
     listed = []
     for name, chip in unplaced:
         file = f"{UNPLACED}/{len(pictures):04}.tif"
-        image = oriented(_pixels([chip], 1)[0], "bottom", mirrored)
+        image = oriented(_pixels([chip], 1)[0], chip.near, mirrored)
         power = abs(image) ** 2 if np.iscomplexobj(image) else image
         top, left = (power.shape[0] - rows) // 2, (power.shape[1] - columns) // 2
         if top < 0 or left < 0:
@@ -315,9 +315,10 @@ def _calibration(chips: list[Chip]) -> dict[str, Any]:
 
 def _assumptions(chips: list[Chip], images: list[MeasuredImage], mirrored: bool) -> list[str]:
     """What neither chips nor labels say, in words."""
+    sides = " or ".join(dict.fromkeys(chip.near for chip in chips))
     lengths = (f"{length:.4g}" for length in (*chips[0].spacing_m, *chips[0].resolution_m))
     assumed = [
-        f"near range is the bottom row of the published chips, and they are {'' if mirrored else 'not '}mirror images",
+        f"near range is at the {sides} of the chips, and they are {'' if mirrored else 'not '}mirror images",
         f"azimuth = {'+' if mirrored else '−'}TargetAz; the grazing angle is the measured depression",
     ]
     if chips[0].phase is None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -18,7 +19,8 @@ from sarsplat.geometry.responses import TAYLOR, Response
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.phoenix import is_phoenix, read_phoenix
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.table import unusual_look
+from sarsplat.importers.table import near_side, unusual_look
+from sarsplat.names import Side
 
 _DESIRED, _MEASURED, _AZIMUTH = "desired_depression_deg", "measured_depression_deg", "target_az_deg"
 LABEL_COLUMNS = ("path", "class", "serial", _DESIRED, _MEASURED, _AZIMUTH)
@@ -29,12 +31,19 @@ _DN_PER_MAGNITUDE = "dn_per_magnitude"
 """A column that may be missing, and empty, but not for some chips only."""
 _DN_PER_POWER = "dn_per_power"
 """Of chips of ours that hold power."""
+_NEAR_SIDE = "near_side"
+"""A column that may be missing, and empty: then it is the bottom."""
+_LENGTHS = {
+    "spacing_m": ("azimuth_spacing_m", "range_spacing_m"),
+    "resolution_m": ("azimuth_resolution_m", "range_resolution_m"),
+}
+"""Columns that may be missing, and empty: then chips have MSTAR's pixels."""
 _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 
 
 @dataclass(frozen=True)
 class Chip:
-    """One measured chip, in the order of the published array: near range is the bottom row."""
+    """One measured chip, in the order of its file's array."""
 
     name: str
     """Path relative to the folder of chips."""
@@ -56,6 +65,8 @@ class Chip:
     """3 dB widths, as `spacing_m`."""
     response: Response = TAYLOR
     """Of JPEGs, which do not say, that which the Phoenix files' headers state."""
+    near: Side = "bottom"
+    """Side of the array that is near the radar."""
     azimuth_std_deg: float | None = None
     """None where the table does not state it."""
     phase: Float32[np.ndarray, "rows columns"] | None = None
@@ -85,7 +96,8 @@ def read_chips(
     `labels` is a table (CSV) of JPEGs, whose pixels are not read yet: path relative to `folder`, class, serial,
     desired_depression_deg, measured_depression_deg (where it is empty, the desired one counts), target_az_deg; where
     azimuths are uncertain, azimuth_std_deg; and if chips are scaled each in its own way, dn_per_magnitude: digital
-    numbers per unit of magnitude, in any unit that all chips have in common (none for any chip: 1). None: read Phoenix
+    numbers per unit of magnitude, in any unit that all chips have in common (none for any chip: 1). What is not
+    as in the published chips, it may say too: near_side, and lengths as in `_LENGTHS`. None: read Phoenix
     files, which carry all that in their headers. `T72` and a Phoenix header's `t72_tank` are the same class. Chips
     whose azimuth the table does not state are among them only where `unplaced` ones are asked for.
 
@@ -197,13 +209,21 @@ def _jpeg_chips(
             serial=row[1]["serial"],
             depression=round(table.number(row, _DESIRED)),
             grazing_deg=table.number(row, _MEASURED),
-            target_az_deg=table.number(row, _AZIMUTH) % 360 if row[1][_AZIMUTH] else math.nan,
+            target_az_deg=table.direction(row, _AZIMUTH) % 360 if row[1][_AZIMUTH] else math.nan,
             read=partial(_magnitude, folder / row[1]["path"], step),
             step=step,
+            near=near_side(table, row, _NEAR_SIDE) if row[1].get(_NEAR_SIDE) else "bottom",
             azimuth_std_deg=table.number(row, _AZIMUTH_STD) if row[1].get(_AZIMUTH_STD) else None,
+            **_lengths(table, row),
         )
         for row, step in zip(chosen, _steps(table, chosen), strict=True)
     ]
+
+
+def _lengths(table: CsvTable, row: Row) -> dict[str, Any]:
+    """Spacing and resolution, as far as a row states them."""
+    stated = {name: columns for name, columns in _LENGTHS.items() if all(row[1].get(column) for column in columns)}
+    return {name: tuple(table.number(row, column) for column in columns) for name, columns in stated.items()}
 
 
 def _complete(labels: Path, rows: Sequence[Row], unplaced: bool) -> list[Row]:
@@ -218,7 +238,7 @@ def _complete(labels: Path, rows: Sequence[Row], unplaced: bool) -> list[Row]:
         what = f"{labels} has empty fields for {len(rows) - len(whole)} of {counted(len(rows), 'chip')}"
         if not whole:
             raise SarsplatError(f"{what} (line {line}: {missing} is empty); fill them in")
-        warn_caller(f"{what} (the first: {missing} in line {line}), which are ignored; fill them in if you need them")
+        warn_caller(f"{what} (the first: {missing} in line {line}), left out; fill in what you need")
     if planned := [line for line, row in whole if not row[_MEASURED]]:
         warn_caller(
             f"{labels} has no {_MEASURED} for {len(planned)} of {counted(len(whole), 'chip')} (the first in line "
@@ -232,7 +252,10 @@ def _once(labels: Path, rows: Sequence[Row]) -> list[Row]:
     first: dict[Path, Row] = {}
     for line, row in rows:
         other_line, other = first.setdefault(Path(row["path"]), (line, row))
-        if any(row.get(name) != other.get(name) for name in (*LABEL_COLUMNS[1:], _AZIMUTH_STD, _DN_PER_MAGNITUDE)):
+        if any(
+            row.get(name) != other.get(name)
+            for name in (*LABEL_COLUMNS[1:], _AZIMUTH_STD, _DN_PER_MAGNITUDE, _NEAR_SIDE)
+        ):
             raise SarsplatError(
                 f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; remove one"
             )
@@ -262,7 +285,7 @@ def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:
     if _DN_PER_POWER in table.columns:
         raise SarsplatError(
             f"{table.path} has a column {_DN_PER_POWER}, so its chips hold power, but MSTAR's hold magnitude; import "
-            "them with `sarsplat import folder --quantity power`"
+            "them with `sarsplat import folder`"
         )
     given = [row.get(_DN_PER_MAGNITUDE, "") for _, row in rows]
     if not any(given):

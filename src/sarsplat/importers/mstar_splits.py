@@ -172,7 +172,7 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
     if others := [chip for chip in chips if id(chip) not in chosen_ones]:
         kinds = Counter(f"{chip.serial or 'an unnamed vehicle'} at {chip.depression}°" for chip in others)
         said = ", ".join(f"{number} of {kind}" for kind, number in sorted(kinds.items()))
-        warn_caller(f"{target}: {counted(len(others), 'chip')} do not belong to the split {split} ({said}); left out")
+        warn_caller(f"{target}: left out {counted(len(others), 'chip')} that the split {split} has not ({said})")
     return Divided(found["train"], found["test"], counts)
 
 
@@ -212,7 +212,7 @@ def _once(chips: Sequence[Chip], target: str) -> list[Chip]:
     for chip in chips:
         first.setdefault((plain_name(chip.serial), chip.depression, chip.frame, f"{chip.target_az_deg:.4f}"), chip)
     if repeated := len(chips) - len(first):
-        warn_caller(f"{target}: {counted(repeated, 'chip')} are there twice, in several folders; each counts once")
+        warn_caller(f"{target}: left out {counted(repeated, 'chip')} lying in several folders, where each counts once")
     return list(first.values())
 
 

@@ -120,13 +120,15 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
     return colours[..., 0]
 
 
-def likely_quantity(pixels: Shaped[np.ndarray, "*shape"], name: str) -> Quantity:
+def likely_quantity(pixels: Shaped[np.ndarray, "*shape"], name: str, real: Quantity | None = None) -> Quantity:
     """What pixels of this type usually are: complex numbers themselves, and whole numbers scaled amplitudes.
 
-    Of real numbers nothing is usual, so they are refused.
+    Of real numbers nothing is usual, so they are refused, unless it is known what they are (`real`).
     """
     if pixels.dtype.kind == "c" or pixels.ndim == 3:
         return "complex"
+    if real is not None:
+        return real
     if pixels.dtype.kind in "iu":
         return "amplitude"
     raise SarsplatError(

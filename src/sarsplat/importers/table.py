@@ -13,9 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table
+from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
+from sarsplat.names import Quantity, Side
 
 MEANINGS: dict[str, tuple[str, ...]] = {
     "file": ("filename", "path", "image", "imagefile", "imagepath", "chip", "picture"),
@@ -42,6 +44,7 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "offset": (),
     "dn-per-magnitude": (),
     "dn-per-power": (),
+    "near-side": (),
     "view": ("viewname", "stack"),
     "baseline": ("baselinerad", "lookoffset"),
     "polarisation": ("polarization", "pol"),
@@ -56,13 +59,19 @@ _UNITS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters",
 _ROUNDED_DEG = 1.0 + 1e-6
 """By which grazing and incidence angles of whole degrees may miss a right angle together."""
 
+_ANGLES = ("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt")
+_OTHER_ANGLES = {"rad", "radian", "radians", "mrad", "gon", "grad", "gradian", "gradians", "mil", "mils"}
+"""Words of columns' names that say that angles are not in degrees."""
+_COMPASS = {"compass", "bearing", "north"}
+"""And that directions count from north."""
+
 _ONLY_IF_NAMED = ("scale", "offset")
 """Too many things are called that."""
 
 _INSTEAD = {"azimuth": {"heading"}, "heading": {"azimuth"}}
 """Meanings of which one that is chosen leaves the other out."""
 
-PER_UNIT = {"dn-per-magnitude": ("amplitude", "complex"), "dn-per-power": ("power",)}
+PER_UNIT: dict[str, tuple[Quantity, ...]] = {"dn-per-magnitude": ("amplitude", "complex"), "dn-per-power": ("power",)}
 """Meaning → what the pixels are then: numbers per unit of magnitude, or of power."""
 
 WAYS = ("transmit-azimuth", "transmit-grazing", "receive-azimuth", "receive-grazing")
@@ -160,9 +169,40 @@ def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, loo
         )
 
 
+def _require_degrees(table: CsvTable, columns: Columns, compass: bool) -> None:
+    """Refuse columns whose names say that they do not hold degrees, or unless they may (`compass`), that 0 is north."""
+    for meaning in (*_ANGLES, *WAYS):
+        words = set(_words(columns.get(meaning, "")))
+        if words & _OTHER_ANGLES:
+            raise SarsplatError(
+                f"{table.path} has {shown(columns[meaning])} for the {meaning}, which is not in degrees by its name; "
+                "write degrees"
+            )
+        if words & _COMPASS and meaning.endswith("azimuth") and not compass:
+            raise SarsplatError(
+                f"{table.path} has {shown(columns[meaning])} for the {meaning}, which counts from north by its name, "
+                "but azimuths count from the target's nose; say where north is with --azimuth-offset (0 if the nose "
+                "points there)"
+            )
+
+
+def near_side(table: CsvTable, row: Row, column: str) -> Side:
+    """The side that a cell names."""
+    side = row[1][column].lower()
+    if side not in SIDES:
+        raise SarsplatError(
+            f"{table.path}, line {row[0]}: {column} is {shown(row[1][column])}; it must be one of {', '.join(SIDES)}"
+        )
+    return side
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+
+
 def _plain(name: str) -> str:
     """`Azimuth (deg)` and `azimuth_angle_deg` are `azimuth`."""
-    words = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+    words = _words(name)
     while len(words) > 1 and words[-1] in _UNITS:
         words.pop()
     return "".join(words)
@@ -208,6 +248,8 @@ class ListedPicture:
     """What the pixels are multiplied by; where the table says what they hold, 1 / dn-per-magnitude or dn-per-power."""
     offset: float | None
     """What is then added to them."""
+    near: Side | None
+    """Side that is near the radar."""
     view: str | None
     """Of a stack: rows of the same view are its channels."""
     baseline_rad: float | None
@@ -226,6 +268,12 @@ class PictureTable:
     """The class that all of them show; None where no column says it."""
     pictures: tuple[ListedPicture, ...]
 
+    @property
+    def real(self) -> Quantity | None:
+        """What real numbers in the pictures are, by the column of their scale; None if there is none."""
+        known = [held[0] for meaning, held in PER_UNIT.items() if meaning in self.columns]
+        return known[0] if known and "scale" not in self.columns else None
+
 
 def read_picture_table(
     folder: Path,
@@ -236,19 +284,22 @@ def read_picture_table(
     grazing: bool = True,
     spacing: bool = True,
     looking: bool = False,
+    compass: bool = False,
 ) -> PictureTable:
     """Read a table (None: the only one in the folder) and find its pictures, in subfolders or not.
 
     `named` is that of `chosen_columns`; `target_class` is the one whose pictures are wanted; `grazing` and `spacing`
-    say whether the table must have columns of these, `looking` whether it is known to which side the radar looks. Rows
-    without a picture and pictures without a row are warned of. Refused if the table is missing, damaged or lacks a
-    column, names a file twice, none that exists or one outside the folder, several classes are in it of which none is
-    chosen, or a cell is not what its column should hold.
+    say whether the table must have columns of these, `looking` whether it is known to which side the radar looks, and
+    `compass` whether azimuths may count from north. Rows without a picture and pictures without a row are warned of.
+    Refused if the table is missing, damaged or lacks a column, names a file twice,
+    none that exists or one outside the folder, several classes are in it of which none is chosen, or a cell or a column
+    is not what it should be.
     """
     inside = files_in(folder, "the pictures")
     table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
     columns = chosen_columns(table, named)
     require(table, columns, grazing, spacing, looking)
+    _require_degrees(table, columns, compass)
     column = columns["file"]
     row_of: dict[Path, Row] = {}
     for row, picture in listed_files(folder, table, table.rows, column, of="picture", endings=PICTURE_ENDINGS):
@@ -258,7 +309,7 @@ def read_picture_table(
             )
     every = {path for path in inside if path.suffix.lower() in PICTURE_ENDINGS}
     if unlisted := len(every - set(row_of)):
-        warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, which are left out")
+        warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, left out")
     target = _one_class(table, columns, target_class, list(row_of.values()))
     wanted = {at: row for at, row in row_of.items() if target is None or row[1][columns["class"]] == target}
     heading = _heading(table, columns, named)
@@ -276,7 +327,7 @@ def _placed(table: CsvTable, columns: Columns, rows: dict[Path, Row]) -> dict[Pa
     first = next(row for at, row in rows.items() if at not in placed)
     warn_caller(
         f"{table.path} has no azimuth ({columns['azimuth']}) for {counted(len(rows) - len(placed), 'picture')} of "
-        f"{len(rows)} (the first in line {first[0]}), which are left out; fill them in if you need them"
+        f"{len(rows)} (the first in line {first[0]}), left out; fill in what you need"
     )
     return placed
 
@@ -326,12 +377,15 @@ def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, pa
     def number(meaning: str) -> float | None:
         return table.number(row, columns[meaning]) if text(meaning) else None
 
+    def direction(meaning: str) -> float | None:
+        return table.direction(row, columns[meaning]) if text(meaning) else None
+
     def pair(meaning: str) -> tuple[float | None, float | None]:
         both = number(meaning)
         azimuth, slant = number(f"azimuth-{meaning}"), number(f"range-{meaning}")
         return (both if azimuth is None else azimuth), (both if slant is None else slant)
 
-    ways = _ways(table, row, {way: number(way) for way in WAYS})
+    ways = _ways(table, row, {way: direction(way) for way in WAYS})
     if ways is None and not columns.keys() & {"azimuth", "heading"}:
         raise SarsplatError(
             f"{table.path}, line {row[0]} says nothing of its angles; fill all four of {', '.join(WAYS)}"
@@ -341,9 +395,9 @@ def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, pa
     return ListedPicture(
         name=text("file"),
         path=path,
-        azimuth_deg=number("azimuth")
+        azimuth_deg=direction("azimuth")
         if ways is not None or "azimuth" not in columns
-        else table.number(row, columns["azimuth"]),
+        else table.direction(row, columns["azimuth"]),
         heading_deg=_heading_deg(table, row, columns, heading),
         grazing_deg=90 - incidence if grazing is None and incidence is not None else grazing,
         ways_deg=ways,
@@ -355,6 +409,7 @@ def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, pa
         tilt_deg=number("tilt"),
         scale=_scale(table, row, columns),
         offset=number("offset"),
+        near=near_side(table, row, columns["near-side"]) if text("near-side") else None,
         view=text("view") or None,
         baseline_rad=number("baseline"),
         polarisation=text("polarisation").upper() or None,
@@ -364,7 +419,7 @@ def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, pa
 def _heading_deg(table: CsvTable, row: Row, columns: Columns, heading: str | None) -> float | None:
     if heading is None or ("azimuth" in columns and not math.isfinite(parsed(row[1][heading], table.decimal_comma))):
         return None
-    return table.number(row, heading)
+    return table.direction(row, heading)
 
 
 def _ways(table: CsvTable, row: Row, angles: Mapping[str, float | None]) -> tuple[float, float, float, float] | None:

@@ -40,15 +40,17 @@ class Values:
     assumptions: tuple[str, ...]
 
 
-def read_values(path: Path, quantity: Quantity | None, scale: float, offset: float) -> Values:
+def read_values(
+    path: Path, quantity: Quantity | None, scale: float, offset: float, real: Quantity | None = None
+) -> Values:
     """Read a picture; `quantity` is what scale · pixel + offset is, None if that follows from the type of the numbers.
 
-    Scale and offset of the file's own tags count where neither is given. Refused as by `read_picture` and
-    `power_or_signal`, or if no pixel was measured.
+    `real` is what numbers that are not complex are, if that is known. Scale and offset of the file's own tags count
+    where neither is given. Refused as by `read_picture` and `power_or_signal`, or if no pixel was measured.
     """
     pixels, tags = read_picture(path)
     name, said = str(path), []
-    found = quantity or likely_quantity(pixels, name)
+    found = quantity or likely_quantity(pixels, name, real)
     missing = unknown(pixels, tags)
     if missing.all():
         what = "pixels that it masks" if tags.no_data is None else f"{tags.no_data}, which it says is no data"

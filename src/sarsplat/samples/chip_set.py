@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +18,7 @@ from jaxtyping import Complex64
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
+from sarsplat.data.dataset_folder import read_header
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.view import seen_alike
@@ -134,6 +136,8 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
         """Classes; the numbers that go with chips are places in it."""
+        self.serials = tuple(_serial_of(run) for run in self.runs)
+        """Serial number of the one vehicle that each run shows; "" if that is not known."""
         first: dict[str, str] = {}
         for run, target in zip(self.runs, self.targets, strict=True):
             if (one := first.setdefault(target, _shows(run))) != (other := _shows(run)):
@@ -275,6 +279,21 @@ def chips(
 def target_of(run: Run) -> str:
     """What a run shows, as a folder may be named."""
     return re.sub(r"[^\w+-]", "_", _shows(run))
+
+
+def one_serial(source: Mapping[str, Any]) -> str:
+    """The serial number of the vehicle that a dataset shows, as its source says; "" if it says none, or several."""
+    serials = source.get("serials")
+    return str(serials[0]) if isinstance(serials, list) and len(serials) == 1 else ""
+
+
+def _serial_of(run: Run) -> str:
+    """That of a run's dataset, if it is still there as it was; pixels are compared only if there is one."""
+    with suppress(SarsplatError):
+        if run.images is None and run.dataset_path is not None and not one_serial(read_header(run.dataset_path).source):
+            return ""
+        return one_serial(run.dataset.source)
+    return ""
 
 
 def _shows(run: Run) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-import msgspec
 import numpy as np
 from jaxtyping import Complex64
 
@@ -18,11 +18,11 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, new_folder, read_dataset
 from sarsplat.data.beside import UNPLACED, read_unplaced, unplaced_in
 from sarsplat.data.dataset_folder import HEADER
-from sarsplat.data.files import read_json, write_bytes, write_json
-from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.data.files import write_bytes, write_json
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.names import ChipQuantity, Side
 from sarsplat.progress import progress
+from sarsplat.samples.chip_set import one_serial
 from sarsplat.samples.encoding import ENDINGS, Encoding
 from sarsplat.samples.write import UNUSUAL_COLUMNS, unusual_columns, unusual_values
 from sarsplat.version import program_version
@@ -67,18 +67,6 @@ class MeasuredChips:
     size: tuple[int, int]
 
 
-class WrittenAs(msgspec.Struct, frozen=True):
-    """What a reader of a folder of measured chips must know: a part of its record."""
-
-    quantity: ChipQuantity
-    near: Side
-
-    @classmethod
-    def of(cls, folder: Path) -> Self:
-        """That of a folder; a SarsplatError if it is damaged."""
-        return read_json(folder / MARKER, cls)
-
-
 def datasets_in(paths: Sequence[Path]) -> list[Path]:
     """The datasets that are named, and those in named folders that are none themselves, such as those of a split.
 
@@ -110,7 +98,8 @@ def write_measured_chips(
         Datasets, or folders of datasets. A class is what a dataset says that it shows.
     out : str or Path
         The folder: in it one of each set ("train", "test-15", …), in these a folder of each class, as
-        `torchvision.datasets.ImageFolder` reads them; `labels.csv`; and `measured-chips.json`, how they were made.
+        `torchvision.datasets.ImageFolder` reads them, empty where a set has none of a class; `labels.csv`; and
+        `measured-chips.json`, how they were made.
     encoding : Encoding
         How they are stored: as the generated ones that they are mixed with.
     overwrite : bool
@@ -143,8 +132,7 @@ def write_measured_chips(
         write_json(folder / MARKER, {**record, "datasets": list(map(str, folders)), **vars(encoding)})
         for path in folders:
             dataset = read_dataset(path)
-            planned, serials = _planned(dataset), dataset.source.get("serials")
-            serial = serials[0] if isinstance(serials, list) and len(serials) == 1 else ""
+            planned, serial = _planned(dataset), one_serial(dataset.source)
             for chip in _chips_of(path, dataset):
                 at = chip.split, _plain(dataset.target)
                 number = counts.get(at, 0)
@@ -154,11 +142,32 @@ def write_measured_chips(
                 (folder / file).write_bytes(encoding.encoded(chip.amplitude, brightest))
                 scale = encoding.numbers_per_unit(chip.amplitude, brightest)
                 known = planned.get(chip.name, (serial, round(chip.grazing_deg)))
-                rows.append({**_row(file, dataset, chip, known), encoding.scale_column: scale})
+                written = {"near_side": encoding.near, encoding.scale_column: scale}
+                rows.append({**_row(file, dataset, chip, known), **written})
             views += dataset.views
             shows.advance(1, dataset.target)
-        write_bytes(folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views), encoding.scale_column)))
+        lacking = _lacking(counts)
+        for split, target in lacking:
+            (folder / split / target).mkdir()
+        write_bytes(
+            folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views), "near_side", encoding.scale_column))
+        )
+    if lacking:
+        split, target = lacking[0]
+        warnings.warn(
+            f"{out} has {counted(len(lacking), 'empty folder')}, the first {split}/{target}, so that classes have the "
+            "same numbers in all sets; torchvision's ImageFolder reads such sets with allow_empty=True, and refuses "
+            "them without",
+            SarsplatWarning,
+            stacklevel=3,
+        )
     return MeasuredChips(counts, size)
+
+
+def _lacking(counts: dict[tuple[str, str], int]) -> list[tuple[str, str]]:
+    """Sets and classes of which there is no chip: readers of folders number the classes that a set has."""
+    splits, targets = (dict.fromkeys(names) for names in zip(*counts, strict=True))
+    return [(split, target) for split in splits for target in targets if (split, target) not in counts]
 
 
 def _require_fit(path: Path, dataset: Dataset, encoding: Encoding, before: dict[Path, tuple[ImageGrid, str]]) -> None:

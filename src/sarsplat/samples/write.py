@@ -40,6 +40,7 @@ _COLUMNS = (
     *("path", "class", "azimuth_deg", "grazing_deg", "seed", "run"),
     *("serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"),  # what `import mstar` asks for
     *("azimuth_spacing_m", "range_spacing_m", "azimuth_resolution_m", "range_resolution_m"),  # and `import folder`
+    "near_side",
 )
 
 _TILTED = ("tilt_deg", "look")
@@ -56,7 +57,7 @@ _SCALES = "scales.npy"
 MARKER = "chips.json"
 """The file that marks a folder of chips."""
 
-SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 4
+SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 5
 _CALLED = {
     "runs": "runs",
     "ground_digest": "the picture of the ground",
@@ -225,8 +226,9 @@ def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:
     view, grid = label.view, chips.runs[label.run].grid
     angles = (round(view.grazing_deg), view.grazing_deg, round(-view.azimuth_deg % 360, 6))
     lengths = (*grid.spacing_m, *grid.resolution_m)
+    written = (chips.encoding.near, scale)
     named = (path, label.target, view.azimuth_deg, view.grazing_deg, label.seed, str(chips.runs[label.run].path))
-    every = (*named, label.run, *angles, *lengths, scale, *unusual_values(view))
+    every = (*named, chips.serials[label.run], *angles, *lengths, *written, *unusual_values(view))
     return dict(zip(_columns(chips), every, strict=False))
 
 
@@ -247,6 +249,7 @@ class MadeRun(msgspec.Struct, forbid_unknown_fields=True):
 
     path: str | None
     target: str
+    serial: str
     checkpoint: str
 
 
@@ -289,8 +292,8 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
             schema_version=SCHEMA_VERSION,
             program=program_version(),
             runs=[
-                MadeRun(None if run.path is None else str(run.path), target, run.snapshot.digest())
-                for run, target in zip(chips.runs, chips.targets, strict=True)
+                MadeRun(None if run.path is None else str(run.path), target, serial, run.snapshot.digest())
+                for run, target, serial in zip(chips.runs, chips.targets, chips.serials, strict=True)
             ],
             count=chips.count,
             seed=chips.seed,
