@@ -118,6 +118,9 @@ def test_a_baseline_that_wins_is_named():
         "on the set a the baseline rotated average, which knows no third dimension, is better than sar-gs: negative "
         "log-likelihood, registered, nats/pixel 0.530 against 0.550"
     ]
+    without = measured | {"images": measured["images"] | {"a": dict.fromkeys(IMAGE_KEYS)}}  # as where nothing is lit
+    (said,) = beaten_by_baselines(without)
+    assert said.endswith("nats/pixel 0.530, where the other has no score")
 
 
 @pytest.mark.parametrize("speckled", [False, True])

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View
+from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View, write_gaussians_ply
 from sarsplat.cli import main
 from sarsplat.exports import export
 from sarsplat.exports.format_geojson import rings_of
 from sarsplat.exports.map_system import MapSystem, usual_system
+from sarsplat.exports.place_file import write_place
 from upright import upright
 
 PLACES = {
@@ -226,6 +227,38 @@ def test_the_command_says_where_it_is(anywhere: Run, tmp_path: Path, capsys: pyt
     assert "a.xyz.place.json: where on earth that is" in " ".join(capsys.readouterr().out.split())
     assert main(["info", str(folder)]) == 0
     assert "33.900000° S, 151.200000° E (WGS 84), -12.0 m above the ellipsoid" in capsys.readouterr().out
+
+
+def test_a_file_of_gaussians_is_where_it_was_exported_from(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where it is moved to the origin, far from that of its scene."""
+    laspy, pyproj = pytest.importorskip("laspy"), pytest.importorskip("pyproj")
+    place = Place(45.29, 7.5, 312.0, 20.0)
+    gaussians = upright(np.array([[5000.0, 0.0, 0.0], [5000.5, 0.5, 0.5]]))
+    write_gaussians_ply(tmp_path / "a.ply", gaussians)
+    write_place(tmp_path / "a.ply", place)
+    assert main(["export", str(tmp_path / "a.ply"), str(tmp_path / "a.las")]) == 0
+    read = laspy.read(tmp_path / "a.las")
+    there = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:32632", always_xy=True)
+    middle = there.transform(*place.to_ecef(np.array([5000.25, 0.25, 0.25])))
+    np.testing.assert_allclose(np.mean([read.x, read.y, read.z], axis=1), middle, atol=0.3)
+    assert main(["info", str(tmp_path / "a.ply")]) == 0
+    assert "45.290000° N, 7.500000° E" in capsys.readouterr().out
+    (tmp_path / "a.ply.place.json").write_text('{"place": "mine"}')
+    assert main(["export", str(tmp_path / "a.ply"), str(tmp_path / "b.las")]) == 2
+    assert "a.ply.place.json" in capsys.readouterr().err
+    assert not (tmp_path / "b.las").exists()
+
+
+def test_a_place_is_moved_with_its_axes() -> None:
+    """At the pole, 3 km off, and 40 km along a meridian that is not the scene's x: as tilted as the earth is round."""
+    for place, _ in PLACES.values():
+        by = np.array([3000.0, -40_000.0, 20.0])
+        moved = place.moved(by)
+        np.testing.assert_allclose(moved.ecef, place.to_ecef(by), atol=1e-6)
+        turn = moved.axes @ place.axes.T
+        assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) == pytest.approx(np.degrees(40_112 / 6.37e6), rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["a.las", "dsm.tif"])

@@ -18,6 +18,7 @@ from sample_files import write_sample
 from sarsplat.cli import main
 from sarsplat.cli.importers import Recognised, recognised
 from sarsplat.errors import SarsplatError
+from sicds import Track, write_sicd
 from terrains import write_geotiff
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -277,6 +278,32 @@ def test_phoenix_files(tmp_path: Path) -> None:
     it = known(folder)
     assert it.kind == "original MSTAR chips (Phoenix files)"
     assert typed(it.command, tmp_path / "out") == 0
+    for name in ("HB00000.014", "HB00009.015"):
+        (folder / name).write_bytes(phoenix_bytes(MAGNITUDE)[:-10])
+    damaged = known(folder)
+    assert damaged.facts["chips"] == it.facts["chips"] == "4"
+    assert [line.split(" ")[0] for line in damaged.facts["unusable"].splitlines()] == [
+        *(str(folder / name) for name in ("HB00000.014", "HB00009.015"))
+    ]
+    for path in folder.iterdir():
+        path.write_bytes(phoenix_bytes(MAGNITUDE)[:-10])
+    with pytest.raises(SarsplatError, match="HB00000.014 is truncated"):
+        known(folder)
+
+
+def test_of_measurements_the_first_that_can_be_read_is_described(tmp_path: Path) -> None:
+    for folder in ("pulses", "sicds"):
+        (tmp_path / folder).mkdir()
+    write_pulses(tmp_path / "pulses" / "b.mat", record(circle(np.linspace(0, 3, 20)), [(0.0, 0.0, 0.0)]))
+    (tmp_path / "pulses" / "a.mat").write_bytes((tmp_path / "pulses" / "b.mat").read_bytes()[:500])
+    it = known(tmp_path / "pulses")
+    assert it.kind == "2 .mat files, which may be phase history"
+    assert "a.mat is damaged" in it.facts["unusable"]
+    whole = write_sicd(tmp_path / "sicds" / "b.nitf", Track(), [(0, 0, 0)])
+    (tmp_path / "sicds" / "a.nitf").write_bytes(whole.read_bytes()[:3000])
+    it = known(tmp_path / "sicds")
+    assert (it.facts["the first"], it.facts["collection"]) == (str(whole), "bearing 90")
+    assert "a.nitf is truncated" in it.facts["unusable"]
 
 
 def test_a_damaged_table_is_told_in_one_sentence(chips: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
@@ -14,6 +15,9 @@ from sarsplat.cli import console
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float64
+
     from sarsplat.data.header import Box
     from sarsplat.gaussians import Gaussians
     from sarsplat.geometry import Terrain, View
@@ -176,17 +180,26 @@ def is_gaussians(path: Path) -> bool:
 
 
 def run_at(path: Path, *, strays: bool = True) -> Run:
-    """The run in a folder, or a run in memory of the Gaussians in a file, with or without strays among them."""
+    """The run in a folder, or a run in memory of the Gaussians in a file, with or without strays among them.
+
+    It is where on earth FILE.place.json says, if that is beside the file.
+    """
+    from sarsplat.exports.place_file import read_place
     from sarsplat.runs import Run
 
     if not is_gaussians(path):
         return trained_so_far(path)
+    place = read_place(path)
     with console.busy(f"reading {path}"):
-        return Run.from_gaussians(gaussians_around_origin(path, strays=strays))
+        gaussians, moved = gaussians_around_origin(path, strays=strays)
+        return replace(Run.from_gaussians(gaussians), place=place and place.moved(moved))
 
 
-def gaussians_around_origin(path: Path, *, strays: bool) -> Gaussians:
-    """The Gaussians in a file; says so if they had to be moved there, and if strays among them are left out."""
+def gaussians_around_origin(path: Path, *, strays: bool) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
+    """The Gaussians in a file, and what was subtracted from their places, m; says so if anything was.
+
+    And if strays among them are left out.
+    """
     from sarsplat.data.ply import read_centred_gaussians
     from sarsplat.runs.own_gaussians import without_strays
 
@@ -198,7 +211,7 @@ def gaussians_around_origin(path: Path, *, strays: bool) -> Gaussians:
         gaussians, left_out = without_strays(gaussians)
         if left_out:
             console.warn(f"{left_out}; they are left out")
-    return gaussians
+    return gaussians, moved
 
 
 def trained_so_far(path: Path) -> Run:

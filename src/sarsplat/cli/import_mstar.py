@@ -17,7 +17,7 @@ import tyro
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, angles, refuse_existing
 from sarsplat.cli.from_signature import Option, assumed_once, command_of
-from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import
+from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import, unusable
 from sarsplat.cli.info_run import PLAN
 from sarsplat.errors import SarsplatError
 
@@ -227,13 +227,22 @@ def _labelled(folder: Path, table: Path) -> Recognised | None:
 def _phoenix(folder: Path, files: list[Path]) -> Recognised:
     from sarsplat.importers import read_phoenix
 
-    chips = [read_phoenix(path) for path in files[:_MOST_READ]]
+    chips, planned, refused = [], [], list[str]()
+    for path in files[:_MOST_READ]:
+        try:
+            chip = read_phoenix(path)
+            planned.append(_Planned(chip.target_type, chip.serial, chip.desired_depression_deg, placed=True))
+            chips.append(chip)
+        except SarsplatError as error:
+            refused.append(str(error))
+    if not chips:
+        raise SarsplatError(refused[0])
     (rows, columns), spacing = chips[0].magnitude.shape, chips[0].spacing_m
     pixels = f"{rows} × {columns} pixels of {spacing[1]:g} m in range, {spacing[0]:g} m across"
     return _chips(
         "original MSTAR chips (Phoenix files)",
-        {"chips": str(len(files)), "the first": pixels},
-        [_Planned(chip.target_type, chip.serial, chip.desired_depression_deg, placed=True) for chip in chips],
+        {"chips": str(len(files) - len(refused)), "the first": pixels, **unusable(refused)},
+        planned,
         [str(folder)],
     )
 

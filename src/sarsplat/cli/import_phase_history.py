@@ -10,8 +10,7 @@ import tyro
 
 from sarsplat.cli.arguments import numbers
 from sarsplat.cli.from_signature import Option, comma_separated, command_of
-from sarsplat.cli.importers import Contents, Recognised, by_ending
-from sarsplat.errors import SarsplatError
+from sarsplat.cli.importers import Contents, Recognised, by_ending, first_readable
 
 
 def _place(text: str, name: str) -> tuple[float, ...]:
@@ -32,41 +31,48 @@ command = command_of(
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """A file that begins or ends as those of a known format do; of a folder, the first with such an ending, which is
-    described if its format can be.
+    """A file that begins or ends as those of a known format do; of a folder, the first such that can be read.
+
+    It is described if its format can be.
     """
     from sarsplat.data.files import open_file
     from sarsplat.importers.histories import FORMATS, format_of, what_else
 
-    endings = [ending for one in FORMATS.loaded().values() for ending in one.endings]
-    files = [contents.path] if contents.path.is_file() else contents.ending_in(*endings)
     if contents.path.is_file():
         with open_file(contents.path) as file:
             start = file.read(_START)
         if start.lstrip().startswith(_TOLD) and (what := what_else(start)):
             return Recognised(what)
-    known = format_of(files[0]) if files else None
-    if known is None or not (known.begins or _holds_pulses(files[0])):
+        known = format_of(contents.path)
+        if known is not None and known.begins:
+            return _recognised(contents, contents.path, known.what, _facts(contents.path))
+    endings = [ending for one in FORMATS.loaded().values() for ending in one.endings]
+    files = contents.ending_in(*endings)
+    (first, facts), damaged = first_readable(files, _facts)
+    if first is None or facts is None:
+        known = format_of(files[0]) if files else None
+        of_all = known is not None and known.begins  # no other is called or begins like that
+        return _recognised(contents, files[0], known.what, damaged) if known and of_all else None
+    known = format_of(first)
+    named = {"the first": str(first)} if len(files) > 1 else {}
+    what = known.what if known is not None and known.begins else None
+    return _recognised(contents, first, what, (named if what else {}) | facts | damaged)
+
+
+def _recognised(contents: Contents, first: Path, what: str | None, facts: dict[str, str]) -> Recognised | None:
+    """Files with the ending of the first; `what` is their format's name, if nothing else begins like it."""
+    found = by_ending(contents, (first.suffix.lower(),), "phase-history", "phase history")
+    if found is None:
         return None
-    found = by_ending(contents, (files[0].suffix.lower(),), "phase-history", "phase history")
-    if found is None or not known.begins:
-        return found
-    facts = {} if len(files) == 1 else {"the first": str(files[0])}
-    try:
-        facts |= {} if known.describe is None else known.describe(files[0])
-    except SarsplatError as error:
-        if contents.path.is_file():
-            raise
-        facts = {"the first": str(error)}
-    return replace(found, kind=known.what, facts=facts, certainty=1.0)
+    return replace(found, facts=facts) if what is None else replace(found, kind=what, facts=facts, certainty=1.0)
 
 
-def _holds_pulses(path: Path) -> bool:
-    """Whether a file can be read as phase history: its ending may be that of many other things."""
-    from sarsplat.importers.histories import read_phase_history
+def _facts(path: Path) -> dict[str, str]:
+    """What a file of phase history holds, as far as its format can tell; refused if it is none, or damaged."""
+    from sarsplat.importers.histories import format_of, read_phase_history
 
-    try:
-        read_phase_history(path)
-    except SarsplatError:
-        return False
-    return True
+    known = format_of(path)
+    if known is not None and known.begins:
+        return {} if known.describe is None else known.describe(path)
+    read_phase_history(path)  # its ending may be that of many other things
+    return {}

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from sarsplat.cli.from_signature import comma_separated, command_of
-from sarsplat.cli.importers import Contents, Recognised, dataset_name, typed_import
-from sarsplat.errors import SarsplatError
+from sarsplat.cli.importers import Contents, Recognised, dataset_name, first_readable, typed_import
 
 command = command_of(
     __name__, "sarsplat.importers.rslc:import_rslc", pixel=comma_separated("ROW,COL", (2,), "1200,800")
@@ -12,17 +11,17 @@ command = command_of(
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """An HDF5 file; of a folder the first, if it is such a one: HDF5 may hold anything."""
+    """An HDF5 file; of a folder the first that is such a one: HDF5 may hold anything."""
     from sarsplat.importers.rslc_file import is_hdf5, read_rslc
 
     files = contents.ending_in(".h5", ".hdf5")
-    if not files or not is_hdf5(files[0]):
-        return None
-    try:
-        rslc = read_rslc(files[0])
-    except SarsplatError:
-        if contents.path.is_file():
-            raise
+    if contents.path.is_file():
+        if not files or not is_hdf5(contents.path):
+            return None
+        found, rslc, damaged = contents.path, read_rslc(contents.path), dict[str, str]()
+    else:
+        (found, rslc), damaged = first_readable(files, read_rslc)
+    if found is None or rslc is None:
         return None
     middle = f"{rslc.shape[0] // 2},{rslc.shape[1] // 2}"
     facts = {
@@ -30,7 +29,8 @@ def recognise(contents: Contents) -> Recognised | None:
         "polarisations": f"{', '.join(rslc.polarisations)} (transmitted, received)",
         "size": f"{rslc.shape[0]} rows (azimuth) × {rslc.shape[1]} columns (slant range)",
         "radar": f"looks {rslc.look}, {rslc.frequency_hz / 1e9:.4g} GHz",
+        **damaged,
     }
-    words = ("rslc", str(files[0]), "--pixel", middle, "--size", "METRES")
-    command = typed_import(*words, out=dataset_name(files[0].with_suffix("")))
+    words = ("rslc", str(found), "--pixel", middle, "--size", "METRES")
+    command = typed_import(*words, out=dataset_name(found.with_suffix("")))
     return Recognised("an RSLC in NISAR's layout", facts, command)

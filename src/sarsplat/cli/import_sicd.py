@@ -6,8 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from sarsplat.cli.from_signature import comma_separated, command_of
-from sarsplat.cli.importers import Contents, Recognised, by_ending, typed_import
-from sarsplat.errors import SarsplatError
+from sarsplat.cli.importers import Contents, Recognised, by_ending, first_readable, typed_import
 
 _ENDINGS = (".nitf", ".ntf", ".sicd")
 _NAMES = {"start": "date", "polarization": "polarisation"}
@@ -22,7 +21,7 @@ command = command_of(
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """NITF files; one alone, or the first of several, is described."""
+    """NITF files; one alone, or the first of several that can be read, is described."""
     from sarsplat.importers.nitf import is_nitf
 
     if contents.path.is_file() and (is_nitf(contents.path) or contents.path.suffix.lower() in _ENDINGS):
@@ -30,12 +29,9 @@ def recognise(contents: Contents) -> Recognised | None:
     several = by_ending(contents, _ENDINGS, "sicd", "SICD")
     if several is None or not contents.path.is_dir():
         return several
-    first = contents.ending_in(*_ENDINGS)[0]
-    try:
-        facts = {"the first": str(first), **_described(first).facts}
-    except SarsplatError as error:
-        facts = {"the first": str(error)}
-    return replace(several, facts=facts)
+    (first, described), damaged = first_readable(contents.ending_in(*_ENDINGS), _described)
+    facts = {} if described is None else {"the first": str(first), **described.facts}
+    return replace(several, facts=facts | damaged)
 
 
 def _described(path: Path) -> Recognised:

@@ -8,16 +8,22 @@ from __future__ import annotations
 import inspect
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.plugins import discover
+
+T = TypeVar("T")
 
 IMPORTERS = discover("sarsplat.cli", "import_", "command", "sarsplat.importers")
 """`import NAME` by name: `command` in the file `import_NAME.py` of this folder, or an entry point."""
 
 USUAL_TRAIN_VIEWS = 36
+_NAMED = 3
+"""Files of many that cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,32 @@ def by_ending(contents: Contents, endings: tuple[str, ...], command: str, what: 
     typed = f"sarsplat import {command} {pattern} --size METRES --out {shlex.quote(dataset_name(first.parent))}"
     kind = f"{len(files)} {first.suffix} files" if len(files) > 1 else f"a {first.suffix} file"
     return Recognised(f"{kind}, which may be {what}", {}, typed, certainty=0.5)
+
+
+_MOST_TRIED = 8
+"""Files of a folder that are opened to find one that can be read: an ending may be that of many other things."""
+
+
+def first_readable(
+    files: Sequence[Path], read: Callable[[Path], T]
+) -> tuple[tuple[Path, T] | tuple[None, None], dict[str, str]]:
+    """The first of a folder's files that can be read and what `read` makes of it, and a fact of those before it.
+
+    None of both if none of the first few can be read.
+    """
+    refused: list[str] = []
+    for path in files[:_MOST_TRIED]:
+        try:
+            return (path, read(path)), unusable(refused)
+        except SarsplatError as error:
+            refused.append(str(error))
+    return (None, None), unusable(refused)
+
+
+def unusable(refused: Sequence[str]) -> dict[str, str]:
+    """A fact of files that cannot be read, by what is wrong with each; nothing if there are none."""
+    more = [f"and {counted(len(refused) - _NAMED, 'other')}"] if len(refused) > _NAMED else []
+    return {"unusable": "\n".join([*refused[:_NAMED], *more])} if refused else {}
 
 
 def typed_import(*words: str, out: str) -> str:

@@ -78,6 +78,10 @@ def info(
         _describe_plan(path)
         return
     kind, rows = _folder(path) if path.is_dir() else _file(path)
+    if path.with_name(f"{path.name}{_PLACE}").is_file():
+        from sarsplat.exports.place_file import read_place  # takes torch, which other files need not wait for
+
+        rows["on earth"] = str(read_place(path))
     console.facts(f"{path}: {kind}", rows)
 
 

@@ -76,14 +76,15 @@ class Beaten:
 
     @property
     def figures(self) -> str:
-        """What was compared: `SSIM 0.8 against 0.7`, the baseline's first."""
-        return f"{self.metric.title} {self.metric.text(self.best)} against {self.metric.text(self.own)}"
+        """What was compared: `0.8 against 0.7`, the baseline's first."""
+        own = ", where the other has no score" if self.own is None else f" against {self.metric.text(self.own)}"
+        return f"{self.metric.text(self.best)}{own}"
 
     def sentence(self, name: str) -> str:
         """It as a sentence, of a run of this name."""
         return (
             f"on the set {self.split} the baseline {self.by}, which knows no third dimension, is better than {name}: "
-            f"{self.figures}"
+            f"{self.metric.title} {self.figures}"
         )
 
 

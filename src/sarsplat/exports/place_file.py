@@ -1,14 +1,16 @@
-"""Beside a file with the scene's own coordinates, `FILE.place.json`: where on earth these are."""
+"""Beside a file with the scene's own coordinates, `FILE.place.json`: where on earth these are; written and read back."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 
 from sarsplat.data import write_json
-from sarsplat.data.files import open_file, plain_os_errors
+from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json
+from sarsplat.data.header import PlaceHeader
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from sarsplat.geometry import Place
 
 _SCHEMA = "sarsplat-place"
+_SCHEMA_VERSION = 1
 _HEAD = 100  # bytes within which the schema is named
 _ABOUT = (
     "Coordinates of the file are metres from the place, x towards the compass bearing x_towards_deg, y to the left of "
@@ -24,8 +27,15 @@ _ABOUT = (
 )
 _MAKE_ONE = (
     "import SICDs or CPHD, or a terrain with a coordinate system (--terrain), or tell the dataset in Python with "
-    "replace(dataset, place=sarsplat.Place(LATITUDE, LONGITUDE, HEIGHT)), and reconstruct that"
+    "replace(dataset, place=sarsplat.Place(LATITUDE, LONGITUDE, HEIGHT)), and reconstruct that; of a file of Gaussians "
+    "that was exported, keep FILE.place.json beside it"
 )
+
+
+class _Said(msgspec.Struct, frozen=True):
+    """What is read of such a file."""
+
+    place: PlaceHeader
 
 
 def refuse_elsewhere(path: Path, coordinates: Coordinates, name: str, place: Place | None, crs: str | None) -> None:
@@ -54,9 +64,21 @@ def write_place(path: Path, place: Place) -> str:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = place.axes.T, place.ecef
     beside = _beside(path)
-    header = {"schema": _SCHEMA, "schema_version": 1, "file": path.name, "about": _ABOUT}
+    header = {"schema": _SCHEMA, "schema_version": _SCHEMA_VERSION, "file": path.name, "about": _ABOUT}
     write_json(beside, {**header, "place": place.as_dict(), "ecef_from_scene": matrix.tolist()})
     return f"{beside}: where on earth that is"
+
+
+def read_place(path: Path) -> Place | None:
+    """Where on earth the coordinates of this file are, as is said beside it; None if nothing is.
+
+    Refused if that cannot be read, or was not written by an export.
+    """
+    beside = _beside(path)
+    if not beside.exists():
+        return None
+    remedy = "export the file again, or take this one away"
+    return read_versioned_json(beside, _Said, schema=_SCHEMA, version=_SCHEMA_VERSION, remedy=remedy).place.place
 
 
 def _beside(path: Path) -> Path:

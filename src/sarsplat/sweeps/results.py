@@ -182,7 +182,7 @@ class Results:
         return (
             f"{runs} of {counted(done, 'finished run')} {'is' if runs == 1 else 'are'} worse than a baseline, which "
             f"knows no third dimension; farthest {self.called(one)}, on the set {where.split}: {where.by} "
-            f"{where.metric.text(where.best)} against {where.metric.text(where.own)} ({where.metric.title})"
+            f"{where.figures} ({where.metric.title})"
         )
 
     @property
