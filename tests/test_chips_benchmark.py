@@ -62,7 +62,7 @@ def program(module, monkeypatch: pytest.MonkeyPatch) -> Any:
 
     monkeypatch.setattr(draws, "reconstruct", quick)
     monkeypatch.setattr(arms, "EACH", 6)
-    for name, value in (("_BATCH", 8), ("_RECKONED", 1), ("_RECKONED_AT_A_TIME", 8)):
+    for name, value in (("_BATCH", 4), ("_RECKONED", 1), ("_RECKONED_AT_A_TIME", 4)):
         monkeypatch.setattr(classifier, name, value)
     benchmark = module("experiments/chips")
     monkeypatch.setattr(benchmark, "EVENLY", draws.Draw(4))
@@ -160,6 +160,7 @@ def test_new_clutter_leaves_target_and_shadow(module, chips: Path, tmp_path: Pat
     assert np.abs(after - before)[:, 37:59, 29:67].mean() < 10  # what is left was compressed again
 
 
+@pytest.mark.slow
 def test_steps_are_what_was_trained(module, monkeypatch) -> None:
     """A network learns to tell two classes apart that differ."""
     classifier = module("experiments/classifier")

@@ -80,6 +80,7 @@ def test_scores_of_a_dataset_do_not_depend_on_its_calibration():
 @pytest.mark.skipif(not MSTAR.is_dir(), reason=f"the measured chips are not in {MSTAR}")
 @pytest.mark.filterwarnings("ignore:.*has no label for")
 @pytest.mark.filterwarnings("ignore:.*was cut off")
+@pytest.mark.slow
 def test_known_baselines_of_the_measured_t72(tmp_path):
     # protocol M, K = 36, 17°: the nearest chip scores .573 nats and .841,
     # registered .533 and .852, the rotated average .527, .505 and .862
