@@ -60,8 +60,8 @@ _ROUNDED_DEG = 1.0 + 1e-6
 """By which grazing and incidence angles of whole degrees may miss a right angle together."""
 
 _ANGLES = ("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt")
-_OTHER_ANGLES = {"rad", "radian", "radians", "mrad", "gon", "grad", "gradian", "gradians", "mil", "mils"}
-"""Words of columns' names that say that angles are not in degrees."""
+_OTHER_ANGLES = {"rad", "radian", "radians", "mrad", "gon", "gradian", "gradians", "mil", "mils"}
+"""Words of columns' names that say that angles are not in degrees, as the German Grad does not."""
 _COMPASS = {"compass", "bearing", "north"}
 """And that directions count from north."""
 
