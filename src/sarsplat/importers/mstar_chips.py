@@ -309,5 +309,8 @@ def _magnitude(path: Path, step: float) -> Float32[np.ndarray, "rows columns"]:
     """The pixels of an 8-bit grey picture, of which each digital number is a step."""
     pixels = read_pixels(path)
     if pixels.dtype != np.uint8 or pixels.ndim != 2:
-        raise SarsplatError(f"{path} holds {pixels.dtype} of shape {shown(pixels.shape)}; chips are 8-bit grey")
+        raise SarsplatError(
+            f"{path} holds {pixels.dtype} of shape {shown(pixels.shape)}, but chips are 8-bit grey; import others with "
+            "`sarsplat import folder`"
+        )
     return pixels.astype(np.float32) * np.float32(step)

@@ -60,8 +60,8 @@ _ROUNDED_DEG = 1.0 + 1e-6
 """By which grazing and incidence angles of whole degrees may miss a right angle together."""
 
 _ANGLES = ("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt")
-_OTHER_ANGLES = {"rad", "radian", "radians", "mrad", "gon", "grad", "gradian", "gradians", "mil", "mils"}
-"""Words of columns' names that say that angles are not in degrees."""
+_OTHER_ANGLES = {"rad", "radian", "radians", "mrad", "gon", "gradian", "gradians", "mil", "mils"}
+"""Words of columns' names that say that angles are not in degrees, as the German Grad does not."""
 _COMPASS = {"compass", "bearing", "north"}
 """And that directions count from north."""
 
@@ -291,9 +291,8 @@ def read_picture_table(
     `named` is that of `chosen_columns`; `target_class` is the one whose pictures are wanted; `grazing` and `spacing`
     say whether the table must have columns of these, `looking` whether it is known to which side the radar looks, and
     `compass` whether azimuths may count from north. Rows without a picture and pictures without a row are warned of.
-    Refused if the table is missing, damaged or lacks a column, names a file twice,
-    none that exists or one outside the folder, several classes are in it of which none is chosen, or a cell or a column
-    is not what it should be.
+    Refused if the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
+    folder, several classes are in it of which none is chosen, or a cell or a column is not what it should be.
     """
     inside = files_in(folder, "the pictures")
     table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
