@@ -30,11 +30,11 @@ def known_part(path: Path, heights: Float64[np.ndarray, "rows columns"]) -> Floa
     unknown = np.isnan(heights)
     if not unknown.any():
         return heights
-    inside = _inside(unknown)
+    holes = holes_of(unknown)
     rows, columns = _margins(unknown)
     part = heights[rows : len(heights) - rows, columns : heights.shape[1] - columns]
-    if inside.any() or min(part.shape) < 2:
-        holes = inside if inside.any() else unknown
+    if holes.any() or min(part.shape) < 2:
+        holes = holes if holes.any() else unknown
         (first, last), (left, right) = ((int(at.min()) + 1, int(at.max()) + 1) for at in np.nonzero(holes))
         many = int(holes.sum())
         raise SarsplatError(
@@ -52,7 +52,7 @@ def known_part(path: Path, heights: Float64[np.ndarray, "rows columns"]) -> Floa
     return part
 
 
-def _inside(unknown: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
+def holes_of(unknown: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
     """What of it does not hang together with an edge."""
     from scipy.ndimage import label  # which takes long to import, and is rarely needed
 
