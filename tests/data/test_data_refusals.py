@@ -408,8 +408,11 @@ TERRAIN: Refusals = [
     (heights(scale=None), "does not say how far its pixels are apart; write it as a GeoTIFF in metres"),
     (heights(scale=(0.0, 1.0, 0.0)), "pitch_m is .0.0, 1.0.; give two positive"),
     (heights(HEIGHTS[:1]), "has 1 × 4 heights; give at least 2 × 2"),
-    (heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)), "has 1 height of 12 that is not known; fill them in"),
-    (heights(extra=[(42113, "s", 0, "3", True)]), "has 1 height of 12 that is not known"),
+    (
+        heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)),
+        "1 height of 12 that is not known, within rows 2 to 2 and columns 2 to 2; fill",
+    ),
+    (heights(extra=[(42113, "s", 0, "6", True)]), "has 1 height of 12 that is not known"),
     (heights(np.zeros((4, 5, 3), np.uint8), photometric="rgb"), "has 3 bands; give one of heights"),
     (heights(scale=None, extra=[TURNED]), "is turned against its system's axes; straighten it"),
     (heights(cut=-40), "bad.tif"),

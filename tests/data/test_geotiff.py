@@ -50,6 +50,25 @@ def test_what_is_written_is_read_to_the_bit(tmp_path):
     assert read.pitch_m == terrain.pitch_m
 
 
+def test_what_is_not_known_at_edges_is_cut_off_around_the_same_middle(tmp_path):
+    whole = np.add.outer(np.arange(30.0), np.arange(40.0) ** 2)
+    wedges = whole.copy()
+    for row in range(30):  # as after bringing it into another system
+        wedges[row, : row // 10] = wedges[row, 40 - (29 - row) // 10 :] = np.nan
+    write_geotiff(tmp_path / "whole.tif", whole)
+    with pytest.warns(SarsplatWarning, match=r"60 heights of 1200 at its edges .* 0 rows above .* 2 columns left"):
+        read = read_terrain(write_geotiff(tmp_path / "a.tif", wedges))
+    assert np.array_equal(read.heights_m, whole[::-1, 2:-2])
+    assert read.height_m(np.zeros(1), np.zeros(1)) == read_terrain(tmp_path / "whole.tif").height_m(*np.zeros((2, 1)))
+    corner = whole.copy()
+    corner[-1, 0] = np.nan
+    with pytest.warns(SarsplatWarning, match="0 rows above and below and 1 column left"):
+        assert read_terrain(write_geotiff(tmp_path / "a.tif", corner)).heights_m.shape == (30, 38)
+    wedges[9:11, 20] = np.nan
+    with pytest.raises(SarsplatError, match=r"2 heights of 1200 .* within rows 10 to 11 and columns 21 to 21; fill"):
+        read_terrain(write_geotiff(tmp_path / "a.tif", wedges))
+
+
 def test_a_dataset_keeps_its_terrain(tmp_path):
     dataset = small_dataset(terrain=hill())
     read = read_dataset(write_dataset(tmp_path / "d", dataset).path)

@@ -110,6 +110,12 @@ def test_numbers_of_few_bits(tmp_path, bits, kind, options):
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_few_bits_count_as_the_bytes_they_become(tmp_path):
+    with pytest.raises(SarsplatError, match=r"a\.tif has \d+ bytes but claims to hold 9000000;"):
+        read_pixels(written(tmp_path / "a.tif", np.zeros((3000, 3000), np.uint8), nbits=2, compress="DEFLATE"))
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_jpeg_of_eight_bits_is_nearly_what_was_stored(tmp_path):
     smooth = np.add.outer(np.arange(40), np.arange(60)).astype(np.uint8)
     for shape in ({"blockysize": 16}, {"tiled": True, "blockxsize": 32, "blockysize": 16}):

@@ -229,9 +229,7 @@ def test_the_command_says_where_it_is(anywhere: Run, tmp_path: Path, capsys: pyt
     assert "33.900000° S, 151.200000° E (WGS 84), -12.0 m above the ellipsoid" in capsys.readouterr().out
 
 
-def test_a_file_of_gaussians_is_where_it_was_exported_from(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_of_gaussians_is_where_it_was_exported_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also where it is moved to the origin, far from that of its scene."""
     laspy, pyproj = pytest.importorskip("laspy"), pytest.importorskip("pyproj")
     place = Place(45.29, 7.5, 312.0, 20.0)

@@ -98,6 +98,23 @@ def test_level_ground(tmp_path: Path, system, unit_m: float) -> None:
     assert read_dataset(tmp_path / "out").source["geocoded"] == "level"
 
 
+def test_what_was_not_measured_along_edges_is_left_out(tmp_path: Path) -> None:
+    """As after gdalwarp; where it is, is said only of what is needed."""
+    folder = write(tmp_path / "in")
+    whole, no_data = imported(folder), [(42113, "s", 0, "-9999", True)]
+    path = folder / "000.tif"
+    pixels = tifffile.imread(path)
+    for rows, needed in ((3, False), (20, True)):  # other views are turned, so that edges are not
+        pixels[:rows] = -9999
+        write_map(path, pixels, PITCH, extra=no_data)
+        with pytest.warns(match="call no data"):
+            made = imported(folder)
+        cut = [(a - b) // 2 for a, b in zip(whole.power.shape[1:], made.power.shape[1:], strict=True)]
+        assert (max(cut) > 0) == needed
+        inner = tuple(slice(k, size - k) for k, size in zip(cut, whole.power.shape[1:], strict=True))
+        np.testing.assert_allclose(made.power[0], whole.power[0][inner], rtol=1e-3)
+
+
 def test_a_plane_above_the_ground(tmp_path: Path) -> None:
     """Told of the plane on which its producer projected, z = 0 is the ground again; without it, that is off."""
     folder = write(tmp_path / "in", height=lambda x, y: 0 * x + 2.0)
@@ -228,7 +245,7 @@ def test_maps_that_do_not_fit(tmp_path: Path) -> None:
     pixels[40, 40] = -9999
     write_map(path, pixels, PITCH, extra=[(42113, "s", 0, "-9999", True)])
     with (
-        pytest.raises(SarsplatError, match="that were not measured; cut the pictures"),
+        pytest.raises(SarsplatError, match=r"that were not measured, near rows .*; cut the pictures"),
         pytest.warns(match="call no data"),
     ):
         imported(folder)

@@ -33,7 +33,9 @@ def view(
     from sarsplat.viewer import Viewer, subject_at
 
     with console.busy(f"reading {path}"):
-        viewer = Viewer(gaussians_around_origin(path, strays=False)[0] if is_gaussians(path) else subject_at(path), port)
+        viewer = Viewer(
+            gaussians_around_origin(path, strays=False)[0] if is_gaussians(path) else subject_at(path), port
+        )
     if not is_gaussians(path):
         warn_if_beaten(RunFolder(path).metrics)
     try:

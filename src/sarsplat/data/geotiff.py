@@ -42,6 +42,7 @@ from sarsplat.data.georeference import (
     georeference_of,
     keys_of,
 )
+from sarsplat.data.known_part import known_part
 from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map, refuse_vertical
 from sarsplat.data.packed_tiff import masked_out, pixels_of
 from sarsplat.data.raster import HEIGHTS_ABOVE, LEVELS, Raster, RasterSystem
@@ -80,21 +81,16 @@ def read_terrain(path: str | Path) -> Terrain:
     ------
     SarsplatError
         If it cannot be read, has several bands, is in degrees or feet, is turned, says nowhere how far its pixels are
-        apart, has fewer than 2 × 2 heights, or there are some that are not known.
+        apart, has fewer than 2 × 2 heights, or there are some that are not known inside of it.
 
     Warns
     -----
     SarsplatWarning
-        If its system has a number, but where that is cannot be found out, for instance without pyproj.
+        If its system has a number, but where that is cannot be found out, for instance without pyproj; or heights at
+        its edges are not known, where it is cut, with the same middle.
     """
     path, found = Path(path), read_heights(path)
-    heights, pitch = found.raster.values, found.raster.pitch_m
-    unknown = int(np.isnan(heights).sum())
-    if unknown:
-        raise SarsplatError(
-            f"{path} has {counted(unknown, 'height')} of {heights.size} that {'is' if unknown == 1 else 'are'} not "
-            "known; fill them in, as by gdal_fillnodata, or cut them off"
-        )
+    heights, pitch = known_part(path, found.raster.values), found.raster.pitch_m
     on_ground = pitch[0] * found.metres[0], pitch[1] * found.metres[1]
     try:
         return Terrain(np.ascontiguousarray(heights[::-1]), on_ground, found.place)

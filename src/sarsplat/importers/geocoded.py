@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
-from scipy.ndimage import map_coordinates, minimum_filter, spline_filter
+from scipy.ndimage import distance_transform_edt, map_coordinates, minimum_filter, spline_filter
 
 from sarsplat.data.georeference import Georeference
+from sarsplat.data.known_part import holes_of
 from sarsplat.data.map_place import INEXACT_M, NOT_RELATED, exactness_m, far_outside, refuse_other_unit
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.extras import install_command
@@ -82,6 +83,16 @@ class MapPicture:
         wide, high = np.hypot(*self.to_ground[:, :2])
         rows, columns = self.power.shape
         return float(min(column * wide, (columns - 1 - column) * wide, row * high, (rows - 1 - row) * high))
+
+    def measured_m(self, directions: Float64[np.ndarray, "2 2"]) -> float:
+        """How far from the origin along both directions what was not measured leaves room, m.
+
+        Only of what reaches in from an edge, as after gdalwarp.
+        """
+        down, along = np.nonzero(self.unknown & ~holes_of(self.unknown))
+        places = directions @ self.to_ground @ np.stack([along, down, np.ones(len(down))])
+        pixel = float(np.hypot(*np.hypot(*self.to_ground[:, :2])))  # as far as it is interpolated to
+        return float(abs(places).max(axis=0).min(initial=math.inf)) - pixel
 
 
 def on_ground(
@@ -222,6 +233,8 @@ def _grid(pictures: Sequence[MapPicture], ground: float | Terrain) -> ImageGrid:
         turned = abs(float(x_axis @ frame[0, :2])) / float(np.hypot(*frame[0, :2]))
         reach = picture.half_m / (turned + math.sqrt(max(1 - turned**2, 0.0)))  # half a square that is turned
         slant = float(np.hypot(*frame[1, :2]))
+        if picture.unknown.any():
+            reach = min(reach, picture.measured_m(frame[:, :2] / np.hypot(*frame[:, :2].T)[:, None]))
         half_azimuth.append(reach)
         half_range.append(reach * slant - _highest(ground, picture.half_m) * abs(float(frame[1, 2])))
         slants.append(slant)
@@ -252,11 +265,17 @@ def _image(picture: MapPicture, grid: ImageGrid, ground: float | Terrain) -> Mea
     column, row = np.tensordot(inverse, places - picture.to_ground[:, 2][:, None, None], 1)
     missing = map_coordinates(picture.unknown.astype(np.float32), [row, column], order=1, mode="nearest") > 0
     if missing.any():
+        (first, last), (left, right) = (
+            (int(at.min()) + 1, int(at.max()) + 1) for at in (row[missing], column[missing])
+        )
         raise SarsplatError(
             f"{picture.name} has {counted(int(missing.sum()), 'pixel')} of {missing.size} in azimuth and range that "
-            "were not measured; cut the pictures to what all of them show"
+            f"were not measured, near rows {first} to {last} and columns {left} to {right}; cut the pictures to what "
+            "all of them show, or fill them in, as by gdal_fillnodata"
         )
-    known = np.where(picture.unknown, 0.0, picture.power.astype(np.float64))
+    known = picture.power.astype(np.float64)
+    if picture.unknown.any():  # a spline rings beside a sudden end
+        known = known[tuple(distance_transform_edt(picture.unknown, return_distances=False, return_indices=True))]
     smooth = map_coordinates(
         spline_filter(known, _SPLINE, mode="mirror"), [row, column], order=_SPLINE, mode="mirror", prefilter=False
     )

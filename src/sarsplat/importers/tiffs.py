@@ -79,8 +79,8 @@ def read_tiff_of_others(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]
         page = _the_page(path, tiff)
         tags = tags_of(page)
         _refuse_meanings(path, page, tags)
-        whole, part = (_stored_bytes(page, shape) for shape in (page.shape, page.chunks))
         packed = page.compression != tifffile.COMPRESSION.NONE
+        whole, part = (_unpacked_bytes(page, shape, packed) for shape in (page.shape, page.chunks))
         refuse_bomb(path, max(whole, part), len(data), packed)
         pixels, absent = _without_alpha(path, page, pixels_of(page, data, str(path)))
         if (masked := masked_out(tiff, page, data, path)) is not None:
@@ -146,11 +146,10 @@ def _without_alpha(
     return (others.squeeze(axis) if others.shape[axis] == 1 else others), alpha == 0
 
 
-def _stored_bytes(page: Any, shape: tuple[int, ...]) -> int:
-    """Bytes of so many numbers before they are compressed: integers of complex numbers are shorter than what they
-    become.
-    """
-    return math.prod(shape) * int(page.bitspersample) // 8
+def _unpacked_bytes(page: Any, shape: tuple[int, ...], packed: bool) -> int:
+    """Bytes that so many numbers take; if they are not packed, in the file, where they may be shorter."""
+    bits = 8 * np.dtype(page.dtype).itemsize if packed else int(page.bitspersample)
+    return math.prod(shape) * bits // 8
 
 
 def _refuse_meanings(path: Path, page: Any, tags: PageTags) -> None:
