@@ -69,6 +69,11 @@ def test_white_is_the_largest_power_unless_it_outshines_all() -> None:
     image[:9] = 1e6
     assert radiometry.white_level(image) == 100 * radiometry.bright_level(image) < 3001
     assert [radiometry.white_level(np.zeros(n)) for n in (0, 3)] == [1, 1]
+    alone = np.zeros((128, 128))
+    alone[5, 5:27] = np.geomspace(1.0, 1e-3, 22)  # a scatterer and its response, on nothing
+    assert radiometry.white_level(alone) == 1
+    alone[90, 90] = 1e6
+    assert radiometry.white_level(alone) < 100
 
 
 def test_brightness_is_linear_in_decibels() -> None:

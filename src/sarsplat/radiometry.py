@@ -84,12 +84,15 @@ def bright_level(power: Real[np.ndarray, "*pixels"]) -> float:
 def white_level(power: Real[np.ndarray, "*pixels"]) -> float:
     """What pictures show as white: the largest power, but no more than 20 dB above the brightest 0.1 %; never 0.
 
-    Of sets of targets the largest is 4 dB to 10 dB above these, so that only what outshines all is cut off, such as
-    corner reflectors, beside which a target would be black.
+    Of sets of targets the largest is 2 dB to 11 dB above these, so that only what outshines all is cut off, such as
+    corner reflectors, beside which a target would be black. A single scatterer on nothing has less than 0.1 % of the
+    pixels: its own response is not cut off, by the quarter of the echoes that is the brightest.
     """
     if not power.size:
         return 1.0
-    return min(float(power.max(initial=0.0)), 100.0 * bright_level(power)) or 1.0
+    echoes = power[power > 0]
+    bright = max(bright_level(power), float(np.quantile(echoes, 0.75)) if echoes.size else 0.0)
+    return min(float(power.max(initial=0.0)), 100.0 * bright) or 1.0
 
 
 def usual_peak(power: Real[np.ndarray, "*values"]) -> float:

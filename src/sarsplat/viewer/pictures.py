@@ -96,7 +96,7 @@ def power_panel(
     page: Page,
 ) -> Panel:
     """An image in decibels of `peak`."""
-    return Scale("dB relative to the brightest pixel", *limits_db, colours, page).panel(title, to_db(power, peak))
+    return Scale("dB relative to the brightest pixels", *limits_db, colours, page).panel(title, to_db(power, peak))
 
 
 def difference_panel(
