@@ -63,7 +63,9 @@ class Difference:
         """What the caption says."""
         colours = f"{DIFFERENCE_IN_WORDS.capitalize()}."
         if self.looks is None:
-            return f"{colours} Values more than {DYNAMIC_RANGE_DB:g} dB below white in the images count as equal."
+            return (
+                f"{colours} Values more than {DYNAMIC_RANGE_DB:g} dB below what is white in the images count as equal."
+            )
         rows, columns, independent = window(self.grid)
         return (
             "Each reconstruction is shifted by up to 3 pixels and scaled to fit its image best, as in scoring. "
