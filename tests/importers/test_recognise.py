@@ -287,7 +287,7 @@ def test_phoenix_files(tmp_path: Path) -> None:
     ]
     for path in folder.iterdir():
         path.write_bytes(phoenix_bytes(MAGNITUDE)[:-10])
-    with pytest.raises(SarsplatError, match="HB00000.014 is truncated"):
+    with pytest.raises(SarsplatError, match=r"HB00000\.014 is truncated"):
         known(folder)
 
 

@@ -1,4 +1,4 @@
-"""Beside a file with the scene's own coordinates, `FILE.place.json`: where on earth these are; written and read back."""
+"""Beside a file with the scene's own coordinates, `FILE.place.json`: where on earth these are, to and fro."""
 
 from __future__ import annotations
 
