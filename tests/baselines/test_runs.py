@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from sarsplat import Dataset, Run, SarsplatError, View, evaluate_run, reconstruct, write_report
 from sarsplat.baselines import BaselineMethod
+from sarsplat.baselines.trainer import scene_of
 from sarsplat.cli.app import run as command
 from sarsplat.data import read_points_ply
 from sarsplat.evaluation.points import surface_distance
@@ -58,6 +59,17 @@ def run_of(finished: Callable[[str], Path], tmp_path: Path) -> Callable[[str], P
 
 def test_every_method_is_tested():
     assert {*SHORT, "sar-gs"} == {*METHODS}
+
+
+def test_a_corner_reflector_does_not_scale_a_scene(small_box: Dataset) -> None:
+    plain = scene_of(small_box)
+    largest = float(small_box.images("train").max())
+    assert plain.brightest == largest / plain.unit  # which nothing outshines
+    power = small_box.power.copy()
+    power[:, 2, 2] = 1e4 * largest
+    outshone = scene_of(replace(small_box, power=power))
+    assert 1 <= outshone.brightest * outshone.unit / largest < 100
+    assert outshone.brightest * outshone.unit < power.max() / 50
 
 
 @EVERY

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import cache
@@ -19,8 +20,10 @@ from sarsplat.data import Dataset, write_dataset
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.examination.contradictions import examine
 from sarsplat.examination.running_numbers import counting
-from sarsplat.examination.units import contrast_of
+from sarsplat.examination.significance import Evidence
+from sarsplat.examination.units import clutter, contrast_of
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.regions.outlines import levels_db, outline
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -382,3 +385,28 @@ def test_degrees_all_round_count_nothing() -> None:
     assert (counts.first_deg, counts.last_deg) == (1, 4)
     assert counts.from_one
     assert [view.azimuth_deg for view in counts.spread] == [180, 0, 0, 180]
+
+
+@pytest.mark.parametrize("width", [(2.0, 2.0), (30.0, 1.6), (16.0, 16.0)])
+def test_speckle_is_measured_where_few_cells_fit_into_an_image(width: tuple[float, float]) -> None:
+    """Blocks of ground are then as large as a cell, and their mean takes most of what varies."""
+    rng, sigmas = np.random.default_rng(0), [one / (2 * math.sqrt(math.log(2))) for one in reversed(width)]
+    along, across = (np.exp(-2 * np.pi**2 * (np.fft.fftfreq(128) * sigma) ** 2) for sigma in sigmas)
+    drawn = rng.normal(size=(20, 128, 128)) + 1j * rng.normal(size=(20, 128, 128))
+    power = (abs(np.fft.ifft2(np.fft.fft2(drawn) * np.outer(along, across))) ** 2)[:, :64, :64]
+    grid = ImageGrid(64, 64, (1.0, 1.0), width)
+    levels = levels_db(power, grid, ground=True)
+    found = clutter(power, levels, [outline(level) for level in levels], grid)
+    assert found is not None
+    assert 0.75 < found.contrast_of_many < 1.1
+    for measured, stated in zip(found.width_m, width, strict=True):
+        assert measured is None or measured / stated > 0.6
+
+
+def test_what_is_dark_on_one_side_from_one_direction_may_lie_there() -> None:
+    """A road beyond a car turns with the scene; a shadow does not."""
+    rng = np.random.default_rng(0)
+    for span, shaded, told in ((4, 0.0, False), (4, 1.0, False), (180, 0.0, False), (180, 1.0, True), (360, 1.0, True)):
+        azimuths = np.radians(np.arange(20) * span / 20)
+        darker = shaded + 0.8 * np.cos(azimuths) + rng.normal(0, 0.1, 20)
+        assert Evidence(darker, azimuths).supports(0.2) is told

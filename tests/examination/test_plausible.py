@@ -257,3 +257,16 @@ def test_aloft_angles_follow_from_vectors_and_no_azimuth_is_a_side() -> None:
 def test_aloft_another_axis_is_advised_not_another_grazing_angle() -> None:
     (told,) = suspicions(make([View.isar((1, 0.1 * k, 0), (0, 0, 1)) for k in range(6)]))
     assert "add frames of a rotation about another axis" in told and "grazing" not in told
+
+
+@pytest.mark.parametrize(("db", "told"), [(0, 0), (40, 0), (60, 1), (80, 1)])
+def test_an_echo_that_outshines_all_else_is_said(db: int, told: int) -> None:
+    """At 40 dB the target is still told from it; the echo is as wide as a point."""
+    grid = ImageGrid(64, 64, (0.3, 0.3), (0.6, 0.6))
+    rows, columns = np.mgrid[:64, :64]
+    point = np.exp(-4 * math.log(2) * ((rows - 8) ** 2 + (columns - 8) ** 2) / 4)
+    target = np.zeros((64, 64))
+    target[20:50, 20:50] = np.exp(np.random.default_rng(0).normal(0, 1.5, (30, 30)))
+    power = np.stack([target + 10 ** (db / 10) * target.max() * point] * len(AROUND)).astype(np.float32)
+    odd = suspicions(dataset_of(grid, [(view, "train") for view in AROUND], power, ground=False))
+    assert sum("more than 60 dB above nearly all that images show" in text for text in odd) == told

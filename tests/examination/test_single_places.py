@@ -13,6 +13,8 @@ from lorries import lorry
 from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
 from sarsplat.data import Dataset
 from sarsplat.examination.contradictions import examine
+from sarsplat.examination.outcome import Examination
+from sarsplat.examination.places import examine_places
 from sarsplat.geometry import ImageGrid, View
 
 GRID = ImageGrid(41, 37, (0.4, 0.35), (0.5, 0.45))
@@ -131,3 +133,20 @@ def test_few_or_lonely_images_say_nothing(all_round: Dataset) -> None:
     assert few.checks["single azimuths"] == "cannot be determined: too few images"
     lonely = examine(all_round.take(range(0, 24, 3)))
     assert lonely.checks["single azimuths"] == "cannot be determined: none has two others within 31°"
+
+
+@pytest.mark.parametrize("shares", [[1, 0, 0, 0, 1, 0, 1, 1], [1, 0, 0.2, 0, 0.7, 0.6, 1, 0.9]])
+def test_images_of_one_direction_that_are_alike_are_not_elsewhere(shares: list[float]) -> None:
+    """Of 4° of flight, as of apertures that see other glints: the first is like the last where it is, too."""
+    rng = np.random.default_rng(0)
+    places = [np.random.default_rng(seed).uniform(8, 32, (8, 2)) for seed in (1, 2)]
+    rows, columns = np.mgrid[:40, :40]
+    one, other = (sum(np.exp(-((rows - a) ** 2 + (columns - b) ** 2) / 6) for a, b in each) for each in places)
+    mixed = [(share + 0.2) * one + (1.2 - share) * other + 1e-3 for share in shares]
+    grid = ImageGrid(40, 40, (0.5, 0.5), (0.7, 0.7))
+    power = np.stack(mixed) * rng.gamma(4, 0.25, (8, 40, 40))
+    views = [(View(3.5 - 0.5 * k, 45.0), "train") for k in range(8)]
+    examined = Examination()
+    examine_places(dataset_of(grid, views, power.astype(np.float32), ground=False), False, examined)
+    assert examined.contradictions == []
+    assert "none of 8 images" in examined.checks["single azimuths"]

@@ -254,7 +254,11 @@ def test_a_rejected_import_is_said_again_where_it_is_trained_on(tmp_path, capsys
     assert (shown.err.count("error:"), shown.err.count("are constant")) == (1, 1)
     assert "with 1 contradiction" in shown.out and "ready" not in shown.out
     assert main(["info", str(out)]) == 0
-    assert "contradicted" in capsys.readouterr().out
+    shown = capsys.readouterr()
+    assert "contradicted" in shown.out
+    assert f"(1 contradiction, found when it was made); `sarsplat check {out}` lists them" in " ".join(
+        shown.err.split()
+    )
     reconstruct = ["reconstruct", str(out), "--out", str(tmp_path / "run"), "--iterations", "1", "--gaussians", "20"]
     main([*reconstruct, "--resume"])
     assert "contradicts" not in capsys.readouterr().err

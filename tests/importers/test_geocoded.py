@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -339,6 +340,15 @@ def lying(longitude: float, latitude: float, epsg: int | None, stated: float | N
     step = more.get("step", 1e-5)
     affine = np.array([[step, 0.0, longitude - 31.5 * step], [0.0, -step, latitude + 31.5 * step]])
     return Georeference(affine, "projected" if "step" in more else "geographic", epsg, 1.0, stated)
+
+
+@pytest.mark.parametrize(("stated", "size"), [(None, 1e-4), (np.pi / 180 / 3600, 0.36)], ids=["degrees", "seconds"])
+def test_pixels_in_angles_are_said_in_degrees_and_metres(stated: float | None, size: float) -> None:
+    at = size / 1e-4
+    lies = Georeference(np.array([[size, 0, 8.0 * at], [0, -size, 60.0 * at]]), "geographic", 4326, 1.0, stated)
+    assert lies.pixel == "0.0001° × 0.0001°, 5.58 m × 11.14 m at latitude 60°"
+    flat = replace(lies, kind="projected", affine=np.array([[2.0, 0, 5e5], [0, -3.0, 5e6]]))
+    assert flat.pixel == "2 m × 3 m"
 
 
 def laid_out(*georeferences: Georeference):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from chip_files import MAGNITUDE, ROWS, phoenix_bytes, write_chips
 from pulses import circle, record
 from pulses import write as write_pulses
 from sample_files import write_sample
+from sarsplat import preset
 from sarsplat.cli import main
 from sarsplat.cli.importers import Recognised, recognised
 from sarsplat.errors import SarsplatError
@@ -199,6 +201,30 @@ def test_what_is_only_exported_is_named_with_who_reads_it(tmp_path, capsys, name
     (tmp_path / name).write_text("1 2 3")
     assert main(["info", str(tmp_path / name)]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_files_of_settings_are_told_from_those_of_others(tmp_path, capsys):
+    (tmp_path / "pyproject.toml").write_text('[build-system]\nrequires = []\n[project]\nname = "mine"\n')
+    assert main(["info", str(tmp_path / "pyproject.toml")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "is a TOML file that holds build-system, project, but no plan of a sweep, which names datasets" in said
+    (tmp_path / "sweep.toml").write_text('datasets = ["*"]\nseeds = [0, 1]\n')
+    assert main(["info", str(tmp_path / "sweep.toml")]) == 0
+    assert "a plan of a sweep" in capsys.readouterr().out
+    (tmp_path / "mine.json").write_text(json.dumps(preset("quick").as_dict()))
+    assert main(["info", str(tmp_path / "mine.json")]) == 0
+    assert "sarsplat reconstruct DATASET --config" in " ".join(capsys.readouterr().out.split())
+    (tmp_path / "mine.json").write_text("{}")
+    assert main(["info", str(tmp_path / "mine.json")]) == 2
+
+
+def test_a_map_in_degrees_is_described(tmp_path, capsys):
+    degrees = (1, 1, 0, 2, 1024, 0, 1, 2, 2048, 0, 1, 4326)
+    lies = [(33922, "d", 6, (0.0, 0.0, 0.0, 8.5, 60.0, 0.0), True)]
+    tags = [*lies, (33550, "d", 3, (1e-4, 1e-4, 0.0), True), (34735, "H", len(degrees), degrees, True)]
+    tifffile.imwrite(tmp_path / "a.tif", np.ones((9, 9), np.float32), metadata=None, extratags=tags)
+    assert main(["info", str(tmp_path / "a.tif")]) == 0
+    assert "0.0001° × 0.0001°, 5.58 m × 11.14 m at latitude 60°" in " ".join(capsys.readouterr().out.split())
 
 
 def test_other_nitf_files_and_unknown_endings_are_named(tmp_path, capsys):

@@ -56,7 +56,7 @@ class Scene:
     masks: UInt8[np.ndarray, "v rows columns"] | None = None
     """What each pixel of the training images shows: 0 clutter, 1 target, 2 shadow; None if unknown."""
     brightest: float = 1.0
-    """Largest power of a training image, in that unit."""
+    """Largest power of a training image, in that unit; where few echoes outshine all others by far, that of these."""
     ground: bool = False
     """Whether the images show the ground around the target."""
     looks: float | None = None

@@ -16,7 +16,11 @@ from sarsplat.geometry import View
 from sarsplat.learning.method import Trainable
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.training_images import ViewQueue
+from sarsplat.radiometry import from_db, usual_peak
 from sarsplat.regions.target_region import target_region
+
+_ABOVE_GROUND_DB = 10.0
+"""From where on an echo is hardly speckle: of one look, 0.1 % of pixels are that far above their median."""
 
 
 class BaselineTrainer(Trainable):
@@ -114,10 +118,16 @@ def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
         region.high,
         unit,
         masks,
-        float(train.power.max()) / unit,
+        _brightest(train) / unit,
         dataset.ground,
         train.looks,
     )
+
+
+def _brightest(train: Dataset) -> float:
+    """The largest power; or a lower one, if few echoes outshine all others by far, and ground is none of these."""
+    ground = float(np.median(train.power)) if train.ground else 0.0
+    return usual_peak(train.power[train.power > ground * from_db(_ABOVE_GROUND_DB)]) or float(train.power.max())
 
 
 def saved_scene(snapshot: Snapshot) -> Scene:

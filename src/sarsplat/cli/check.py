@@ -34,8 +34,8 @@ def check(
     dataset
         Folder written by `sarsplat simulate` or `sarsplat import`.
     out
-        Also draw a contact sheet (PNG) with target and shadow outlined, and the directions to the radar and of the
-        target's nose.
+        Also draw a contact sheet (PNG) with target and shadow outlined, and the directions to the radar and of
+        +x: of a vehicle its nose, of a place on earth a compass bearing.
     images
         Number of images on the sheet, evenly chosen.
     verbose

@@ -160,7 +160,7 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     lies = first_georeference(contents.files)
     if lies is not None:
         at = f"on a map, {lies.system}: geocoded" if lies.on_map else "in no map's system"
-        facts["GeoTIFF"] = f"{at}, pixels of {lies.pitch[0]:.5g} × {lies.pitch[1]:.5g} (columns × rows)"
+        facts["GeoTIFF"] = f"{at}, pixels of {lies.pixel} (columns × rows)"
     more = [] if lies is None else ["--geocoded", "GROUND", "--resolution", "METRES"] * lies.on_map
     target_class = next(iter(classes)) if len(classes) > 1 else None
     named = [contents.path / row[columns["file"]] for _, row in table.rows] if "file" in columns else []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -20,6 +20,8 @@ from sarsplat.errors import SarsplatError, counted
 if TYPE_CHECKING:
     import trimesh
 
+    from sarsplat.data.georeference import Georeference
+
 _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
 
@@ -30,6 +32,8 @@ _EXPORTED = (".geojson", ".las", ".laz", ".npz", ".pcd", ".xyz")
 
 _PLACE = ".place.json"
 """Of what lies beside those with the scene's own coordinates."""
+_LISTED = 5
+"""Names that are listed of a file that is none of ours."""
 _SUNK = 0.02  # of the size of a mesh: wheels may sink in
 _UNDERSTOOD = (
     "a dataset, a run, rendered images, generated chips, images to import, a PLY of Gaussians or points, a power TIFF "
@@ -123,6 +127,8 @@ def _file(path: Path) -> tuple[str, dict[str, str]]:
         case ".json" | ".geojson" | ".jsonl" | ".safetensors" | ".html" | ".csv" | ".txt" | ".md":
             _refuse_part(path)
             _refuse_export(path)
+            if path.suffix.lower() == ".json" and (settings := _settings(path)) is not None:
+                return settings
             raise SarsplatError(f"{path} is not a file that this command recognises; give {_UNDERSTOOD}")
         case ".obj" | ".stl" | ".off" | ".glb":
             return _mesh(path)
@@ -144,10 +150,38 @@ def _refuse_export(path: Path) -> None:
         raise SarsplatError(f"{path} is of a kind that is exported for other programs; open it with {programs}")
 
 
-def _describe_plan(path: Path) -> None:
-    from sarsplat.sweeps.plan import Plan
+def _settings(path: Path) -> tuple[str, dict[str, str]] | None:
+    """Settings of a reconstruction, as --print-config writes them; None if it holds something else."""
+    from sarsplat.data import read_json
+    from sarsplat.settings.config import DEFAULT_METHOD
 
-    plan = Plan.read(path)
+    try:
+        content = read_json(path, dict[str, Any])
+    except SarsplatError:
+        return None
+    settings = content.get("config", content)
+    if not isinstance(settings, dict) or not {"preset", "iterations"} <= settings.keys():
+        return None
+    method = str(content.get("method", DEFAULT_METHOD))
+    typed = ["--config", str(path), *(["--method", method] if method != DEFAULT_METHOD else [])]
+    return "settings of a reconstruction", {
+        "method": method,
+        "preset": str(settings["preset"]),
+        "iterations": str(settings["iterations"]),
+        "reconstruct by them": shlex.join(["sarsplat", "reconstruct", "DATASET", *typed, "--out", "RUN"]),
+    }
+
+
+def _describe_plan(path: Path) -> None:
+    from sarsplat.sweeps.plan import Plan, read_toml
+
+    if "datasets" not in (content := read_toml(path)):  # as every plan has
+        holds = ", ".join(list(content)[:_LISTED]) + ", …" * (len(content) > _LISTED)
+        raise SarsplatError(
+            f"{path} is a TOML file that holds {holds or 'nothing'}, but no plan of a sweep, which names datasets; "
+            f"give {_UNDERSTOOD}"
+        )
+    plan = Plan.from_dict(content, str(path))
     rows = {
         "datasets": f"{', '.join(plan.datasets)} (below {path.absolute().parent})",
         "methods": ", ".join(plan.methods),
@@ -215,8 +249,23 @@ def _others_map(path: Path, description: str) -> tuple[str, dict[str, str]]:
     try:
         kind, rows = _map(path, description)
     except SarsplatError as error:  # a picture may hold what no heights do
+        if (lies := _in_degrees(path)) is not None:
+            rows = {
+                "pixels": f"{lies.pixel} (columns × rows)",
+                "system": lies.system,
+                "description": description or "none",
+            }
+            return "a map in degrees (GeoTIFF)", {**rows, "if heights": str(error), "if power": f"give {picture}"}
         raise SarsplatError(f"{path} lies on a map (GeoTIFF); {heights}, and {picture}") from error
     return kind, {**rows, "if heights": heights, "if power": f"give {picture}"}
+
+
+def _in_degrees(path: Path) -> Georeference | None:
+    """Where a GeoTIFF's pixels lie, if that is by longitude and latitude."""
+    from sarsplat.importers.tiffs import first_georeference
+
+    lies = first_georeference([path])
+    return lies if lies is not None and lies.kind == "geographic" else None
 
 
 def _map(path: Path, description: str) -> tuple[str, dict[str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,6 +56,12 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
     zero = "nose" if place is None else f"compass bearing {place.x_towards_deg:.4g}°"
     console.show(sky_chart(train, tests, terminal.width, symbols, zero))
     console.say(legend([split for split in dataset.splits() if split != "train"], symbols, train[0].aloft))
+    if found := dataset.source.get("contradictions"):
+        look = shlex.join(["sarsplat", "check", str(path)])
+        many = counted(len(found) if isinstance(found, list) else 1, "contradiction")
+        console.warn(
+            f"its images contradict what it says of them ({many}, found when it was made); `{look}` lists them"
+        )
     if plot is not None and kind is not None:
         from sarsplat.data import write_bytes
         from sarsplat.report.sky import sky_picture

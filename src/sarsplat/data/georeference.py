@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from sarsplat.data.foreign_tiff import KEYS, PIXEL_SCALE, TIEPOINT, TRANSFORMATION, PageTags
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry import Place
 
 MODEL, RASTER, LENGTH = 1024, 1025, 3076
 _GEOGRAPHIC_CODE, _PROJECTED_CODE = 2048, 3072
@@ -73,6 +74,23 @@ class Georeference:
         """Distance of columns and of rows, in the map's unit."""
         (a, b, _), (d, e, _) = self.affine
         return math.hypot(a, d), math.hypot(b, e)
+
+    @property
+    def pixel(self) -> str:
+        """Size of a pixel, columns × rows, with its unit; of degrees also in metres, at the latitude of the first."""
+        across, along = self.pitch
+        if self.kind != "geographic":
+            unit = "" if self.kind is None else " m" if self.unit_m == 1 else " of the map's unit"
+            return f"{across:.5g}{unit} × {along:.5g}{unit}"
+        degrees = math.degrees(_DEGREE if self.stated is None else self.stated)
+        said = f"{across * degrees:.5g}° × {along * degrees:.5g}°"
+        longitude, latitude = degrees * self.affine[:, 2]
+        if not (abs(latitude) < 90 and abs(longitude) <= 360):
+            return said
+        corner = Place(latitude, longitude, 0.0)
+        steps = np.array([[latitude + degrees * d, longitude + degrees * a, 0.0] for a, d in self.affine[:, :2].T])
+        x_m, y_m = np.linalg.norm(corner.from_geodetic(steps), axis=1)
+        return f"{said}, {x_m:.4g} m × {y_m:.4g} m at latitude {latitude:.4g}°"
 
     @property
     def system(self) -> str:

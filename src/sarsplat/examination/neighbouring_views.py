@@ -38,6 +38,13 @@ _RADII = np.arange(1, 6) / 5 / 3
 """Displacements towards the radar that are tried, of half the side of the ground."""
 
 
+_ANYWAY = 0.4
+"""Share of the correlation by which images turned by an angle match better if less stretched, of 1 − cos of that angle
+and for each e-fold of lengths in range: what is high is displaced, and not as lengths on the ground are. Of honest sets
+of buildings, vehicles and SLICY at 48° to 60°, 10° to 30° apart, it is at most 0.3 where that is more than 0.01; of
+such at 30° that are said to be at 60°, 0.97 to 3.1."""
+
+
 @dataclass(frozen=True)
 class Matches:
     """Correlation of pairs of images as a function of the shift, after rotating one onto the other on the ground."""
@@ -125,6 +132,18 @@ def as_grazing_and_incidence(
         for views, scale in zip(meant, scales, strict=True)
     )
     return given, swapped
+
+
+def less_stretched_anyway(
+    views: Sequence[View], pairs: Sequence[tuple[int, int]], correlations: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, " n"]:
+    """By how much pairs that match so well may match better with 90° less their grazing angles, though these are right.
+
+    Nothing where lengths in range become no shorter by that.
+    """
+    steepness = [math.log(math.tan(math.radians((views[i].grazing_deg + views[j].grazing_deg) / 2))) for i, j in pairs]
+    turned = [1 - math.cos(math.radians(views[i].azimuth_deg - views[j].azimuth_deg)) for i, j in pairs]
+    return _ANYWAY * np.maximum(steepness, 0.0) * np.array(turned) * np.maximum(correlations, 0.0)
 
 
 def reach(grid: ImageGrid) -> float:

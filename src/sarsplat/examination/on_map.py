@@ -90,7 +90,7 @@ def on_map(
     for sense in (1, -1):
         turned = _turned(levels, [replace(view, azimuth_deg=sense * view.azimuth_deg) for view in views])
         edge = edge_sides(turned, [outline(level) for level in turned])
-        senses.append((shadow_sides(turned if ground else turned[:0]), edge))
+        senses.append((shadow_sides(turned if ground else turned[:0], views), edge))
     shadow, edge = max(senses, key=lambda sides: max(sides[not ground].mean))
     return OnMap(seen.stays, seen.shadow, shadow, seen.edge, edge)
 

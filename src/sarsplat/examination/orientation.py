@@ -18,6 +18,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from sarsplat.data.orientation import SIDES, oriented
 from sarsplat.examination.neighbouring_views import (
     as_grazing_and_incidence,
+    less_stretched_anyway,
     match,
     neighbours,
     reach,
@@ -64,6 +65,8 @@ class Orientation:
     """By how much that is higher with azimuths as given."""
     grazing: Evidence
     """By how much it is higher with grazing angles as given than with 90° less them."""
+    steeper: Evidence
+    """The same, and what lengths that are less stretched are ahead by anyway."""
     stays: Evidence
     """By how much neighbouring images match better without being turned by their azimuths than in either sense."""
     spread: Evidence
@@ -85,7 +88,7 @@ class Orientation:
     @property
     def incidence(self) -> bool:
         """Whether grazing angles seem to be incidence angles."""
-        return self.near is not None and self.grazing.against(_LEAST_GRAZING)
+        return self.near is not None and self.steeper.against(_LEAST_GRAZING)
 
     @property
     def counted(self) -> bool:
@@ -108,7 +111,7 @@ def orientation(
     near; `spread` is where they may be taken from instead of `views`, if their azimuths only count them.
     """
     levels = levels_db(power, grid, ground)
-    shadow = shadow_sides(levels if ground else levels[:0])
+    shadow = shadow_sides(levels if ground else levels[:0], views)
     edge = edge_sides(levels, [outline(level) for level in levels])
     sideways = turned_grid(grid, "right")
     frames = [(levels, grid), (levels_db(oriented(power, "right"), sideways, ground), sideways)]
@@ -131,6 +134,7 @@ def orientation(
         {side: (float(best[k % 2][0].mean()), float(best[k % 2][1].mean())) for k, side in enumerate(SIDES) if pairs},
         Evidence(best[axis][0] - best[axis][1]),
         Evidence(given - swapped),
+        Evidence(given - swapped + less_stretched_anyway(views, more, np.maximum(given, swapped))),
         Evidence(match(bright[0], views, grid, pairs, sense=0).best() - _highest([*best[0], *best[1]])),
         Evidence(_by_spread(frames, bright, pairs, best, spread) if spread and pairs else np.empty(0)),
     )
@@ -177,7 +181,7 @@ def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centr
     return by_layover if agree else None
 
 
-def shadow_sides(levels: Float64[np.ndarray, "v rows columns"]) -> SideEvidence:
+def shadow_sides(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[View]) -> SideEvidence:
     """For each side as near range: how much darker than the ground it is behind the bright target, dB.
 
     Beyond is the quadrant around the direction away from that side, as far as half the shorter side of the images. All
@@ -191,14 +195,15 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"]) -> SideEvidence:
     weight = np.where((distance > 0) & (distance <= min(rows, columns) / 2), 1 / np.maximum(distance, 1.0), 0.0)
     beyond = (down > abs(right), -right > abs(down), -down > abs(right), right > abs(down))  # of top, right …
     quadrants = [rfft2(weight * where) for where in beyond]
-    darkness = []
-    for level in levels:
+    darkness, azimuths = [], []
+    for level, view in zip(levels, views, strict=False):
         bright = rfft2(_coarse(np.clip(level - _BRIGHT_DB, 0.0, _BRIGHTEST_DB - _BRIGHT_DB), step), padded)
         dark = _coarse(np.clip(-level, 0.0, -_DARKEST_DB), step)
         reached = [irfft2(bright * quadrant, padded)[:rows, :columns] for quadrant in quadrants]
         if bright[0, 0].real > 0 and min(share.sum() for share in reached) > 0:
             darkness.append([float((share * dark).sum() / share.sum()) for share in reached])
-    return SideEvidence(np.array(darkness).reshape(-1, 4))
+            azimuths.append(math.radians(view.azimuth_deg))
+    return SideEvidence(np.array(darkness).reshape(-1, 4), np.array(azimuths))
 
 
 def _coarse(image: Float64[np.ndarray, "rows columns"], step: int) -> Float64[np.ndarray, "m n"]:

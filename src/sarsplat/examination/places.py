@@ -158,6 +158,13 @@ class _OnGround:
         apart = np.sort(np.abs((self.azimuths[neighbours] - view.azimuth_deg + 180) % 360 - 180))
         return Fit(sorted(found)[-2], float(apart[1]))
 
+    def around(self, k: int) -> float:
+        """How well image k matches any two others that its neighbours are among, where it is."""
+        apart = np.abs((self.azimuths - self.views[k].azimuth_deg + 180) % 360 - 180)
+        suits = (apart <= _FARTHEST_DEG) & (np.abs(self.grazings - self.views[k].grazing_deg) <= _SAME_GRAZING_DEG)
+        suits[k] = False
+        return sorted(self.alike(self.own(k), self.own(int(j))) for j in np.flatnonzero(suits))[-2]
+
     def alike(self, one: _Spectrum, other: _Spectrum) -> float:
         """Highest correlation of two images."""
         return float(irfft2(one.conj() * other, self.padded)[self.near].max())
@@ -175,6 +182,14 @@ class _OnGround:
         pairs = (k, after[0]), (k, after[1]), (before[0], after[0])
         alike = [self.alike(self.own(i), self.own(j, flip)) for i, j in pairs]
         return Fit(float(np.mean(alike)), self.clockwise(k, after[1]))
+
+    def beside(self, k: int, fits: Sequence[Fit]) -> float:
+        """The lesser of the correlations of the images two before and two after image k."""
+        neighbours = self.neighbours(self.views[k], k)
+        after = [j for j in neighbours if self.clockwise(k, j) >= 0]
+        before = [j for j in neighbours if self.clockwise(k, j) < 0]
+        beside = [fits[side[-1]].correlation for side in (before, after)]
+        return min((one for one in beside if one > -1), default=1.0)
 
     def swap(self, i: int, j: int) -> None:
         """Let each of two images be of the other's view."""
@@ -292,7 +307,10 @@ def _best_swap(scene: _OnGround, fits: Sequence[Fit], usual: float) -> tuple[flo
             least = fits[i].least_gain + fits[j].least_gain
             like = there[j].is_like(usual) and here.is_like(usual)
             if like and sum(both) > least and min(both) > least / 4:
-                found.append((sum(both), min(i, j), max(i, j)))
+                # what fits images farther away, without being turned, is no better elsewhere
+                kept = there[j].correlation - scene.around(i) + here.correlation - scene.around(j)
+                if kept > least / 2:
+                    found.append((sum(both), min(i, j), max(i, j)))
     return max(found, default=None)
 
 
@@ -307,7 +325,8 @@ def _elsewhere(dataset: Dataset, scene: _OnGround, fits: Sequence[Fit]) -> tuple
         there = [scene.fit(k, view) for view in tried]
         best = max(range(len(tried)), key=lambda n: there[n].correlation)
         gain = there[best].correlation - fits[k].correlation
-        if there[best].is_like(usual) and gain > _ALONE * max(fits[k].least_gain, there[best].least_gain):
+        least = _ALONE * max(fits[k].least_gain, there[best].least_gain)
+        if there[best].is_like(usual) and gain > least and there[best].correlation - scene.around(k) > least / 2:
             found.append((gain, k, tried[best].azimuth_deg))
     if not found:
         return None
@@ -349,6 +368,8 @@ def _parted(dataset: Dataset, scene: _OnGround, fits: Sequence[Fit]) -> tuple[fl
     found = []
     for k, fit in enumerate(given):
         if not -1 < fit.correlation < usual or fits[k].apart_deg > _FARTHEST_ALONE_DEG:
+            continue
+        if scene.beside(k, given) - fit.correlation < fits[k].least_gain:  # all around, images are as unlike
             continue
         for what, flip in _FLIPS.items():
             better = scene.across(k, flip)

@@ -26,12 +26,14 @@ from sarsplat.errors import SarsplatWarning, counted
 from sarsplat.examination.repeated import repeated_images
 from sarsplat.geometry import View
 from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.radiometry import usual_peak
 
 _FEW = 3  # angles: of fewer nothing can be said
 _SAME_DIRECTION_DEG = 0.01
 _HALF_CIRCLE_DEG = 180.0
 _BLIND = 100.0  # resolutions in elevation, of what images show: phases change by 4 degrees across them
 _LOUDER = 1.2  # noise, of power that it is a part of: nothing but noise is not odd
+_SKIRTS = 3.0  # pixels of echoes' skirts, for each pixel of the echoes: a Gaussian's are 1, those of targets less
 _FROM_ABOVE_DEG = 80.0  # and above: a view that favours no side
 
 _SIDES, _RINGS = 72, 24
@@ -47,14 +49,14 @@ def suspicions(dataset: Dataset) -> list[str]:
 
     Angles that look like radians; one training view, views that are all the same, that leave out more than half of the
     circle or do not determine positions along some direction; stacks with baselines that tell no heights, or with more
-    noise than power; images that are constant or all the same; test images that are training images; zeros in measured
-    power; terrain smaller than what images show. Empty if nothing is odd.
+    noise than power; echoes that outshine all else; images that are constant or all the same; test images that are
+    training images; zeros in measured power; terrain smaller than what images show. Empty if nothing is odd.
     """
     train = dataset.select("train")
     odd = suspicious_angles(train.views)  # of angles in another unit, nothing else follows
     if not odd:
         odd = left_open(train)
-    return [*odd, *_noise(train), *suspicious_images(dataset), *suspicious_terrain(dataset)]
+    return [*odd, *_noise(train), *_outshone(train), *suspicious_images(dataset), *suspicious_terrain(dataset)]
 
 
 def left_open(train: Dataset) -> list[str]:
@@ -159,6 +161,26 @@ def suspicious_coverage(views: Sequence[View]) -> list[str]:
             f"{first.grazing_deg:g}°), which cannot determine the shape; check their angles"
         ]
     return [*_gap(views), *weak_directions(views)]
+
+
+def _outshone(train: Dataset) -> list[str]:
+    """Whether few echoes are so bright that nothing else is seen beside them; a list of one sentence, or empty.
+
+    Echoes of at most 60 dB less are told from such a few (`usual_peak`); what is fainter is taken for nothing. The
+    skirts of any echo are about as many pixels between 60 dB and 120 dB below it as above.
+    """
+    peaks = train.power.max(axis=(1, 2))
+    faintest = 1e-6 * float(peaks.max())
+    seen = sum(int((image > faintest).sum()) for image in train.power)
+    fainter = sum(int((image > 1e-6 * faintest).sum()) for image in train.power) - seen
+    if fainter <= _SKIRTS * seen or usual_peak(train.power) < float(peaks.max()):
+        return []
+    worst = train.entries[int(peaks.argmax())].name
+    return [
+        f"the brightest echoes, such as in {worst}, are more than 60 dB above nearly all that images show, as a corner "
+        "reflector or a hot pixel may be, so a target beside them is not found; mask them in the images, or leave them "
+        "outside"
+    ]
 
 
 def _noise(train: Dataset) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -18,6 +18,10 @@ CHANCE = 1e-4
 _FEWEST = 5
 """Images, or pairs of images: of fewer nothing is said."""
 
+_ONE_SIDED = 0.2
+"""Length of the mean of directions (0 all round, 1 all the same) from which on what is the scene's own may be taken for
+what the look does: below, it turns in the images and averages out."""
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -25,6 +29,9 @@ class Evidence:
 
     values: Float64[np.ndarray, " n"]
     """One for each image or pair: positive for the alternative, negative against it."""
+    azimuths_rad: Float64[np.ndarray, " n"] | None = None
+    """Where images were taken from, if what lies in the scene counts as well: it turns with them, and what the look
+    does is the same from everywhere. From one direction, a road beyond a car is as dark as its shadow in all images."""
 
     @property
     def count(self) -> int:
@@ -40,12 +47,25 @@ class Evidence:
         """Whether the mean exceeds `least`, and is positive not by chance."""
         if not self.count or self.mean <= least:
             return False
+        if self.azimuths_rad is not None and abs(np.exp(1j * self.azimuths_rad).mean()) > _ONE_SIDED:
+            return self._from_one_side(self.azimuths_rad, significance)
         error = float(self.values.std(ddof=1)) / math.sqrt(self.count)
         return error == 0 or bool(stdtr(self.count - 1, -self.mean / error) < significance)
 
+    def _from_one_side(self, azimuths_rad: Float64[np.ndarray, " n"], significance: float) -> bool:
+        """Whether what is left is positive, and not by chance, if the scene's own share is that of a slope in it."""
+        share = np.stack([np.ones(self.count), np.cos(azimuths_rad), np.sin(azimuths_rad)], axis=1)
+        freedom = self.count - share.shape[1]
+        if freedom < 1 or np.linalg.matrix_rank(share) < share.shape[1]:
+            return False
+        fitted = np.linalg.lstsq(share, self.values, rcond=None)[0]
+        variance = float(((self.values - share @ fitted) ** 2).sum()) / freedom
+        error = math.sqrt(variance * float(np.linalg.inv(share.T @ share)[0, 0]))
+        return fitted[0] > 0 and (error == 0 or bool(stdtr(freedom, -fitted[0] / error) < significance))
+
     def against(self, least: float) -> bool:
         """Whether the mean is below −`least`, and negative not by chance."""
-        return Evidence(-self.values).supports(least)
+        return replace(self, values=-self.values).supports(least)
 
 
 @dataclass(frozen=True)
@@ -54,6 +74,8 @@ class SideEvidence:
 
     values: Float64[np.ndarray, "n 4"]
     """One row for each image or pair; top, right, bottom, left."""
+    azimuths_rad: Float64[np.ndarray, " n"] | None = None
+    """As of `Evidence`."""
 
     @property
     def count(self) -> int:
@@ -80,5 +102,8 @@ class SideEvidence:
         """The side that is ahead of each of the others by `least` and not by chance; None if there is none."""
         best = int(self.mean.argmax())
         others = np.delete(self.values, best, axis=1)
-        ahead = [Evidence(self.values[:, best] - other).supports(least, significance) for other in others.T]
+        ahead = [
+            Evidence(self.values[:, best] - other, self.azimuths_rad).supports(least, significance)
+            for other in others.T
+        ]
         return SIDES[best] if all(ahead) else None

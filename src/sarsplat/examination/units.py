@@ -64,6 +64,12 @@ _FEWEST_BLOCKS = 20
 _WHITE = 0.1
 """Neighbouring pixels of speckle that correlate less are taken as drawn independently of each other."""
 
+_MOST_ALIKE = 0.75
+"""Mean correlation of a block's pixels above which it holds hardly more than one cell, and tells nothing of speckle."""
+
+_ROUNDS = 10
+"""Of widths that follow from how much of the variance a block's mean takes, which follows from the widths."""
+
 _BRIGHT_DB = 25.0
 """Below the brightest of an image: what is darker is not looked at for its sharpness."""
 
@@ -140,6 +146,11 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             )
             examined.checks["resolution"] = "cannot be determined from speckle of unknown looks"
         return False
+    if ground.alike > _MOST_ALIKE:
+        examined.checks["unit"] = "cannot be determined: resolution cells are about as large as a quarter of the images"
+        return False
+    contrast = ground.contrast_of_many
+    measured = f"standard deviation over mean of the ground is {contrast:.2f}"
     of_power, of_amplitude = contrast_of(dataset.looks)
     stated = f"{dataset.looks:g} look{'' if dataset.looks == 1 else 's'}"
     examined.checks["unit"] = f"{measured}; power of {stated} has {of_power:.2f}, amplitude {of_amplitude:.2f}"
@@ -149,7 +160,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             f"more of the ground is dark than bright (skewness {ground.skewness.mean():.2f}), as in decibels, not in "
             f"power or amplitude; {_remedy(dataset, quantity=f'import with {_DECIBELS}')}"
         )
-    elif ground.contrast < of_amplitude**1.5 / of_power**0.5:
+    elif contrast < of_amplitude**1.5 / of_power**0.5:
         wrong = (
             f"the {measured}, but speckle of {stated} has {of_power:.2f}, so the images are smoother than stated; "
             + _remedy(
@@ -158,7 +169,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
                 quantity=f"{_DECIBELS}, if they hold these",
             )
         )
-    elif ground.contrast < (of_power * of_amplitude) ** 0.5:
+    elif contrast < (of_power * of_amplitude) ** 0.5:
         known = _KNOWN.get(str(dataset.source.get("quantity")))
         remedies = {
             "quantity": "square the values (--quantity amplitude)",
@@ -167,7 +178,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
         if known is not None:  # no numbers that could be squared: the looks are wrong sooner
             remedies = {"looks": "give another number of looks (--looks)"} | known
         elif dataset.source.get("geocoded"):  # so that amplitude is what they are less likely to be
-            looks = f"--looks {1 / ground.contrast**2:.2g}"
+            looks = f"--looks {1 / contrast**2:.2g}"
             remedies = {
                 "looks": f"give the looks that are left after pixels were interpolated to the map ({looks})",
                 "quantity": f"{remedies['quantity']} if they are amplitude",
@@ -176,7 +187,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             f"the {measured}, as of amplitude with {stated} ({of_amplitude:.2f}), not of power ({of_power:.2f}); "
             + _remedy(dataset, **remedies)
         )
-    elif ground.contrast > of_power**1.5 / of_amplitude**0.5:
+    elif contrast > of_power**1.5 / of_amplitude**0.5:
         wrong = (
             f"the {measured}, but power of {stated} has {of_power:.2f}; "
             + _remedy(
@@ -239,6 +250,14 @@ class Clutter:
     """3 dB width in azimuth and slant range of the response that correlates neighbouring pixels of speckle so much;
     None if they hardly do."""
 
+    alike: float
+    """Mean correlation of the speckle in all pixels of a block, by that width: what its mean takes of the variance."""
+
+    @property
+    def contrast_of_many(self) -> float:
+        """That of speckle in blocks of many resolution cells, if it is speckle."""
+        return self.contrast / math.sqrt(1 - self.alike)
+
     @property
     def coarse(self) -> bool:
         """Whether pixels have too few values to measure speckle by."""
@@ -266,17 +285,46 @@ def clutter(
         return None
     rest = _standardised(blocks)
     pixels = np.sort(blocks.reshape(len(blocks), -1), axis=1)
-    neighbours = (rest[:, :, 1:] * rest[:, :, :-1], rest[:, 1:] * rest[:, :-1])
-    widths = [
-        _response_width(float(products.mean()), spacing)
-        for products, spacing in zip(neighbours, grid.spacing_m, strict=True)
-    ]
+    steps = [float((np.diff(rest, axis=axis) ** 2).mean()) / 2 for axis in (2, 1)]  # the mean plays no part in them
+    widths, alike = _widths(steps, (across, along), grid.spacing_m)
+    one, other = (
+        None if width and stated > width > side * spacing / 2 else width  # no block shows how wide it really is
+        for width, stated, side, spacing in zip(widths, grid.resolution_m, (across, along), grid.spacing_m, strict=True)
+    )
     return Clutter(
         float(np.median(blocks.std(axis=(1, 2), ddof=1) / blocks.mean(axis=(1, 2)))),
         (_standardised(np.sqrt(blocks)) ** 3).mean(axis=(1, 2)),
         float(np.median(1 + (np.diff(pixels, axis=1) > 0).sum(axis=1))),
-        (widths[0], widths[1]),
+        (one, other),
+        alike,
     )
+
+
+def _widths(
+    steps: Sequence[float], side: tuple[int, int], spacing_m: tuple[float, float]
+) -> tuple[tuple[float | None, float | None], float]:
+    """3 dB widths along both axes, and the mean correlation of all pixels of a block: its mean takes that much of them.
+
+    `steps` are half the squared differences of neighbouring pixels of blocks whose variance is 1.
+    """
+    widths: tuple[float | None, float | None] = (None, None)
+    alike = 0.0
+    for _ in range(_ROUNDS):
+        one, other = (
+            _response_width(1 - step * (1 - alike), spacing) for step, spacing in zip(steps, spacing_m, strict=True)
+        )
+        widths = one, other
+        lines = zip(widths, side, spacing_m, strict=True)
+        alike = math.prod(_alike(width, pixels, spacing) for width, pixels, spacing in lines)
+    return widths, alike
+
+
+def _alike(width_m: float | None, pixels: int, spacing_m: float) -> float:
+    """Mean correlation of the speckle in all pixels of a line with one another."""
+    if width_m is None:
+        return 1 / pixels
+    apart = np.arange(1, pixels) * spacing_m / width_m
+    return float(1 + 2 * ((1 - np.arange(1, pixels) / pixels) * np.exp(-2 * math.log(2) * apart**2)).sum()) / pixels
 
 
 def _standardised(blocks: Float64[np.ndarray, "n along across"]) -> Float64[np.ndarray, "n along across"]:

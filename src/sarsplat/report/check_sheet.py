@@ -35,7 +35,7 @@ _NOSE = 0.36
 _OF_THE_BRIGHTEST = "power, dB of the brightest 0.1 %"  # see `bright_level`
 _LEGEND = (
     "Near range (row 0) is on top: the radar looks down along its arrow. Orange: detected target.{shadow}\n"
-    "Dotted: where the target's +x (its nose) points if the azimuth is right."
+    "Dotted: where {x} points if the azimuth is right."
 )
 _SHADOW = " Blue: dark beside it; shadow should lie below the target."
 
@@ -75,7 +75,7 @@ def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[s
         _nose(axes, entry.view, grid)
     decibel_bar(figure, (0.03, (foot - 0.22) / height, 2.6 / width, 0.08 / height), look, _OF_THE_BRIGHTEST)
     wide, high = grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1]
-    legend = _LEGEND.format(shadow=_SHADOW if dataset.ground else "")
+    legend = _LEGEND.format(shadow=_SHADOW if dataset.ground else "", x=_x_of(dataset))
     text = (
         f"{legend}\n{dataset.target}: {count} of {len(dataset)} images, "
         f"{wide:.3g} m of azimuth × {high:.3g} m of slant range."
@@ -84,6 +84,13 @@ def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[s
     figure.text(0.02, (0.1 + table) / height, text, color=DARK.muted, size=size, va="bottom", linespacing=1.35)
     _table(figure, orientations)
     return to_png(figure)
+
+
+def _x_of(dataset: Dataset) -> str:
+    """What to call the direction of +x."""
+    if dataset.place is None:
+        return "the target's +x (of a vehicle its nose)"
+    return f"+x (compass bearing {dataset.place.x_towards_deg:.4g}°)"
 
 
 def _table(figure: Figure, rows: Sequence[tuple[str, ...]]) -> None:

@@ -86,12 +86,7 @@ class Plan(Record):
     @classmethod
     def read(cls, path: Path) -> Self:
         """The plan in a TOML file, or a SarsplatError."""
-        with open_file(path) as file:
-            try:
-                content = tomllib.loads(file.read().decode())
-            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-                raise SarsplatError(f"{path} is not a TOML file ({error}); correct it") from error
-        return cls.from_dict(content, str(path))
+        return cls.from_dict(read_toml(path), str(path))
 
     def on(self, device: str) -> Self:
         """The same on another device, "cpu" or "cuda"; its parts, too."""
@@ -146,6 +141,15 @@ class Plan(Record):
             return None if path is None else str((base / path).resolve())
 
         return replace(self, masks=there(self.masks), mesh=there(self.mesh))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """What a TOML file holds, be it a plan or not."""
+    with open_file(path) as file:
+        try:
+            return tomllib.loads(file.read().decode())
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise SarsplatError(f"{path} is not a TOML file ({error}); correct it") from error
 
 
 def _dotted(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
