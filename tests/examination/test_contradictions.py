@@ -409,4 +409,4 @@ def test_what_is_dark_on_one_side_from_one_direction_may_lie_there() -> None:
     for span, shaded, told in ((4, 0.0, False), (4, 1.0, False), (180, 0.0, False), (180, 1.0, True), (360, 1.0, True)):
         azimuths = np.radians(np.arange(20) * span / 20)
         darker = shaded + 0.8 * np.cos(azimuths) + rng.normal(0, 0.1, 20)
-        assert Evidence(darker, azimuths).supports(0.2) is told
+        assert Evidence(darker, np.column_stack([np.cos(azimuths), np.sin(azimuths)])).supports(0.2) is told

@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from sarsplat.cli.from_signature import comma_separated, command_of
 from sarsplat.cli.importers import Contents, Recognised, dataset_name, first_readable, typed_import
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from sarsplat.importers.rslc_file import Rslc
 
 command = command_of(
     __name__, "sarsplat.importers.rslc:import_rslc", pixel=comma_separated("ROW,COL", (2,), "1200,800")
@@ -25,11 +18,9 @@ def recognise(contents: Contents) -> Recognised | None:
     if contents.path.is_file():
         if not files or not is_hdf5(contents.path):
             return None
-        found: Path | None = contents.path
-        rslc: Rslc | None = read_rslc(contents.path)
-        damaged: dict[str, str] = {}
-    else:
-        (found, rslc), damaged = first_readable(files, read_rslc)
+        read_rslc(contents.path)  # or say what is wrong with it
+        files = [contents.path]
+    (found, rslc), damaged = first_readable(files, read_rslc)
     if found is None or rslc is None:
         return None
     middle = f"{rslc.shape[0] // 2},{rslc.shape[1] // 2}"

@@ -91,7 +91,7 @@ _MOST_TRIED = 8
 
 def first_readable(
     files: Sequence[Path], read: Callable[[Path], T]
-) -> tuple[tuple[Path, T] | tuple[None, None], dict[str, str]]:
+) -> tuple[tuple[Path | None, T | None], dict[str, str]]:
     """The first of a folder's files that can be read and what `read` makes of it, and a fact of those before it.
 
     None of both if none of the first few can be read.

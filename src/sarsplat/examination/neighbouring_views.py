@@ -141,9 +141,10 @@ def less_stretched_anyway(
 
     Nothing where lengths in range become no shorter by that.
     """
-    steepness = [math.log(math.tan(math.radians((views[i].grazing_deg + views[j].grazing_deg) / 2))) for i, j in pairs]
-    turned = [1 - math.cos(math.radians(views[i].azimuth_deg - views[j].azimuth_deg)) for i, j in pairs]
-    return _ANYWAY * np.maximum(steepness, 0.0) * np.array(turned) * np.maximum(correlations, 0.0)
+    steep = [math.log(look.sine / float(look.slant_range(1.0))) for look in (view.look for view in views)]
+    shorter = np.array([max((steep[i] + steep[j]) / 2, 0.0) for i, j in pairs])
+    turned = np.array([1 - float(views[i].look.ahead @ views[j].look.ahead) for i, j in pairs])
+    return _ANYWAY * shorter * turned * np.maximum(correlations, 0.0)
 
 
 def reach(grid: ImageGrid) -> float:

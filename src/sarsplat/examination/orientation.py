@@ -195,15 +195,15 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[
     weight = np.where((distance > 0) & (distance <= min(rows, columns) / 2), 1 / np.maximum(distance, 1.0), 0.0)
     beyond = (down > abs(right), -right > abs(down), -down > abs(right), right > abs(down))  # of top, right …
     quadrants = [rfft2(weight * where) for where in beyond]
-    darkness, azimuths = [], []
+    darkness, directions = [], []
     for level, view in zip(levels, views, strict=False):
         bright = rfft2(_coarse(np.clip(level - _BRIGHT_DB, 0.0, _BRIGHTEST_DB - _BRIGHT_DB), step), padded)
         dark = _coarse(np.clip(-level, 0.0, -_DARKEST_DB), step)
         reached = [irfft2(bright * quadrant, padded)[:rows, :columns] for quadrant in quadrants]
         if bright[0, 0].real > 0 and min(share.sum() for share in reached) > 0:
             darkness.append([float((share * dark).sum() / share.sum()) for share in reached])
-            azimuths.append(math.radians(view.azimuth_deg))
-    return SideEvidence(np.array(darkness).reshape(-1, 4), np.array(azimuths))
+            directions.append(view.look.ahead)
+    return SideEvidence(np.array(darkness).reshape(-1, 4), np.array(directions).reshape(-1, 2))
 
 
 def _coarse(image: Float64[np.ndarray, "rows columns"], step: int) -> Float64[np.ndarray, "m n"]:

@@ -29,9 +29,10 @@ class Evidence:
 
     values: Float64[np.ndarray, " n"]
     """One for each image or pair: positive for the alternative, negative against it."""
-    azimuths_rad: Float64[np.ndarray, " n"] | None = None
-    """Where images were taken from, if what lies in the scene counts as well: it turns with them, and what the look
-    does is the same from everywhere. From one direction, a road beyond a car is as dark as its shadow in all images."""
+    directions: Float64[np.ndarray, "n 2"] | None = None
+    """Unit vectors on the ground along which images look, if what lies in the scene counts as well: it turns with them,
+    and what the look does is the same from everywhere. From one direction, a road beyond a car is as dark as its shadow
+    in all images."""
 
     @property
     def count(self) -> int:
@@ -47,14 +48,14 @@ class Evidence:
         """Whether the mean exceeds `least`, and is positive not by chance."""
         if not self.count or self.mean <= least:
             return False
-        if self.azimuths_rad is not None and abs(np.exp(1j * self.azimuths_rad).mean()) > _ONE_SIDED:
-            return self._from_one_side(self.azimuths_rad, significance)
+        if self.directions is not None and np.linalg.norm(self.directions.mean(axis=0)) > _ONE_SIDED:
+            return self._from_one_side(self.directions, significance)
         error = float(self.values.std(ddof=1)) / math.sqrt(self.count)
         return error == 0 or bool(stdtr(self.count - 1, -self.mean / error) < significance)
 
-    def _from_one_side(self, azimuths_rad: Float64[np.ndarray, " n"], significance: float) -> bool:
+    def _from_one_side(self, directions: Float64[np.ndarray, "n 2"], significance: float) -> bool:
         """Whether what is left is positive, and not by chance, if the scene's own share is that of a slope in it."""
-        share = np.stack([np.ones(self.count), np.cos(azimuths_rad), np.sin(azimuths_rad)], axis=1)
+        share = np.column_stack([np.ones(self.count), directions])
         freedom = self.count - share.shape[1]
         if freedom < 1 or np.linalg.matrix_rank(share) < share.shape[1]:
             return False
@@ -74,7 +75,7 @@ class SideEvidence:
 
     values: Float64[np.ndarray, "n 4"]
     """One row for each image or pair; top, right, bottom, left."""
-    azimuths_rad: Float64[np.ndarray, " n"] | None = None
+    directions: Float64[np.ndarray, "n 2"] | None = None
     """As of `Evidence`."""
 
     @property
@@ -103,7 +104,6 @@ class SideEvidence:
         best = int(self.mean.argmax())
         others = np.delete(self.values, best, axis=1)
         ahead = [
-            Evidence(self.values[:, best] - other, self.azimuths_rad).supports(least, significance)
-            for other in others.T
+            Evidence(self.values[:, best] - other, self.directions).supports(least, significance) for other in others.T
         ]
         return SIDES[best] if all(ahead) else None
