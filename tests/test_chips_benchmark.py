@@ -71,6 +71,7 @@ def program(module, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.filterwarnings("ignore::sarsplat.SarsplatWarning")
+@pytest.mark.slow
 def test_networks_are_trained_once_and_written_as_they_finish(program, chips, tmp_path, monkeypatch) -> None:
     where = (chips, chips / "labels.csv", tmp_path / "work")
     arms = [name for name in program.ARMS if not name.startswith("sar-nerf")]
