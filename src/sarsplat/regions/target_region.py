@@ -58,9 +58,10 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
     found = standing_out(train.power, train.views, train.grid)
     inside = np.outer(*((low[i] <= found.axis) & (found.axis <= high[i]) for i in (1, 0)))
     share = float(found.above_db[~inside].sum() / found.above_db.sum()) if found.above_db.any() else 0.0
-    if share > _MUCH:
+    beside = _objects_beside(found, inside, region, box)
+    if share > _MUCH and not beside:
         return [f"{math.floor(100 * share)} % of what stands out from the ground lies outside of {box}; {remedy}"]
-    return _objects_beside(found, inside, region, box)
+    return beside
 
 
 def _objects_beside(found: StandingOut, inside: Bool[np.ndarray, "side side"], region: Region, box: str) -> list[str]:
