@@ -1,30 +1,41 @@
-"""Types that are new to msgspec are learned by several threads at once."""
+"""Types that are new to msgspec are learned by one thread at a time, wherever data are read."""
 
-import subprocess
-import sys
-
-import numpy as np
-
-from sarsplat import Dataset, DatasetEntry, ImageGrid, View, write_dataset
-
-READ_AT_ONCE = """
-import sys, threading
+import re
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from sarsplat.data.dataset_folder import read_header
-sys.setswitchinterval(1e-6)
-begin, read = threading.Barrier(3), []
-def thread():
-    begin.wait()
-    read.append(read_header(Path(sys.argv[1])))
-threads = [threading.Thread(target=thread) for _ in range(3)]
-[one.start() for one in threads]
-[one.join() for one in threads]
-assert read[0] == read[1] == read[2]
-"""
+from typing import Any
+
+import msgspec
+import pytest
+
+import sarsplat
+from sarsplat.typed import convert, decode
 
 
-def test_threads_that_read_their_first_dataset_together_do_not_end_the_process(tmp_path):
-    grid, entries = ImageGrid(2, 2, (0.3, 0.3), (0.3, 0.3)), (DatasetEntry(View(0.0, 40.0), "train", "0"),)
-    write_dataset(tmp_path / "set", Dataset(grid, entries, np.ones((1, 2, 2), np.float32), target="a thing"))
-    done = subprocess.run([sys.executable, "-c", READ_AT_ONCE, tmp_path / "set"], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+def test_one_thread_at_a_time_learns_a_type(monkeypatch: pytest.MonkeyPatch) -> None:
+    inside, most, learn = threading.Semaphore(1), [], msgspec.json.Decoder
+
+    def learning(kind: Any) -> Any:
+        most.append(inside.acquire(blocking=False))  # false if another thread is at it
+        time.sleep(0.02)
+        if most[-1]:
+            inside.release()
+        return learn(kind)
+
+    monkeypatch.setattr(msgspec.json, "Decoder", learning)
+    kinds = [msgspec.defstruct(f"Kind{k}", [("number", int)]) for k in range(3)]
+    with ThreadPoolExecutor(6) as pool:
+        read = [pool.submit(decode, b'{"number": 1}', kind) for kind in kinds]
+        made = [pool.submit(convert, {"number": 1}, kind) for kind in kinds]
+        assert [one.result() for one in read] == [one.result() for one in made]
+    assert len(most) >= len(kinds)
+    assert all(most)
+
+
+def test_nothing_else_lets_msgspec_learn_types() -> None:
+    package = Path(sarsplat.__file__).parent
+    pattern = re.compile(r"msgspec\.convert\(|msgspec\.\w+\.decode\(.*type=|\.Decoder\(")
+    own = [path.name for path in package.rglob("*.py") if pattern.search(path.read_text())]
+    assert own == ["typed.py"]

@@ -14,7 +14,7 @@ from sarsplat.cli.importers import Contents, Recognised, dataset_name, typed_imp
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
-    from sarsplat.importers.table import Columns
+    from sarsplat.importers.columns import Columns
 
 
 _LEAST_CERTAIN = 0.1
@@ -130,8 +130,8 @@ def _described(value: object) -> str:
 def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     """Pictures and a table, which may lack columns or not be readable."""
     from sarsplat.data.csv_table import read_table
+    from sarsplat.importers.columns import WAYS, chosen_columns
     from sarsplat.importers.pictures import PICTURE_ENDINGS
-    from sarsplat.importers.table import WAYS, chosen_columns
     from sarsplat.importers.tiffs import first_georeference
 
     facts = {"pictures": str(pictures)}
@@ -182,7 +182,7 @@ def _command(
     pictures: Sequence[Path],
 ) -> str:
     """What to type; `of_map` is what GeoTIFFs need, None if there are none, and then a spacing is needed."""
-    from sarsplat.importers.table import PER_UNIT
+    from sarsplat.importers.columns import PER_UNIT
 
     words = ["folder", str(folder)]
     if target_class is not None:

@@ -6,7 +6,6 @@ says: imagecodecs makes room for what JPEG and LERC themselves say.
 
 from __future__ import annotations
 
-import io
 import itertools
 import logging
 import math
@@ -17,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Shaped, UInt8
 from tifffile import COMPRESSION, TiffFile
 
-from sarsplat.data.files import open_file
+from sarsplat.data.foreign_tiff import opened_tiff
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.extras import install_command
 
@@ -113,15 +112,8 @@ def masked_out(tiff: TiffFile, page: Any, data: bytes, path: Path) -> Bool[np.nd
         return _absent(masks[0], data, page.shape[:2], f"the mask of {path}", alone=len(masks) == 1)
     if not beside.is_file():
         return None
-    with open_file(beside) as file:
-        data = file.read()
-    try:
-        with TiffFile(io.BytesIO(data)) as other:
-            return _absent(other.pages.first, data, page.shape[:2], str(beside), alone=True)
-    except SarsplatError:
-        raise
-    except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
-        raise SarsplatError(f"{beside} is not a readable TIFF ({shown(str(error))}); write it again") from error
+    with opened_tiff(beside, "") as (other, data):
+        return _absent(other.pages.first, data, page.shape[:2], str(beside), alone=True)
 
 
 def _absent(

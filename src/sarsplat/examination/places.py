@@ -133,12 +133,23 @@ class _OnGround:
     def neighbours(self, view: View, *without: int) -> list[int]:
         """The nearest images on either side of a view, but for some."""
         apart = (self.azimuths - view.azimuth_deg + 180) % 360 - 180
-        suits = (np.abs(self.grazings - view.grazing_deg) <= _SAME_GRAZING_DEG) & (np.abs(apart) <= _FARTHEST_DEG)
-        suits[list(without)] = False
-        nearest = np.flatnonzero(suits)
-        nearest = nearest[np.argsort(np.abs(apart[nearest]), kind="stable")]
+        within = np.array(self.within(view, *without), dtype=int)
+        nearest = within[np.argsort(np.abs(apart[within]), kind="stable")]
         sides = nearest[apart[nearest] >= 0], nearest[apart[nearest] < 0]
         return [int(k) for side in sides for k in side[:_ON_EACH_SIDE]]
+
+    def within(self, view: View, *without: int) -> list[int]:
+        """All images that may be like one of a view, but for some."""
+        apart = np.abs((self.azimuths - view.azimuth_deg + 180) % 360 - 180)
+        suits = (np.abs(self.grazings - view.grazing_deg) <= _SAME_GRAZING_DEG) & (apart <= _FARTHEST_DEG)
+        suits[list(without)] = False
+        return [int(k) for k in np.flatnonzero(suits)]
+
+    def sides(self, k: int) -> tuple[list[int], list[int]]:
+        """The neighbours of image k before it and, clockwise, after it, the nearest first."""
+        neighbours = self.neighbours(self.views[k], k)
+        after = [j for j in neighbours if self.clockwise(k, j) >= 0]
+        return [j for j in neighbours if j not in after], after
 
     def fits(self) -> list[Fit]:
         """How well each image fits where it is."""
@@ -159,11 +170,8 @@ class _OnGround:
         return Fit(sorted(found)[-2], float(apart[1]))
 
     def around(self, k: int) -> float:
-        """How well image k matches any two others that its neighbours are among, where it is."""
-        apart = np.abs((self.azimuths - self.views[k].azimuth_deg + 180) % 360 - 180)
-        suits = (apart <= _FARTHEST_DEG) & (np.abs(self.grazings - self.views[k].grazing_deg) <= _SAME_GRAZING_DEG)
-        suits[k] = False
-        return sorted(self.alike(self.own(k), self.own(int(j))) for j in np.flatnonzero(suits))[-2]
+        """How well image k, which has two neighbours or more, matches two of all that are as near as these may be."""
+        return sorted(self.alike(self.own(k), self.own(j)) for j in self.within(self.views[k], k))[-2]
 
     def alike(self, one: _Spectrum, other: _Spectrum) -> float:
         """Highest correlation of two images."""
@@ -174,9 +182,7 @@ class _OnGround:
 
         The mean over all pairs but the outermost.
         """
-        neighbours = self.neighbours(self.views[k], k)
-        after = [j for j in neighbours if self.clockwise(k, j) >= 0]
-        before = [j for j in neighbours if self.clockwise(k, j) < 0]
+        before, after = self.sides(k)
         if len(after) < 2 or not before:
             return _NO_FIT
         pairs = (k, after[0]), (k, after[1]), (before[0], after[0])
@@ -184,11 +190,8 @@ class _OnGround:
         return Fit(float(np.mean(alike)), self.clockwise(k, after[1]))
 
     def beside(self, k: int, fits: Sequence[Fit]) -> float:
-        """The lesser of the correlations of the images two before and two after image k."""
-        neighbours = self.neighbours(self.views[k], k)
-        after = [j for j in neighbours if self.clockwise(k, j) >= 0]
-        before = [j for j in neighbours if self.clockwise(k, j) < 0]
-        beside = [fits[side[-1]].correlation for side in (before, after)]
+        """The lesser of the correlations of the images two before and two after image k, which has both."""
+        beside = [fits[side[-1]].correlation for side in self.sides(k)]
         return min((one for one in beside if one > -1), default=1.0)
 
     def swap(self, i: int, j: int) -> None:

@@ -17,13 +17,14 @@ from sarsplat.data.header import Calibration
 from sarsplat.data.orientation import Layout, oriented
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import View
+from sarsplat.importers.columns import PER_UNIT
 from sarsplat.importers.from_map import EAST_DEG, Seen, from_map, producers_ground
 from sarsplat.importers.images import AboutImages, assume, dataset_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside, warn_of_world_files
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
 from sarsplat.importers.picture_views import Angles, view_of_picture
-from sarsplat.importers.table import PER_UNIT, ListedPicture, PictureTable, read_picture_table
+from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
 from sarsplat.importers.tiffs import first_georeference
 from sarsplat.importers.values import read_values
 from sarsplat.names import Backscatter, Projection, Quantity, RadarSide, Side, Transmit

@@ -16,10 +16,11 @@ from jaxtyping import Float32
 from sarsplat.data.csv_table import CsvTable, Row, column_names, parsed, read_table, relative_path
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import TAYLOR, Response
+from sarsplat.importers.columns import unusual_look
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.phoenix import is_phoenix, read_phoenix
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.table import near_side, unusual_look
+from sarsplat.importers.table import near_side
 from sarsplat.names import Side
 
 _DESIRED, _MEASURED, _AZIMUTH = "desired_depression_deg", "measured_depression_deg", "target_az_deg"
@@ -38,6 +39,13 @@ _LENGTHS = {
     "resolution_m": ("azimuth_resolution_m", "range_resolution_m"),
 }
 """Columns that may be missing, and empty: then chips have MSTAR's pixels."""
+
+_SAID = (
+    *LABEL_COLUMNS[1:],
+    *(_AZIMUTH_STD, _DN_PER_MAGNITUDE, _NEAR_SIDE),
+    *(column for pair in _LENGTHS.values() for column in pair),
+)
+"""All that a row says of a chip."""
 _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 
 
@@ -252,10 +260,7 @@ def _once(labels: Path, rows: Sequence[Row]) -> list[Row]:
     first: dict[Path, Row] = {}
     for line, row in rows:
         other_line, other = first.setdefault(Path(row["path"]), (line, row))
-        if any(
-            row.get(name) != other.get(name)
-            for name in (*LABEL_COLUMNS[1:], _AZIMUTH_STD, _DN_PER_MAGNITUDE, _NEAR_SIDE)
-        ):
+        if any(row.get(name) != other.get(name) for name in _SAID):
             raise SarsplatError(
                 f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; remove one"
             )

@@ -65,7 +65,7 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
 
 
 def _objects_beside(found: StandingOut, inside: Bool[np.ndarray, "side side"], region: Region, box: str) -> list[str]:
-    """Where something stands beside the box, and a box around all; a list of one sentence, or empty."""
+    """Where something stands beside the box, and one around both, no higher; a list of one sentence, or empty."""
     beside = [here for here in found.objects if not (here & inside).any()]
     if not beside:
         return []
@@ -79,7 +79,7 @@ def _objects_beside(found: StandingOut, inside: Bool[np.ndarray, "side side"], r
     more = f" and {len(beside) - _NAMED} more" if len(beside) > _NAMED else ""
     return [
         f"what stands at {where}{more} is outside of {box} and will be left out; --target-box "
-        f"{' '.join(f'{value:.3g}' for value in [*low, *high])} has all of it"
+        f"{' '.join(f'{value:.3g}' for value in [*low, *high])} goes around it, as high as the box is now"
     ]
 
 

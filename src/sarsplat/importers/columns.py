@@ -1,0 +1,199 @@
+"""What the columns of a table of pictures mean: what the user calls them, or what their usual names say."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+
+from sarsplat.data.csv_table import CsvTable, Row, parsed
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.names import Quantity
+
+MEANINGS: dict[str, tuple[str, ...]] = {
+    "file": ("filename", "path", "image", "imagefile", "imagepath", "chip", "picture"),
+    "azimuth": ("az", "azim", "aspect", "bearing"),
+    "heading": ("platformheading", "flightheading", "flightdirection", "track", "course"),
+    "grazing": ("graz", "elevation", "elev", "el", "depression", "measureddepression"),
+    "incidence": ("inc", "incident"),
+    "spacing": ("pixelspacing", "pixel"),
+    "azimuth-spacing": ("spacingazimuth", "azimuthpixelspacing", "crossrangespacing", "crossrangepixelspacing"),
+    "range-spacing": ("spacingrange", "rangepixelspacing"),
+    "resolution": ("res",),
+    "azimuth-resolution": ("resolutionazimuth", "crossrangeresolution"),
+    "range-resolution": ("resolutionrange",),
+    "split": ("set", "subset"),
+    "azimuth-std": ("azstd", "azimuthuncertainty"),
+    "class": (),
+    "look": ("lookside", "lookdirection", "side", "radarside"),
+    "tilt": (),
+    "transmit-azimuth": ("transmitterazimuth", "txazimuth", "txaz"),
+    "transmit-grazing": ("transmittergrazing", "txgrazing", "txgraz", "transmitelevation", "txelevation", "txel"),
+    "receive-azimuth": ("receiverazimuth", "rxazimuth", "rxaz"),
+    "receive-grazing": ("receivergrazing", "rxgrazing", "rxgraz", "receiveelevation", "rxelevation", "rxel"),
+    "scale": (),
+    "offset": (),
+    "dn-per-magnitude": (),
+    "dn-per-power": (),
+    "near-side": (),
+    "view": ("viewname", "stack"),
+    "baseline": ("baselinerad", "lookoffset"),
+    "polarisation": ("polarization", "pol"),
+}
+"""What a column can say, and other usual names of such columns, without units."""
+
+_SHORT = {
+    **{"az": "azimuth", "graz": "grazing", "elev": "grazing", "inc": "incidence", "std": "azimuth-std"},
+    **{"pol": "polarisation", "polarization": "polarisation"},
+}
+_UNITS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters", "angle"}
+
+_ANGLES = ("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt")
+_OTHER_ANGLES = {"rad", "radian", "radians", "mrad", "gon", "gradian", "gradians", "mil", "mils"}
+"""Words of columns' names that say that angles are not in degrees, as the German Grad does not."""
+_COMPASS = {"compass", "bearing", "north"}
+"""And that directions count from north."""
+
+_ONLY_IF_NAMED = ("scale", "offset")
+"""Too many things are called that."""
+
+_INSTEAD = {"azimuth": {"heading"}, "heading": {"azimuth"}}
+"""Meanings of which one that is chosen leaves the other out."""
+
+PER_UNIT: dict[str, tuple[Quantity, ...]] = {"dn-per-magnitude": ("amplitude", "complex"), "dn-per-power": ("power",)}
+"""Meaning → what the pixels are then: numbers per unit of magnitude, or of power."""
+
+WAYS = ("transmit-azimuth", "transmit-grazing", "receive-azimuth", "receive-grazing")
+"""Of a transmitter and a receiver apart, all four or none."""
+
+Columns = dict[str, str]
+"""Meaning → name of the column."""
+
+LOOKS = {"left": True, "l": True, "right": False, "r": False}
+"""What a cell of a column look may be → whether it is the left."""
+
+
+def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
+    """The columns that matter: those `named` (meaning, az, graz, inc or std → column), and others by their usual names.
+
+    Refused if there is no such meaning or column, or two columns may have the same meaning.
+    """
+    chosen: Columns = {}
+    for key, column in named.items():
+        meaning = _SHORT.get(key, key)
+        if meaning not in MEANINGS:
+            raise SarsplatError(f"no column can be a {shown(key)}{_guess(key, MEANINGS)}; choose {', '.join(MEANINGS)}")
+        if column not in table.columns:
+            raise SarsplatError(
+                f"{table.path} has no column {shown(column)}{_guess(column, table.columns)}; it has {_has(table)}"
+            )
+        chosen[meaning] = column
+    elevations = {"grazing", "incidence"}
+    named_elevation = elevations & set(chosen)
+    if elevations <= set(chosen):
+        raise SarsplatError("--columns names both a grazing and an incidence angle; name one of them")
+    for meaning in MEANINGS:
+        others = elevations if meaning in elevations else _INSTEAD.get(meaning, set())
+        otherwise_named = bool(others & set(chosen)) and (meaning not in elevations or named_elevation)
+        if meaning not in (*chosen, *_ONLY_IF_NAMED) and not otherwise_named:
+            usual = recognised(table, meaning, chosen)
+            if usual is not None:
+                chosen[meaning] = usual
+    return chosen
+
+
+def unusual_look(table: CsvTable, row: Row) -> str | None:
+    """The column in which a row says that its radar is tilted, looks to its left or is bistatic; None if none does."""
+    for column in table.columns:
+        cell, name = row[1][column].lower(), _plain(column)
+        meanings = [one for one in ("look", "tilt", *WAYS) if name in (one.replace("-", ""), *MEANINGS[one])]
+        usual = {"look": LOOKS.get(cell) is False, "tilt": parsed(cell, table.decimal_comma) == 0}
+        if cell and meanings and not usual.get(meanings[0]):
+            return column
+    return None
+
+
+def recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
+    """The one column that has a usual name."""
+    usual = (meaning.replace("-", ""), *MEANINGS[meaning])
+    candidates = [name for name in table.columns if _plain(name) in usual and name not in chosen.values()]
+    if len(candidates) > 1 and (exact := [name for name in candidates if _plain(name) == usual[0]]):
+        candidates = exact
+    if len(candidates) > 1:
+        raise SarsplatError(
+            f"{table.path} has several columns that may be the {meaning}: {', '.join(map(shown, candidates))}; "
+            f"say which with --columns {meaning}=NAME"
+        )
+    return candidates[0] if candidates else None
+
+
+def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, looking: bool = False) -> None:
+    """Refuse a table that lacks columns, and name all of them; `grazing`, `spacing`: whether its cells are needed.
+
+    Headings serve as azimuths if it is known to which side the radar looks: `looking`, or by a column.
+    """
+    apart = any(way in columns for way in WAYS)
+    lacking = [meaning for meaning in ("file", *(WAYS if apart else ("azimuth",))) if meaning not in columns]
+    also = []
+    if "heading" in columns and "azimuth" in lacking:
+        if looking or "look" in columns:
+            lacking.remove("azimuth")
+        else:
+            also.append(
+                f"the side to which the radar looks with --look, if {shown(columns['heading'])} is its flight's"
+            )
+    if grazing and not apart and not columns.keys() & {"grazing", "incidence"}:
+        lacking.append("grazing")
+        also.append("one grazing angle for all with --grazing")
+    if spacing and not columns.keys() & {"spacing", "azimuth-spacing", "range-spacing"}:
+        lacking.append("spacing")
+        also.append("one spacing for all with --spacing")
+    if lacking:
+        named = ",".join(f"{meaning}=NAME" for meaning in lacking)
+        if "grazing" in lacking:
+            named += " (incidence=NAME, not grazing, for a column of incidence angles)"
+        raise SarsplatError(
+            f"{table.path} has no column that looks like the {' or the '.join(lacking)}; name "
+            f"{'it' if len(lacking) == 1 else 'them'} with --columns {named}"
+            f"{''.join(f', or give {one}' for one in also)} (there are {_has(table)})"
+        )
+
+
+def require_degrees(table: CsvTable, columns: Columns, compass: bool) -> None:
+    """Refuse columns whose names say that they do not hold degrees, or unless they may (`compass`), that 0 is north."""
+    for meaning in (*_ANGLES, *WAYS):
+        words = set(_words(columns.get(meaning, "")))
+        if words & _OTHER_ANGLES:
+            raise SarsplatError(
+                f"{table.path} has {shown(columns[meaning])} for the {meaning}, which is not in degrees by its name; "
+                "write degrees"
+            )
+        if words & _COMPASS and meaning.endswith("azimuth") and not compass:
+            raise SarsplatError(
+                f"{table.path} has {shown(columns[meaning])} for the {meaning}, which counts from north by its name, "
+                "but azimuths count from the target's nose; say where north is with --azimuth-offset (0 if the nose "
+                "points there)"
+            )
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+
+
+def _plain(name: str) -> str:
+    """`Azimuth (deg)` and `azimuth_angle_deg` are `azimuth`."""
+    words = _words(name)
+    while len(words) > 1 and words[-1] in _UNITS:
+        words.pop()
+    return "".join(words)
+
+
+def _guess(word: str, names: Mapping[str, object] | tuple[str, ...]) -> str:
+    by_lower = {name.lower(): name for name in names if name}
+    close = difflib.get_close_matches(word.lower(), by_lower, n=1)
+    return f" (did you mean {shown(by_lower[close[0]])}?)" if close else ""
+
+
+def _has(table: CsvTable) -> str:
+    named = [name if name.isprintable() else shown(name) for name in table.columns if name]
+    return ", ".join(named[:20])[:400] + (", …" if len(named) > 20 else "")
