@@ -20,6 +20,7 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.gaussians import Gaussians, Polarimetric
 from sarsplat.gaussians.law_polarimetric import covariances_between
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
+from sarsplat.learning.evidence import chosen
 from sarsplat.learning.losses import LOSSES
 from sarsplat.learning.method import Inputs, Method, Reconstruction
 from sarsplat.learning.model import SceneModel
@@ -67,8 +68,10 @@ class SarGs(Method):
     def preset(self, name: str, dataset: Dataset) -> Config:
         """A preset; "auto" is for what the images show: speckle must be modelled, and ground wherever there is any."""
         if name == "auto":
-            name = "default" if dataset.looks is None else "measured" if dataset.ground else "speckled"
+            name = "default" if dataset.looks is None else "speckled"
             name = "polarimetric" if dataset.polarimetric else "stack" if dataset.interferometric else name
+            if name == "speckled" and dataset.ground:
+                return chosen(dataset)
         config = preset(name)
         if dataset.ground and config.passes is None and config.ground is None and name != "paper":  # which has none
             return replace(config, ground=FlatGround())
@@ -254,7 +257,8 @@ class GaussianReconstruction(Reconstruction):
         how, views = self.config.points, self.snapshot.views
         if views[0].aloft:
             how = replace(how, min_height=_NOWHERE)
-        points = extract_points(self.gaussians, views, self.grid, how, self.model.frame.terrain)
+        terrain = self.model.frame.terrain
+        points = extract_points(self.gaussians, views, self.grid, how, terrain, self._ground_gamma0)
         return points.astype(np.float32)  # as the file has them
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
@@ -287,7 +291,8 @@ class GaussianReconstruction(Reconstruction):
         made = {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
         looked = {} if own else {"looked in": self._box}
         scattering = {"scattering": self.gaussians.scattering.in_words}
-        return made | scattering | looked | self._rotations | self._ground
+        chosen = {"chosen by": self.config.evidence} if self.config.evidence else {}
+        return made | chosen | scattering | looked | self._rotations | self._ground
 
     @property
     def _box(self) -> str:
@@ -305,17 +310,23 @@ class GaussianReconstruction(Reconstruction):
         return {"corrected rotations": "; ".join(each[:_PASSES_SAID]) + ("; …" if len(each) > _PASSES_SAID else "")}
 
     @property
-    def _ground(self) -> dict[str, str]:
+    def _ground_gamma0(self) -> float | None:
         """γ⁰ of the learned ground, at the mean of its places and, in logarithms, of the training's grazing angles."""
         ground = self.model.ground()
         if ground is None:
-            return {}
+            return None
         gamma0 = float(ground.gamma0.detach().log().mean())
         if ground.exponent is not None:
             sines = [view.look.sine for view in self.snapshot.views]
             gamma0 += float(ground.exponent.detach()) * float(np.log(sines).mean())
+        return math.exp(gamma0) * self.model.unit
+
+    @property
+    def _ground(self) -> dict[str, str]:
+        if (gamma0 := self._ground_gamma0) is None:
+            return {}
         shape = "a plane" if self.model.frame.terrain is None else "terrain"
-        facts = {"ground": f"{shape}, γ⁰ {math.exp(gamma0) * self.model.unit:.3g} (linear)"}
+        facts = {"ground": f"{shape}, γ⁰ {gamma0:.3g} (linear)"}
         for echo in self.model.echoes():
             if isinstance(echo, GroundBounce):
                 share = float(echo.reflectivity.detach())

@@ -9,9 +9,14 @@ import numpy as np
 from sarsplat.data import Dataset
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, Stack, Terrain, View
+from sarsplat.regions.flattened import levelled
+from sarsplat.regions.outlines import usual_gamma0
 from sarsplat.regions.stack_region import stack_region
 from sarsplat.regions.target_region import target_region
 from sarsplat.settings.config import Config
+
+_USUAL = 0.5
+"""Median γ⁰ of what stands out from the ground, in the unit "target"."""
 
 
 @dataclass(frozen=True)
@@ -21,8 +26,7 @@ class SceneFrame:
     region: Region
     """The space the target may occupy."""
     unit: float
-    """Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit. β⁰ itself, or with surroundings,
-    calibrated or not, the training set's mean."""
+    """Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit (`Config.unit`)."""
     views: tuple[View, ...]
     grid: ImageGrid
     """Lengths in configurations are multiples of its resolution cell."""
@@ -40,7 +44,10 @@ class SceneFrame:
             region = stack_region(train, config.box_m)
         else:
             region = target_region(dataset, ground=bool(config.ground or config.surroundings), box=config.box_m)
-        unit = float(train.power.mean(dtype=np.float64)) if config.surroundings or stacks else 1.0
+        if config.unit == "target":
+            unit = usual_gamma0(levelled(train)) / _USUAL
+        else:
+            unit = float(train.power.mean(dtype=np.float64)) if config.surroundings or stacks else 1.0
         return cls(region, unit, train.views, train.grid, terrain, stacks)
 
     @property

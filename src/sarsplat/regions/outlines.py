@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Real
 from scipy.ndimage import gaussian_filter, label
 
+from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid
 from sarsplat.radiometry import to_db
 from sarsplat.regions.target_box import above_ground_db
@@ -58,6 +59,16 @@ def outline(level_db: Float64[np.ndarray, "rows columns"]) -> Outline:
         dark = (level_db < _DARK_DB) & near & ~target
         shadow = _large_parts(dark, np.maximum(-level_db, 0))
     return Outline(target, shadow)
+
+
+def usual_gamma0(train: Dataset) -> float:
+    """Median γ⁰ of the pixels that stand out from the ground, smoothed over a resolution cell; of all if none do."""
+    grid = train.grid
+    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
+    smooth = gaussian_filter(train.power.astype(np.float64), width, mode="nearest")
+    gamma0 = np.stack([view.look.gamma0_of_beta0(image) for view, image in zip(train.views, smooth, strict=True)])
+    shown = np.stack([outline(level_db).target for level_db in levels_db(train.power, grid, train.ground)])
+    return float(np.median(gamma0[shown]) if shown.any() else gamma0.mean())
 
 
 def _large_parts(

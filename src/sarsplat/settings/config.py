@@ -114,6 +114,9 @@ class Config(AnyConfig):
         Scattering law: "harmonics", "normal-lobes", or another that is registered.
     p_min : float
         Smallest γ⁰ of a Gaussian.
+    unit : str
+        Unit of every γ⁰ in the settings, and of the noise floor: "image" is 1, with `surroundings` the mean of the
+        training images; in "target", half of the pixels that stand out from the ground show less than 0.5.
     scattering_penalty : float
         Weight of differences between the Gaussians' scattering, in units of the loss of black images, or, with a
         likelihood, in nats per pixel. Most materials scatter the same: a thin layer that scatters strongly looks like
@@ -181,6 +184,8 @@ class Config(AnyConfig):
         How covariances of interferometric stacks are learned from; None: from power alone.
     turns : Turns
         Refinement of uncertain rotations of a target aloft.
+    evidence : str
+        Measurements from which "auto" chose these settings; for information only.
     checkpoint_every : int
         Iterations between two checkpoints.
     seed : int
@@ -210,6 +215,7 @@ class Config(AnyConfig):
     total_power: NotNegative = 0.0
     scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
+    unit: Literal["image", "target"] = "image"
     scattering_penalty: NotNegative = 0.03
     common_law: bool = True
     law_from: Share = 0.4
@@ -240,6 +246,7 @@ class Config(AnyConfig):
     surroundings: Surroundings | None = None
     passes: Passes | None = None
     turns: Turns = Turns()
+    evidence: str = ""
     checkpoint_every: Count = 500
     seed: Seed = 0
 

@@ -47,6 +47,34 @@ PRESETS: dict[str, Config] = {
         rates=Rates(means=0.33),
         points=PointExtraction(optical_depth=0.5, voxel=0.067, behind=0.25),
     ),
+    # speckle on ground, any number of objects: few, large Gaussians, most of them dropped at each step, do not learn
+    # single speckles; what images need besides is switched on by what they show (learning/evidence.py)
+    "scene": Config(
+        preset="scene",
+        iterations=300,
+        views_per_step=8,
+        gaussians_per_cell=18.0,
+        loss="speckle",
+        unit="target",
+        scattering_penalty=3.0,
+        law_penalty=3e-4,
+        dropout=0.7,
+        initial_scale=0.27,
+        scale_bounds=(0.2, 0.83),
+        fine_from=1.0,
+        rates=Rates(means=0.33),
+        points=PointExtraction(
+            optical_depth=1.25,
+            voxel=0.067,
+            seen_through=0.4,
+            behind=0.7,
+            seen_by=5,
+            clusters="bright",
+            cluster_radius=0.7,
+        ),
+        ground=FlatGround(),
+        surroundings=Surroundings(noise_floor=0.01, shift_std=0.0, gain_std=0.0, side_lobes=0.0, texture_looks=0.0),
+    ),
     # the paper's training, as far as it is stated (docs/concepts/paper-map.md)
     "paper": Config(
         preset="paper",

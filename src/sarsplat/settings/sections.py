@@ -173,10 +173,13 @@ class PointExtraction(Record):
     seen_by : int
         Remove a point unless this many of the views, or a fifth of them if that is fewer, have their first return
         within this distance of it ("rays"): each view takes speckle for something else. 0: keep it.
+    clusters : str
+        "largest": keep only the largest cluster (DBSCAN); "bright": keep every cluster that returns more than the
+        brightest speckle of a cell of ground.
     cluster_radius : float or None
-        Keep only the largest cluster (DBSCAN with this ε, in resolution cells); None: keep all points.
+        Largest distance of neighbours in a cluster, in resolution cells; None: keep all points.
     cluster_size : int
-        Minimum number of neighbours of a point inside a cluster.
+        Minimum number of neighbours of a point inside the largest cluster.
     """
 
     _section: ClassVar[str] = "points."
@@ -190,6 +193,7 @@ class PointExtraction(Record):
     seen_through: Share = 0.17
     behind: NotNegative = 0.17
     seen_by: Iteration = 0
+    clusters: Literal["largest", "bright"] = "largest"
     cluster_radius: Positive | None = None
     cluster_size: Count = 10
 

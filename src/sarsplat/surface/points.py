@@ -8,17 +8,16 @@ held are the ranges and the voxels of one brick.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float, Float64
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.extras import install_command
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
@@ -30,7 +29,7 @@ from sarsplat.renderer import render
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells
 from sarsplat.surface.bricks import Scene, ray_count
-from sarsplat.surface.cells import numbered
+from sarsplat.surface.clusters import bright, brightest_speckle_m2, largest
 from sarsplat.surface.first_returns import FirstReturns, some_at_once
 from sarsplat.surface.parts import MOST_POINTS
 from sarsplat.surface.returns_on_cpu import FirstReturnsOnCpu
@@ -50,9 +49,6 @@ _SAMPLES = 3.0
 _RETURN, _POINT, _KEPT = 130, 650, 72
 """Bytes at most: of a return while it is thinned, of a point while normals are made of it, and of one that waits."""
 
-_CUBES = 4
-"""To the radius of a cluster."""
-
 _FEWER = (
     "set fewer rays, such as --points.rays-per-pixel 1; `--resume` with it extracts the points of a finished training"
 )
@@ -65,6 +61,7 @@ def extract_points(
     grid: ImageGrid,
     how: PointExtraction,
     terrain: Terrain | None = None,
+    ground_gamma0: float | None = None,
 ) -> Float64[np.ndarray, "p 3"]:
     """Points of the surface that Gaussians stand for.
 
@@ -81,6 +78,8 @@ def extract_points(
         in all, rays and voxels are coarser than it says, but rays no farther apart than two thirds of a cell.
     terrain : Terrain, optional
         What the lowest points lie on; z = 0 unless given.
+    ground_gamma0 : float, optional
+        γ⁰ of the ground, linear, whose speckle "bright" clusters must exceed; without it all are kept.
 
     Returns
     -------
@@ -106,7 +105,18 @@ def extract_points(
     else:
         ways = along_ways(views)
         points = _seen_points(gaussians, [*ways, *between(ways)], grid, how, terrain)
-    return points if how.cluster_radius is None else _cluster(points, how.cluster_radius * cell, how.cluster_size)
+    if how.cluster_radius is None:
+        return points
+    if how.clusters == "largest":
+        return points[largest(points, how.cluster_radius * cell, how.cluster_size)]
+    if ground_gamma0 is None:
+        return points
+    chosen = spread(views, _MOST_VIEWS)
+    with stage("points: power of clusters", len(chosen)) as shown:
+        sections = (found.cpu().numpy() for _, found in _cross_sections(gaussians, chosen, grid, shown.advance))
+        least_m2 = brightest_speckle_m2(ground_gamma0, grid, len(views))
+        means = gaussians.means.double().cpu().numpy()
+        return points[bright(points, how.cluster_radius * cell, least_m2, means, sections, shown.note)]
 
 
 def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, share: float) -> Bool[Tensor, " n"]:
@@ -114,17 +124,25 @@ def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, sha
 
     What outshines all others counts as no more than their `usual_peak`.
     """
-    rays, strongest = RayGrid.for_image(grid), gaussians.means.new_zeros(len(gaussians))
-    channel, means = gaussians.scattering.power_channel, gaussians.means.double().cpu().numpy()
-    for some in some_at_once(gaussians, spread(views, _MOST_VIEWS), grid, rays):
-        with torch.no_grad():
-            sections = render(gaussians, some, grid, rays=rays).cross_sections[..., channel]
+    strongest, means = gaussians.means.new_zeros(len(gaussians)), gaussians.means.double().cpu().numpy()
+    for some, sections in _cross_sections(gaussians, spread(views, _MOST_VIEWS), grid):
         inside = torch.from_numpy(np.stack([imaged(means, view, grid) for view in some])).to(sections.device)
         strongest = torch.maximum(strongest, (sections * inside).amax(0))
     strongest = strongest.clamp(max=usual_peak(strongest.cpu().numpy()))
     order = strongest.argsort(descending=True, stable=True)
     before = strongest[order].double().cumsum(0) - strongest[order]
     return torch.zeros_like(strongest, dtype=torch.bool).index_put((order,), before < share * strongest.double().sum())
+
+
+def _cross_sections(
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, advance: Callable[[int], object] = lambda count: None
+) -> Iterator[tuple[Sequence[View], Float[Tensor, "v n"]]]:
+    """Cross-sections of Gaussians, m², some views at a time."""
+    rays = RayGrid.for_image(grid)
+    for some in some_at_once(gaussians, views, grid, rays):
+        with torch.no_grad():
+            yield some, render(gaussians, some, grid, rays=rays).cross_sections[..., gaussians.scattering.power_channel]
+        advance(len(some))
 
 
 def imaged(points: Float64[np.ndarray, "p 3"], view: View, grid: ImageGrid) -> Bool[np.ndarray, " p"]:
@@ -207,18 +225,3 @@ def between(views: Sequence[View]) -> list[View]:
     nearer = cKDTree(directions).query_ball_point(middle, radius * (1 + 1e-6), return_length=True)
     return [View.towards(direction, aloft=views[0].aloft) for direction in middle[nearer == 2]]
 
-
-def _cluster(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Float64[np.ndarray, "fewer 3"]:
-    """Keep the largest DBSCAN cluster: what floats apart from the target is left out."""
-    try:
-        from sklearn.cluster import DBSCAN
-    except ImportError as error:
-        raise SarsplatError(f"cleaning the point cloud needs scikit-learn; {install_command('evaluate')}") from error
-    if len(points) == 0:
-        return points
-    # by the cube, as far as clusters are concerned one heavy point: a dense cloud has hundreds of neighbours for each
-    cubes = numbered(torch.from_numpy(np.floor(points * (_CUBES / radius)).astype(np.int64))).numpy()
-    cubes, owner, count = np.unique(cubes, return_inverse=True, return_counts=True)
-    centres = np.stack([np.bincount(owner, axis, len(cubes)) for axis in points.T], axis=1) / count[:, None]
-    labels = DBSCAN(eps=radius, min_samples=size).fit(centres, sample_weight=count).labels_[owner]
-    return points[labels == np.bincount(labels + 1, minlength=2)[1:].argmax()]

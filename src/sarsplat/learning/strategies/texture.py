@@ -37,7 +37,7 @@ class TextureEstimation(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        if not self.due(step):
+        if not self.due(step) or info.images.grid != info.model.frame.grid:  # maps are of the finest level
             return
         info.check()
         images = info.images

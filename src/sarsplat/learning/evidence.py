@@ -1,0 +1,136 @@
+"""Settings chosen by evidence: a short training shows whether images differ in gain and position, as measured ones do.
+
+Images of a scene that has one scale and one place differ from a rendering in nothing that target and ground have in
+common. A gain per image is needed where the brightness of the target varies from image to image as that of the ground
+does; a shift where most images fit better at another place, by each half of their rows.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from sarsplat.data import Dataset
+from sarsplat.errors import counted
+from sarsplat.geometry import ImageGrid
+from sarsplat.learning.trainer import Trainer
+from sarsplat.settings.config import Config
+from sarsplat.settings.presets import PRESETS
+from sarsplat.settings.sections import Surroundings
+
+_SHARE = 0.1
+"""Length of the trial, relative to the training."""
+
+_FEWEST = 4
+"""Minimum number of training images for a trial: of fewer, gains and the law of the ground are not told apart."""
+
+_GROUND_DB = 1.5
+"""Distance from the median of a rendering within which pixels are ground, dB."""
+
+_TARGET_DB = 6.0
+"""Level above that median from which on they are target, dB."""
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Differences between training images that no scene explains."""
+
+    images: int
+    gain_std_db: float
+    """Standard deviation of the gain that target and ground of an image have in common, dB; 0 if there is none."""
+    displaced: int
+    """Number of images that fit better at another place, the same by even and by odd rows."""
+    nats: float
+    """Expected gain of likelihood by the shifts and gains that are worth their number, nats per pixel, ≤ 0."""
+
+
+def chosen(dataset: Dataset) -> Config:
+    """Return settings for images with speckle on ground, and in `evidence` the measurements that chose them.
+
+    Where images have gains or places of their own, they are measured ones: a chip, which is looked at pixel by pixel
+    from the first step on, is learned as by the preset `measured`; larger scenes by `scene` with all nuisances.
+    """
+    scene = PRESETS["scene"]
+    if len(dataset.select("train")) < _FEWEST:
+        return replace(scene, evidence=f"scene, as fewer than {_FEWEST} images allow no trial")
+    trainer = _trial(dataset, scene)
+    found = differences(dataset.select("train"), trainer)
+    said = (
+        f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {counted(found.images, 'image')} "
+        f"displaced ({found.nats:.4f} nats per pixel)"
+    )
+    if found.nats >= 0:
+        return replace(scene, evidence=f"scene: {said}")
+    if trainer.model.levels.coarsest == 1:
+        return replace(PRESETS["measured"], evidence=f"measured: {said}")
+    assert scene.surroundings is not None
+    nuisances = Surroundings(noise_floor=scene.surroundings.noise_floor)
+    return replace(
+        scene, surroundings=nuisances, scattering_penalty=0.0, evidence=f"scene with nuisances of each image: {said}"
+    )
+
+
+def _trial(dataset: Dataset, scene: Config) -> Trainer:
+    config = replace(scene, iterations=math.ceil(_SHARE * scene.iterations))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they come again with the training itself
+        trainer = Trainer(dataset, config, device="cpu")
+        for _ in range(config.iterations):
+            trainer.step()
+    return trainer
+
+
+def differences(train: Dataset, trainer: Trainer) -> Differences:
+    """Compare the training images with renderings of a short training."""
+    expected = [trainer.rendered([view])[0].astype(np.float64) for view in train.views]  # in float64, one at a time
+    independent = train.grid.independent_samples * (train.looks or 1.0)
+    per_parameter = math.log(independent) / (2 * independent)  # Schwarz's criterion, nats per sample and parameter
+    gain_variance = _common_variance(train, expected)
+    gain_nats = gain_variance / 2 - per_parameter
+    moves = [_move(one, image, train.grid) for one, image in zip(expected, train.power, strict=True)]
+    displaced, shift_nats = sum(moved for moved, _ in moves), -float(np.mean([nats for _, nats in moves]))
+    shift_nats = shift_nats - 2 * per_parameter if displaced > len(moves) / 2 else 0.0
+    return Differences(
+        len(moves), 10 / math.log(10) * math.sqrt(gain_variance), displaced, 0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0)
+    )
+
+
+def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows columns"]]) -> float:
+    """Covariance of the logarithmic gains of target and ground, besides a power law of the grazing angle; at least 0."""
+    gains = []
+    for one, image in zip(expected, train.power, strict=True):
+        level_db = 10 * np.log10(one / np.median(one))
+        ratio = image / one
+        parts = ratio[abs(level_db) < _GROUND_DB], ratio[level_db > _TARGET_DB]
+        gains.append([math.log(part.mean()) if part.size and part.any() else math.nan for part in parts])
+    known = np.isfinite(gains).all(axis=1)
+    sines = np.log([view.look.sine for view in train.views])[known]
+    design = np.column_stack([np.ones_like(sines), sines - sines.mean()])[:, : 1 + (np.ptp(sines) > 0)]
+    spare = len(sines) - design.shape[1]
+    if spare < 2:
+        return 0.0
+    ground, target = np.array(gains)[known].T
+    rest = [values - design @ np.linalg.lstsq(design, values, rcond=None)[0] for values in (ground, target)]
+    return max(float(rest[0] @ rest[1]) / spare, 0.0)
+
+
+def _move(
+    expected: Float64[np.ndarray, "rows columns"], image: Float[np.ndarray, "rows columns"], grid: ImageGrid
+) -> tuple[bool, float]:
+    """Whether an image fits better elsewhere, within a cell, and by how many nats per pixel (cross-validated by rows)."""
+    reach = [math.ceil(length / spacing) for length, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)]
+    steps = [np.unique(np.linspace(-far, far, 5).round().astype(int)) for far in reach]
+    inside = np.s_[reach[1] : -reach[1], reach[0] : -reach[0]]
+    nats = {}
+    for down in steps[1]:
+        for right in steps[0]:
+            moved = np.roll(expected, (down, right), (0, 1))[inside]
+            rows = (np.log(moved) + image[inside] / moved).mean(axis=1)
+            nats[down, right] = rows[::2].mean(), rows[1::2].mean()
+    best = [min(nats, key=lambda place, half=half: nats[place][half]) for half in (0, 1)]
+    better = (nats[best[0]][1] - nats[0, 0][1] + nats[best[1]][0] - nats[0, 0][0]) / 2
+    return best[0] == best[1] != (0, 0), float(better)

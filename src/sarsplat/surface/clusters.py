@@ -1,0 +1,94 @@
+"""Clusters of points: which of them are objects, and which are what speckle leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Float64, Int
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.extras import install_command
+from sarsplat.geometry import ImageGrid
+from sarsplat.surface.cells import numbered
+
+_CUBES = 4
+"""Cubes per radius of a cluster (DBSCAN)."""
+
+_TOUCHING = 1.8
+"""Distance of cubes that touch at a side, an edge or a corner, at most, in sides."""
+
+_QUARTILE = 0.75
+"""Quantile over the views of the power of a cluster: many objects are lit from one side only."""
+
+_NAMED = 3
+"""Maximum number of clusters whose places a note names."""
+
+
+def largest(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Bool[np.ndarray, " p"]:
+    """Mask of the largest DBSCAN cluster: what floats apart from the target is left out."""
+    try:
+        from sklearn.cluster import DBSCAN
+    except ImportError as error:
+        raise SarsplatError(f"cleaning the point cloud needs scikit-learn; {install_command('evaluate')}") from error
+    if len(points) == 0:
+        return np.zeros(0, bool)
+    # by the cube, as far as clusters are concerned one heavy point: a dense cloud has hundreds of neighbours for each
+    cubes, owner = _cubes(points, radius / _CUBES)
+    count = np.bincount(owner)
+    centres = np.stack([np.bincount(owner, axis, len(cubes)) for axis in points.T], axis=1) / count[:, None]
+    labels = DBSCAN(eps=radius, min_samples=size).fit(centres, sample_weight=count).labels_[owner]
+    return labels == np.bincount(labels + 1, minlength=2)[1:].argmax()
+
+
+def brightest_speckle_m2(gamma0: float, grid: ImageGrid, images: int) -> float:
+    """Expected cross-section of the brightest resolution cell of ground in so many single-look images, m²."""
+    return gamma0 * math.prod(grid.resolution_m) * math.log(max(grid.independent_samples * images, math.e))
+
+
+def bright(
+    points: Float64[np.ndarray, "p 3"],
+    radius: float,
+    least_m2: float,
+    means: Float64[np.ndarray, "n 3"],
+    cross_sections: Iterable[Float32[np.ndarray, "v n"]],
+    say: Callable[[str], object],
+) -> Bool[np.ndarray, " p"]:
+    """Mask of the clusters whose Gaussians return at least so much in a quarter of the views; says what is left out.
+
+    Clusters are connected cubes with sides of the radius, m. `means` (m) and `cross_sections` (m², some views at a
+    time) are those of all Gaussians; each belongs to the cluster that is nearest, within two cubes.
+    """
+    if len(points) == 0:
+        return np.zeros(0, bool)
+    cubes, owner = _cubes(points, radius)
+    tree = cKDTree(cubes)
+    pairs = tree.query_pairs(_TOUCHING, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs), bool), pairs.T), (len(cubes), len(cubes)))
+    count, cluster = connected_components(links, directed=False)
+    distance, nearest = tree.query(np.floor(means / radius), distance_upper_bound=2.0)
+    near = np.isfinite(distance)
+    of_gaussian = cluster[nearest[near]]
+    power = np.array([np.bincount(of_gaussian, one[near], count) for some in cross_sections for one in some])
+    kept = np.quantile(power, _QUARTILE, axis=0) >= least_m2
+    if not kept.all():
+        share = power[:, ~kept].sum() / max(power.sum(), np.finfo(float).tiny)
+        first = [points[cluster[owner] == k].mean(axis=0) for k in np.flatnonzero(~kept)[:_NAMED]]
+        where = "; ".join(", ".join(f"{value:.2f}" for value in place) for place in first)
+        more = ", …" if (~kept).sum() > _NAMED else ""
+        left_out = counted(int((~kept).sum()), "cluster")
+        say(f"points: {left_out} no brighter than speckle left out, {share:.2g} of the power, at ({where}{more}) m")
+    return kept[cluster[owner]]
+
+
+def _cubes(points: Float64[np.ndarray, "p 3"], side: float) -> tuple[Int[np.ndarray, "c 3"], Int[np.ndarray, " p"]]:
+    """Cubes that hold points, in sides, and the one of each point."""
+    places = np.floor(points / side).astype(np.int64)
+    numbers = numbered(torch.from_numpy(places)).numpy()
+    _, first, owner = np.unique(numbers, return_index=True, return_inverse=True)
+    return places[first], owner
