@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
-from scipy.ndimage import affine_transform, gaussian_filter, label
+from scipy.ndimage import affine_transform, gaussian_filter, label, maximum
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
@@ -75,8 +75,8 @@ def target_box(
     """Corners of the box, from means over the images of the decibels above the ground at each place of it.
 
     What stands on the ground is displaced towards the radar, but never across: the extent along an axis is mostly that
-    in the views from its sides. The height is the greatest whose shadow is dark in all views, but for those in which
-    something bright hides it. Images are β⁰, linear power, and show the ground around the target; their gains may
+    in the views from its sides. It holds every object that stands out (`StandingOut`). The height is the greatest whose
+    shadow is dark in all views, but for those in which something bright hides it. Images are β⁰, linear power, and show the ground around the target; their gains may
     differ. One that does not show the world's origin is refused.
 
     The box (m, world frame) is a cell wider and higher than what was found; z from 0, to two thirds of the narrower
@@ -117,13 +117,22 @@ def standing_out(
     level_db, grid, axis = _levels(power, views, grid)
     above_db = _on_the_ground(np.maximum(level_db, _DARKEST_DB), views, grid, axis, np.ones(len(views)))
     sure = above_db > _SURE_DB
-    objects = []
+    objects: tuple[Bool[np.ndarray, "side side"], ...] = ()
     if sure.any():
-        bright_db = float(np.quantile(above_db[sure], _BRIGHT_PART))
-        least_db = max(_SURE_DB, _SURELY * _typical(above_db)[1], bright_db / 2)
-        part, count = _parts(above_db, sure)
-        objects = [here for k in range(1, count + 1) if above_db[here := part == k].max() > least_db]
-    return StandingOut(axis, np.where(sure, above_db, 0.0), tuple(objects))
+        part, _ = _parts(above_db, sure)
+        objects = tuple(part == k for k in _objects(above_db, sure, part))
+    return StandingOut(axis, np.where(sure, above_db, 0.0), objects)
+
+
+def _objects(
+    above_db: Float64[np.ndarray, "side side"],
+    sure: Bool[np.ndarray, "side side"],
+    part: Int[np.ndarray, "side side"],
+) -> Int[np.ndarray, " k"]:
+    """Numbers of the parts that are objects: surely no noise, in decibels nearer to the target than to the ground."""
+    bright_db = float(np.quantile(above_db[sure], _BRIGHT_PART))
+    peaks_db = maximum(np.where(part > 0, above_db, -np.inf), part, np.arange(1, part.max() + 1))
+    return 1 + np.flatnonzero(peaks_db > max(_SURE_DB, _SURELY * _typical(above_db)[1], bright_db / 2))
 
 
 def _levels(
@@ -157,7 +166,9 @@ def _extent(
     weight[0] = 0  # what does not stand out
     if not weight.any():
         return None
-    found = np.nonzero((weight >= _LARGE_PART * weight.max())[part])[1 - i]
+    held = weight >= _LARGE_PART * weight.max()
+    held[_objects(above_db, sure, part)] = True
+    found = np.nonzero(held[part])[1 - i]
     return [float(axis[found.min()]), float(axis[found.max()])]
 
 
