@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sarsplat import Config, Dataset, DatasetEntry, ImageGrid, SarsplatError, SarsplatWarning, View, reconstruct
+from sarsplat.gaussians.initialise import Region
 from sarsplat.regions.target_region import cut_off, target_region
 
 VIEWS = [View(azimuth, 40.0) for azimuth in range(0, 360, 45)]
@@ -47,7 +48,7 @@ def test_what_stands_out_beyond_the_box_is_said(shown: Dataset) -> None:
     assert cut_off(target_region(shown, ground=True, box=Config(target_box=WHOLE).box_m), 0.3, shown) == []
 
 
-def test_what_stands_beside_the_box_is_said_however_small_it_is() -> None:
+def test_every_object_is_in_the_box_and_what_stands_beside_a_given_one_is_said() -> None:
     grid, power = ImageGrid(64, 64, (0.3, 0.3), (0.4, 0.4)), np.ones((len(VIEWS), 64, 64), np.float32)
     for k, view in enumerate(VIEWS):
         along = 6.0 * np.cos(np.radians(view.azimuth_deg)), 6.0 * np.sin(np.radians(view.azimuth_deg))
@@ -56,12 +57,13 @@ def test_what_stands_beside_the_box_is_said_however_small_it_is() -> None:
         power[k, 26:38, 26:38] = 100
     entries = tuple(DatasetEntry(view, "train", f"{k}") for k, view in enumerate(VIEWS))
     dataset = Dataset(grid, entries, power, target="two things", ground=True)
-    (said,) = cut_off(target_region(dataset, ground=True), 0.0, dataset)
+    (said,) = cut_off(Region.box((-3, -3, 0), (3, 3, 2)), 0.0, dataset)
     assert said.startswith("what stands at x 5")
     assert " is outside of the box it is looked for in (" in said
     around = tuple(float(word) for word in said.partition("--target-box ")[2].split()[:6])
     assert around[3] > 6
     assert cut_off(target_region(dataset, ground=True, box=Config(target_box=around).box_m), 0.0, dataset) == []
+    assert target_region(dataset, ground=True).high[0] > 6
     power[:, 26:38, 26:38] = 1e5  # beside which it may be a response of glints
     assert cut_off(target_region(dataset, ground=True), 0.0, dataset) == []
 

@@ -19,7 +19,8 @@ from sarsplat.surface import extract_points
 from sarsplat.surface import points as of_points
 from sarsplat.surface import voxels as of_voxels
 from sarsplat.surface.bricks import Brick, Scene, Window
-from sarsplat.surface.points import _cluster, between, spread
+from sarsplat.surface.clusters import largest
+from sarsplat.surface.points import between, spread
 from sarsplat.surface.returns_on_cpu import OfView
 from sarsplat.surface.voxels import Voxels
 from upright import upright
@@ -234,5 +235,6 @@ def test_the_largest_cluster_is_kept_however_dense_the_points() -> None:
     for dense in (1, 50):
         long, short = rng.uniform(0, 10, (400 * dense, 3)), rng.uniform([11.5, 0, 0], [14.5, 3, 3], (300 * dense, 3))
         line, beside = np.concatenate([long, short]) * [1, 0.01, 0.01], np.array([[5.0, 3, 0], [5.0, 3.2, 0]])
-        kept = _cluster(np.concatenate([line, beside]), 0.8, 10)
+        points = np.concatenate([line, beside])
+        kept = points[largest(points, 0.8, 10)]
         np.testing.assert_array_equal(kept, line[: len(long)])

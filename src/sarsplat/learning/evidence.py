@@ -95,12 +95,15 @@ def differences(train: Dataset, trainer: Trainer) -> Differences:
     displaced, shift_nats = sum(moved for moved, _ in moves), -float(np.mean([nats for _, nats in moves]))
     shift_nats = shift_nats - 2 * per_parameter if displaced > len(moves) / 2 else 0.0
     return Differences(
-        len(moves), 10 / math.log(10) * math.sqrt(gain_variance), displaced, 0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0)
+        len(moves),
+        10 / math.log(10) * math.sqrt(gain_variance),
+        displaced,
+        0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0),
     )
 
 
 def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows columns"]]) -> float:
-    """Covariance of the logarithmic gains of target and ground, besides a power law of the grazing angle; at least 0."""
+    """Covariance of the logarithmic gains of target and ground, besides a power law of sin θ; at least 0."""
     gains = []
     for one, image in zip(expected, train.power, strict=True):
         level_db = 10 * np.log10(one / np.median(one))
@@ -121,7 +124,7 @@ def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows co
 def _move(
     expected: Float64[np.ndarray, "rows columns"], image: Float[np.ndarray, "rows columns"], grid: ImageGrid
 ) -> tuple[bool, float]:
-    """Whether an image fits better elsewhere, within a cell, and by how many nats per pixel (cross-validated by rows)."""
+    """Whether an image fits better elsewhere within a cell, and its nats per pixel there, cross-validated by rows."""
     reach = [math.ceil(length / spacing) for length, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)]
     steps = [np.unique(np.linspace(-far, far, 5).round().astype(int)) for far in reach]
     inside = np.s_[reach[1] : -reach[1], reach[0] : -reach[0]]

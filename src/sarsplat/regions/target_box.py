@@ -76,8 +76,8 @@ def target_box(
 
     What stands on the ground is displaced towards the radar, but never across: the extent along an axis is mostly that
     in the views from its sides. It holds every object that stands out (`StandingOut`). The height is the greatest whose
-    shadow is dark in all views, but for those in which something bright hides it. Images are β⁰, linear power, and show the ground around the target; their gains may
-    differ. One that does not show the world's origin is refused.
+    shadow is dark in all views, but for those in which something bright hides it. Images are β⁰, linear power, and show
+    the ground around the target; their gains may differ. One that does not show the world's origin is refused.
 
     The box (m, world frame) is a cell wider and higher than what was found; z from 0, to two thirds of the narrower
     side if there is no shadow. Where nothing stands out, the middle half of the scene.

@@ -21,6 +21,7 @@ from sarsplat.processes import Processes
 from sarsplat.progress import Reporter
 from sarsplat.runs.run import InMemory, Run
 from sarsplat.runs.run_folder import ABOUT, HEADER, LogLine, RunFolder, log_text, require_replaceable
+from sarsplat.runs.thread_choice import ThreadChoice
 from sarsplat.settings.config import AnyConfig, refuse_other_settings
 
 _LINES_PER_RUN = 200
@@ -138,20 +139,21 @@ class Training(Generic[T]):
         """Step until so many iterations are done; what has been learned is saved whatever ends it between two steps."""
         trainer, begun = self.trainer, self.trainer.iteration
         try:
-            self._steps(iterations)
+            with ThreadChoice(str(getattr(trainer, "device", "cpu"))) as threads:
+                self._steps(iterations, threads)
         finally:
             unsaved = trainer.iteration > begun and trainer.iteration % trainer.config.checkpoint_every
             if self._between_steps and unsaved:
                 self._save()
 
-    def _steps(self, iterations: int) -> None:
+    def _steps(self, iterations: int, threads: ThreadChoice) -> None:
         trainer, config = self.trainer, self.trainer.config
         every = max(1, config.iterations // _LINES_PER_RUN)
         losses: list[Tensor] = []
         while trainer.iteration < iterations and not self.ended:
             self._between_steps = False
             try:
-                loss = trainer.step()
+                loss = threads.step(trainer.step)
                 losses.append(loss)
                 logs = trainer.iteration % every == 0 or trainer.iteration == config.iterations
                 saves = self.run is not None and trainer.iteration % config.checkpoint_every == 0

@@ -224,4 +224,3 @@ def between(views: Sequence[View]) -> list[View]:
     radius = np.linalg.norm(directions[first] - middle, axis=1)
     nearer = cKDTree(directions).query_ball_point(middle, radius * (1 + 1e-6), return_length=True)
     return [View.towards(direction, aloft=views[0].aloft) for direction in middle[nearer == 2]]
-

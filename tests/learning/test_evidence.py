@@ -1,0 +1,58 @@
+"""Settings chosen by evidence: images with gains of their own are measured ones, others are a scene."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from datasets import dataset_of
+from sarsplat import Dataset, ImageGrid, View
+from sarsplat.learning.evidence import chosen
+from sarsplat.learning.method_sar_gs import METHOD
+from sarsplat.scenes.simulate import simulate_images
+from sarsplat.settings.presets import PRESETS
+
+GRID = ImageGrid(56, 56, (0.3, 0.3), (0.3, 0.3))
+VIEWS = [View(azimuth, grazing) for azimuth in range(0, 360, 45) for grazing in (35.0, 50.0)]
+GAIN_DB = 2.0
+
+
+@pytest.fixture(scope="module")
+def scene() -> Dataset:
+    """A box on speckled ground."""
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    mesh = trimesh.creation.box((4.0, 2.5, 1.5))
+    mesh.apply_translation([0.5, 0, 0.75])
+    power = simulate_images(mesh, VIEWS, GRID, ground_gamma0=0.05, looks=1, ray_spacing=0.05)
+    return dataset_of(GRID, [(view, "train") for view in VIEWS], power, looks=1.0, ground=True)
+
+
+def gained(scene: Dataset) -> Dataset:
+    signs = np.random.default_rng(3).permutation([-1, 1] * (len(scene) // 2))
+    gains = 10 ** (GAIN_DB * signs / 10)
+    return replace(scene, power=(scene.power * gains[:, None, None]).astype(np.float32))
+
+
+def test_images_of_one_scale_and_place_need_no_nuisances(scene: Dataset) -> None:
+    config = chosen(scene)
+    assert replace(config, evidence="") == PRESETS["scene"]
+    assert "0 of 16 images displaced" in config.evidence
+    assert METHOD.preset("auto", scene) == config
+
+
+def test_chips_with_gains_of_their_own_are_measured_ones(scene: Dataset) -> None:
+    config = chosen(gained(scene))
+    assert replace(config, evidence="") == PRESETS["measured"]
+    told_db = float(config.evidence.split("differ by ")[1].split()[0])
+    assert told_db == pytest.approx(GAIN_DB, rel=0.3)
+
+
+def test_the_scale_of_all_images_changes_no_choice(scene: Dataset) -> None:
+    louder = replace(scene, power=1000 * scene.power)
+    assert chosen(louder).evidence == chosen(scene).evidence
+
+
+def test_too_few_images_are_a_scene(scene: Dataset) -> None:
+    few = replace(scene, entries=scene.entries[:3], power=scene.power[:3])
+    assert chosen(few).preset == "scene"

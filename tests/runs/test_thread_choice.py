@@ -1,0 +1,38 @@
+"""The number of threads that is quickest makes the steps."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from sarsplat.runs import thread_choice
+from sarsplat.runs.thread_choice import ThreadChoice
+
+
+@pytest.mark.parametrize(
+    ("slow", "quickest"), [({1: 4, 2: 2, 4: 1}, 4), ({1: 1, 2: 9, 4: 20}, 1), ({1: 2, 2: 1, 4: 4}, 2)]
+)
+def test_steps_have_the_threads_that_are_quickest(
+    slow: dict[int, int], quickest: int, threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads(4)
+    clock = iter(range(10**6))
+    now = 0.0
+
+    def step() -> int:
+        nonlocal now
+        now += slow[torch.get_num_threads()]
+        return next(clock)
+
+    monkeypatch.setattr(thread_choice.time, "perf_counter", lambda: now)
+    with ThreadChoice("cpu") as choice:
+        made = [choice.step(step) for _ in range(20)]
+        assert torch.get_num_threads() == quickest
+    assert made == list(range(20))
+    assert torch.get_num_threads() == 4
+
+
+def test_a_gpu_and_one_thread_are_left_alone(threads: Callable[[int], None]) -> None:
+    threads(4)
+    with ThreadChoice("cuda:0") as choice:
+        assert choice.step(torch.get_num_threads) == 4

@@ -1,0 +1,39 @@
+"""Which clusters of points are objects."""
+
+import numpy as np
+import pytest
+
+from sarsplat import ImageGrid
+from sarsplat.surface.clusters import bright, brightest_speckle_m2, largest
+
+GRID = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
+
+
+def blob(at: float, count: int = 60) -> np.ndarray:
+    return np.random.default_rng(count).normal((at, 0, 1), 0.1, (count, 3))
+
+
+def test_every_cluster_that_outshines_speckle_is_kept_and_others_are_named() -> None:
+    near, far, faint = blob(0), blob(5), blob(9, 20)
+    points, means = np.concatenate([near, far, faint]), np.array([[0.0, 0, 1], [5, 0, 1], [9, 0, 1], [20, 0, 1]])
+    sections = np.array(
+        [[3.0, 0.0, 0.1, 50.0]] * 3 + [[3.0, 2.0, 0.1, 50.0]], np.float32
+    )  # m², one view lights the far one
+    said: list[str] = []
+    kept = bright(points, 0.3, 1.0, means, [sections[:2], sections[2:]], said.append)
+    assert kept[:60].all() and not kept[120:].any()
+    assert kept[60:120].mean() == pytest.approx(0.0)
+    assert len(said) == 1 and "2 clusters" in said[0]
+    assert bright(points, 0.3, 1.0, means, [sections[3:]], said.append)[:120].all()
+
+
+def test_the_brightest_speckle_grows_with_the_ground_and_the_number_of_cells() -> None:
+    one = brightest_speckle_m2(0.05, GRID, 1)
+    assert one == pytest.approx(0.05 * 0.3**2 * np.log(GRID.independent_samples))
+    assert brightest_speckle_m2(0.1, GRID, 1) == pytest.approx(2 * one)
+    assert brightest_speckle_m2(0.05, GRID, 24) > one
+
+
+def test_where_there_is_no_point_there_is_no_cluster() -> None:
+    none = np.empty((0, 3))
+    assert largest(none, 0.3, 10).shape == bright(none, 0.3, 1.0, none, [], print).shape == (0,)
