@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from conditions import CONDITIONS_GRID
 from experiment import Experiment, Options, Row, scene
 from measured import MEASURED
 
@@ -227,6 +228,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         axis="number of Gaussians at the start",
         alone=True,
     ),
+    CONDITIONS_GRID,
     BASELINES,
     BASELINES_ON_CHIPS,
     *MEASURED,

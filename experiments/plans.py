@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from conditions import write_scene
 from experiment import Experiment, Options, Row
 from finished import Finished
 
@@ -74,6 +75,9 @@ def make(experiment: Experiment, work: Path, chips: Chips | None) -> None:
 
     for folder, dataset in missing(experiment, work).items():
         folder.parent.mkdir(parents=True, exist_ok=True)
+        if "scene" in dataset:
+            mesh = write_scene(dataset["scene"], folder.parent / "meshes")
+            dataset = {"mesh": mesh, **{name: value for name, value in dataset.items() if name != "scene"}}
         if experiment.quick and "target_class" not in dataset:
             whole = folder.with_suffix(".whole")
             simulate(out=whole, **dataset)

@@ -337,6 +337,15 @@ class Dataset:
         """Names of the sets it holds, in order of first appearance."""
         return tuple(dict.fromkeys(entry.split for entry in self.entries))
 
+    def multilooked(self, factor: int) -> Dataset:
+        """The same images with means of power over blocks of factor × factor pixels, without their phase."""
+        grid = self.grid.multilooked(factor)
+        blocks = self.power[:, : grid.rows * factor, : grid.columns * factor]
+        power = blocks.reshape(len(self), grid.rows, factor, grid.columns, factor).mean(axis=(2, 4))
+        more = self.grid.independent_samples / grid.independent_samples
+        looks = None if self.looks is None else self.looks * more
+        return replace(self, grid=grid, power=power, signal=None, looks=looks, score_margin=0, path=None)
+
     @checks_arguments
     def select(self, split: str) -> Dataset:
         """The dataset of one set alone, in memory; its `looks` are those of its images.

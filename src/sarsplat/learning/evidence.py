@@ -25,6 +25,12 @@ from sarsplat.settings.sections import Surroundings
 _SHARE = 0.1
 """Length of the trial, relative to the training."""
 
+_PIXELS = 256
+"""Side of the images of the trial at most: larger ones are multilooked."""
+
+_SMOOTHED_DROPOUT = 0.4
+"""Dropout in scenes of many cells, whose surfaces are smoothed: less of their speckle is left to be averaged."""
+
 _FEWEST = 4
 """Minimum number of training images for a trial: of fewer, gains and the law of the ground are not told apart."""
 
@@ -57,15 +63,20 @@ def chosen(dataset: Dataset) -> Config:
     scene = PRESETS["scene"]
     if len(dataset.select("train")) < _FEWEST:
         return replace(scene, evidence=f"scene, as fewer than {_FEWEST} images allow no trial")
-    trainer = _trial(dataset, scene)
-    found = differences(dataset.select("train"), trainer)
+    factor = -(-max(dataset.grid.rows, dataset.grid.columns) // _PIXELS)
+    looked = dataset.select("train").multilooked(factor)
+    trainer = _trial(looked, scene)
+    found = differences(looked, trainer)
+    large = factor * trainer.model.levels.coarsest > 1
+    if large:
+        scene = replace(scene, dropout=_SMOOTHED_DROPOUT)
     said = (
         f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {counted(found.images, 'image')} "
         f"displaced ({found.nats:.4f} nats per pixel)"
     )
     if found.nats >= 0:
         return replace(scene, evidence=f"scene: {said}")
-    if trainer.model.levels.coarsest == 1:
+    if not large:
         return replace(PRESETS["measured"], evidence=f"measured: {said}")
     assert scene.surroundings is not None
     nuisances = Surroundings(noise_floor=scene.surroundings.noise_floor)
@@ -75,7 +86,12 @@ def chosen(dataset: Dataset) -> Config:
 
 
 def _trial(dataset: Dataset, scene: Config) -> Trainer:
-    config = replace(scene, iterations=math.ceil(_SHARE * scene.iterations))
+    config = replace(
+        scene,
+        iterations=math.ceil(_SHARE * scene.iterations),
+        smoothing=replace(scene.smoothing, rounds=round(_SHARE * scene.smoothing.rounds)),
+        relocation=replace(scene.relocation, rounds=round(_SHARE * scene.relocation.rounds)),
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they come again with the training itself
         trainer = Trainer(dataset, config, device="cpu")

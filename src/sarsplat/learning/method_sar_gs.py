@@ -112,8 +112,8 @@ class SarGs(Method):
         return config.tiles > 1
 
     def about(self, config: Config, grid: ImageGrid) -> tuple[str, str]:
-        """The preset, and lengths in metres."""
-        return config.preset, lengths(config, grid)
+        """The preset; what it was chosen by, if anything, and lengths in metres."""
+        return config.preset, "\n".join(filter(None, (config.evidence, lengths(config, grid))))
 
 
 METHOD = SarGs()
