@@ -7,6 +7,7 @@ Run as `python docs/draw_conditions.py`; it takes a minute. Writes docs/images/c
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -39,7 +40,7 @@ def vehicles() -> trimesh.Trimesh:
         part.apply_transform(trimesh.transformations.rotation_matrix(np.radians(heading_deg), (0, 0, 1)))
         part.apply_translation((x, y, 0))
         parts.append(part)
-    return trimesh.util.concatenate(parts)
+    return cast(trimesh.Trimesh, trimesh.util.concatenate(parts))
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import trimesh
@@ -14,7 +14,7 @@ from sarsplat import target_mesh
 from sarsplat.data.mesh import write_mesh
 from sarsplat.scenes.village import village
 
-POINTS = ("cd_m", "accuracy_m", "completeness_m", "f1@0.3", "f1@0.1", "psnr_target_db", "time_s")
+POINTS = ("cd_m", "accuracy_m", "completeness_m", "f1@0.3", "f1@0.1", "psnr_target_db")
 ALL_AROUND: Options = {"azimuth": ("0:360:30",), "grazing": ("35", "50"), "test_azimuth": ("15:360:60",)}
 CONDITIONS: dict[str, Options] = {
     "1 look": {**ALL_AROUND, "looks": 1},
@@ -92,7 +92,7 @@ def write_scene(name: str, folder: Path) -> Path:
     """Mesh file of a scene."""
     path = folder / f"{name}.ply"
     folder.mkdir(parents=True, exist_ok=True)
-    write_mesh(path, trimesh.util.concatenate(SCENES[name][1]()))
+    write_mesh(path, cast(trimesh.Trimesh, trimesh.util.concatenate(SCENES[name][1]())))
     return path
 
 

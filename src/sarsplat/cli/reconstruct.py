@@ -95,9 +95,10 @@ class Options:
         Run folder to write; it appears with the first checkpoint. Ctrl-C keeps the progress so far.
     preset
         Starting settings, which the options below override: default (the best in our measurements; its values are
-        shown), quick (a first look), speckled (speckle, but no ground), measured (speckle on ground, noise floor),
-        stack (interferometric passes), polarimetric (several polarisations), paper (the paper's training), or auto: by
-        the dataset's stacks, speckle and ground. Of the others, all but paper model ground that is shown.
+        shown), quick (a first look), speckled (speckle, but no ground), scene (speckle on ground, any number of
+        objects), measured (chips with shift and gain), stack (interferometric passes), polarimetric (several
+        polarisations), paper (the paper's training), or auto: by the dataset's stacks, speckle and ground, and by a
+        short trial. Of the others, all but paper model ground that is shown.
     config
         Starting settings from a file written by --print-config, instead of a preset.
     print_config

@@ -150,6 +150,6 @@ def _move(
             moved = np.roll(expected, (down, right), (0, 1))[inside]
             rows = (np.log(moved) + image[inside] / moved).mean(axis=1)
             nats[down, right] = rows[::2].mean(), rows[1::2].mean()
-    best = [min(nats, key=lambda place, half=half: nats[place][half]) for half in (0, 1)]
-    better = (nats[best[0]][1] - nats[0, 0][1] + nats[best[1]][0] - nats[0, 0][0]) / 2
-    return best[0] == best[1] != (0, 0), float(better)
+    even, odd = min(nats, key=lambda place: nats[place][0]), min(nats, key=lambda place: nats[place][1])
+    better = (nats[even][1] - nats[0, 0][1] + nats[odd][0] - nats[0, 0][0]) / 2
+    return even == odd != (0, 0), float(better)

@@ -65,9 +65,9 @@ def reconstruct(
     dataset : Dataset, str or Path
         The images, or the folder that holds them.
     preset : str or AnyConfig
-        How: a name in `PRESETS`, settings of your own, or "auto": of `sar-gs`, "measured" where the images show
-        ground, "speckled" where there is only speckle, "default" elsewhere; of other methods, their defaults. To
-        resume, "auto" is what the run was begun with.
+        How: a name in `PRESETS`, settings of your own, or "auto": of `sar-gs`, "scene" or "measured", by a short
+        trial, where images show speckle on ground, "speckled" where there is only speckle, "default" elsewhere; of
+        other methods, their defaults. To resume, "auto" is what the run was begun with.
     out : str or Path, optional
         Folder of the run; it appears, or replaces an earlier run, with the first checkpoint. Without it everything
         stays in memory.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import msgspec
 import numpy as np
@@ -105,11 +106,12 @@ def _of_dataset(
     code = code_of(method, plan.device)
     scoring = digest([scoring_code(), masks, plan.mesh, plan.align])
     where = f"settings of {method}{f' in {plan.name}' if plan.name else ''}"
+    named = cache(partial(kind.preset, dataset=cast(Dataset, dataset)))  # which may make a trial
     for preset, chosen in plan.each_choice(settings):
         labels = {"dataset": name, "method": method, "preset": preset, **chosen}
         if plan.name:
             labels = {"part": plan.name, **labels}
-        base = None if dataset is None else kind.preset(preset, dataset).with_settings(chosen, where)
+        base = None if dataset is None else named(preset).with_settings(chosen, where)
         for seed in plan.seeds:
             config = {**labels, "seed": seed} if base is None else replace(base, seed=seed).as_dict()
             decisive = {one: value for one, value in config.items() if one not in _NO_RESULT}
