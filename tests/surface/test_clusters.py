@@ -20,11 +20,13 @@ def test_every_cluster_that_outshines_speckle_is_kept_and_others_are_named() -> 
         [[3.0, 0.0, 0.1, 50.0]] * 3 + [[3.0, 2.0, 0.1, 50.0]], np.float32
     )  # m², one view lights the far one
     said: list[str] = []
-    kept = bright(points, 0.3, 1.0, means, [sections[:2], sections[2:]], said.append)
+    high = np.ones(len(points), bool)
+    kept = bright(points, high, 0.3, 1.0, means, [sections[:2], sections[2:]], said.append)
     assert kept[:60].all() and not kept[120:].any()
     assert kept[60:120].mean() == pytest.approx(0.0)
     assert len(said) == 1 and "2 clusters" in said[0]
-    assert bright(points, 0.3, 1.0, means, [sections[3:]], said.append)[:120].all()
+    assert bright(points, high, 0.3, 1.0, means, [sections[3:]], said.append)[:120].all()
+    assert not bright(points, ~high, 0.3, 1.0, means, [sections], said.append).any()
 
 
 def test_the_brightest_speckle_grows_with_the_ground_and_the_number_of_cells() -> None:
@@ -36,4 +38,4 @@ def test_the_brightest_speckle_grows_with_the_ground_and_the_number_of_cells() -
 
 def test_where_there_is_no_point_there_is_no_cluster() -> None:
     none = np.empty((0, 3))
-    assert largest(none, 0.3, 10).shape == bright(none, 0.3, 1.0, none, [], print).shape == (0,)
+    assert largest(none, 0.3, 10).shape == bright(none, np.zeros(0, bool), 0.3, 1.0, none, [], print).shape == (0,)

@@ -72,7 +72,7 @@ PRESETS: dict[str, Config] = {
             clusters="bright",
             cluster_radius=0.7,
         ),
-        ground=FlatGround(),
+        ground=FlatGround(from_images=True),
         surroundings=Surroundings(noise_floor=0.01, shift_std=0.0, gain_std=0.0, side_lobes=0.0, texture_looks=0.0),
     ),
     # the paper's training, as far as it is stated (docs/concepts/paper-map.md)

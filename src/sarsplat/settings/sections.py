@@ -174,8 +174,8 @@ class PointExtraction(Record):
         Remove a point unless this many of the views, or a fifth of them if that is fewer, have their first return
         within this distance of it ("rays"): each view takes speckle for something else. 0: keep it.
     clusters : str
-        "largest": keep only the largest cluster (DBSCAN); "bright": keep every cluster that returns more than the
-        brightest speckle of a cell of ground.
+        "largest": keep only the largest cluster (DBSCAN); "bright": keep every cluster that is higher than a resolution
+        cell and returns more than the brightest speckle of a cell of ground.
     cluster_radius : float or None
         Largest distance of neighbours in a cluster, in resolution cells; None: keep all points.
     cluster_size : int
@@ -213,12 +213,15 @@ class FlatGround(Record):
         Distance of the places that have a γ⁰ of their own, in resolution cells; 0: all of it has the same.
     std : float
         Standard deviation of the logarithm of a single place's γ⁰, as expected before the images are seen.
+    from_images : bool
+        Whether places start as bright as half of the images show them, such as roads; otherwise all start alike.
     """
 
     _section: ClassVar[str] = "ground."
 
     pitch: NotNegative = 3.0
     std: Positive = 1.0
+    from_images: bool = False
 
 
 @dataclass(frozen=True)

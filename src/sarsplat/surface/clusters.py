@@ -53,6 +53,7 @@ def brightest_speckle_m2(gamma0: float, grid: ImageGrid, images: int) -> float:
 
 def bright(
     points: Float64[np.ndarray, "p 3"],
+    high: Bool[np.ndarray, " p"],
     radius: float,
     least_m2: float,
     means: Float64[np.ndarray, "n 3"],
@@ -61,6 +62,7 @@ def bright(
 ) -> Bool[np.ndarray, " p"]:
     """Mask of the clusters whose Gaussians return at least so much in a quarter of the views; says what is left out.
 
+    A cluster without `high` points is ground: heights of less than a cell and differences of its brightness look alike.
     Clusters are connected cubes with sides of the radius, m. `means` (m) and `cross_sections` (m², some views at a
     time) are those of all Gaussians; each belongs to the cluster that is nearest, within two cubes.
     """
@@ -75,14 +77,14 @@ def bright(
     near = np.isfinite(distance)
     of_gaussian = cluster[nearest[near]]
     power = np.array([np.bincount(of_gaussian, one[near], count) for some in cross_sections for one in some])
-    kept = np.quantile(power, _QUARTILE, axis=0) >= least_m2
+    kept = (np.quantile(power, _QUARTILE, axis=0) >= least_m2) & (np.bincount(cluster[owner], high, count) > 0)
     if not kept.all():
         share = power[:, ~kept].sum() / max(power.sum(), np.finfo(float).tiny)
         first = [points[cluster[owner] == k].mean(axis=0) for k in np.flatnonzero(~kept)[:_NAMED]]
         where = "; ".join(", ".join(f"{value:.2f}" for value in place) for place in first)
         more = ", …" if (~kept).sum() > _NAMED else ""
         left_out = counted(int((~kept).sum()), "cluster")
-        say(f"points: {left_out} no brighter than speckle left out, {share:.2g} of the power, at ({where}{more}) m")
+        say(f"points: left out {left_out} like speckle or ground, {share:.2g} of the power, at ({where}{more}) m")
     return kept[cluster[owner]]
 
 

@@ -116,7 +116,8 @@ def extract_points(
         sections = (found.cpu().numpy() for _, found in _cross_sections(gaussians, chosen, grid, shown.advance))
         least_m2 = brightest_speckle_m2(ground_gamma0, grid, len(views))
         means = gaussians.means.double().cpu().numpy()
-        return points[bright(points, how.cluster_radius * cell, least_m2, means, sections, shown.note)]
+        high = heights_of(points, terrain) > cell
+        return points[bright(points, high, how.cluster_radius * cell, least_m2, means, sections, shown.note)]
 
 
 def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, share: float) -> Bool[Tensor, " n"]:

@@ -16,6 +16,7 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import Terrain
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.learning.parts.part import Learned, Parameters, Part, normal_nats
+from sarsplat.regions.ground_levels import ground_levels_db
 
 _FAINTEST = 0.01
 """Its level at the start at least, of the images' mean: where most of an image is black, a logarithm could not rise."""
@@ -50,13 +51,19 @@ class FlatGroundPart(Part):
         if train.looks is not None:
             level /= (1 - 1 / (9 * train.looks)) ** 3  # the median of gamma-distributed power, in means
         level = max(level, _FAINTEST * brightness) / self.frame.unit / mean_tangent
-        places = (
-            {"ground_texture": torch.zeros(self._side**2, 1, dtype=torch.float32, device="cpu")} if self._side else {}
-        )
+        places = {"ground_texture": self._first_texture(train)} if self._side else {}
         return {
             "ground": torch.full((1,), math.log(level), dtype=torch.float32, device="cpu"),
             "ground_exponent": torch.zeros(1, dtype=torch.float32, device="cpu"),
         } | places
+
+    def _first_texture(self, train: Dataset) -> Float[Tensor, "places 1"]:
+        """Even ground, or what half of the images show of it."""
+        texture = np.zeros((self._side, self._side))
+        if self.settings.from_images:
+            axis = (np.arange(self._side) - (self._side - 1) / 2) * self._pitch_m
+            texture = ground_levels_db(train, *np.meshgrid(axis, axis)) * math.log(10) / 10
+        return torch.from_numpy(texture.reshape(-1, 1)).float()
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         """Prior: neighbouring places have similar γ⁰."""
