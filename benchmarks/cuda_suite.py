@@ -167,7 +167,7 @@ def of_waits(gpu: Gpu) -> Found:
     """How often, and in which line, a step of every preset makes Python wait for the GPU."""
     from sarsplat.settings.presets import PRESETS
 
-    kinds = {"measured": "ground", "stack": "stack", "polarimetric": "polarimetric"}
+    kinds = {"scene": "ground", "measured": "ground", "stack": "stack", "polarimetric": "polarimetric"}
     steps = {f"default with {kind}": ("default", kind) for kind in ("ground", "terrain")}
     steps |= {name: (name, kinds.get(name, "demo")) for name in PRESETS}
     for name, (preset, kind) in steps.items():

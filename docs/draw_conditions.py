@@ -16,7 +16,7 @@ from draw_village import FARTHEST_M, SEEN_FROM, show
 from scipy.spatial import KDTree
 
 from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct, target_mesh
-from sarsplat.colours import ERROR, HEIGHT, colormap
+from sarsplat.colours import ERROR, HEIGHT, POWER, colormap
 from sarsplat.evaluation import Yardstick, visible_surface
 from sarsplat.radiometry import to_db
 from sarsplat.scenes.simulate import simulate_images
@@ -53,7 +53,7 @@ def main() -> None:
     chance = np.random.default_rng(0)
     surface, points = (chance.permutation(each)[:SHOWN] for each in (surface, run.points))
     figure, axes = plt.subplots(1, 3, figsize=(15, 4.6), layout="constrained", width_ratios=(1, 1.2, 1.35))
-    axes[0].imshow(to_db(power[SHOWN_VIEW]), cmap="gray", vmin=SHOWN_DB[0], vmax=SHOWN_DB[1])
+    axes[0].imshow(to_db(power[SHOWN_VIEW]), cmap=colormap(POWER), vmin=SHOWN_DB[0], vmax=SHOWN_DB[1])
     axes[0].axis("off")
     axes[0].set_title(f"one of {len(VIEWS)} images: ground, one look")
     show(axes[1], surface, surface[:, 2], cmap=colormap(HEIGHT))

@@ -86,7 +86,7 @@ def test_every_experiment_can_be_run_and_reported(made):
                 assert (start.with_settings(line.changes) != start) == bool(line.changes), line.name
             assert not line.full or line.full in {other.label for other in found.groups()[line.group]}
             for dataset in line.drawn(0):
-                assert set(dataset) <= (of_chips if "target_class" in dataset else options)
+                assert set(dataset) <= (of_chips if "target_class" in dataset else options | {"scene"})
                 for angles in ("azimuth", "test_azimuth"):
                     assert views_from(dataset.get(angles, ("0",)), ("45",), ())
         small = found.in_small()

@@ -54,10 +54,12 @@ def test_a_preset_alone(name: str, printed) -> None:
     assert Config.from_dict(printed(f"--preset {name}")) == PRESETS[name]
 
 
-@pytest.mark.parametrize(("dataset", "name"), [("plain", "default"), ("speckled", "speckled"), ("both", "measured")])
+@pytest.mark.parametrize(("dataset", "name"), [("plain", "default"), ("speckled", "speckled"), ("both", "scene")])
 def test_the_preset_that_fits_the_images(dataset: str, name: str, printed) -> None:
     assert printed("", dataset)["preset"] == name
-    assert Config.from_dict(printed("--seed 4", dataset)) == replace(PRESETS[name], seed=4)
+    chosen = Config.from_dict(printed("--seed 4", dataset))
+    assert replace(chosen, evidence="") == replace(PRESETS[name], seed=4)
+    assert bool(chosen.evidence) == (dataset == "both")
 
 
 def test_flags_override_the_preset_even_with_the_values_that_help_shows(printed) -> None:

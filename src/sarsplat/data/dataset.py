@@ -337,6 +337,7 @@ class Dataset:
         """Names of the sets it holds, in order of first appearance."""
         return tuple(dict.fromkeys(entry.split for entry in self.entries))
 
+    @checks_arguments
     def multilooked(self, factor: int) -> Dataset:
         """The same images with means of power over blocks of factor × factor pixels, without their phase."""
         grid = self.grid.multilooked(factor)

@@ -18,6 +18,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.geometry import ImageGrid
 from sarsplat.learning.trainer import Trainer
+from sarsplat.radiometry import to_db
 from sarsplat.settings.config import Config
 from sarsplat.settings.presets import PRESETS
 from sarsplat.settings.sections import Surroundings
@@ -112,7 +113,7 @@ def differences(train: Dataset, trainer: Trainer) -> Differences:
     shift_nats = shift_nats - 2 * per_parameter if displaced > len(moves) / 2 else 0.0
     return Differences(
         len(moves),
-        10 / math.log(10) * math.sqrt(gain_variance),
+        float(to_db(math.exp(math.sqrt(gain_variance)))),
         displaced,
         0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0),
     )
@@ -122,7 +123,7 @@ def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows co
     """Covariance of the logarithmic gains of target and ground, besides a power law of sin θ; at least 0."""
     gains = []
     for one, image in zip(expected, train.power, strict=True):
-        level_db = 10 * np.log10(one / np.median(one))
+        level_db = to_db(one, np.median(one))
         ratio = image / one
         parts = ratio[abs(level_db) < _GROUND_DB], ratio[level_db > _TARGET_DB]
         gains.append([math.log(part.mean()) if part.size and part.any() else math.nan for part in parts])

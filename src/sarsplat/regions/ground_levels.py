@@ -31,4 +31,4 @@ def ground_levels_db(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a place that no image shows
         middle = np.nanmedian(shown, axis=0)
-    return np.where(middle > _SURE_DB, middle, 0.0)
+    return np.where(middle > _SURE_DB, middle, 0.0).astype(np.float64)

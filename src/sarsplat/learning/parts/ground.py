@@ -16,6 +16,7 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import Terrain
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.learning.parts.part import Learned, Parameters, Part, normal_nats
+from sarsplat.radiometry import from_db
 from sarsplat.regions.ground_levels import ground_levels_db
 
 _FAINTEST = 0.01
@@ -62,7 +63,7 @@ class FlatGroundPart(Part):
         texture = np.zeros((self._side, self._side))
         if self.settings.from_images:
             axis = (np.arange(self._side) - (self._side - 1) / 2) * self._pitch_m
-            texture = ground_levels_db(train, *np.meshgrid(axis, axis)) * math.log(10) / 10
+            texture = np.log(from_db(ground_levels_db(train, *np.meshgrid(axis, axis))))
         return torch.from_numpy(texture.reshape(-1, 1)).float()
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
