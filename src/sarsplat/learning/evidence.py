@@ -33,7 +33,7 @@ _SMOOTHED_DROPOUT = 0.4
 """Dropout in scenes of many cells, whose surfaces are smoothed: less of their speckle is left to be averaged."""
 
 _FEWEST = 4
-"""Minimum number of training images for a trial: of fewer, gains and the law of the ground are not told apart."""
+"""Minimum number of training images for a trial: fewer do not separate gains from the law of the ground."""
 
 _GROUND_DB = 1.5
 """Distance from the median of a rendering within which pixels are ground, dB."""
@@ -48,7 +48,7 @@ class Differences:
 
     images: int
     gain_std_db: float
-    """Standard deviation of the gain that target and ground of an image have in common, dB; 0 if there is none."""
+    """Standard deviation of the gain that target and ground of an image have in common, dB, ≥ 0."""
     displaced: int
     """Number of images that fit better at another place, the same by even and by odd rows."""
     nats: float
@@ -56,7 +56,7 @@ class Differences:
 
 
 def chosen(dataset: Dataset) -> Config:
-    """Return settings for images with speckle on ground, and in `evidence` the measurements that chose them.
+    """Return settings for images with speckle on ground; their `evidence` has the measurements that chose them.
 
     Where images have gains or places of their own, they are measured ones: a chip, which is looked at pixel by pixel
     from the first step on, is learned as by the preset `measured`; larger scenes by `scene` with all nuisances.
@@ -128,20 +128,19 @@ def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows co
         parts = ratio[abs(level_db) < _GROUND_DB], ratio[level_db > _TARGET_DB]
         gains.append([math.log(part.mean()) if part.size and part.any() else math.nan for part in parts])
     known = np.isfinite(gains).all(axis=1)
+    if known.sum() < _FEWEST:
+        return 0.0
     sines = np.log([view.look.sine for view in train.views])[known]
     design = np.column_stack([np.ones_like(sines), sines - sines.mean()])[:, : 1 + (np.ptp(sines) > 0)]
-    spare = len(sines) - design.shape[1]
-    if spare < 2:
-        return 0.0
     ground, target = np.array(gains)[known].T
     rest = [values - design @ np.linalg.lstsq(design, values, rcond=None)[0] for values in (ground, target)]
-    return max(float(rest[0] @ rest[1]) / spare, 0.0)
+    return max(float(rest[0] @ rest[1]) / (len(sines) - design.shape[1]), 0.0)
 
 
 def _move(
     expected: Float64[np.ndarray, "rows columns"], image: Float[np.ndarray, "rows columns"], grid: ImageGrid
 ) -> tuple[bool, float]:
-    """Whether an image fits better elsewhere within a cell, and its nats per pixel there, cross-validated by rows."""
+    """Find a displacement within a cell that fits better, and its gain, nats per pixel, cross-validated by rows."""
     reach = [math.ceil(length / spacing) for length, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)]
     steps = [np.unique(np.linspace(-far, far, 5).round().astype(int)) for far in reach]
     inside = np.s_[reach[1] : -reach[1], reach[0] : -reach[0]]

@@ -18,7 +18,7 @@ _SURE_DB = 3.0
 def ground_levels_db(
     train: Dataset, x: Float64[np.ndarray, "rows columns"], y: Float64[np.ndarray, "rows columns"]
 ) -> Float64[np.ndarray, "rows columns"]:
-    """Return the level above the usual ground, dB, that half of the images show at places; 0 where it is not sure.
+    """Return the median level over the images at places on the ground, dB above the usual ground; 0 if not certain.
 
     What stands on the ground is shown elsewhere in each image, so that half of them show a place as bright only if it
     is, or lies below something bright. Images are those of level ground.

@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 class ThreadChoice:
-    """Makes steps with 1, 2, 4, … threads at times, and those between with as many as were quickest.
+    """Makes steps with the quickest of 1, 2, 4, … threads, which a trial finds from time to time.
 
     A context, in whose end torch has the number of threads that it had. Results do not depend on it. Where several
     threads of Python train, it leaves torch's number as it is, which they share.

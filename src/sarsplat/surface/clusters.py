@@ -47,7 +47,7 @@ def largest(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Boo
 
 
 def brightest_speckle_m2(gamma0: float, grid: ImageGrid, images: int) -> float:
-    """Expected cross-section of the brightest resolution cell of ground in so many single-look images, m²."""
+    """Expected cross-section of the brightest resolution cell of ground in a number of single-look images, m²."""
     return gamma0 * math.prod(grid.resolution_m) * math.log(max(grid.independent_samples * images, math.e))
 
 
@@ -60,7 +60,7 @@ def bright(
     cross_sections: Iterable[Float32[np.ndarray, "v n"]],
     say: Callable[[str], object],
 ) -> Bool[np.ndarray, " p"]:
-    """Mask of the clusters whose Gaussians return at least so much in a quarter of the views; says what is left out.
+    """Mask of the clusters whose Gaussians return at least `least_m2` in a quarter of the views; reports the others.
 
     A cluster without `high` points is ground: heights of less than a cell and differences of its brightness look alike.
     Clusters are connected cubes with sides of the radius, m. `means` (m) and `cross_sections` (m², some views at a
