@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from datasets import dataset_of
-from sarsplat import Dataset, ImageGrid, View
+from sarsplat import Dataset, ImageGrid, View, reconstruct
 from sarsplat.learning.evidence import chosen
 from sarsplat.learning.method_sar_gs import METHOD
 from sarsplat.scenes.simulate import simulate_images
@@ -51,6 +51,18 @@ def test_chips_with_gains_of_their_own_are_measured_ones(scene: Dataset) -> None
 def test_the_scale_of_all_images_changes_no_choice(scene: Dataset) -> None:
     louder = replace(scene, power=1000 * scene.power)
     assert chosen(louder).evidence == chosen(scene).evidence
+
+
+def test_points_and_their_gamma0_follow_the_scale_of_all_images(scene: Dataset) -> None:
+    short = replace(PRESETS["scene"], iterations=30, points=replace(PRESETS["scene"].points, voxel=0.3))
+    quiet, loud = (
+        reconstruct(replace(scene, power=scale * scene.power), short, quiet=True).reconstruction
+        for scale in (np.float32(1), np.float32(1024))
+    )
+    points = quiet.points()
+    assert len(points) > 100
+    assert len(loud.points()) == pytest.approx(len(points), rel=0.02)
+    assert np.median(loud.gamma0_at(points)) == pytest.approx(1024 * np.median(quiet.gamma0_at(points)), rel=0.05)
 
 
 def test_too_few_images_are_a_scene(scene: Dataset) -> None:

@@ -276,7 +276,8 @@ class GaussianReconstruction(Reconstruction):
 
     @cached_property
     def _seen(self) -> Seen:
-        return Seen.of(self.gaussians, self.snapshot.views, self.grid)
+        seen = Seen.of(self.gaussians, self.snapshot.views, self.grid)
+        return replace(seen, cross_section=seen.cross_section * self.model.unit)
 
     def write(self, folder: Path) -> None:
         write_gaussians_ply(folder / "gaussians.ply", self.gaussians)
@@ -311,7 +312,7 @@ class GaussianReconstruction(Reconstruction):
 
     @property
     def _ground_gamma0(self) -> float | None:
-        """γ⁰ of the learned ground, at the mean of its places and, in logarithms, of the training's grazing angles."""
+        """γ⁰ of the learned ground in the model's unit, at the mean of its places and of the views' log sin θ."""
         ground = self.model.ground()
         if ground is None:
             return None
@@ -319,14 +320,14 @@ class GaussianReconstruction(Reconstruction):
         if ground.exponent is not None:
             sines = [view.look.sine for view in self.snapshot.views]
             gamma0 += float(ground.exponent.detach()) * float(np.log(sines).mean())
-        return math.exp(gamma0) * self.model.unit
+        return math.exp(gamma0)
 
     @property
     def _ground(self) -> dict[str, str]:
         if (gamma0 := self._ground_gamma0) is None:
             return {}
         shape = "a plane" if self.model.frame.terrain is None else "terrain"
-        facts = {"ground": f"{shape}, γ⁰ {gamma0:.3g} (linear)"}
+        facts = {"ground": f"{shape}, γ⁰ {gamma0 * self.model.unit:.3g} (linear)"}
         for echo in self.model.echoes():
             if isinstance(echo, GroundBounce):
                 share = float(echo.reflectivity.detach())

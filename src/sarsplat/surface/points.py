@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
@@ -79,7 +79,8 @@ def extract_points(
     terrain : Terrain, optional
         What the lowest points lie on; z = 0 unless given.
     ground_gamma0 : float, optional
-        γ⁰ of the ground, linear, whose speckle "bright" clusters must exceed; without it all are kept.
+        γ⁰ of the ground, in the unit of the Gaussians' scattering, whose speckle "bright" clusters must exceed; without
+        it all are kept.
 
     Returns
     -------
@@ -108,7 +109,12 @@ def extract_points(
     if how.cluster_radius is None:
         return points
     if how.clusters == "largest":
-        return points[largest(points, how.cluster_radius * cell, how.cluster_size)]
+        kept = largest(points, how.cluster_radius * cell, how.cluster_size)
+        with stage("points: largest cluster", 1) as shown:
+            if not kept.all():
+                others = f"{(~kept).sum():,} of {counted(len(points), 'point')} are not in the largest cluster"
+                shown.note(f'points: left out, as {others}; points.clusters "bright" keeps all that outshine speckle')
+        return points[kept]
     if ground_gamma0 is None:
         return points
     chosen = spread(views, _MOST_VIEWS)
