@@ -109,12 +109,12 @@ def extract_points(
     if how.cluster_radius is None:
         return points
     if how.clusters == "largest":
-        kept = largest(points, how.cluster_radius * cell, how.cluster_size)
+        main = largest(points, how.cluster_radius * cell, how.cluster_size)
         with stage("points: largest cluster", 1) as shown:
-            if not kept.all():
-                others = f"{(~kept).sum():,} of {counted(len(points), 'point')} are not in the largest cluster"
+            if not main.all():
+                others = f"{(~main).sum():,} of {counted(len(points), 'point')} are not in the largest cluster"
                 shown.note(f'points: left out, as {others}; points.clusters "bright" keeps all that outshine speckle')
-        return points[kept]
+        return points[main]
     if ground_gamma0 is None:
         return points
     chosen = spread(views, _MOST_VIEWS)
