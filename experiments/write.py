@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,8 @@ def write(experiment: Experiment, runs: Sequence[Finished], out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     _write(out / f"{experiment.name}.csv", _csv(_summary_rows(finished)))
     _write(out / f"{experiment.name}-runs.csv", _csv(lines_of(runs)))
-    draw(experiment, finished, out / f"{experiment.name}.png")
+    begun = _begun(finished)
+    draw(experiment, [line for line in finished if line.row.group in begun], out / f"{experiment.name}.png")
     _write(out / f"{experiment.name}.md", page(experiment, finished, runs, out))
 
 
@@ -61,10 +63,20 @@ def write_index(out: Path, quick: bool) -> None:
     _write(out / "README.md", "".join(parts))
 
 
+def _begun(finished: Sequence[Line]) -> set[str]:
+    """Groups of which a row is finished."""
+    return {line.row.group for line in finished if line.seeds}
+
+
 def page(experiment: Experiment, finished: list[Line], runs: Sequence[Finished], out: Path) -> str:
     """An experiment as Markdown: what was done, what it says, the table."""
+    begun = _begun(finished)
+    waiting = [group for group in experiment.groups() if group not in begun]
+    finished = [line for line in finished if line.row.group in begun]
+    experiment = replace(experiment, rows=tuple(row for row in experiment.rows if row.group in begun))
     codes = " and ".join(dict.fromkeys(filter(None, (run.about["code"] for run in runs)))) or "unknown"
     parts = [f"# {experiment.title}\n\n", _QUICK if experiment.quick else "", f"{experiment.about}\n\n"]
+    parts += [f"Not run yet: {'; '.join(waiting)}.\n\n"] if waiting else []
     parts += [f"{_FOUND}{sentence}\n\n" for sentence in findings(experiment, finished)]
     for group in experiment.groups():
         members = [line for line in finished if line.row.group == group]
