@@ -7,6 +7,7 @@ import pytest
 
 from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, View, reconstruct
+from sarsplat.learning import evidence
 from sarsplat.learning.evidence import chosen
 from sarsplat.learning.method_sar_gs import METHOD
 from sarsplat.scenes.simulate import simulate_images
@@ -51,6 +52,12 @@ def test_chips_with_gains_of_their_own_are_measured_ones(scene: Dataset) -> None
 def test_the_scale_of_all_images_changes_no_choice(scene: Dataset) -> None:
     louder = replace(scene, power=1000 * scene.power)
     assert chosen(louder).evidence == chosen(scene).evidence
+
+
+def test_a_small_target_in_large_images_is_still_small(scene: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evidence, "_PIXELS", 28)  # so that the trial sees multilooked images
+    assert replace(chosen(scene), evidence="") == PRESETS["scene"]
+    assert chosen(gained(scene)).preset == "measured"
 
 
 def test_points_and_their_gamma0_follow_the_scale_of_all_images(scene: Dataset) -> None:

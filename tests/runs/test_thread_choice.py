@@ -32,7 +32,8 @@ def test_steps_have_the_threads_that_are_quickest(
     assert torch.get_num_threads() == 4
 
 
-def test_a_gpu_and_one_thread_are_left_alone(threads: Callable[[int], None]) -> None:
-    threads(4)
-    with ThreadChoice("cuda:0") as choice:
-        assert choice.step(torch.get_num_threads) == 4
+@pytest.mark.parametrize(("device", "count"), [("cuda:0", 4), ("cpu", 1)])
+def test_a_gpu_and_one_thread_are_left_alone(device: str, count: int, threads: Callable[[int], None]) -> None:
+    threads(count)
+    with ThreadChoice(device) as choice:
+        assert [choice.step(torch.get_num_threads) for _ in range(5)] == [count] * 5

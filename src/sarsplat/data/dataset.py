@@ -339,7 +339,7 @@ class Dataset:
 
     @checks_arguments
     def multilooked(self, factor: int) -> Dataset:
-        """The same images with means of power over blocks of factor × factor pixels, without their phase."""
+        """Return images of mean power over blocks of factor × factor pixels, without their phase."""
         grid = self.grid.multilooked(factor)
         blocks = self.power[:, : grid.rows * factor, : grid.columns * factor]
         power = blocks.reshape(len(self), grid.rows, factor, grid.columns, factor).mean(axis=(2, 4))

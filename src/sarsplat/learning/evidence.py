@@ -17,6 +17,7 @@ from jaxtyping import Float, Float64
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.geometry import ImageGrid
+from sarsplat.learning.levels import Levels
 from sarsplat.learning.trainer import Trainer
 from sarsplat.radiometry import to_db
 from sarsplat.settings.config import Config
@@ -68,7 +69,7 @@ def chosen(dataset: Dataset) -> Config:
     looked = dataset.select("train").multilooked(factor)
     trainer = _trial(looked, scene)
     found = differences(looked, trainer)
-    large = factor * trainer.model.levels.coarsest > 1
+    large = Levels.of(scene, replace(trainer.model.frame, grid=dataset.grid)).coarsest > 1
     if large:
         scene = replace(scene, dropout=_SMOOTHED_DROPOUT)
     said = (
