@@ -110,7 +110,7 @@ def test_every_key_is_there_every_null_has_its_reason_and_points_are_held_agains
     metrics = evaluate_run(FakeRun(make(), power=1.1))
     assert list(metrics) == [
         *("images", "by_image", "points", "mesh", "truth", "masks", "baselines"),
-        *("time_s", "undetermined", "seed", "method", "definitions", "parameters", "reasons"),
+        *("time_s", "undetermined", "missing", "seed", "method", "definitions", "parameters", "reasons"),
     ]
     assert list(metrics["definitions"]) == [metric.key for metric in all_metrics(YARDSTICK)]
     assert list(metrics["images"]) == ["test-17", "test-15"]
@@ -121,7 +121,10 @@ def test_every_key_is_there_every_null_has_its_reason_and_points_are_held_agains
     assert set(leaves) == {
         f"images.{name}.{key}" for name in metrics["images"] for key in (*IMAGE_KEYS, *MASK_KEYS)
     } | {f"{kind}.{name}.{key}" for kind in ("points", "mesh") for name in ("visible", "whole") for key in POINT_KEYS}
-    assert set(metrics["reasons"]) == {key for key, value in leaves.items() if value is None} | {"undetermined"}
+    assert set(metrics["reasons"]) == {key for key, value in leaves.items() if value is None} | {
+        "undetermined",
+        "missing",
+    }
     assert (metrics["time_s"], metrics["seed"]) == (12.5, 3)
     assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
 

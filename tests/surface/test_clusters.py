@@ -1,5 +1,7 @@
 """Which clusters of points are objects."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,10 +32,10 @@ def test_every_cluster_that_outshines_speckle_is_kept_and_others_are_named() -> 
 
 
 def test_the_brightest_speckle_grows_with_the_ground_and_the_number_of_cells() -> None:
-    one = brightest_speckle_m2(0.05, GRID, 1)
+    one = brightest_speckle_m2(0.05, GRID)
     assert one == pytest.approx(0.05 * 0.3**2 * np.log(GRID.independent_samples))
-    assert brightest_speckle_m2(0.1, GRID, 1) == pytest.approx(2 * one)
-    assert brightest_speckle_m2(0.05, GRID, 24) > one
+    assert brightest_speckle_m2(0.1, GRID) == pytest.approx(2 * one)
+    assert brightest_speckle_m2(0.05, replace(GRID, rows=2 * GRID.rows)) > one
 
 
 def test_where_there_is_no_point_there_is_no_cluster() -> None:

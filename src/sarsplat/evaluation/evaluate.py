@@ -34,12 +34,14 @@ from sarsplat.evaluation.metrics import (
     leading_metric,
     metrics_of_points,
 )
+from sarsplat.evaluation.missing import missing
 from sarsplat.evaluation.points import Cloud, PointMetrics, Yardstick, side_by_side
 from sarsplat.evaluation.surface import imaged_alone, of_stacks, read_truth_mesh, visible_surface
 from sarsplat.examination.plausible import warn, weakest_direction
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.runs import Run
+from sarsplat.runs.run_folder import left_open
 from sarsplat.scenes.placement import shown_in
 from sarsplat.scenes.surface_samples import blocks_of_samples
 
@@ -94,8 +96,9 @@ def evaluate_run(
         points; the true surface then includes level ground, where images show it), `baselines` (what methods
         without a third dimension score on speckled images with ground), `truth` (the given mesh if there is one, and
         the motion that brought the points onto it), `masks` (the given folder), `time_s`, `seed`, `method`,
-        `definitions` (of every metric), `parameters` (what they refer to) and `reasons`: for every metric that is None,
-        its dotted key and why. Without test images `images` is empty.
+        `missing` (places of objects that images show and points lack, m), `definitions` (of every metric), `parameters`
+        (what they refer to) and `reasons`: for every metric that is None, its dotted key and why. Without test images
+        `images` is empty.
 
     Raises
     ------
@@ -216,12 +219,25 @@ def _evaluate(
         "masks": None if masks_dir is None else str(masks_dir.resolve()),
         "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
+        "missing": _missing(run, reasons),
         "seed": run.seed,
         "method": run.method,
         "definitions": {metric.key: metric.definition for metric in all_metrics(yardstick)},
         "parameters": {**parameters, "yardstick_m": yardstick.cell_m},
         "reasons": reasons,
     }
+
+
+def _missing(run: Run, reasons: dict[str, str]) -> list[list[float]] | None:
+    """Places of objects that images show and points lack, m; warns of them."""
+    try:
+        places = np.round(missing(run), 2).tolist()
+    except UndefinedScore as undefined:
+        reasons["missing"] = str(undefined)
+        return None
+    if places:
+        warn([f"{name}: {text}" for name, text in left_open({"missing": places}).items()])
+    return places
 
 
 def _rendered(run: Run, views: Sequence[View], shown: Reporter) -> Stack:

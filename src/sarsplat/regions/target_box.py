@@ -132,7 +132,7 @@ def _objects(
     """Numbers of the parts that are objects: surely no noise, in decibels nearer to the target than to the ground."""
     bright_db = float(np.quantile(above_db[sure], _BRIGHT_PART))
     peaks_db = maximum(np.where(part > 0, above_db, -np.inf), part, np.arange(1, part.max() + 1))
-    return 1 + np.flatnonzero(peaks_db > max(_SURE_DB, _SURELY * _typical(above_db)[1], bright_db / 2))
+    return 1 + np.flatnonzero(peaks_db > max(_SURE_DB, _SURELY * typical(above_db)[1], bright_db / 2))
 
 
 def _levels(
@@ -178,7 +178,7 @@ def _parts(
     """Numbers, from 1, of the connected parts that probably stand out, and how many there are."""
     threshold_db = max(
         _FAINTEST_DB,
-        _PROBABLE * _typical(above_db)[1],
+        _PROBABLE * typical(above_db)[1],
         float(np.quantile(above_db[sure], _BRIGHT_PART)) - _GLINT_DB,
     )
     return label(above_db > threshold_db)
@@ -196,7 +196,7 @@ def _height(
     tangents = np.array([view.look.slope for view in views])
     weights = tangents**-2.0  # an error along the ground is one in height times the tangent
     clipped_db = np.clip(level_db, *_SHADOW_DB)
-    noise_db = _typical(_on_the_ground(clipped_db, views, grid, axis, weights))[1]
+    noise_db = typical(_on_the_ground(clipped_db, views, grid, axis, weights))[1]
     clipped_db[level_db > _SHADOW_DB[1]] = np.nan
     dark = max(_DARK_DB[0], min(_DARK_DB[1], -_SURELY * noise_db))
     narrow, wide = (float(pick(high - low)) for pick in (np.min, np.max))
@@ -235,11 +235,15 @@ def above_ground_db(
     power: Float[np.ndarray, "v rows columns"], grid: ImageGrid
 ) -> Float64[np.ndarray, "v rows columns"]:
     """Decibels above each image's ground, smoothed over a resolution cell; `power` is linear."""
-    # one cell wide, each way: speckle is smoothed, and what is larger stays
-    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
-    smooth = gaussian_filter(power.astype(np.float64), width, mode="nearest")
+    smooth = smoothed(power, grid)
     level_db = to_db(smooth, np.maximum(np.median(smooth, axis=(1, 2), keepdims=True), np.finfo(float).tiny))
-    return level_db - np.array([_typical(image)[0] for image in level_db])[:, None, None]
+    return level_db - np.array([typical(image)[0] for image in level_db])[:, None, None]
+
+
+def smoothed(power: Float[np.ndarray, "v rows columns"], grid: ImageGrid) -> Float64[np.ndarray, "v rows columns"]:
+    """Images smoothed over a resolution cell each way: less speckle, and all that is larger."""
+    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
+    return gaussian_filter(power.astype(np.float64), width, mode="nearest")
 
 
 def _on_the_ground(
@@ -291,7 +295,7 @@ def _mean(
     return np.divide(total, weight_seen, out=np.zeros_like(total), where=weight_seen > 0), seen
 
 
-def _typical(values: Float64[np.ndarray, ...]) -> tuple[float, float]:
+def typical(values: Float64[np.ndarray, ...]) -> tuple[float, float]:
     """Middle and standard deviation of normal noise that is at least a quarter of what is known; the rest is anything.
 
     What is as dark or as bright as anything gets is no noise: it was clipped.

@@ -15,7 +15,7 @@ from jaxtyping import Float32, Real
 from sarsplat.data import read_json, read_points_ply, read_versioned_json
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.header import PlaceHeader
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.typed import decode
 
 if TYPE_CHECKING:
@@ -38,6 +38,9 @@ ABOUT = "about.json"
 
 MESH = "mesh.ply"
 """The surface, of methods that learn one as such."""
+
+_PLACES_NAMED = 3
+"""Maximum number of missing objects whose places are named."""
 
 _RESULTS = ("gaussians.ply", MESH, ABOUT, POINTS)
 
@@ -74,6 +77,7 @@ class Metrics(TypedDict):
     masks: NotRequired[str | None]
     time_s: float | None
     undetermined: NotRequired[float | None]
+    missing: NotRequired[list[list[float]] | None]
     seed: int
     method: NotRequired[str]
     parameters: dict[str, int | float]
@@ -82,11 +86,14 @@ class Metrics(TypedDict):
 
 
 def left_open(metrics: Mapping[str, Any]) -> dict[str, str]:
-    """What the images do not determine of a surface, in words, by a title; empty if that is not known."""
-    share = metrics.get("undetermined")
-    if not isinstance(share, float):
-        return {}
-    return {"left open": f"heights of {share:.0%} of the surface, inside of what looks the same everywhere"}
+    """Words, by title, for what images do not determine of a surface, and for what they show and the points lack."""
+    words = {}
+    if isinstance(share := metrics.get("undetermined"), float):
+        words["left open"] = f"heights of {share:.0%} of the surface, inside of what looks the same everywhere"
+    if places := metrics.get("missing"):
+        where = "; ".join(", ".join(f"{value:.1f}" for value in place) for place in places[:_PLACES_NAMED])
+        words["missing"] = f"{counted(len(places), 'object')} that images show and points lack, at ({where}) m"
+    return words
 
 
 class Header(msgspec.Struct, forbid_unknown_fields=True):

@@ -46,9 +46,9 @@ def largest(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Boo
     return labels == np.bincount(labels + 1, minlength=2)[1:].argmax()
 
 
-def brightest_speckle_m2(gamma0: float, grid: ImageGrid, images: int) -> float:
-    """Expected cross-section of the brightest resolution cell of ground in a number of single-look images, m²."""
-    return gamma0 * math.prod(grid.resolution_m) * math.log(max(grid.independent_samples * images, math.e))
+def brightest_speckle_m2(gamma0: float, grid: ImageGrid) -> float:
+    """Expected cross-section of the brightest resolution cell of ground in a single-look image, m²."""
+    return gamma0 * math.prod(grid.resolution_m) * math.log(max(grid.independent_samples, math.e))
 
 
 def bright(
