@@ -17,8 +17,7 @@ from fill_block import fill_block
 
 from sarsplat import ImageGrid, Mechanisms, Run, ScatteringLaw, Stack, View, preset, reconstruct, simulate_stack
 from sarsplat.data import Dataset, DatasetEntry
-from sarsplat.report.interferogram import averaged
-from sarsplat.report.pauli import pauli
+from sarsplat.report.stacks import averaged, pauli
 
 DOCS = Path(__file__).parent
 GRID, NOISE, NAMES = ImageGrid(44, 44, (0.5, 0.5), (0.6, 0.6)), 0.05, ("HH", "HV", "VV")

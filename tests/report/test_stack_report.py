@@ -14,8 +14,8 @@ from datasets import dataset_of
 from sarsplat import ImageGrid, ScatteringLaw, Stack, View, preset, reconstruct, simulate_stack, write_report
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.geometry import radar_frame
-from sarsplat.report.interferogram import Interferogram, Pair, averaged, covariances
 from sarsplat.report.layover import Slice, brightest_layover
+from sarsplat.report.stacks import Interferogram, Pair, averaged, covariances
 
 VIEW, GRID = View(0.0, 45.0), ImageGrid(24, 20, (0.5, 0.6), (0.6, 0.6))
 OFFSETS = (0.0, 0.0006, 0.0012, 0.0024, 0.0048)

@@ -19,7 +19,7 @@ from sarsplat.cli import main
 from sarsplat.evaluation import Scores, Yardstick, summary_metrics
 from sarsplat.executors import EXECUTORS, Means
 from sarsplat.runs.run_folder import LogLine, log_text
-from sarsplat.sweeps import Results, cell, under_way, work
+from sarsplat.sweeps import Results, cell, fleet, work
 from sarsplat.sweeps.cell import cells_of
 from sarsplat.sweeps.page import _panel
 from sarsplat.sweeps.plan import Plan
@@ -268,7 +268,7 @@ def test_a_foreign_folder_is_left_alone(place, out, plan):
         done(plan, place / "data")
     out.mkdir()
     (out / "sweep.json").write_text("{}")
-    with pytest.raises(SarsplatError, match="is not that of a sweep"):
+    with pytest.raises(SarsplatError, match="is not of a sweep"):
         done(plan, out)
     with pytest.raises(SarsplatError, match=r"executor .rai. is unknown; did you mean ray\?"):
         sweep(plan, out, executor="rai")
@@ -307,9 +307,9 @@ def test_progress_names_the_runs_and_how_far_they_are(place, out, plan, monkeypa
         def advance(self, steps: int, status: str) -> None:
             said.append(status)
 
-    monkeypatch.setattr(under_way, "_EVERY_S", 0.01)
+    monkeypatch.setattr(fleet, "_EVERY_S", 0.01)
     one = cells_of(Plan.from_dict(plan, ""), place)[0]
-    with under_way.Live([one], out, Shown()) as live:
+    with fleet.Live([one], out, Shown()) as live:
         log = out / "runs" / f".{one.address}.tmpdir" / "new" / "metrics.jsonl"
         log.parent.mkdir(parents=True)
 

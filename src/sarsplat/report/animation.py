@@ -28,23 +28,23 @@ Frame = UInt8[np.ndarray, "height width"]
 Palette = UInt8[np.ndarray, "256 3"]
 
 # Pixels.
-_SIDE, _LARGEST = 480, 1920  # of the picture's longer side: small images grow to the one, large ones shrink
-_NARROWEST = 440  # what is written below needs that much
+_SIDE, _LARGEST = 480, 1920  # limits of the picture's longer side
+_NARROWEST = 440  # minimum width: room for the text below
 _FOOT, _LINE, _TEXT, _MARGIN = 30, 20, 14, 10
-_BAR = (64, 6)  # of the decibels
+_BAR = (64, 6)  # width and height of the decibel scale
 
-_INK = 190  # shade of what is written: it is not to outshine the picture
+_INK = 190  # shade of text and lines, darker than bright echoes
 _GIF_STEP = 4  # shades merged into one, invisibly, which halves the file
-_SHORTEST_MS = 20  # of a frame: browsers slow shorter ones down
+_SHORTEST_MS = 20  # minimum duration of a frame: browsers slow shorter ones down
 
 
 def frame(
     power: Real[np.ndarray, "rows columns"], view: View, grid: ImageGrid, look: Look, *, unusual: bool = False
 ) -> Frame:
-    """An image of β⁰ (linear power) as indices into the palette of its look, near range on top, and its scales below.
+    """Draw β⁰ (linear power) as indices into the palette of its look, near range on top, with view and scales below.
 
-    Its sides are even; a metre is as long in azimuth as in slant range. With `unusual` there is a line for what is
-    unusual about views (`View.unusual`), as in all frames of an animation if it is in one.
+    Sides are even; a metre is as long in azimuth as in slant range. `unusual` adds a line with `View.unusual`; all
+    frames of an animation need the same.
     """
     from PIL import Image, ImageDraw
 
@@ -141,13 +141,13 @@ ANIMATIONS: dict[str, Recognises] = {
     ".gif": lambda head, _: head.startswith(b"GIF8"),
     ".webp": lambda head, _: head.startswith(b"RIFF") and head[8:12] == b"WEBP",
 }
-"""How names of animations end, and how such files are recognised."""
+"""Suffixes of animations, and tests that recognise such files."""
 
 
 def write_animation(path: Path, frames: Sequence[Frame], palette: Palette, seconds: float) -> None:
-    """Write frames as a looping animation of so many seconds, whole or not at all.
+    """Write frames as a looping animation that takes `seconds`; no partial file is left.
 
-    Whether .mp4 loops is up to the player. Frames have even sides and index into the palette (RGB). Raises
+    The player decides if .mp4 loops. Frames have even sides and index into the palette (RGB). Raises
     `SarsplatError` if the frame rate is too high, a package is missing, or the file cannot be written.
     """
     if not 0 < seconds < 3600:

@@ -22,24 +22,21 @@ if TYPE_CHECKING:
 Corner = Float[np.ndarray, " 3"]
 Points = Float[np.ndarray, "p 3"]
 Seen = Int64[np.ndarray, "rows columns"]
-"""Index of the point that is seen in each pixel, row 0 at the top; −1 where there is none."""
+"""Index of the visible point in each pixel, row 0 at the top; −1 in empty pixels."""
 
-_LEAST_PIXELS, _MOST_PIXELS = 120, 450  # along the longest side of what is shown
-_MARGIN = 0.025
-"""Around the points, as a part of the longest side."""
+_LEAST_PIXELS, _MOST_PIXELS = 120, 450  # limits of the raster's longest side
+_MARGIN = 0.025  # around points, relative to the longest side
+_MOST_POINTS = _MOST_PIXELS**2  # drawn points of a cloud: more would hide each other
+_NEIGHBOURS, _CLOSING = 4, 1.2  # width of a point, relative to the distance of its fourth neighbour
 
-_MOST_POINTS = _MOST_PIXELS**2  # of a cloud that are drawn: more would hide each other
-_NEIGHBOURS, _CLOSING = 4, 1.2  # a point is so many times as wide as its fourth neighbour is away
+_LIGHT = np.array([0.4, -0.5, 0.77])  # direction towards the light on meshes
+_AMBIENT = 0.25  # share of ambient light on meshes
+_PIXELS = 420  # raster of meshes, along the longest side
+_SAMPLES_PER_PIXEL, _MOST_SAMPLES = 8, 2_000_000  # of meshes: a pixel without samples is a hole
+_MESH_MARGIN = 0.03  # around meshes, relative to the longest side
 
-# Of meshes.
-_LIGHT = np.array([0.4, -0.5, 0.77])
-_AMBIENT = 0.25
-_PIXELS = 420  # along the longest side
-_SAMPLES_PER_PIXEL, _MOST_SAMPLES = 8, 2_000_000  # a pixel without any is a hole
-_MESH_MARGIN = 0.03  # of the longest side
-
-_AT_ONCE = 1 << 14  # points: what is calculated of them stays in the processor's cache
-_WIDEST = 15  # pixels of a point
+_BATCH = 1 << 14  # points: intermediate arrays stay in the processor's cache
+_WIDEST = 15  # maximum width of a point, pixels
 
 
 def point_boards(
@@ -47,8 +44,8 @@ def point_boards(
 ) -> tuple[tuple[Block, ...], tuple[ColourBar, ...]]:
     """Points from the side, the front and the top, coloured by height; then by their distances to the true surface.
 
-    `clouds` are reconstructed points by name and `surface` samples of the true surface, all in metres; distances beyond
-    `farthest_m` share one colour. Where these are known, heights may be left out.
+    `clouds` are reconstructed points by name, `surface` samples the true surface, m; distances beyond `farthest_m`
+    share one colour. Without `heights`, clouds are coloured by height only if there is no `surface`.
     """
     titles = [f"{name}, {counted(len(points), 'point')}" for name, points in clouds.items()]
     clouds = {name: _at_most(points, _MOST_POINTS) for name, points in clouds.items()}
@@ -95,17 +92,17 @@ def _apart_m(cloud: cKDTree) -> float:
 
 
 def _distances(truth: cKDTree, points: Points, seen: Sequence[Seen]) -> Float[np.ndarray, " p"]:
-    """Distances of the points that are seen, and 0 of the others."""
+    """Distances of the visible points to the true surface, m; 0 for hidden ones."""
     shown = np.concatenate([side[side >= 0] for side in seen])
     _, first = np.unique(shown, return_index=True)
-    shown = shown[np.sort(first)]  # pixel by pixel: what lies together is found in less time
+    shown = shown[np.sort(first)]  # pixel by pixel: queries of neighbouring points are faster
     distances = np.zeros(len(points))
     distances[shown] = truth.query(points[shown])[0]
     return distances
 
 
 def _limits(points: Points) -> tuple[Corner, Corner]:
-    """Corners of the space shown, m; a few strays do not shrink everything else."""
+    """Corners of the space shown, m, without outliers."""
     if len(points) == 0:
         return np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0])
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
@@ -136,10 +133,10 @@ def _board(raster: Raster, title: str, mesh: trimesh.Trimesh) -> Block:
     return raster.board(title, [sight.seen for sight in sights], lit[face_of], (0.0, 1.0), POWER)
 
 
-# ---- what is seen from a side ---------------------------------------------------------------------------------------
+# ---- points visible from a side -------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Side:
-    """From where a target is seen: axes of the world, 0 to 2; `sign` is −1 if `towards` points away from the viewer."""
+    """Viewing direction given by world axes 0 to 2; `sign` is −1 if axis `towards` points away from the viewer."""
 
     name: str
     across: int
@@ -153,7 +150,7 @@ SIDES = (Side("side", 0, 2, 1, -1), Side("front", 1, 2, 0, 1), Side("top", 0, 1,
 
 @dataclass(frozen=True)
 class Raster:
-    """The space between the corners `low` and `high`, m, in square pixels."""
+    """Square pixels over the box with corners `low` and `high`, m."""
 
     low: Corner
     high: Corner
@@ -161,18 +158,18 @@ class Raster:
 
     @classmethod
     def around(cls, low: Corner, high: Corner, pixels: int) -> Raster:
-        """A raster with so many pixels along the longest side."""
+        """Divide the box into `pixels` along its longest side."""
         return cls(low, high, float((high - low).max()) / pixels)
 
     def nearest(self, points: Points, side: Side, size: int = 1) -> Seen:
-        """What is seen from a side of points that cover `size` × `size` pixels each."""
+        """Find the visible points from one side; each point covers `size` × `size` pixels."""
         sight = Sight(self, side, size)
-        for first in range(0, len(points), _AT_ONCE):
-            sight.add(first, points[first : first + _AT_ONCE].T)
+        for first in range(0, len(points), _BATCH):
+            sight.add(first, points[first : first + _BATCH].T)
         return sight.seen
 
     def sides(self, points: Float[np.ndarray, "p 3"], width_m: float) -> list[Seen]:
-        """What is seen from the three sides of points that are so wide, m."""
+        """Find the visible points, `width_m` wide, from each of the three sides."""
         size = int(np.clip(np.ceil(width_m / self.pixel_m), 1, _WIDEST))
         return [self.nearest(points, side, size) for side in SIDES]
 
@@ -180,7 +177,7 @@ class Raster:
         self, title: str, seen: Sequence[Seen], values: Float[np.ndarray, " p"],
         limits: tuple[float, float], colours: str,
     ) -> Block:  # fmt: skip
-        """The three sides as panels: values from the low to the high limit of the points that are seen."""
+        """Three sides as panels that colour visible points by their values, between two limits."""
 
         def picture(points: Seen) -> str:
             covered, shades = points >= 0, np.zeros(points.shape, np.uint8)
@@ -210,7 +207,7 @@ class Raster:
 
 
 class Sight:
-    """What is seen from a side, of points that are given some at a time and cover `size` × `size` pixels each."""
+    """Depth buffer of one side: points come in batches and cover `size` × `size` pixels each."""
 
     def __init__(self, raster: Raster, side: Side, size: int = 1) -> None:
         self._raster, self._side = raster, side
@@ -222,7 +219,7 @@ class Sight:
         self._up, self._along = (step.ravel() for step in np.meshgrid(around, around))
 
     def add(self, first: int, places: Float[np.ndarray, "3 s"]) -> None:
-        """More points, the first of which has that number; of equally near ones, the last is seen."""
+        """Add points numbered from `first`; of equally near ones, the last is visible."""
         side, covered = self._side, len(self._up)
         row, column = (
             np.floor((places[k] - self._raster.low[k]) / self._raster.pixel_m).astype(np.int64)[:, None] + steps
@@ -240,5 +237,5 @@ class Sight:
 
     @property
     def seen(self) -> Seen:
-        """What is seen of the points added so far."""
+        """Visible points of those added so far."""
         return self._point.reshape(self._shape)[::-1]

@@ -23,14 +23,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WIDTH, _FOOT, _TITLE = 2.4, 1.3, 0.3  # inches
+_LINE, _TABLE_WIDTH = 0.17, 7.4  # of the table, inches
 _MOST_COLUMNS = 4
-_LINE = 0.17
-_TABLE_WIDTH = 7.4
 _PLACES = (0.02, 0.32, 0.46, 0.57, 0.67, 0.82)
-"""Height of a line of the table and its width, inches, and where its columns begin, as shares of the width."""
+"""Left ends of the table's columns, relative to the sheet's width."""
 
 _NOSE = 0.36
-"""Length of the nose's arrow on the ground, of the shorter side of the images."""
+"""Length of the nose's arrow, relative to the shorter side of an image."""
 
 _OF_THE_BRIGHTEST = "power, dB of the brightest 0.1 %"  # see `bright_level`
 _LEGEND = (
@@ -41,7 +40,7 @@ _SHADOW = " Blue: dark beside it; shadow should lie below the target."
 
 
 def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[str, ...]] = ()) -> bytes:
-    """Evenly chosen images of a dataset with target and shadow outlined and directions marked, at most so many, as PNG.
+    """Draw at most `most` evenly chosen images of a dataset, with outlines of target and shadow and the nose, as PNG.
 
     `orientations` is a table to show below the images; see `Examination.orientations`.
     """
@@ -87,14 +86,14 @@ def check_sheet(dataset: Dataset, most: int = 12, orientations: Sequence[tuple[s
 
 
 def _x_of(dataset: Dataset) -> str:
-    """What to call the direction of +x."""
+    """Name of the direction of +x."""
     if dataset.place is None:
         return "the target's +x (of a vehicle its nose)"
     return f"+x (compass bearing {dataset.place.x_towards_deg:.4g}°)"
 
 
 def _table(figure: Figure, rows: Sequence[tuple[str, ...]]) -> None:
-    """Rows of text at the foot of the sheet; the row of the best orientation is set off."""
+    """Write rows of text at the foot of the sheet; the best orientation is highlighted."""
     height = figure.get_size_inches()[1]
     for line, row in enumerate(reversed(rows)):
         colour = TARGET if "best" in row[-1] else DARK.ink if line == len(rows) - 1 else DARK.muted
@@ -108,7 +107,7 @@ def _contour(axes: Axes, mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid
 
 
 def _nose(axes: Axes, view: View, grid: ImageGrid) -> None:
-    """Direction of the nose in an image, from its middle."""
+    """Draw the direction of the nose from the middle of an image."""
     left, right, bottom, top = grid.extent_m
     nose: Float64[np.ndarray, " 2"] = view.look.gradients[:, 0] * _NOSE * min(right - left, bottom - top)
     middle = grid.center_m

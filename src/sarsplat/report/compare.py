@@ -29,18 +29,18 @@ _LARGEST = 192  # pixels along a side that the page shows of an image
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs side by side.
+    """Scores of several runs side by side.
 
     Attributes
     ----------
     runs : tuple of Run
-        By any methods, all evaluated.
+        Evaluated runs of any methods.
     names : tuple of str
-        Their folders' names, or what differs where a sweep named them; their paths where names coincide.
+        Names of their folders, or their differing settings in a sweep; their paths where names coincide.
     tables : tuple of ScoreTable
         A row for every metric, a column for every run.
     caution : str or None
-        A warning if they were not made from the same dataset.
+        A warning if scores are not comparable or a run is unfinished.
     beaten : tuple of str
         A sentence for each run and test set where a baseline is better.
     """
@@ -84,11 +84,11 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
     Parameters
     ----------
     comparison : Comparison
-        What `compare` returned.
+        Result of `compare`.
     out : Path
         Folder to make.
     overwrite : bool
-        Whether an existing comparison there may be replaced.
+        Replace an existing comparison.
 
     Raises
     ------
@@ -116,33 +116,33 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
 
 
 def scores_of(run: Run) -> Mapping[str, Any]:
-    """Content of a run's `metrics.json`; refused if it has not been evaluated."""
+    """Content of a run's `metrics.json`; raises if the run has not been evaluated."""
     if (metrics := run.metrics) is None:
         raise SarsplatError(f"{run.folder} has no scores yet; run `sarsplat evaluate {run.folder}` first")
     return metrics
 
 
 def _caution(runs: Sequence[Run], names: Sequence[str]) -> str | None:
-    """Why scores may not be comparable, if anything speaks against it."""
-    said = []
+    """Reasons why scores may not be comparable, or None."""
+    reasons = []
     made = dict[str, list[str]]()
     for name, run in zip(names, runs, strict=True):
         made.setdefault(str(run.dataset_path or "images in memory"), []).append(name)
     which = ", ".join(f"{in_words(of_one)} from {source}" for source, of_one in made.items())
     if len({run.fingerprint for run in runs}) > 1:
-        said.append(
+        reasons.append(
             f"These runs were made from different datasets, so their scores are not comparable one to one: {which}."
         )
     elif len({scores_of(run).get("truth", {}).get("sha256") for run in runs} - {None}) > 1:
-        said.append(
+        reasons.append(
             "The points of these runs were held against different surfaces, so their scores are not comparable."
         )
-    said += [f"{name} is {run.state}." for name, run in zip(names, runs, strict=True) if not run.state.trained]
-    return " ".join(said) or None
+    reasons += [f"{name} is {run.state}." for name, run in zip(names, runs, strict=True) if not run.state.trained]
+    return " ".join(reasons) or None
 
 
 def _by_dataset(comparison: Comparison) -> list[Comparison]:
-    """The runs of each dataset on their own: no image is shown beside another dataset's truth."""
+    """Split a comparison by dataset: no image is shown beside another dataset's truth."""
     shared: dict[str | None, list[int]] = {}
     for index, run in enumerate(comparison.runs):
         shared.setdefault(run.fingerprint, []).append(index)
@@ -157,9 +157,9 @@ def _by_dataset(comparison: Comparison) -> list[Comparison]:
 
 
 def _across(parts: Sequence[Comparison]) -> int:
-    """Number of views in a row: the more rows there are, the smaller are the images.
+    """Number of views in a row: grows with the number of rows, to bound the page's length.
 
-    So the page keeps its length. Datasets share its width in two columns, of which the longer counts.
+    Several datasets share two columns, of which the longer counts.
     """
     rows = [1 + 2 * len(part.runs) for part in parts]
     per_row, fewest, most = _HALF if len(parts) > 1 else _WHOLE
@@ -167,15 +167,15 @@ def _across(parts: Sequence[Comparison]) -> int:
 
 
 def _views(comparison: Comparison, views: int) -> Figure:
-    """The same views rendered by every run of one dataset, and their errors."""
+    """Figure of one dataset's views, their renderings by every run, and the errors."""
     dataset, worst = comparison.runs[0].dataset, dict[int, str]()
     for name, run in zip(comparison.names, comparison.runs, strict=True):
         best_first, _ = ranked_images(dataset, scores_of(run))
         if best_first:
             index = best_first[-1][1]
             worst[index] = f"{worst[index]}, {name}" if index in worst else f"worst of {name}"
-    every = f"worst of {', '.join(comparison.names)}"
-    of_note = [Chosen(index, "worst of all" if why == every else why) for index, why in worst.items()]
+    by_all = f"worst of {', '.join(comparison.names)}"
+    of_note = [Chosen(index, "worst of all" if why == by_all else why) for index, why in worst.items()]
     chosen = with_others(dataset, of_note, max(2, views - len(of_note)))
     true = "Measured" if dataset.calibration == "relative" else "Truth"
     text = f"{true} and reconstructions on one scale, the radar above."

@@ -40,7 +40,7 @@ def _curve(title: str, label: str, x: np.ndarray, y: np.ndarray, *, zero: bool =
 
 
 def _around(values: np.ndarray) -> tuple[float, float]:
-    """Limits with a little room; different ones even if all values are the same."""
+    """Limits of an axis with a margin; they differ even if all values are equal."""
     low, high = float(values.min()), float(values.max())
     room = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
     return low - room, high + room

@@ -1,6 +1,6 @@
-"""A figure of a page: panels with axes, and colour bars. `figure.html.j2` turns it into HTML.
+"""Figures of a page: panels with axes, and colour bars. `figure.html.j2` turns them into HTML.
 
-Only what is inside a panel's frame is a picture or a drawing; axes, scale bars and labels are text of the page, so they
+Only the inside of a panel's frame is a picture or drawing; axes, scale bars and labels are text of the page, so they
 keep their size on a phone and follow light and dark.
 """
 
@@ -15,12 +15,12 @@ from jaxtyping import Float
 
 from sarsplat.colours import gradient
 
-_SIDE_UNITS = 1000  # of a drawing
+_SIDE_UNITS = 1000  # side of a drawing
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Label with its unit, and ticks: places from 0 (left or top) to 1, and what is written there."""
+    """Label with its unit, and ticks: positions from 0 (left or top) to 1 with their texts."""
 
     label: str
     ticks: tuple[tuple[float, str], ...]
@@ -28,24 +28,24 @@ class Axis:
 
 @dataclass(frozen=True)
 class Panel:
-    """One frame with axes; what is in it is a picture, a canvas that a program fills, or a drawing."""
+    """Frame with axes around a picture, a canvas that a program fills, or a drawing."""
 
     title: str
-    alt: str  # what screen readers say of the picture
+    alt: str  # for screen readers
     across: Axis
     down: Axis
     aspect: float | None = None  # width over height; a chart is as high as the page says
-    image: str = ""  # its address
+    image: str = ""  # URL
     drawing: str = ""  # SVG in a square of 1000 units, stretched to the frame; classes give its colours
     scale: tuple[float, str] | None = None  # of a scale bar: part of the width, and its length with the unit
     radar: bool = False  # a SAR image: the radar is above it, near range first
-    black: bool = False  # what is written on it is white, whatever the page's colours are
-    canvas: str = ""  # its name
+    black: bool = False  # black background in both themes: text on it is white
+    canvas: str = ""  # id
 
 
 @dataclass(frozen=True)
 class ColourBar:
-    """What the colours mean: label with its unit, CSS gradient, and ticks from 0 (left) to 1."""
+    """Colour scale: label with its unit, CSS gradient, and ticks from 0 (left) to 1."""
 
     label: str
     gradient: str
@@ -54,10 +54,10 @@ class ColourBar:
 
 @dataclass(frozen=True)
 class Block:
-    """Panels that belong together, and what they have in common.
+    """Titled group of panels.
 
     `columns` are the relative widths of three sides of a target, of which narrow pages show two in a row; other panels
-    are as wide as if `across` stood in a row.
+    are as wide as if `across` shared a row.
     """
 
     title: str
@@ -67,7 +67,7 @@ class Block:
 
     @property
     def tall(self) -> bool:
-        """Whether two rows of sides would be higher than half as wide: such a target is better shown in one row."""
+        """True if three sides in two rows would be higher than half their width; they then share one row."""
         if not self.columns:
             return False
         side, _, top = (width / (panel.aspect or 1) for width, panel in zip(self.columns, self.panels, strict=True))
@@ -76,10 +76,9 @@ class Block:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of a page: heading, what is seen, blocks of panels, what their colours mean, and a legend's name.
+    """Figure of a page: heading, caption, blocks of panels, colour bars, and the name of a legend.
 
-    Its layout is "beside" if blocks are to be compared side by side, "beside low" if there are many of them, or "sheet"
-    if each is a row of small panels.
+    `layout` is "beside" for blocks side by side, "beside low" for many of them, "sheet" for rows of small panels.
     """
 
     title: str

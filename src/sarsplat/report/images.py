@@ -21,12 +21,12 @@ _MARGIN = 5  # pixels around the target
 
 
 def indexed(values: Real[np.ndarray, "*shape"], low: float, high: float) -> UInt8[np.ndarray, "*shape"]:
-    """Indices 0 to 255 of values from `low` to `high`; what lies beyond looks like the nearer end."""
+    """Map values from `low` to `high` to indices 0 to 255; values beyond are clipped."""
     return np.round(255 * np.clip((np.asarray(values) - low) / (high - low), 0, 1)).astype(np.uint8)
 
 
 def png(picture: UInt8[np.ndarray, "rows columns *rgb"], colours: Palette | None = None) -> bytes:
-    """A PNG of indices of a palette, in grey without one; or of red, green and blue."""
+    """Encode palette indices (grey levels without `colours`) or RGB as PNG."""
     from PIL import Image
 
     buffer, options = io.BytesIO(), {}
@@ -39,25 +39,25 @@ def png(picture: UInt8[np.ndarray, "rows columns *rgb"], colours: Palette | None
 
 
 def address(picture: UInt8[np.ndarray, "rows columns *rgb"], colours: Palette | None = None) -> str:
-    """The PNG as an address that holds it."""
+    """Encode a picture as the data URL of a PNG."""
     return f"data:image/png;base64,{base64.b64encode(png(picture, colours)).decode()}"
 
 
 def block_means(
     images: Real[np.ndarray, "v rows columns"], factor: int
 ) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
-    """Means over blocks of `factor` × `factor` pixels; what is left over at the far edges is cut off."""
+    """Means over blocks of `factor` × `factor` pixels; incomplete blocks at the far edges are cut off."""
     if factor == 1:
         return images
     count, rows, columns = len(images), images.shape[1] // factor, images.shape[2] // factor
-    whole = images[:, : rows * factor, : columns * factor]
-    return whole.reshape(count, rows, factor, columns, factor).mean(axis=(2, 4))
+    cropped = images[:, : rows * factor, : columns * factor]
+    return cropped.reshape(count, rows, factor, columns, factor).mean(axis=(2, 4))
 
 
 def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margin: int = 0) -> tuple[slice, slice]:
-    """The rows and columns worth showing: the target with a margin if all around is dark, else what is scored.
+    """Rows and columns to show: the target with a margin if its surroundings are dark, else the scored pixels.
 
-    What is `DYNAMIC_RANGE_DB` below `peak` is dark; `margin` is how many pixels on each side are not scored.
+    Pixels `DYNAMIC_RANGE_DB` below `peak` are dark; `margin` pixels on each side are not scored.
     """
     size = images.shape[1:]
     bright = brighter(images.max(axis=0), -DYNAMIC_RANGE_DB, peak)
@@ -77,7 +77,7 @@ def view_name(view: View) -> str:
 
 @dataclass(frozen=True)
 class Part:
-    """The part of images that is shown, and how many pixels of a side become one."""
+    """Window of an image grid that is shown; blocks of `factor` × `factor` pixels are averaged."""
 
     grid: ImageGrid
     rows: slice
@@ -94,17 +94,17 @@ class Part:
         return cls(grid, rows, columns, -(-side // largest))
 
     def of_images(self, images: Real[np.ndarray, "v rows columns"]) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
-        """The part of images of any quantity that may be averaged."""
+        """Crop and average images of a quantity that may be averaged."""
         return block_means(images[:, self.rows, self.columns], self.factor)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Rows and columns of what is shown."""
+        """Shown rows and columns, after averaging."""
         rows, columns = ((part.stop - part.start) // self.factor for part in (self.rows, self.columns))
         return rows, columns
 
     def panel(self, title: str, alt: str, *, black: bool = True, **shown: str) -> Panel:
-        """A panel with the axes of this part, which shows an image, a drawing or a canvas."""
+        """Panel with the axes of this part; `shown` names its image, drawing or canvas."""
         rows, columns = (
             slice(part.start, part.start + count * self.factor)
             for part, count in zip((self.rows, self.columns), self.size, strict=True)
@@ -123,21 +123,21 @@ class Part:
         )
 
     def power(self, title: str, alt: str, image: Image, peak: float, drawing: str = "") -> Panel:
-        """An image in decibels below the peak."""
+        """Panel of an image in decibels below the peak."""
         grey = indexed(shade(self.of_images(image[None])[0], peak), 0, 1)
         return self.panel(title, alt, image=address(grey), drawing=drawing)
 
     def difference(self, title: str, alt: str, difference: Image, largest: float) -> Panel:
-        """A signed error."""
+        """Panel of a signed error."""
         shown = indexed(self.of_images(difference[None])[0], -largest, largest)
         return self.panel(title, alt, image=address(shown, ramp(DIFFERENCE)), black=False)
 
 
 def power_bar() -> ColourBar:
-    """What the greys of `Part.power` mean."""
+    """Colour bar of `Part.power`."""
     return colour_bar("power, dB relative to the brightest training pixels", POWER, -DYNAMIC_RANGE_DB, 0)
 
 
 def difference_bar(difference: Difference) -> ColourBar:
-    """What the colours of `Part.difference` mean."""
+    """Colour bar of `Part.difference`."""
     return colour_bar(difference.label, DIFFERENCE, -difference.largest, difference.largest)

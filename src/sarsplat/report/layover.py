@@ -45,7 +45,7 @@ class Slice:
         return points[:, :2] @ self.view.look.ahead, points[:, 2]
 
     def within(self, points: Points) -> Bool[np.ndarray, " p"]:
-        """Which points are in the slice."""
+        """Mask of the points in the slice."""
         return np.abs(points @ self.view.look.gradients[0] - self.azimuth_m) <= self.thickness_m / 2
 
     def through(self, mesh: trimesh.Trimesh) -> Lines:
@@ -57,10 +57,10 @@ class Slice:
 
 
 def brightest_layover(dataset: Dataset, points: Points, window: int) -> tuple[int, Slice]:
-    """Index of a training image, and the slice through its brightest layover, `window` pixels thick.
+    """Index of the training image with the brightest layover, and the slice through it, `window` pixels thick.
 
-    Layover is where points that share a pixel are farther apart in elevation than the stack resolves. Without any, the
-    slice is through what is brightest.
+    A pixel has layover if it holds points farther apart in elevation than the stack resolves. Without any layover, the
+    slice goes through the brightest pixels.
     """
     found = []
     for index, (entry, power) in enumerate(zip(dataset.entries, dataset.power, strict=True)):
@@ -94,9 +94,9 @@ def _several_heights(
 
 
 def slice_figure(run: Run, cut: Slice, truth: Path | None) -> Figure | None:
-    """Ground range and height of the points in a slice, beside those of Capon's method and the true surface.
+    """Points of a slice by ground range and height, reconstructed and by Capon's method, with the true surface.
 
-    None if there are none.
+    None if the slice has no points.
     """
     points = run.points
     if not len(points):
@@ -114,7 +114,7 @@ def slice_figure(run: Run, cut: Slice, truth: Path | None) -> Figure | None:
 
 
 def _panel(name: str, cut: Slice, points: Points, lines: Lines, frame: Frame) -> Panel:
-    """One cloud in front of the true surface, as far away in height as in range."""
+    """Chart of one cloud and the true surface, with one scale for range and height."""
     (left, right), (bottom, top) = frame
 
     def places(shown: Points) -> tuple[np.ndarray, np.ndarray]:
@@ -130,12 +130,11 @@ def _panel(name: str, cut: Slice, points: Points, lines: Lines, frame: Frame) ->
 
 
 def _frame(cut: Slice, clouds: Sequence[Points], lines: Lines) -> Frame:
-    """What is shown: where points are, and as high as the true surface is there; ground range and height, m."""
+    """Limits of ground range (of the points) and height (of points and true surface at these ranges), m."""
     ranges, heights = cut.axes(np.concatenate(clouds))
     near, far = float(ranges.min()), float(ranges.max())
     of_ends, heights_of_ends = cut.axes(lines.reshape(-1, 3))
-    there = (of_ends >= near) & (of_ends <= far)
-    heights = np.concatenate([heights, heights_of_ends[there]])
+    heights = np.concatenate([heights, heights_of_ends[(of_ends >= near) & (of_ends <= far)]])
     low, high = float(heights.min()), float(heights.max())
     margin = _MARGIN * max(far - near, high - low) or 1.0  # of a single point
     return (near - margin, far + margin), (low - margin, high + margin)

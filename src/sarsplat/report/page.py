@@ -1,4 +1,4 @@
-"""The page: HTML with its pictures and style inside, so that it can be shared as one file, and its tables of scores."""
+"""Report page: self-contained HTML with pictures, style and tables of scores."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Cell:
-    """One value: its column, and whether it is the best in its row."""
+    """Value of one column; `best` marks the best of its row."""
 
     column: Scores
     text: str
@@ -64,7 +64,7 @@ class ScoreTable:
 def score_table(
     title: str, metrics: Sequence[Metric[Any]], columns: Sequence[Scores], deciding: int | None = None
 ) -> ScoreTable:
-    """The metrics that pages show and that any of the first columns, by default of all, has: across all columns."""
+    """Table of the page's metrics that any of the first `deciding` columns (default: all) has."""
     rows = []
     for metric in metrics:
         if metric.place == "file" or all(column.values.get(metric.key) is None for column in columns[:deciding]):
@@ -153,13 +153,13 @@ def page(run: Run, figures: list[Figure], training: list[Figure], widget: dict[s
 
 
 def rendered(template: str, **values: Any) -> str:
-    """A template of this package with its values as HTML that needs no other file."""
+    """Fill a template of this package; the HTML needs no other file."""
     return _templates().get_template(template).render(**values)
 
 
 @cache
 def _templates() -> jinja2.Environment:
-    """It keeps the templates compiled."""
+    """Environment that caches compiled templates."""
     import jinja2
 
     templates = jinja2.Environment(
@@ -263,7 +263,7 @@ def _run_facts(run: Run) -> dict[str, str]:
 
 
 def _power_by_echo(run: Run) -> dict[str, str]:
-    """Of runs that have learned more than target and ground."""
+    """Shares of power by echo, if the run has learned more echoes than those of target and ground."""
     if run.model is None or not run.model.echoes():
         return {}
     shares = run.model.power_by_echo(run.model.degree(run.iteration))

@@ -1,4 +1,4 @@
-"""The views of a sweep, and rendered images as a folder of them, a single one, or an animation."""
+"""Views of a sweep, and rendered images written as a folder, a single image, or an animation."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ IMAGES: dict[str, Recognises] = {
     ".png": lambda head, _: head.startswith(b"\x89PNG"),
     ".tif": lambda head, _: head.startswith((b"II*\0", b"MM\0*")),
 }
-"""How names of single images end, and how such files are recognised."""
+"""Suffixes of single images, and tests that recognise such files."""
 
 FILES = {**ANIMATIONS, **IMAGES}
-"""Every ending of a file that can be written; other names are those of folders."""
+"""All suffixes of files; other names are folders."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class Rendered:
     look: Look
 
     def around_target(self) -> Rendered:
-        """The same part of every image, with the target in it; all of them where they show ground as well."""
+        """Crop all images to the target; unchanged if they show ground."""
         rows, columns = target_window(self.images, self.look.peak)
         return replace(self, images=self.images[:, rows, columns], grid=self.grid.part(rows, columns))
 
     def write(self, out: Path, *, seconds: float, overwrite: bool) -> str:
-        """Write what the name stands for (see `require_output`), whole or not at all, and say what that is."""
+        """Write the file or folder that `out` names (see `require_output`), never partly; return a description."""
         ending = out.suffix.lower()
         require_output(out, len(self.views))
         if ending in ANIMATIONS:
@@ -74,7 +74,7 @@ class Rendered:
 
 
 def require_output(out: Path, views: int) -> None:
-    """Refuse names of unknown file types (unless a folder has it), and files that cannot hold that many views."""
+    """Raise if `out` has an unknown suffix (and is no folder) or cannot hold that many views."""
     ending = out.suffix.lower()
     if ending not in FILES and re.fullmatch(r"\.[a-z]{2,5}\d?", ending) and not out.is_dir():
         raise SarsplatError(
@@ -90,7 +90,7 @@ def require_output(out: Path, views: int) -> None:
 
 
 def require_distinct(views: list[View]) -> None:
-    """Refuse views that would have one file name in a folder."""
+    """Raise if two views would have the same file name."""
     if len({_name(view) for view in views}) < len(views):
         raise SarsplatError("two of the views are the same to within a millionth of a degree; give each view once")
 
@@ -103,7 +103,7 @@ def _description(view: View) -> str:
 
 
 def _name(view: View) -> str:
-    """E.g. az030_gr17.5: sorts by azimuth; what is unusual about the view follows, as _tilt-5_apart30_left."""
+    """File name that sorts by azimuth, e.g. az030_gr17.5, with further angles and the side, e.g. _tilt-5_left."""
 
     def digits(angle: float, width: int = 0) -> str:
         return f"{angle:0{width}.6f}".rstrip("0").rstrip(".")
@@ -140,12 +140,12 @@ def sweep_views(
     ends_deg: tuple[float, float] | None = None,
     other_deg: float | None = None,
 ) -> list[View]:
-    """Views in which one angle changes and the other stays; played again and again, they never jump.
+    """Views in which one angle changes and the other stays, as a seamless loop.
 
-    `ends_deg` are the angles between which the sweep goes, there and back, slower at its ends; without them, azimuths
-    make a whole turn, and grazing angles go between the lowest and the highest training view. `other_deg` is the angle
-    that stays: by default, the middle one of the training views' grazing angles, or the azimuth of the first of them.
-    Tilt and side are as theirs (`seen_alike`).
+    The sweep goes from the first to the second of `ends_deg` and back, slower at its ends; by default, azimuths turn
+    full circle and grazing angles go between the lowest and highest training view. `other_deg` is the fixed angle: by
+    default the median grazing angle or the first azimuth of the training views. Tilt and side follow them
+    (`seen_alike`).
     """
     if frames < 2:
         raise SarsplatError(f"a sweep of {frames} frames does not move; give at least 2")

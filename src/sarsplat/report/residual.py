@@ -17,17 +17,17 @@ from sarsplat.radiometry import DYNAMIC_RANGE_DB, difference_db, from_db
 Stack = Real[np.ndarray, "v rows columns"]
 
 _LARGEST_DB, _LARGEST_SIGMA = 6.0, 4.0
-"""Larger differences have the same colour."""
+"""Ends of the colour scale; larger differences are clipped."""
 
 _LEAST_WINDOW = 3
-_DARKEST_DB = -60.0  # of the brightest pixel: what a rendering without ground is taken for, to divide by
+_DARKEST_DB = -60.0  # floor of rendered power below the peak: σ is never 0
 
 
 def window(grid: ImageGrid) -> tuple[int, int, float]:
-    """Rows and columns of pixels that a residual is averaged over, and how many of these are independent.
+    """Rows and columns of the averaging window of residuals, and its number of independent samples.
 
-    The smallest window of at least 3 × 3 pixels with a pixel in the middle that holds a resolution cell; its pixels are
-    independent as far as `ImageGrid.independent_samples` says.
+    The smallest window of odd sides, at least 3 × 3 pixels, that holds a resolution cell; see
+    `ImageGrid.independent_samples`.
     """
     columns, rows = (
         max(_LEAST_WINDOW, 2 * math.ceil((width / spacing - 1) / 2) + 1)
@@ -39,9 +39,9 @@ def window(grid: ImageGrid) -> tuple[int, int, float]:
 
 @dataclass(frozen=True)
 class Difference:
-    """The error shown in figures: its label, its range and its explanation.
+    """Error shown in figures: its label, range and explanation.
 
-    `looks` are those of the true images, None if these are without speckle; `peak` is the power shown white.
+    `looks` is that of the true images (None without speckle), `peak` the power shown white.
     """
 
     looks: float | None
@@ -50,17 +50,17 @@ class Difference:
 
     @property
     def largest(self) -> float:
-        """Larger values have the same colour."""
+        """End of the colour scale; larger values are clipped."""
         return _LARGEST_DB if self.looks is None else _LARGEST_SIGMA
 
     @property
     def label(self) -> str:
-        """What the colour bar says."""
+        """Label of the colour bar."""
         return "reconstruction over truth, dB" if self.looks is None else "residual ÷ σ of the speckle"
 
     @property
     def explained(self) -> str:
-        """What the caption says."""
+        """Caption."""
         colours = f"{DIFFERENCE_IN_WORDS.capitalize()}."
         if self.looks is None:
             return (
@@ -76,7 +76,7 @@ class Difference:
         )
 
     def of(self, truth: Stack, rendered: Stack) -> Float64[np.ndarray, "v rows columns"]:
-        """Rendered against true images, of β⁰ in linear power [V, rows, columns]; both as shown.
+        """Error of rendered against true images, β⁰ in linear power [V, rows, columns].
 
         Without speckle 10·log10(rendered / truth), both at least −40 dB of the peak. With speckle of L looks (mean(S) −
         mean(I)) / √(mean(S²) / (L·n)), means over a window with n independent samples: I scatters around S by S/√L.
@@ -91,7 +91,7 @@ class Difference:
 
 
 def fitted(truth: Stack, rendered: Stack, looks: float | None, margin: int) -> Stack:
-    """The rendered images as they are scored: speckled ones are shifted and scaled to fit their images best."""
+    """Align rendered images as in scoring: under speckle, shift and scale them to fit the true images best."""
     if looks is None:
         return rendered
     try:

@@ -1,4 +1,4 @@
-"""Sheets of images by matplotlib: what is drawn on each, and all of them on one contact sheet."""
+"""Contact sheets of images, and matplotlib parts that other sheets share."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ _SIDE, _LINE = 1.6, 0.13  # inches
 _MAX_COLUMNS = 8
 _MOST = 12 * _MAX_COLUMNS  # images: more would not fit on a screen
 _TEXT = 7.5  # points
-_PIXELS = 512  # of an image's shorter side: a place has fewer
-_EDGE = 0.05  # of an image, free around what is drawn on it
+_PIXELS = 512  # maximum of an image's shorter side on the sheet
+_EDGE = 0.05  # margin of annotations, relative to an image
 _PLATE: dict[str, Any] = {"facecolor": DARK.card, "edgecolor": "none", "alpha": 0.75, "pad": 1.5}
-"""Behind words on an image, however bright that is."""
+"""Background of text on an image."""
 
 
 @checks_arguments
 def contact_sheet(
     images: Real[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid, look: Look
 ) -> bytes:
-    """All images in decibels, the same part of each with the target in it, with view, scale and radar, as PNG.
+    """Draw all images in decibels, cropped to the target, with view, scale and radar, as PNG.
 
     Parameters
     ----------
     images : numpy.ndarray, float [V, rows, columns]
         β⁰, linear power.
     views, grid
-        From where, and where the pixels lie.
+        Of the images.
     look : Look
-        The colours, as of the single pictures.
+        Levels and colours, as of the single pictures.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def contact_sheet(
 
     Notes
     -----
-    Of more than 96 images, 96 are shown that are evenly spaced in their order; the sheet says so.
+    At most 96 images are shown, evenly spaced in their order; the sheet says so.
     """
     if len(images) == 0:
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
@@ -88,7 +88,7 @@ def contact_sheet(
 def _reduced(
     images: Real[np.ndarray, "v {grid.rows} {grid.columns}"], grid: ImageGrid
 ) -> tuple[Real[np.ndarray, "v rows columns"], ImageGrid]:
-    """Means over so many pixels that a place on the sheet can show them."""
+    """Average images until their shorter side has fewer than twice `_PIXELS` pixels."""
     factor = max(1, min(grid.rows, grid.columns) // _PIXELS)
     reduced = block_means(images, factor)
     rows, columns = reduced.shape[1:]
@@ -99,7 +99,7 @@ def _reduced(
 
 # ---- shared with other sheets ----------------------------------------------------------------------------------------
 def new_figure(width: float, height: float) -> Figure:
-    """An empty dark panel, inches, which suits light and dark pages."""
+    """Empty dark figure, inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -109,7 +109,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def new_sheet(size: tuple[float, float], lines: int, columns: int, **margins: float) -> tuple[Figure, list[Axes]]:
-    """A panel of width × height, inches, with empty places for images, row by row."""
+    """Dark figure of width × height, inches, and empty axes for images, row by row."""
     figure = new_figure(*size)
     places = figure.subplots(lines, columns, squeeze=False).ravel().tolist()
     figure.subplots_adjust(**margins)
@@ -119,7 +119,7 @@ def new_sheet(size: tuple[float, float], lines: int, columns: int, **margins: fl
 
 
 def draw_image(axes: Axes, power: np.ndarray, grid: ImageGrid, look: Look, title: str, size: float) -> None:
-    """β⁰ [rows, columns] in decibels, axes in metres, with radar, scale and title; text of `size` points."""
+    """Draw β⁰ [rows, columns] in decibels, axes in metres, with radar, scale and title; text of `size` points."""
     from matplotlib.text import OffsetFrom
 
     levels: dict[str, Any] = {"cmap": colormap(look.cmap), "vmin": -look.range_db, "vmax": 0}
@@ -141,7 +141,7 @@ def draw_image(axes: Axes, power: np.ndarray, grid: ImageGrid, look: Look, title
 def arrow(
     axes: Axes, start: tuple[float, float], end: tuple[float, float], line: str = "-", **coordinates: Any
 ) -> None:
-    """A light arrow with a dark edge, to be seen on any image."""
+    """Draw a light arrow with a dark edge, visible on any image."""
     from matplotlib.patheffects import withStroke
 
     style = {"arrowstyle": "->", "color": DARK.ink, "linestyle": line, "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0}
@@ -150,7 +150,7 @@ def arrow(
 
 
 def decibel_bar(figure: Figure, place: tuple[float, float, float, float], look: Look, label: str) -> None:
-    """A horizontal colour bar at a place of a sheet; the label says what 0 dB is."""
+    """Draw a horizontal colour bar; the label explains 0 dB."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -163,7 +163,7 @@ def decibel_bar(figure: Figure, place: tuple[float, float, float, float], look: 
 
 
 def to_png(figure: Figure, kind: str = "png") -> bytes:
-    """The finished figure, or another kind of file."""
+    """Encode a figure as PNG or another `kind` of file."""
     buffer = io.BytesIO()
     metadata = {"Date": None} if kind == "svg" else None  # the same figure, the same file
     figure.savefig(buffer, format=kind, dpi=110, facecolor=DARK.card, metadata=metadata)

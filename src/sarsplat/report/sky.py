@@ -17,10 +17,9 @@ _SIZE = (5.6, 6.0)  # inches
 def sky_picture(
     train: Sequence[View], test: Sequence[View], title: str, kind: str = "png", zero: str = "nose"
 ) -> bytes:
-    """The sky from above, a point for every view: overhead in the middle, the horizon, or aloft the nadir, around.
+    """Polar plot of views: zenith in the middle, at the rim the horizon, or the nadir if views are aloft.
 
-    `zero` is what lies at azimuth 0. Shades the largest gap in azimuth between training views, of which there must be
-    one, unless they are aloft.
+    `zero` names azimuth 0. Shades the largest azimuth gap between training views (at least one), unless they are aloft.
     """
     figure = new_figure(*_SIZE)
     axes: Any = figure.add_axes((0.1, 0.12, 0.8, 0.72), projection="polar")  # PolarAxes

@@ -44,13 +44,13 @@ def evenly(count: int, wanted: int) -> list[int]:
 
 
 def unseen(dataset: Dataset) -> list[int]:
-    """Indices of the test images, or of the training images where there are none."""
+    """Indices of the test images, or of all images if there are no tests."""
     tests = [index for index, entry in enumerate(dataset.entries) if entry.split != "train"]
     return tests or list(range(len(dataset)))
 
 
 def chosen_views(dataset: Dataset, metrics: Mapping[str, Any] | None, most: int = _VIEWS) -> list[Chosen]:
-    """The best, the median and the worst of the unseen images if they were scored, then others, evenly spread."""
+    """Choose the best, median and worst of the scored unseen images, then others, evenly spread."""
     best_first, metric = ranked_images(dataset, metrics, fewest=3)
     of_note: list[Chosen] = []
     if metric is not None:
@@ -63,7 +63,7 @@ def chosen_views(dataset: Dataset, metrics: Mapping[str, Any] | None, most: int 
 def ranked_images(
     dataset: Dataset, metrics: Mapping[str, Any] | None, fewest: int = 1
 ) -> tuple[list[tuple[float, int]], Metric[ImagePair] | None]:
-    """Scores of images with their indices, the best first, and what was scored: of the first test set with enough."""
+    """Scores with image indices, best first, and their metric, of the first test set with at least `fewest` scores."""
     for split, scored in ((metrics or {}).get("by_image") or {}).items():
         metric = next(metric for metric in IMAGE_METRICS if metric.key == scored["metric"])
         indices = [index for index, entry in enumerate(dataset.entries) if entry.split == split]
@@ -74,7 +74,7 @@ def ranked_images(
 
 
 def with_others(dataset: Dataset, chosen: Sequence[Chosen], others: int) -> list[Chosen]:
-    """The chosen images, then at most so many other unseen ones, evenly spread."""
+    """The chosen images, then at most `others` other unseen ones, evenly spread."""
     rest = sorted(set(unseen(dataset)) - {one.index for one in chosen})
     return [*chosen, *(Chosen(rest[k]) for k in evenly(len(rest), others) if rest)]
 
@@ -82,10 +82,10 @@ def with_others(dataset: Dataset, chosen: Sequence[Chosen], others: int) -> list
 def views_figure(
     title: str, text: str, runs: Mapping[str, Run], chosen: Sequence[Chosen], largest: int = _LARGEST, across: int = 0
 ) -> Figure:
-    """Truth, reconstructions and errors of images of the dataset that some runs share.
+    """Truth, reconstructions and errors of chosen images of the dataset that the runs share.
 
-    `runs` are keyed by what to call their images; images with a side of more than `largest` pixels are averaged.
-    With `across`, they are a sheet: a row for the truth and for every run, as if at least so many stood in it.
+    `runs` are keyed by name; images with a side of more than `largest` pixels are averaged. With `across`, the figure
+    is a sheet: a row for the truth and for every run, with room for at least `across` panels.
     """
     dataset = next(iter(runs.values())).dataset
     indices = [one.index for one in chosen]
@@ -152,11 +152,11 @@ def _which(dataset: Dataset, chosen: Sequence[Chosen]) -> str:
 
 # ---- masks ----------------------------------------------------------------------------------------------------------
 def masks_figure(run: Run, folder: Path) -> Figure | None:
-    """Test images with the outlines of the true masks in a folder and of the predicted ones; None if there are none."""
+    """Test images with outlines of true masks (from a folder) and predicted masks; None if none can be predicted."""
     dataset = run.dataset
     masks = read_masks(folder, dataset)
-    given = list(masks)
-    chosen = [given[index] for index in evenly(len(given), _VIEWS)]
+    masked = list(masks)
+    chosen = [masked[index] for index in evenly(len(masked), _VIEWS)]
     looks = dataset.select(dataset.entries[chosen[0]].split).looks
     images = replace(dataset.take(chosen), looks=looks, clean_tests=False)
     try:
@@ -164,8 +164,8 @@ def masks_figure(run: Run, folder: Path) -> Figure | None:
     except UndefinedScore:  # the evaluation gives the reason
         return None
     truth = np.stack([masks[index] for index in chosen])
-    anything = np.maximum(truth, predicted).max(axis=0)
-    rows, columns = (_window(anything.max(axis=1 - axis)) for axis in (0, 1))
+    union = np.maximum(truth, predicted).max(axis=0)
+    rows, columns = (_window(union.max(axis=1 - axis)) for axis in (0, 1))
     part = Part.of(dataset.grid, (rows, columns), _LARGEST)
     peak = white_level(dataset.images("train"))
     panels = []
@@ -174,8 +174,8 @@ def masks_figure(run: Run, folder: Path) -> Figure | None:
         alt = f"{view_name(view)}, with the outlines of the true and the predicted target and shadow"
         panels.append(part.power(view_name(view), alt, image, peak, drawing))
     text = (
-        f"{len(chosen)} of {len(given)} test views with true masks, evenly chosen. The predicted outlines are those of "
-        "the learned geometry"
+        f"{len(chosen)} of {len(masked)} test views with true masks, evenly chosen. The predicted outlines are those "
+        "of the learned geometry"
     )
     if looks is not None:
         text += ", shifted by whole pixels to where the rendered image fits the measured one best"

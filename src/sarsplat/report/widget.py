@@ -28,23 +28,23 @@ from sarsplat.report.views import evenly
 from sarsplat.runs import Run
 
 _BYTES = 900_000
-"""Of the PNGs of the raster, and again of those of the true images with their errors."""
+"""Budget of the PNG of rendered images, and of the PNGs of true images and errors together."""
 
 _LARGEST = 128  # pixels along a side
-_MOST_RENDERED = 8_000_000  # pixels and Gaussians of all images on the raster: of these, an image takes its time
-_TOGETHER, _AT_A_TIME = 1_000_000, 8  # of these, and images, rendered at once: memory stays small
-_DEEPEST_DB, _SHALLOWEST_DB = 60.0, 10.0  # below the brightest training pixel, that can be shown
+_MOST_RENDERED = 8_000_000  # cost (pixels + Gaussians) of all images on the raster
+_BATCH_COST, _BATCH_IMAGES = 1_000_000, 8  # rendered at once, which bounds memory
+_DEEPEST_DB, _SHALLOWEST_DB = 60.0, 10.0  # limits of the displayed dynamic range
 _LEVELS = 120  # of brightness: half a decibel each
-_FINEST_DEG = 5.0  # of the raster
-_MOST_GRAZING = 5  # angles of the raster
+_FINEST_DEG = 5.0  # minimum step of the raster
+_MOST_GRAZING = 5  # grazing angles of the raster
 _POINTS = 20_000
 _TRIED = 4  # images used to estimate the bytes per image
 
 
 def widget(run: Run) -> dict[str, Any] | None:
-    """What `widget.html.j2` needs of a run with its dataset; None if it has no points to turn.
+    """Values of `widget.html.j2`; None if the run has no points.
 
-    Panels to draw in, colour bars, a text, whether images come from several grazing angles, the data for `widget.js`.
+    Panels, colour bars, a text, `climbs` (images have several grazing angles), and the data for `widget.js`.
     """
     points, dataset = run.points, run.dataset
     if len(points) == 0:
@@ -57,17 +57,17 @@ def widget(run: Run) -> dict[str, Any] | None:
 
     chosen = _affordable(dataset, part, peak)
     views = [dataset.views[index] for index in chosen]
-    each = part.grid.rows * part.grid.columns + len(run.gaussians or ())
+    cost = part.grid.rows * part.grid.columns + len(run.gaussians or ())
     parts: list[tuple[Any, ...]] = []
-    for some in _images(run, views, each, "at the dataset's views"):  # of which little is shown
+    for batch in _images(run, views, cost, "at the dataset's views"):
         done = sum(len(one) for one, *_ in parts)
-        truth = dataset.power[chosen[done : done + len(some)]]
-        wrong = difference.of(truth, fitted(truth, some, looks, dataset.score_margin))
-        parts.append(tuple(part.of_images(images) for images in (some, truth, wrong)))
+        truth = dataset.power[chosen[done : done + len(batch)]]
+        error = difference.of(truth, fitted(truth, batch, looks, dataset.score_margin))
+        parts.append(tuple(part.of_images(images) for images in (batch, truth, error)))
     rendered, true, errors = (np.concatenate(of_all) for of_all in zip(*parts, strict=True))
-    raster = _raster(dataset.views, _count(rendered, peak, each))
-    shown = [_codes(rendered, peak)]
-    shown += [_codes(part.of_images(some), peak) for some in _images(run, raster, each, "from all sides")]
+    raster = _raster(dataset.views, _count(rendered, peak, cost))
+    codes = [_codes(rendered, peak)]
+    codes += [_codes(part.of_images(batch), peak) for batch in _images(run, raster, cost, "from all sides")]
 
     rows, columns = part.size
     low, high = np.quantile(points, (0.001, 0.999), axis=0)
@@ -95,7 +95,7 @@ def widget(run: Run) -> dict[str, Any] | None:
         "views": [_angles(view) for view in (*views, *raster)],
         "sets": [dataset.entries[index].split for index in chosen],
         "dots": [[*_angles(entry.view), int(entry.split != "train")] for entry in dataset.entries],
-        "rendered": _sheet(np.concatenate(shown)),
+        "rendered": _sheet(np.concatenate(codes)),
         "true": _sheet(_codes(true, peak)),
         "errors": _sheet(indexed(errors, -difference.largest, difference.largest)),
         "errorColours": ramp(DIFFERENCE).tolist(),
@@ -117,14 +117,14 @@ def widget(run: Run) -> dict[str, Any] | None:
     return {"panels": panels, **bars, "text": text, "climbs": highest - lowest >= _FINEST_DEG, "data": data}
 
 
-def _images(run: Run, views: Sequence[View], each: int, which: str) -> Iterator[Real[np.ndarray, "v rows columns"]]:
-    """Rendered images of so many pixels and Gaussians each, some at a time."""
-    together = min(max(1, _TOGETHER // each), _AT_A_TIME)
+def _images(run: Run, views: Sequence[View], cost: int, which: str) -> Iterator[Real[np.ndarray, "v rows columns"]]:
+    """Render views in batches; an image costs `cost` (pixels + Gaussians)."""
+    batch = min(max(1, _BATCH_COST // cost), _BATCH_IMAGES)
     with stage(f"report: images {which}", len(views)) as done:
-        for first in range(0, len(views), together):
-            some = views[first : first + together]
-            yield run.render(some)
-            done.advance(len(some))
+        for first in range(0, len(views), batch):
+            batch_views = views[first : first + batch]
+            yield run.render(batch_views)
+            done.advance(len(batch_views))
 
 
 def _angles(view: View) -> list[float]:
@@ -153,15 +153,15 @@ def _affordable(dataset: Dataset, part: Part, peak: float) -> list[int]:
     return [train[k] for k in of_train] + [test[k] for k in of_test]
 
 
-def _count(shown: Real[np.ndarray, "v rows columns"], peak: float, each: int) -> int:
-    """How many images of the raster, of so many pixels and Gaussians each, fit into the budget beside those shown."""
+def _count(shown: Real[np.ndarray, "v rows columns"], peak: float, cost: int) -> int:
+    """Number of raster images, each of `cost` (pixels + Gaussians), that fit into the budget besides those shown."""
     sample = shown[evenly(len(shown), _TRIED)]
     by_bytes = _BYTES / _bytes_each(_codes(sample, peak)) - len(shown)
-    return max(0, int(min(by_bytes, _MOST_RENDERED / each)))
+    return max(0, int(min(by_bytes, _MOST_RENDERED / cost)))
 
 
 def _raster(views: Sequence[View], count: int) -> list[View]:
-    """At most `count` directions: evenly over the azimuths and grazing angles that these views span; alike else."""
+    """At most `count` directions, evenly over the azimuths and grazing angles that the views span (`seen_alike`)."""
     if count < 1:
         return []
     gap = largest_gap(view.azimuth_deg for view in views)

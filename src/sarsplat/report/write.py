@@ -20,10 +20,9 @@ from sarsplat.progress import progress
 from sarsplat.report.boards import mesh_boards, point_boards
 from sarsplat.report.curves import azimuths_figure, curves_figure
 from sarsplat.report.figure import Figure
-from sarsplat.report.interferogram import phases_figure
 from sarsplat.report.layover import brightest_layover, slice_figure
 from sarsplat.report.page import page
-from sarsplat.report.pauli import PAULI, pauli_figure
+from sarsplat.report.stacks import PAULI, pauli_figure, phases_figure
 from sarsplat.report.views import chosen_views, masks_figure, unseen_figure
 from sarsplat.report.widget import widget
 from sarsplat.runs import Run
@@ -73,7 +72,7 @@ def _html(run: Run, quiet: bool) -> bytes:
     with scores_expected(run):
         chosen = chosen_views(run.dataset, run.metrics)
     figures, turning = list[Figure](), list[dict[str, Any] | None]()
-    parts: list[tuple[str, int, Callable[[], object]]] = [  # and about how long they take, in the time of the first
+    parts: list[tuple[str, int, Callable[[], object]]] = [  # with approximate durations, relative to the first
         ("unseen views", 1, lambda: figures.append(unseen_figure(run, chosen))),
         *([("stacks", 10, lambda: figures.extend(_stacks(run)))] if run.dataset.passes else []),
         ("masks", 1, lambda: figures.extend(_masks(run))),
@@ -103,7 +102,7 @@ def _written(path: Path, html: bytes) -> Path:
 
 
 def refuse_linked_report(run: Path) -> None:
-    """Refuse a `RUN/report` that is a link: a report is only written inside its run."""
+    """Raise if `RUN/report` is a link: a report is only written inside its run."""
     folder = run / _FOLDER
     if folder.is_symlink():
         raise SarsplatError(f"{folder} is a link, but a report is only written inside its run; remove the link")
@@ -111,7 +110,7 @@ def refuse_linked_report(run: Path) -> None:
 
 @contextmanager
 def scores_expected(run: Run) -> Iterator[None]:
-    """Say in one sentence that `metrics.json` was written by another version."""
+    """Turn errors of missing scores into one that asks for a new `metrics.json`."""
     try:
         yield
     except (KeyError, TypeError, AttributeError, ValueError, StopIteration) as error:
@@ -131,7 +130,7 @@ def _masks(run: Run) -> list[Figure]:
 
 
 def _stacks(run: Run) -> list[Figure]:
-    """What images show besides power, if that was learned: polarisations, or phase and a slice through layover."""
+    """Figures of learned stacks: polarisations, or phase with a slice through layover."""
     if run.model is None or run.config.passes is None:
         return []
     window = run.config.passes.window

@@ -15,37 +15,37 @@ from sarsplat.renderer.engines.cpu import LIBRARY
 from sarsplat.runs.methods import module_of
 
 TRAINING, SCORING = "sarsplat.runs.reconstruction", "sarsplat.evaluation.evaluate"
-"""Modules that training and scoring begin with; what a method adds is in its own module."""
+"""Root modules of training and scoring; a method adds its own module."""
 
 _SETTLED = "sarsplat.settings.presets"
-"""Not a part of what a training runs: what it says is in the settings."""
+"""Module left out of the code's digest: its content is in the settings."""
 
-_SAYING = ("warn", "note", "stage", "progress")
-"""Functions whose words change no result."""
+_MESSAGE_CALLS = ("warn", "note", "stage", "progress")
+"""Functions whose texts change no result."""
 
 _DIGITS = 16
 
 
 def digest(content: Any) -> str:
-    """Sixteen hexadecimal digits for JSON data, whatever the order of its keys."""
+    """Hash of JSON data, 16 hexadecimal digits, independent of the order of keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:_DIGITS]
 
 
 def code_of(method: str, device: str) -> str:
-    """Digest of everything of ours that a training by a method runs, and of the plugin's package if it is one."""
-    own = module_of(method)
-    return code((TRAINING, own), device)
+    """Digest of the project's (and plugin's) code that a training by this method runs."""
+    return code((TRAINING, module_of(method)), device)
 
 
 def scoring_code() -> str:
-    """Digest of everything of ours that scoring a run takes."""
+    """Digest of the project's code that scoring runs."""
     return code((SCORING,), "cpu")
 
 
 @cache
 def code(roots: tuple[str, ...], device: str) -> str:
-    """Digest of what modules and all that they import do, and of the device's engine; comments, docstrings and the
-    words of errors and warnings do not count, and neither do changes since it was first asked for.
+    """Digest of modules, of all that they import, and of the device's engine, cached for the process.
+
+    Comments, docstrings and the texts of errors and warnings do not count.
     """
     sources = {name: _statements(path) for name, path in imported_by(roots).items()}
     engine = [LIBRARY] if device == "cpu" else sorted((LIBRARY.parent / "csrc").glob("*.[ch]*"))
@@ -54,10 +54,10 @@ def code(roots: tuple[str, ...], device: str) -> str:
 
 
 def imported_by(roots: Iterable[str]) -> dict[str, Path]:
-    """The files of all modules that these import, at the top or in a function, in the packages of these; by name.
+    """Files, by module name, of the roots and of all that they import from sarsplat and their own packages.
 
-    They are read, not executed. A package that finds its modules by itself imports all of them; of the methods there
-    are only those among the roots.
+    Source is parsed, not executed; imports inside functions count. A package that discovers its modules counts as
+    importing all of them, except methods: only those among the roots count.
     """
     found: dict[str, Path] = {}
     waiting = list(roots)
@@ -110,7 +110,7 @@ def _absolute(node: ast.ImportFrom, name: str, path: Path) -> str:
 
 @cache
 def _lazy(package: str) -> Mapping[str, str]:
-    """Modules of the names of a package that loads lazily, from its stub."""
+    """Module of each name that a package loads lazily, from its stub."""
     file = _file(package) if package.partition(".")[0] == "sarsplat" else None
     if file is None or not (stub := file.with_suffix(".pyi")).is_file():
         return {}
@@ -119,7 +119,7 @@ def _lazy(package: str) -> Mapping[str, str]:
 
 
 def _discovered(call: ast.Call, name: str, path: Path) -> Iterator[str]:
-    """Modules that a package or `discover` finds by their place and name."""
+    """Modules that a call discovers by folder and name."""
     called = call.func.id if isinstance(call.func, ast.Name) else ""
     if called in ("classes_in", "import_module") and path.name == "__init__.py":
         yield from _modules(name)
@@ -136,20 +136,20 @@ def _modules(package: str) -> Iterator[str]:
 
 @cache
 def _statements(path: Path) -> str:
-    """What a file does, without its words."""
-    _drop_words(_nodes(path))
+    """Source of a file without comments, docstrings and messages."""
+    _drop_texts(_nodes(path))
     return ast.unparse(_nodes(path)[0])
 
 
-def _drop_words(nodes: Sequence[ast.AST]) -> None:
-    """Leave out docstrings and what errors and warnings say; imports stay as they are."""
+def _drop_texts(nodes: Sequence[ast.AST]) -> None:
+    """Remove docstrings, and the texts of errors and warnings, in place."""
     for node in nodes:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             node.body = [one for one in node.body if not _is_text(one)] or [ast.Pass()]
-        elif isinstance(node, ast.Raise) or (isinstance(node, ast.Call) and _called(node) in _SAYING):
-            for said in ast.walk(node):
-                if isinstance(said, ast.Constant) and isinstance(said.value, str):
-                    said.value = ""
+        elif isinstance(node, ast.Raise) or (isinstance(node, ast.Call) and _called(node) in _MESSAGE_CALLS):
+            for part in ast.walk(node):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str):
+                    part.value = ""
 
 
 def _called(call: ast.Call) -> str:

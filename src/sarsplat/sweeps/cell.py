@@ -18,44 +18,43 @@ from sarsplat.sweeps.address import code_of, digest, scoring_code
 from sarsplat.sweeps.plan import Plan
 
 NAMES = ("part", "dataset", "method", "preset")
-"""Labels that are no settings."""
+"""Labels that are not settings."""
 
 _NO_RESULT = ("preset", "checkpoint_every")
-"""Settings on which no result depends."""
+"""Settings that change no result."""
 
 
 class Cell(msgspec.Struct, frozen=True):
     """One run: a dataset, a method, settings and a seed."""
 
     work: ClassVar[str] = "sarsplat.sweeps.work:RUN"
-    """What executors call it."""
+    """Name of the executors' `Work`."""
 
     dataset: str
     """The dataset's folder."""
     method: str
     """Name of the method."""
     config: dict[str, Any]
-    """All its settings, the seed among them."""
+    """All settings, including the seed."""
     masks: str | None
     mesh: str | None
     align: str
     reports: bool
     device: str
-    """As in `Plan`; of `masks` also those that the method learns from."""
+    """As in `Plan`; `masks` includes those that the method learns from."""
     labels: dict[str, Any]
-    """What tables call it: dataset, method, preset, and each setting that the plan names."""
+    """Labels in tables: dataset, method, preset, and each setting that the plan names."""
     seed: int
-    """Of the training."""
     fingerprint: str
     recipe: str
     """Digest of data, method and settings."""
     code: str
-    """Digest of what a training by that method runs."""
+    """Digest of the training's code."""
     scoring: str
-    """Digest of how it is scored, code included."""
+    """Digest of the scoring's code and options."""
 
     def words(self, names: Collection[str]) -> str:
-        """What it is called in a line, by labels of these names."""
+        """Description in one line, from the labels of these names and the seed."""
         labels = {name: value for name, value in self.labels.items() if name in names}
         return ", ".join(
             [
@@ -66,14 +65,14 @@ class Cell(msgspec.Struct, frozen=True):
 
     @property
     def address(self) -> str:
-        """What its run and its row are called: other data, settings or training code are another address."""
+        """Name of its run and row: a hash of data, settings and training code."""
         return digest([self.recipe, self.code])
 
 
 def cells_of(plan: Plan, base: Path) -> list[Cell]:
-    """Every run of a plan, in its order; patterns are below the folder `base`.
+    """List every run of a plan, in its order; patterns are below the folder `base`.
 
-    Refused if there is no dataset, method or preset of a name, or a setting is unknown or out of its range.
+    Raises if a dataset, method, preset or setting does not exist, or a value is out of range.
     """
     return [cell for part in plan.each_part() for cell in _cells(part.at(base), base)]
 
@@ -83,7 +82,7 @@ def _cells(plan: Plan, base: Path) -> Iterator[Cell]:
         unreadable, dataset = "", None
         try:
             dataset = read_dataset(folder)
-        except SarsplatError as error:  # the run's reason to fail, once it is tried
+        except SarsplatError as error:  # the run fails with it when it is tried
             unreadable = str(error)
         for method in plan.each_method():
             yield from _of_dataset(plan, folder, name, dataset, unreadable, *method)
@@ -106,12 +105,12 @@ def _of_dataset(
     code = code_of(method, plan.device)
     scoring = digest([scoring_code(), masks, plan.mesh, plan.align])
     where = f"settings of {method}{f' in {plan.name}' if plan.name else ''}"
-    named = cache(partial(kind.preset, dataset=cast(Dataset, dataset)))  # which may make a trial
+    preset_named = cache(partial(kind.preset, dataset=cast(Dataset, dataset)))  # may run a trial
     for preset, chosen in plan.each_choice(settings):
         labels = {"dataset": name, "method": method, "preset": preset, **chosen}
         if plan.name:
             labels = {"part": plan.name, **labels}
-        base = None if dataset is None else named(preset).with_settings(chosen, where)
+        base = None if dataset is None else preset_named(preset).with_settings(chosen, where)
         for seed in plan.seeds:
             config = {**labels, "seed": seed} if base is None else replace(base, seed=seed).as_dict()
             decisive = {one: value for one, value in config.items() if one not in _NO_RESULT}

@@ -1,4 +1,4 @@
-"""The page of a sweep: the table, a figure for every swept setting, what failed, and links to all reports."""
+"""Page of a sweep: table, figures of the swept settings, warnings, failures, and links to all reports."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from sarsplat.sweeps.results import Line, Result, Results, Spread, label_text
 from sarsplat.sweeps.work import RUNS
 
 _SETTLED = (*NAMES, "test set")
-"""Labels that are no settings."""
+"""Labels that are not settings."""
 
 _DECADE = 8.0
-"""Of a setting, largest over smallest value from which on its axis is logarithmic."""
+"""Ratio of largest to smallest value above which a setting's axis is logarithmic."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class _Row:
 
 
 def page(results: Results) -> str:
-    """The page as HTML that needs no other file, except for the reports that it links to."""
+    """Page as HTML; it needs no other file but the reports that it links to."""
     lines = results.lines()
     names, metrics = results.columns()
     states = Counter(one.state for one in results.results)
@@ -55,7 +55,7 @@ def page(results: Results) -> str:
 
 
 def _warned(results: Results) -> Counter[str]:
-    """What finished runs were warned of, with the number of runs."""
+    """Warnings of finished runs, with the number of runs."""
     rows = (one.row for one in results.results if one.row is not None and one.finished)
     return Counter(text for row in rows for text in dict.fromkeys(row.warnings))
 
@@ -69,17 +69,17 @@ def _run(one: Result, names: Sequence[str], results: Results) -> _Row:
     labels = [label_text(one.cell.labels.get(name, "")) for name in names]
     place = "" if one.row is None else f"{RUNS}/{one.row.address}"
     report = f"{place}/report/index.html"
-    there = bool(place) and (results.out / report).is_file()
-    kept = there or (bool(place) and (results.out / place).is_dir())
-    what = "report" if there else "folder" if kept else ""  # whose name says nothing
+    text, link = "", ""
+    if place and (results.out / report).is_file():
+        text, link = "report", report
+    elif place and (results.out / place).is_dir():
+        text, link = "folder", f"{place}/"
     worse = "".join(f", worse than {where.by} on {where.split}" for where in one.beaten)
-    return _Row(
-        [*labels, str(one.cell.seed), one.state + worse, what], report if there else f"{place}/" if kept else ""
-    )
+    return _Row([*labels, str(one.cell.seed), one.state + worse, text], link)
 
 
 def _figure(name: str, lines: Sequence[Line], metrics: Sequence[Metric[Any]]) -> list[Figure]:
-    """How the headline scores change with one setting, everything else that is swept averaged."""
+    """Headline scores against one setting, averaged over the other swept settings."""
     drawn = [metric for metric in metrics if metric.place == "headline" or metric.key == "time_s"]
     groups: dict[str, list[Line]] = {}
     for line in lines:
@@ -93,24 +93,24 @@ def _figure(name: str, lines: Sequence[Line], metrics: Sequence[Metric[Any]]) ->
         if len(values) > 1 and panels:
             blocks.append(Block(title if len(groups) > 1 else "", tuple(panels)))
     text = (
-        "Dots are means over everything else that is finished at all of these values, one standard deviation over the "
-        "seeds around them."
+        "Dots are means over all other settings that are finished at all of these values, bands one standard deviation "
+        "over the seeds."
     )
     return [Figure(name, text, tuple(blocks))] if blocks else []
 
 
 def _panel(name: str, values: Sequence[Any], lines: Sequence[Line], metric: Metric[Any]) -> Panel | None:
-    others: dict[str, dict[Any, Spread]] = {}  # of each combination of the rest, what is known by value
+    others: dict[str, dict[Any, Spread]] = {}  # spreads by value, for each combination of the other labels
     for line in lines:
         if spread := line.spreads.get(metric.key):
             rest = {label: one for label, one in line.labels.items() if label != name}
             others.setdefault(repr(rest), {})[repr(line.labels[name])] = spread
     largest: dict[Any, Spread] = max(others.values(), key=len, default={})
-    whole = [known for known in others.values() if known.keys() >= largest.keys()]  # or unlike would be compared
+    complete = [spreads for spreads in others.values() if spreads.keys() >= largest.keys()]  # comparable at all values
     found = {
         index: averaged
         for index, value in enumerate(values)
-        if (averaged := _averaged([known[repr(value)] for known in whole if repr(value) in known]))
+        if (averaged := _averaged([spreads[repr(value)] for spreads in complete if repr(value) in spreads]))
     }
     if not found:
         return None
@@ -133,14 +133,14 @@ def _panel(name: str, values: Sequence[Any], lines: Sequence[Line], metric: Metr
 
 
 def _averaged(spreads: Sequence[Spread]) -> Spread | None:
-    """The mean over lines of as many seeds, seed by seed; of other numbers of seeds nothing can be said."""
+    """Mean, seed by seed, over the lines with the most seeds; others are left out."""
     most = max((len(one.values) for one in spreads), default=0)
-    whole = [one.values for one in spreads if len(one.values) == most]
-    return Spread(tuple(float(np.mean(of_seed)) for of_seed in zip(*whole, strict=True))) if whole else None
+    complete = [one.values for one in spreads if len(one.values) == most]
+    return Spread(tuple(float(np.mean(of_seed)) for of_seed in zip(*complete, strict=True))) if complete else None
 
 
 def _places(values: Sequence[Any]) -> list[float]:
-    """Where values stand on an axis from 0 to 1: numbers by their size, words one after the other."""
+    """Positions of values on an axis from 0 to 1: numbers by their size, words evenly spaced."""
     if all(isinstance(value, int | float) for value in values):
         size = np.array(values, dtype=float)
         if size.min() > 0 and size.max() > _DECADE * size.min():
@@ -152,6 +152,6 @@ def _places(values: Sequence[Any]) -> list[float]:
 
 
 def _order(value: Any) -> tuple[bool, float, str]:
-    """Numbers by their size, then words."""
+    """Sort key: numbers by their size, then words."""
     number = isinstance(value, int | float) and math.isfinite(value)
     return (not number, float(value) if number else 0.0, str(value))

@@ -1,4 +1,4 @@
-"""A plan: which datasets, methods, settings and seeds a sweep combines, read from a TOML file."""
+"""Plan of a sweep: datasets, methods, settings and seeds to combine, read from a TOML file."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from sarsplat.settings.record import Record
 
 _MARK = "dataset.json"
 _OWN = {"seed": "seeds", "preset": "preset"}
-"""Settings that are said elsewhere in a plan."""
+"""Settings that are keys of a plan, with these keys."""
 
 
 @dataclass(frozen=True)
 class Plan(Record):
-    """What a sweep does: every combination of what is listed.
+    """Combinations of datasets, methods, settings and seeds that a sweep does.
 
     Parameters
     ----------
     datasets : tuple of str
-        Patterns of folders, such as ``data/*``, below the folder of the plan; what is no dataset is skipped.
+        Patterns of folders, such as ``data/*``, below the folder of the plan; other folders than datasets are skipped.
     methods : tuple of str or dict
-        Names of methods; or a table for each of them, with settings of that method alone.
+        Names of methods; or a table for each method, with settings of that method alone.
     preset : str or tuple of str
         Starting settings, as of `sarsplat.reconstruct`.
     seeds : tuple of int
-        Each combination is done with each of them; results are means and spreads over them.
+        Seeds of each combination; results are means and spreads over them.
     settings : dict
         Settings of every method, by their names on the command line; every list is swept.
     device : str
-        "cpu" or "cuda": its results differ in their last bits, so it is a part of what was done.
+        "cpu" or "cuda". Their results differ in the last bits, so the device is part of a run's address.
     masks : str or None
         Folder of masks, as of `sarsplat reconstruct` and `evaluate`; None: the dataset's own, if it has any.
     mesh : str or None
@@ -46,16 +46,16 @@ class Plan(Record):
     align : str
         "rigid" or "none", as of `sarsplat evaluate`.
     reports : bool
-        Whether every run gets its report.
+        Write a report of every run.
     parts : tuple of dict
-        Plans in the plan: each has the plan's keys and its own, which count more; `name` is what tables call it.
+        Plans in the plan: each inherits the plan's keys and overrides some; `name` is its label in tables.
     name : str
-        Of a part.
+        Label of a part.
 
     Raises
     ------
     SarsplatError
-        If a key is unknown or a value is not what it must be.
+        If a key is unknown or a value is invalid.
     """
 
     datasets: tuple[str, ...]
@@ -85,11 +85,11 @@ class Plan(Record):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """The plan in a TOML file, or a SarsplatError."""
+        """Read a plan from a TOML file."""
         return cls.from_dict(read_toml(path), str(path))
 
     def on(self, device: str) -> Self:
-        """The same on another device, "cpu" or "cuda"; its parts, too."""
+        """Copy of the plan and its parts for another device, "cpu" or "cuda"."""
         return replace(self, device=device, parts=tuple({**part, "device": device} for part in self.parts))  # type: ignore[arg-type]
 
     def each_part(self) -> Iterator[Plan]:
@@ -110,7 +110,7 @@ class Plan(Record):
             yield name, common | dict(_dotted(settings))
 
     def each_choice(self, settings: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Every preset with every combination of the values of what is swept."""
+        """Every preset with every combination of the swept values."""
         values = [value if isinstance(value, list) else [value] for value in settings.values()]
         for name, several in zip(settings, values, strict=True):
             if not several:
@@ -120,10 +120,10 @@ class Plan(Record):
                 yield preset, dict(zip(settings, chosen, strict=True))
 
     def folders(self, base: Path) -> dict[Path, str]:
-        """The datasets that the patterns mean, below a folder, with short names that differ."""
+        """Folders of the datasets that match the patterns below `base`, with short unique names."""
         found: dict[Path, None] = {}
         for pattern in self.datasets:
-            where = str(Path(escape(str(base))) / pattern)  # an absolute pattern as it is, which `Path.glob` refuses
+            where = str(Path(escape(str(base))) / pattern)  # may be absolute, unlike the patterns of `Path.glob`
             matched = sorted(map(Path, glob(where, recursive=True, include_hidden=True)))  # noqa: PTH207
             matched = [path for path in matched if (path / _MARK).is_file()] if pattern.strip("./") else [base]
             if not matched:
@@ -135,16 +135,16 @@ class Plan(Record):
         return {path: path.name if names.count(path.name) == 1 else str(path) for path in found}
 
     def at(self, base: Path) -> Self:
-        """The same with paths of files that do not depend on the current folder."""
+        """Copy with absolute paths of masks and mesh, which are relative to `base`."""
 
-        def there(path: str | None) -> str | None:
+        def absolute(path: str | None) -> str | None:
             return None if path is None else str((base / path).resolve())
 
-        return replace(self, masks=there(self.masks), mesh=there(self.mesh))
+        return replace(self, masks=absolute(self.masks), mesh=absolute(self.mesh))
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """What a TOML file holds, be it a plan or not."""
+    """Read a TOML file."""
     with open_file(path) as file:
         try:
             return tomllib.loads(file.read().decode())
@@ -153,7 +153,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _dotted(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """`rates.means` for tables in tables."""
+    """Flatten nested tables to dotted names, such as `rates.means`."""
     for name, value in settings.items():
         if isinstance(value, dict):
             yield from _dotted(value, f"{before}{name}.")

@@ -1,4 +1,4 @@
-"""What a sweep has found so far: a line for every run, and means with their spread over the seeds."""
+"""Results of a sweep so far: a row for every run, and means with their spread over the seeds."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from sarsplat.sweeps.work import ROWS, RUNS, Row
 
 @dataclass(frozen=True)
 class Result:
-    """A run of the plan with its row.
+    """Run of the plan with its result.
 
     Attributes
     ----------
     cell : Cell
-        What was asked for.
+        The run.
     row : Row or None
-        What came of it; None if that is not known yet.
+        Its result, if there is any yet.
     older : bool
-        Whether the row is of the same data and settings, but of older code, or scored otherwise.
+        The row is of the same data and settings, but of older code or other scoring.
     """
 
     cell: Cell
@@ -41,12 +41,12 @@ class Result:
 
     @property
     def finished(self) -> bool:
-        """Whether it has scores."""
+        """True if the run has scores."""
         return self.row is not None and self.row.state == "finished"
 
     @property
     def reason(self) -> str:
-        """Why it failed, if it did."""
+        """Reason of a failure, or ""."""
         return "" if self.row is None else self.row.reason
 
     @property
@@ -56,12 +56,12 @@ class Result:
 
     @property
     def beaten(self) -> list[Beaten]:
-        """Where a baseline is better, if it is finished."""
+        """Test sets on which a baseline is better, if the run is finished."""
         return beaten(self.scored) if self.finished else []
 
     @property
     def scored(self) -> dict[str, dict[str, Any]]:
-        """Scores of images, by test set, and of the baselines on the same, by test set and baseline."""
+        """Scores of images by test set, and of baselines by test set and baseline."""
         nested: dict[str, dict[str, Any]] = {"images": {}, "baselines": {}}
         for name, value in (self.row.scores if self.row else {}).items():
             *parts, key = name.split(".")
@@ -75,10 +75,9 @@ class Result:
 
 @dataclass(frozen=True)
 class Spread:
-    """One figure over the seeds."""
+    """Values of one score over the seeds, at least one."""
 
     values: tuple[float, ...]
-    """One for each seed, at least one."""
 
     @property
     def mean(self) -> float:
@@ -97,22 +96,22 @@ class Spread:
 
 @dataclass(frozen=True)
 class Line:
-    """What differs in nothing but the seed."""
+    """Runs that differ only in the seed, on one test set; or a baseline."""
 
     labels: Mapping[str, Any]
-    """What tables call it; of several test sets, the set as well."""
+    """Labels in tables; with several test sets, they include the set."""
     spreads: Mapping[str, Spread]
-    """By the metric's key; unknown ones are absent."""
+    """Known scores by the metric's key."""
     done: int
     of: int
-    """Runs that are finished, and all of them; of a baseline none."""
+    """Number of finished and of all runs; 0 for a baseline."""
     older: bool
-    """Whether some are of older code."""
+    """True if some runs are of older code."""
     beaten: int = 0
     """Runs that are worse than a baseline."""
 
     def texts(self, names: Sequence[str], metrics: Sequence[Metric[Any]]) -> list[str]:
-        """It as a row of a table: labels of these names, runs, and scores."""
+        """Cells of a table's row: labels of these names, runs, and scores."""
         worse = f", {self.beaten} worse than a baseline" if self.beaten else ""
         runs = f"{self.done}/{self.of}{', older code' if self.older else ''}{worse}" if self.of else "–"
         spreads = ((self.spreads.get(metric.key), metric) for metric in metrics)
@@ -121,7 +120,7 @@ class Line:
 
 
 class Results:
-    """The runs of a sweep as they are now.
+    """Runs of a sweep with their present results.
 
     Parameters
     ----------
@@ -134,9 +133,9 @@ class Results:
     def __init__(self, cells: Sequence[Cell], out: Path) -> None:
         self.out = out
         rows = [*_rows(out)]
-        here = {row.address: row for row in rows}
+        current = {row.address: row for row in rows}
         older = {row.recipe: row for row in rows if row.state == "finished"}
-        found = ((cell, here.get(cell.address) or older.get(cell.recipe)) for cell in cells)
+        found = ((cell, current.get(cell.address) or older.get(cell.recipe)) for cell in cells)
         self.results = [
             Result(cell, row, row is not None and (row.address, row.scoring) != (cell.address, cell.scoring))
             for cell, row in found
@@ -148,7 +147,7 @@ class Results:
         return [one for one in self.results if one.row is not None and one.row.state == "failed"]
 
     def lines(self) -> list[Line]:
-        """Runs that differ in nothing but the seed, together; a line for each test set."""
+        """One line for each group of runs that differ only in the seed, and for each test set."""
         groups: dict[str, list[Result]] = {}
         for one in self.results:
             groups.setdefault(repr(one.cell.labels), []).append(one)
@@ -156,7 +155,7 @@ class Results:
         return [_line(group, split, len(sets) > 1) for group in groups.values() for split in sets or [""]]
 
     def baselines(self) -> list[Line]:
-        """What needs no third dimension and was measured beside the runs: a line for each dataset, set and method."""
+        """One line for each two-dimensional baseline, dataset and test set."""
         lines: dict[tuple[str, str, str], Line] = {}
         for one in self.results:
             for split, methods in one.scored["baselines"].items() if one.finished else ():
@@ -168,12 +167,12 @@ class Results:
         return [*lines.values()]
 
     def called(self, one: Result) -> str:
-        """A run of these by its dataset, its seed, and what is not the same everywhere."""
+        """Description of a run by its dataset, its varying labels and its seed."""
         return one.cell.words({"dataset", *varying(self.lines())})
 
     @property
     def beaten(self) -> str | None:
-        """One sentence if any run is worse than what needs no third dimension, with figures of the worst."""
+        """Sentence with the worst run if any is worse than a two-dimensional baseline, else None."""
         found = [(one, where) for one in self.results for where in one.beaten]
         if not found:
             return None
@@ -190,7 +189,7 @@ class Results:
         return [*dict.fromkeys(split for one in self.results if one.finished for split in _sets(one))]
 
     def columns(self) -> tuple[list[str], list[Metric[Any]]]:
-        """Labels and metrics that tables of all lines have."""
+        """Columns of tables of all lines: labels and metrics."""
         lines, others = self.lines(), self.baselines()
         names = varying(lines)
         if others and "method" not in names:
@@ -198,13 +197,13 @@ class Results:
         return names, self.metrics([*lines, *others])
 
     def metrics(self, lines: Sequence[Line]) -> list[Metric[Any]]:
-        """Metrics with a short name that any line has."""
+        """Summary metrics that any line has."""
         sides = sorted({one.row.yardstick_m for one in self.results if one.row is not None and one.finished})
         scores = [Scores("", {key: spread.mean for key, spread in line.spreads.items()}) for line in lines]
         return [*{one.key: one for side in sides for one in summary_metrics(scores, Yardstick(side))}.values()]
 
     def table(self) -> Table:
-        """Every line with mean ± standard deviation over the seeds, for the terminal."""
+        """Table of all lines with mean ± standard deviation over the seeds, for the terminal."""
         names, shown = self.columns()
         table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
         for name in names:
@@ -219,7 +218,7 @@ class Results:
         return table
 
     def csv(self) -> str:
-        """A line for every run: what was done, its state, and every score by dotted key."""
+        """CSV with a line for every run: labels, seed, state, and every score by dotted key."""
         rows = []
         for one in self.results:
             cell, row = one.cell, one.row
@@ -244,13 +243,13 @@ class Results:
 
 
 def varying(lines: Sequence[Line]) -> list[str]:
-    """Names of what tables must say: the dataset, and what is not the same wherever it is set."""
+    """Names of labels that tables need: the dataset, and those with more than one value."""
     names = dict.fromkeys(name for line in lines for name in line.labels)
     return [n for n in names if n == "dataset" or len({repr(line.labels[n]) for line in lines if n in line.labels}) > 1]
 
 
 def label_text(value: Any) -> str:
-    """A setting's value as tables have it."""
+    """Text of a label's value in tables."""
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -1,11 +1,13 @@
-"""Do one run of a sweep: train, or go on where it was stopped, score it, and leave its row."""
+"""One run of a sweep: train or resume it, score it, and write its row."""
 
 from __future__ import annotations
 
+import threading
 import time
 import traceback
-from collections.abc import Mapping
-from contextlib import ExitStack
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +17,23 @@ import torch
 from sarsplat.data import read_dataset, read_json, write_json
 from sarsplat.data.files import locked
 from sarsplat.data.folders import temporary_folder
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation import evaluate_run
 from sarsplat.executors.job import Work
 from sarsplat.runs import Run, reconstruct
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run_folder import HEADER
-from sarsplat.sweeps.caught import caught
 from sarsplat.sweeps.cell import Cell
 
 ROWS, RUNS = "rows", "runs"
 """Folders of a sweep."""
+
+_lock = threading.Lock()
+_lists: dict[int, list[str]] = {}
+"""Messages of the block that each thread is in."""
+
+_usual = ExitStack()
+"""Restores the process's handling of warnings."""
 
 
 class Row(msgspec.Struct):
@@ -35,23 +43,23 @@ class Row(msgspec.Struct):
     recipe: str
     code: str
     scoring: str
-    """As of its `Cell`."""
+    """Digests from its `Cell`."""
     state: str
-    """Whether there are scores."""
+    """Either "finished" or "failed"."""
     reason: str = ""
-    """Why it failed: one sentence."""
+    """Reason of a failure, one sentence."""
     passing: bool = False
-    """Whether it failed for what may pass, such as a full disk or GPU: it is tried again by the next sweep."""
+    """True if the failure may pass, such as a full disk or GPU: the next sweep tries again."""
     scores: dict[str, float] = {}
-    """Scores by dotted key, as `images.test.psnr_db` and `points.visible.cd_m`; those that are None are absent."""
+    """Scores by dotted key, such as `images.test.psnr_db` and `points.visible.cd_m`, without None."""
     yardstick_m: float = 0.0
-    """What the points were scored with."""
+    """`Yardstick` of the points' scores, m."""
     iterations: int = 0
     """Iterations done."""
     took_s: float = 0.0
-    """Time of training, scoring and report, s, since it was last begun."""
+    """Time of training, scoring and report since the last start, s."""
     warnings: list[str] = []
-    """What was warned of."""
+    """Warnings of the run."""
 
 
 def row_path(cell: Cell, out: Path) -> Path:
@@ -59,7 +67,7 @@ def row_path(cell: Cell, out: Path) -> Path:
 
 
 def row_of(cell: Cell, out: Path) -> Row | None:
-    """The row of a run, if it is finished or failed."""
+    """Row of a run; None if it is missing, outdated, or of a failure that may pass."""
     if not (path := row_path(cell, out)).is_file():
         return None
     row = read_json(path, Row)
@@ -67,9 +75,9 @@ def row_of(cell: Cell, out: Path) -> Row | None:
 
 
 def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
-    """Do a run of the sweep in `out` unless that was done; None if another process is doing it.
+    """Do a run of the sweep in `out` unless it is done; None if another process is doing it.
 
-    A failed one is tried `again` only if that is asked for.
+    With `again`, a failed run is tried again.
     """
     with ExitStack() as stack:
         try:
@@ -88,7 +96,7 @@ def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
                 row.state, row.reason, row.passing = "failed", str(error), passing
             except ModuleNotFoundError as error:
                 row.state, row.reason, row.passing = "failed", f"{error.name} is not installed; install it", True
-            except Exception as error:  # a fault of ours or of a plugin, or no memory: the others go on
+            except Exception as error:  # a bug here or in a plugin, or no memory: other runs go on
                 traceback.print_exc()
                 row.state, row.reason, row.passing = "failed", f"{type(error).__name__}: {error}", True
         row.reason = _without_folder(row.reason, out / RUNS / cell.address)
@@ -98,7 +106,7 @@ def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
 
 
 def lost(cell: Cell, out: Path, reason: str) -> Row | None:
-    """Leave the row of a run whose process has ended; None if another process is doing it."""
+    """Write the row of a run whose process has died; None if another process is doing it."""
     row = Row(cell.address, cell.recipe, cell.code, cell.scoring, "failed", reason, passing=True)
     try:
         with locked(row_path(cell, out)):
@@ -139,17 +147,47 @@ def _train_and_score(cell: Cell, folder: Path, row: Row) -> None:
     row.iterations = run.iteration
 
 
+@contextmanager
+def caught() -> Iterator[list[str]]:
+    """Collect this thread's `SarsplatWarning` messages while the block runs; other warnings are dropped.
+
+    Unlike `warnings.catch_warnings`, blocks of several threads may overlap. Warnings of threads without a block (which
+    libraries start) go to every block.
+    """
+    messages: list[str] = []
+    with _lock:
+        if not _lists:
+            _usual.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("always", SarsplatWarning)  # anew: a library's own block may have put older filters back
+        warnings.showwarning = _keep  # type: ignore[assignment]
+        _lists[threading.get_ident()] = messages
+    try:
+        yield messages
+    finally:
+        with _lock:
+            del _lists[threading.get_ident()]
+            if not _lists:
+                _usual.close()
+
+
+def _keep(message: Warning | str, category: type[Warning], *place: object) -> None:
+    if issubclass(category, SarsplatWarning):
+        own = _lists.get(threading.get_ident())
+        for messages in [*_lists.values()] if own is None else [own]:
+            messages.append(str(message))
+
+
 def _without_folder(reason: str, run: Path) -> str:
-    """A reason without the run's folder, of which nobody knows the name: tables say which run it is of."""
+    """Remove the run's folder, a hash that means nothing to users, from a reason."""
     for folder in (temporary_folder(run), run):
         reason = reason.replace(f"{folder}/", "").replace(str(folder), "the run")
     return reason
 
 
 def scores_in(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """The scores of a `metrics.json` by dotted key, without those that are None."""
-    kept = {name: metrics[name] for name in ("images", "points", "mesh", "baselines", "time_s")}
-    return {name: value for name, value in _flat(kept) if value is not None}
+    """Scores of a `metrics.json` by dotted key, without None."""
+    scores = {name: metrics[name] for name in ("images", "points", "mesh", "baselines", "time_s")}
+    return {name: value for name, value in _flat(scores) if value is not None}
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, float | None]]:
@@ -160,4 +198,4 @@ def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, float 
 
 
 RUN = Work(Cell, Row, do, lost, "start the sweep again to continue it")
-"""A run of a sweep, as work of an executor."""
+"""Work of executors: one run of a sweep."""

@@ -17,7 +17,7 @@ from sarsplat.geometry import View
 from sarsplat.learning.model import SceneModel
 from sarsplat.radar import Surface, surface_of_run
 from sarsplat.radiometry import white_level
-from sarsplat.report.interferogram import Interferogram, Pair, spread_m
+from sarsplat.report.stacks import Interferogram, Pair, spread_m
 from sarsplat.runs import Run
 from sarsplat.viewer.subject import TRUTH, Cloud, OfScene, Subject, at_most, dataset_subject
 

@@ -25,7 +25,7 @@ from sarsplat.radar.iso_range import contributions
 from sarsplat.radiometry import white_level
 from sarsplat.regions.target_region import target_region
 from sarsplat.renderer import GroundBounce
-from sarsplat.report.interferogram import Interferogram, Pair
+from sarsplat.report.stacks import Interferogram, Pair
 from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.scenes import ScatteringLaw, law_by_ground
 from sarsplat.scenes.meshes import read_mesh

@@ -1,4 +1,4 @@
-"""Interferograms of two passes, and a figure of one beside what was learned of it: power, phase and coherence."""
+"""Figures of stacks: measured and rendered interferograms of two passes, and polarisations in Pauli's basis."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from jaxtyping import Complex, Float, Float64
 from scipy.ndimage import correlate
 
 from sarsplat.colours import COHERENCE, PHASE, gradient, ramp
+from sarsplat.data.coverage import evenly_chosen
 from sarsplat.geometry import Stack, View
 from sarsplat.radiometry import white_level
 from sarsplat.report.figure import Block, ColourBar, Figure, colour_bar
@@ -20,13 +21,20 @@ from sarsplat.runs import Run
 
 _LARGEST = 256
 _TURNS = ((0.0, "−π"), (0.25, "−π/2"), (0.5, "0"), (0.75, "π/2"), (1.0, "π"))
-_STRAYS = 0.01, 0.99
-"""Heights of points beyond these quantiles do not count."""
+_INLIERS = 0.01, 0.99
+"""Quantiles of the points' heights beyond which points are outliers."""
+
+PAULI = frozenset(("HH", "VV"))
+"""Polarisations that a Pauli picture needs."""
+
+_SHOWN = 3  # training images in the Pauli figure
+_BRIGHT = 0.99
+"""Quantile of the measured powers at full brightness."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Numbers of two passes: of what is higher, the interferogram of `first` with `second` has more phase."""
+    """Numbers of two passes, ordered so that the phase of `first` × conj(`second`) grows with height."""
 
     first: int
     second: int
@@ -35,10 +43,7 @@ class Pair:
 
     @classmethod
     def longest(cls, stack: Stack, view: View, height_m: float) -> Pair:
-        """The pair that tells heights best among those whose phase turns at most once over `height_m`.
-
-        If there is none, the pair whose phase turns least.
-        """
+        """Find the longest baseline whose phase turns at most once over `height_m`, else the shortest baseline."""
         per_height = stack.elevation_numbers(view) / view.look.height_per_elevation
         pairs = [  # rounded: of even passes, the first are alike
             cls(i, j, float(f"{2 * math.pi / (per_height[i] - per_height[j]):.6g}"))
@@ -75,7 +80,7 @@ class Interferogram:
 
 
 def averaged(parts: Float64[np.ndarray, "n rows columns"], window: int) -> Float64[np.ndarray, "n rows columns"]:
-    """Means over `window` × `window` pixels; at edges over what there is of the window, as in training."""
+    """Means over `window` × `window` pixels, at edges over the part of the window inside, as in training."""
     weights = np.ones((1, window, window))
     count = correlate(np.ones_like(parts[:1]), weights, mode="constant")
     means: Float64[np.ndarray, "n rows columns"] = correlate(parts, weights, mode="constant") / count
@@ -84,18 +89,18 @@ def averaged(parts: Float64[np.ndarray, "n rows columns"], window: int) -> Float
 
 def spread_m(points: Float[np.ndarray, "p 3"]) -> float:
     """Height range of points, m, without outliers."""
-    return float(np.ptp(np.quantile(points[:, 2], _STRAYS))) if len(points) else 0.0
+    return float(np.ptp(np.quantile(points[:, 2], _INLIERS))) if len(points) else 0.0
 
 
 def covariances(signals: Complex[np.ndarray, "p rows columns"]) -> Complex[np.ndarray, "p p rows columns"]:
-    """Of single samples: every pass times the conjugate of every other."""
+    """Covariances of single samples: products of every pass with the conjugate of every pass."""
     return signals[:, None] * signals[None].conj()
 
 
 def phases_figure(run: Run, index: int, cut: Slice, window: int) -> Figure:
-    """A training image of the run's dataset, of an interferometric stack, and what was learned of it.
+    """Power, phase and coherence of a training stack, measured and rendered.
 
-    A line on the measured power shows where it is cut. Covariances are averaged over `window` pixels along each side.
+    A line on the measured power marks the slice `cut`. Covariances are averaged over `window` × `window` pixels.
     """
     dataset = run.dataset
     view, stack, power = dataset.views[index], dataset.stacks[index], dataset.power[index]
@@ -110,11 +115,11 @@ def phases_figure(run: Run, index: int, cut: Slice, window: int) -> Figure:
         ("measured", power, pair.of(covariances(dataset.signal[index]), level), _line(part, cut.azimuth_m)),
         ("rendered", np.trace(rendered).real / len(stack), pair.of(rendered, level), ""),
     ):
-        shown = Interferogram.of(part.of_images(averaged(parts, window)))
+        interferogram = Interferogram.of(part.of_images(averaged(parts, window)))
         panels = [part.power("power", f"{name}: power", image, peak, line)]
         for title, values, ends, colours in (
-            ("phase", shown.phase, (-math.pi, math.pi), PHASE),
-            ("coherence", shown.coherence, (0, 1), COHERENCE),
+            ("phase", interferogram.phase, (-math.pi, math.pi), PHASE),
+            ("coherence", interferogram.coherence, (0, 1), COHERENCE),
         ):
             picture = address(indexed(values, *ends), ramp(colours))
             panels.append(part.panel(title, f"{name}: {title}", image=picture))
@@ -129,7 +134,7 @@ def phases_figure(run: Run, index: int, cut: Slice, window: int) -> Figure:
 
 
 def _line(part: Part, azimuth_m: float) -> str:
-    """Along all ranges of a part of the images, as SVG."""
+    """Line along all ranges at one azimuth, as SVG."""
     left, right, *_ = part.grid.part(part.rows, part.columns).extent_m
     return f'<path class="line second" d="M{1000 * (azimuth_m - left) / (right - left):.4g} 0v1000"/>'
 
@@ -147,3 +152,47 @@ def _text(run: Run, index: int, pair: Pair, height_m: float, window: int) -> str
         f"{pair.cycle_m / 4:.3g} m higher a quarter of a cycle more. Averages of so few pixels leave some coherence "
         "where there is none."
     )
+
+
+# ---- polarisations ---------------------------------------------------------------------------------------------------
+def pauli(
+    matrices: Complex[np.ndarray, "p p rows columns"], polarisations: tuple[str, ...]
+) -> Float64[np.ndarray, "3 rows columns"]:
+    """Powers of HH − VV (two bounces), of the cross-polarised channels (volumes), and of HH + VV (one bounce).
+
+    E|HH ∓ VV|² / 2 and E|HV|² + E|VH|²; a missing HV or VH counts as equal to the other.
+    """
+    hh, vv = polarisations.index("HH"), polarisations.index("VV")
+    both, between = matrices[hh, hh].real + matrices[vv, vv].real, matrices[hh, vv].real
+    crossed = [matrices[i, i].real for i, name in enumerate(polarisations) if name in ("HV", "VH")]
+    volume = 2 * np.mean(crossed, axis=0) if crossed else np.zeros_like(both)
+    return np.stack([both / 2 - between, volume, both / 2 + between]).astype(np.float64)
+
+
+def pauli_figure(run: Run, window: int) -> Figure:
+    """Pauli pictures of some training images, measured (averaged over `window` × `window` pixels) and rendered."""
+    train = run.dataset.select("train")
+    assert train.signal is not None  # of stacks
+    part = Part.of(train.grid, target_window(train.power, white_level(train.power), train.score_margin), _LARGEST)
+    shown = evenly_chosen(train.views, min(_SHOWN, len(train)))
+    measured, rendered = [], []
+    for index in shown:
+        stack, samples = train.stacks[index], covariances(train.signal[index])
+        measured.append(averaged(pauli(samples, stack.of_channels), window))
+        rendered.append(pauli(run.render_covariances([train.views[index]], stack)[0], stack.of_channels))
+    brightest = max(float(np.quantile(np.stack(measured), _BRIGHT)), np.finfo(np.float32).tiny)
+    blocks = []
+    for name, images in (("measured", measured), ("rendered", rendered)):
+        panels = []
+        for index, image in zip(shown, images, strict=True):
+            colours = indexed(np.sqrt(part.of_images(image.clip(min=0)) / brightest), 0, 1)
+            title = f"azimuth {round(train.views[index].azimuth_deg, 1):g}°"
+            picture = address(np.ascontiguousarray(np.moveaxis(colours, 0, -1)))
+            panels.append(part.panel(title, f"{name}: polarisations, {view_name(train.views[index])}", image=picture))
+        blocks.append(Block(name, tuple(panels)))
+    text = (
+        "Training images and what was learned of them. Red is the power of HH − VV, which two bounces make strong; "
+        "green that of the cross-polarised channels, which volumes do; blue that of HH + VV, which single bounces do. "
+        f"Brightness is amplitude, measured ones averaged over {window} × {window} pixels, as in training."
+    )
+    return Figure("Polarisations", text, tuple(blocks))
