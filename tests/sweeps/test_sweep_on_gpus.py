@@ -29,10 +29,9 @@ from sarsplat.executors import Means, executor_local, executor_ray, worker
 from sarsplat.executors.worker import Answers, Worker, serve
 from sarsplat.learning import Trainer
 from sarsplat.renderer.engines import choice, cuda, on_device
-from sarsplat.sweeps.work import caught
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
-from sarsplat.sweeps.work import RUN, Row, do, row_of
+from sarsplat.sweeps.work import RUN, Row, caught, do, row_of
 
 SEEDS = [0, 1, 2]
 
