@@ -97,7 +97,7 @@ def test_the_number_of_threads_changes_no_bit(scene_and_images, threads):
 @pytest.mark.parametrize(
     ("masks", "message"),
     [
-        (None, "which were not given; give their folder with --masks"),
+        (None, "but masks is None; give their folder"),
         (np.zeros((3, 24, 20), np.uint8), "the masks are of shape"),
         (np.zeros((4, 24, 20), np.uint8), "no mask shows the target"),
         (np.full((4, 24, 20), 3, np.uint8), "a mask holds the number 3"),

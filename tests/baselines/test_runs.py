@@ -254,7 +254,7 @@ def test_the_command_line_trains_and_goes_on(small_box, tmp_path, capsys):
     [
         (["--method", "dsr", "--gaussians", "100"], "--gaussians is not a setting of dsr; see its settings"),
         (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is not a setting of sar-nerf; "),
-        (["--method", "dsr"], "give their folder with --masks"),
+        (["--method", "dsr"], "give their folder"),
         (["--masks", "masks"], "sar-gs uses no masks; omit 'masks'"),
         (["--method", "magic"], "magic"),
         (["--method", "dsr", "--masks", "nowhere"], "nowhere is not a folder; give one that holds a mask for each"),

@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from sarsplat.baselines.baseline import Scene
-from sarsplat.baselines.fields import Field, encoded
-from sarsplat.baselines.isosurface import isosurface, level_of_half
+from sarsplat.baselines.fields import Field, encoded, isosurface, level_of_half
 from sarsplat.baselines.method_sar_nerf import SarNerf, SarNerfConfig, scene_boxes
 from sarsplat.baselines.method_sar_nerf_grid import SarNerfGrid, SarNerfGridConfig
 from sarsplat.baselines.rays import Rays

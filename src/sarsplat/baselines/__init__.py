@@ -1,4 +1,4 @@
-"""Methods of others to compare with: SAR-NeRF, DSR, and their common base. Torch is loaded when first used."""
+"""Published methods to compare with: SAR-NeRF, DSR, and their common base. Torch is loaded when first used."""
 
 import lazy_loader
 

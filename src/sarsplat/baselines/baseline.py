@@ -1,4 +1,4 @@
-"""The interface of a baseline: its settings, and a torch module that renders a view and has a surface."""
+"""Interface of a baseline: its settings, and a torch module that renders a view and has a surface."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class BaselineConfig(AnyConfig):
     views_per_step : int
         Training images in one step.
     seed : int
-        Of everything random.
+        Seed of all random numbers.
     """
 
     iterations: Count = 1000
@@ -42,25 +42,25 @@ class BaselineConfig(AnyConfig):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a baseline is given of a dataset: views, masks, units and the target's box, which must not be empty."""
+    """Data for a baseline: training views, masks, units and the target's box, which must not be empty."""
 
     views: tuple[View, ...]
-    """Of the training images."""
+    """Views of the training images."""
     grid: ImageGrid
-    """Where the pixels of every image lie."""
+    """Pixels of every image."""
     low_m: Float64[np.ndarray, " 3"]
     high_m: Float64[np.ndarray, " 3"]
     """Corners of the box the target lies in, world frame, m."""
     unit: float
     """Power that counts as 1."""
     masks: UInt8[np.ndarray, "v rows columns"] | None = None
-    """What each pixel of the training images shows: 0 clutter, 1 target, 2 shadow; None if unknown."""
+    """Class of each pixel of the training images: 0 clutter, 1 target, 2 shadow; None if unknown."""
     brightest: float = 1.0
-    """Largest power of a training image, in that unit; where few echoes outshine all others by far, that of these."""
+    """Largest usual power of the training images (`usual_peak`), in units of `unit`."""
     ground: bool = False
-    """Whether the images show the ground around the target."""
+    """True if the images show the ground around the target."""
     looks: float | None = None
-    """Number of looks of the speckle in the training images; None if there is none."""
+    """Number of looks of the training images' speckle; None without speckle."""
 
     def __post_init__(self) -> None:
         corners = np.array([self.low_m, self.high_m])
@@ -94,18 +94,18 @@ class Baseline(torch.nn.Module, ABC):
     def loss(
         self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
     ) -> Float[Tensor, ""]:
-        """What training minimises, for the `chosen` training images.
+        """Loss of the `chosen` training images.
 
-        `images` are their β⁰, linear power, in units of `Scene.unit`. Every random number is drawn from `generator`, of
-        the CPU.
+        `images` are their β⁰, linear power, in units of `Scene.unit`. All random numbers come from `generator`, which
+        is on the CPU.
         """
 
     @abstractmethod
     def optimiser(self) -> torch.optim.Adam:
-        """A new optimiser of all parameters, each of which every step changes."""
+        """New optimiser of all parameters."""
 
     def rate(self, iteration: int) -> float:
-        """Factor on the optimiser's learning rates after so many iterations; it falls tenfold in the whole training."""
+        """Factor on the optimiser's learning rates; it falls tenfold in the whole training."""
         return float(0.1 ** (iteration / self.config.iterations))
 
     @abstractmethod

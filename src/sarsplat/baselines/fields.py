@@ -1,31 +1,33 @@
-"""The field of SAR-NeRF: attenuation and scattering at every place, as a perceptron or as nested voxel grids."""
+"""Field of SAR-NeRF: attenuation and scattering at every place, as a perceptron or nested voxel grids; its surface."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils import skip_init
 
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import install_command
 from sarsplat.gaussians.harmonics import harmonic_basis
 
 _POSITION_OCTAVES, _DIRECTION_OCTAVES = 10, 4
 _WIDTH, _DEPTH, _JOINED_AFTER, _HEAD_WIDTH = 256, 8, 4, 128
 _MOST_NUMBERS = 1 << 28
+_LAYER_PLACES = 1 << 18  # evaluated at once for a surface
 
 
 class Field(nn.Module, ABC):
-    """Base of the fields: attenuation and scattering at places, before their activations."""
+    """Base of fields: attenuation and scattering at places, before their activations."""
 
     at_once: int
-    """Places for which one step keeps everything in memory; more are computed in parts, and again on the way back."""
+    """Maximum number of places whose activations one step stores; beyond, parts are computed again backwards."""
 
     @abstractmethod
     def forward(
@@ -35,14 +37,14 @@ class Field(nn.Module, ABC):
 
     @abstractmethod
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
-        """Attenuation alone, which does not depend on the direction."""
+        """Attenuation at places, which is independent of the direction."""
 
 
 class Perceptron(Field):
-    """The published network: 8 × 256 with the input joined again, and heads of which the second sees the direction.
+    """Published network: 8 × 256 with a skip connection, and two heads, of which the second gets the direction.
 
-    Places are encoded relative to `center_m`, in units of `unit_m`. Weights and biases are at first uniform within
-    ±1/√(number of inputs), drawn from a generator of the CPU.
+    Places are encoded relative to `center_m`, in units of `unit_m`. Initial weights and biases are uniform within
+    ±1/√(number of inputs), drawn from `generator`, which is on the CPU.
     """
 
     at_once = 1 << 16
@@ -66,8 +68,8 @@ class Perceptron(Field):
         self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
         hidden = self._trunk(places)
-        from_where = encoded(direction[None], _DIRECTION_OCTAVES).expand(len(places), -1)
-        directed = self.directed(torch.cat([self.bottleneck(hidden), from_where], dim=1)).relu()
+        code = encoded(direction[None], _DIRECTION_OCTAVES).expand(len(places), -1)
+        directed = self.directed(torch.cat([self.bottleneck(hidden), code], dim=1)).relu()
         return self.attenuation_head(hidden)[:, 0], self.scattering_head(directed)[:, 0]
 
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
@@ -81,15 +83,15 @@ class Perceptron(Field):
 
 
 Box = tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"], float]
-"""Two corners, m, on which outermost nodes lie, and the largest distance of neighbours in the finest lattice, m."""
+"""Low and high corner, m, and the largest distance of neighbouring nodes in the finest lattice, m."""
 
 
 class VoxelGrid(Field):
-    """Numbers on the nodes of nested lattices over boxes, interpolated trilinearly and added up; no network.
+    """Sum of nested lattices over boxes, interpolated trilinearly; no network.
 
-    At each node lie one number for the attenuation and coefficients of spherical harmonics up to `degree` for the
-    scattering; all are 0 at first. Boxes, which may overlap, have `levels` lattices each, with twice the spacing of the
-    next. Interpolation is `grid_sample` with one batch: in a fixed order on the CPU, not so on a GPU.
+    Each node has one number for the attenuation and coefficients of spherical harmonics up to `degree` for the
+    scattering; all are 0 initially. Each box has `levels` lattices, each with twice the spacing of the next; boxes may
+    overlap. The order of additions in `grid_sample` is fixed on the CPU, but not on a GPU.
     """
 
     at_once = 1 << 20
@@ -116,7 +118,7 @@ class VoxelGrid(Field):
         self, places: Float[Tensor, "p 3"], direction: Float[Tensor, " 3"]
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
         basis = harmonic_basis(direction, self.degree)
-        # the sum over harmonics first: nodes have more neighbours than numbers
+        # summing harmonics before interpolation is cheaper
         tables = [torch.stack([table[0], torch.einsum("k,kzyx->zyx", basis, table[1:])]) for table in self.tables]
         attenuation, scattering = self._between(tables, places).unbind(0)
         return attenuation, scattering
@@ -131,16 +133,16 @@ class VoxelGrid(Field):
         return torch.stack([square.sum(3).sum(2).sum(1).sum(0) for square in squares]).sum()
 
     def _between(self, tables: list[Tensor], places: Float[Tensor, "p 3"]) -> Float[Tensor, "c p"]:
-        """The sum over the lattices; each falls to 0 within one of its distances beyond its box."""
+        """Sum of the interpolated lattices; each falls to 0 within one spacing beyond its box."""
         values = []
         for table, (low, high) in zip(tables, self.corners.to(places), strict=True):
-            at = (2 * (places - low) / (high - low) - 1)[None, :, None, None, :]
-            values.append(functional.grid_sample(table[None], at, align_corners=True)[0, :, :, 0, 0])
+            normalised = (2 * (places - low) / (high - low) - 1)[None, :, None, None, :]
+            values.append(functional.grid_sample(table[None], normalised, align_corners=True)[0, :, :, 0, 0])
         return torch.stack(values).sum(0)
 
 
 def _linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
-    """A layer initialised as by torch, but with this generator: torch's own belongs to the user."""
+    """Linear layer with torch's initialisation, but this generator: torch's global one belongs to the user."""
     layer, bound = skip_init(nn.Linear, inputs, outputs, dtype=torch.float32), 1 / math.sqrt(inputs)
     for parameter in layer.parameters():
         nn.init.uniform_(parameter, -bound, bound, generator=generator)
@@ -148,7 +150,57 @@ def _linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
 
 
 def encoded(values: Float[Tensor, "p n"], octaves: int) -> Float[Tensor, "p {(2*octaves+1)*values.shape[1]}"]:
-    """Positional encoding: the values, and sine and cosine of them times 1, 2, 4 …"""
+    """Positional encoding: the values, and the sines and cosines of 1, 2, 4 … times the values."""
     angles = values[:, None, :] * (2.0 ** torch.arange(octaves, dtype=torch.float32)).to(values)[:, None]
     waves = torch.stack([angles.sin(), angles.cos()], dim=2).reshape(len(values), 2 * octaves * values.shape[1])
     return torch.cat([values, waves], dim=1)
+
+
+def level_of_half(depths: Sequence[Float[Tensor, "n r"]]) -> float:
+    """Level of the surface: median over rays of the optical depth of the first cell at which half is absorbed.
+
+    Cells of each ray go from near to far; inf if no ray is half absorbed.
+    """
+    at_half = []
+    for depth in depths:
+        half = depth.cumsum(1) >= math.log(2)
+        at_half.append(depth.gather(1, half.to(torch.int8).argmax(1, keepdim=True))[half.any(1)])
+    cells = torch.cat(at_half)
+    return float(cells.median()) if len(cells) else math.inf
+
+
+def isosurface(
+    values: Callable[[Tensor], Tensor],
+    low_m: Float64[np.ndarray, " 3"],
+    high_m: Float64[np.ndarray, " 3"],
+    longest: int,
+    level: float,
+    like: Tensor,
+) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, "f 3"]]:
+    """Extract the surface at which a field falls below a level, by marching cubes; it is open at the walls of the box.
+
+    `values` maps places [P, 3], m, of the dtype and device of `like`, to the field's values [P]; the box has `longest`
+    cubic voxels along its longest side. Returns vertices [N, 3], m, and faces [F, 3], counter-clockwise seen from low
+    values; both are empty if no value or every value reaches the level.
+    """
+    try:
+        from skimage.measure import marching_cubes
+    except ImportError as error:
+        raise SarsplatError(
+            f"a surface needs {error.name}, which is not installed; {install_command('mesh')}"
+        ) from error
+    voxel = float((high_m - low_m).max()) / longest
+    shape = np.maximum(1, np.ceil((high_m - low_m) / voxel - 0.5 - 1e-9)).astype(int)  # centres lie in the box
+    x, y, z = (torch.from_numpy(low + (np.arange(n) + 0.5) * voxel).to(like) for low, n in zip(low_m, shape))
+    layers = np.zeros(shape, np.float32)
+    step = max(1, _LAYER_PLACES // (len(y) * len(z)))
+    for first in range(0, len(x), step):
+        places = torch.stack(torch.meshgrid(x[first : first + step], y, z, indexing="ij"), dim=-1)
+        layer = values(places.reshape(-1, 3)).reshape(places.shape[:3])
+        layers[first : first + len(layer)] = layer.cpu().numpy()
+    if min(shape) < 2 or not layers.min() < level < layers.max():
+        return np.empty((0, 3)), np.empty((0, 3), np.int64)
+    vertices, faces, _, _ = marching_cubes(
+        layers, level, spacing=(voxel,) * 3, gradient_direction="ascent", allow_degenerate=False
+    )
+    return vertices.astype(np.float64) + (low_m + voxel / 2), faces.astype(np.int64)

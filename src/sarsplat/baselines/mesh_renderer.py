@@ -1,6 +1,6 @@
 """DSR's differentiable renderer of meshes: soft occlusion facing the radar, soft image on azimuth × slant range.
 
-Its equations, and what was not published of them, are in docs/concepts/baselines-dsr.md.
+docs/concepts/baselines-dsr.md has the equations, published or not.
 """
 
 from __future__ import annotations
@@ -21,36 +21,37 @@ _GRAZED = 0.1
 """Cosine of incidence from which a face counts fully in the mask."""
 
 _TAME = 0.1
-"""Areas below this many σ, on the plane facing the radar, lose their slope: they are seen edge-on."""
+"""Projected area, in units of σ, below which a face's depth slope is damped: it is seen edge-on."""
 
 _MOST_PARTS = 4
-"""Pixels of both planes along the side of one of the image, at most."""
+"""Maximum number of the planes' pixels along the side of an image pixel."""
 
 
 @dataclass(frozen=True)
 class Layers:
-    """Images of what a mesh contributes: coverage, scattering and shadow."""
+    """Contributions of a mesh to an image: scattering, coverage and shadow."""
 
     target: Float[Tensor, "rows columns"]
     """β⁰ of the lit faces in units of `Scene.unit`."""
     lit: Float[Tensor, "rows columns"]
-    """Share of each pixel in which a lit face appears."""
+    """Share of each pixel that lit faces cover."""
     hidden: Float[Tensor, "rows columns"]
     """Share of each pixel's flat ground (z = 0) that the target hides from the radar."""
     sections: Float[Tensor, " f"]
-    """Radar cross-section of each face in m² times the unit."""
+    """Radar cross-section of each face, m² times the unit."""
 
     @property
     def shadow(self) -> Float[Tensor, "rows columns"]:
-        """Hidden ground where no lit face appears."""
+        """Share of each pixel with hidden ground and without a lit face."""
         return self.hidden * (1 - self.lit)
 
 
 @dataclass(frozen=True)
 class MeshRenderer:
-    """Renders closed meshes on one grid.
+    """Renderer of closed meshes on one grid.
 
-    `softness_m` is √σ of the coverage on all planes; a face is still seen as far as `gamma_m` behind another (e-fold).
+    `softness_m` is √σ of the coverage on all planes; the visibility of a hidden face falls by 1/e per `gamma_m` behind
+    the one in front.
     """
 
     grid: ImageGrid
@@ -60,21 +61,21 @@ class MeshRenderer:
     def layers(
         self, points: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"], gamma0: Float[Tensor, " f"], view: View
     ) -> Layers:
-        """What a mesh does to an image; its vertices (m, world frame) must be finite.
+        """Render a mesh with vertices `points` (finite, m, world frame) from a view.
 
         Faces are counter-clockwise seen from outside, and visible only from there; `gamma0` [F] is their cross-section
-        per area projected along the line of sight. Differentiable in `points` and `gamma0`, with the share of each face
-        that the radar sees held fixed.
+        per area projected along the line of sight. Differentiable in `points` and `gamma0`; each face's visible share
+        is held constant.
         """
         frame = torch.as_tensor(view.look.frame, dtype=points.dtype, device=points.device)
-        seen = points @ frame.T
-        across, up, away = seen.unbind(1)
-        normals = face_normals(seen, faces)
-        turned = 1 if view.side == "left" else -1  # the frame of a radar that looks to the left is mirrored
-        areas = turned * normals[:, 2] / 2  # projected along the line of sight, m²; negative where turned away
+        radar_points = points @ frame.T
+        across, up, away = radar_points.unbind(1)
+        normals = face_normals(radar_points, faces)
+        sign = 1 if view.side == "left" else -1  # the frame of a left-looking radar is mirrored
+        areas = sign * normals[:, 2] / 2  # projected along the line of sight, m²; negative if turned away
         facing = torch.nonzero(areas.detach() > 0).reshape(-1)
-        with torch.no_grad():  # its slope is mostly noise from faces smaller than pixels (baselines-dsr.md in docs)
-            visible = self._visible(seen, faces[facing])
+        with torch.no_grad():  # its gradient is mostly noise from faces smaller than pixels (baselines-dsr.md)
+            visible = self._visible(radar_points, faces[facing])
         sections = picked(gamma0 * areas, facing) * visible
 
         lattice = self._mapping
@@ -84,51 +85,50 @@ class MeshRenderer:
         cosine = picked(2 * areas / (normals.square().sum(1) + 1e-20).sqrt(), facing)
         lit = self._averaged(mapped.union(visible * (cosine / _GRAZED).clamp(max=1)))
 
-        fallen = view.look.range_on_ground(across, up)  # along its ray, where a point's shadow ends
-        shaded = soft_coverage(_corners(across, fallen, faces[facing]), lattice, self.softness_m)
+        shadow_range = view.look.range_on_ground(across, up)  # at which the ray through a point meets the ground
+        shaded = soft_coverage(_corners(across, shadow_range, faces[facing]), lattice, self.softness_m)
         hidden = self._averaged(shaded.union())
         return Layers(target, lit, hidden, torch.zeros_like(areas).index_add(0, facing, sections))
 
-    def _visible(self, seen: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"]) -> Float[Tensor, " f"]:
-        """Share that the radar sees of each face turned to it; on a closed surface the others hide nothing."""
+    def _visible(self, points: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"]) -> Float[Tensor, " f"]:
+        """Visible share of each face that is turned to the radar; on a closed surface, other faces hide nothing."""
         if len(faces) == 0:
-            return seen.new_zeros(0)
+            return points.new_zeros(0)
         step_m = min(width / parts for width, parts in zip(self.grid.spacing_m, self._parts, strict=True))
-        lattice = Lattice.around(seen[:, :2], step_m)
-        plane = soft_coverage(_corners(seen[:, 0], seen[:, 1], faces), lattice, self.softness_m)
-        level, nearest, farthest, slope = self._depths(seen, faces, plane, lattice)
+        lattice = Lattice.around(points[:, :2], step_m)
+        plane = soft_coverage(_corners(points[:, 0], points[:, 1], faces), lattice, self.softness_m)
+        level, nearest, farthest, slope = self._depths(points, faces, plane, lattice)
         covered = logsigmoid(plane.signed)
-        # beside its outline a face's plane goes on, but never nearer to the radar as what hides, nor farther as what is
-        # hidden: else faces seen at a slant would hide those behind them on the same surface
+        # outside its outline, a face is extrapolated no nearer than its nearest corner where it hides others, and no
+        # farther than its farthest where it is hidden: else slanted faces would hide their neighbours behind
         hiding, own = torch.maximum(level, nearest), torch.minimum(level, farthest)
         weight = grouped_softmax(covered - hiding / self.gamma_m, plane.pixel, plane.pixels + 1)
         front = picked(torch.cat([plane.onto_pixels(weight * hiding), level.new_zeros(1)]), plane.pixel)
-        # how much of the pixel the nearest surface covers, twice: what is closed has a back; far beyond an edge it is
-        # the nearest, too, but hides little
+        # opacity of the front surface; its transparency counts twice, for a closed surface has a back
         layer = torch.exp(-(hiding - front).clamp(min=0) / self.gamma_m)
-        shut = -torch.expm1(2 * plane.onto_pixels(layer * logsigmoid(-plane.signed)))
-        shut = picked(torch.cat([shut, shut.new_zeros(1)]), plane.pixel)
-        # a face that slopes away lies behind its own neighbours by as much as edges are soft
+        opacity = -torch.expm1(2 * plane.onto_pixels(layer * logsigmoid(-plane.signed)))
+        opacity = picked(torch.cat([opacity, opacity.new_zeros(1)]), plane.pixel)
+        # a sloping face may lie behind its neighbours within the softness of edges
         allowed = self.gamma_m + picked(slope, plane.face) * self.softness_m
-        seen_through = 1 + shut * torch.expm1(-(own - front - allowed).clamp(min=0) / self.gamma_m)
+        transmitted = 1 + opacity * torch.expm1(-(own - front - allowed).clamp(min=0) / self.gamma_m)
         within = covered.masked_fill(plane.pixel == plane.pixels, -math.inf)  # every face has a pixel on the lattice
-        return plane.onto_faces(grouped_softmax(within, plane.face, plane.faces) * seen_through)
+        return plane.onto_faces(grouped_softmax(within, plane.face, plane.faces) * transmitted)
 
     def _depths(
-        self, seen: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"], plane: Coverage, lattice: Lattice
+        self, points: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"], plane: Coverage, lattice: Lattice
     ) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"], Float[Tensor, " p"], Float[Tensor, " f"]]:
-        """Range of faces' planes at their pixels, of their nearest and farthest corners, m; their slopes."""
+        """Range of each pair's face at its pixel, and of the face's nearest and farthest corner, m; slope of faces."""
         face, pixel = plane.face, plane.pixel
-        a, b, c = (gathered(seen, faces[:, k]) for k in range(3))
+        a, b, c = (gathered(points, faces[:, k]) for k in range(3))
         first, second = b - a, c - a
         area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-        inverse = area / (area**2 + (_TAME * self.softness_m**2) ** 2)  # tame where a face is seen edge-on
+        inverse = area / (area**2 + (_TAME * self.softness_m**2) ** 2)  # damped for faces seen edge-on
         slope_x = (first[:, 2] * second[:, 1] - second[:, 2] * first[:, 1]) * inverse
         slope_y = (second[:, 2] * first[:, 0] - first[:, 2] * second[:, 0]) * inverse
         middle = (a + b + c) / 3
         depths = torch.stack([a[:, 2], b[:, 2], c[:, 2]])
-        column = (pixel % lattice.columns).to(seen.dtype)
-        row = torch.div(pixel, lattice.columns, rounding_mode="floor").to(seen.dtype)
+        column = (pixel % lattice.columns).to(points.dtype)
+        row = torch.div(pixel, lattice.columns, rounding_mode="floor").to(points.dtype)
         across = column * lattice.step_m[0] + lattice.first_m[0] - picked(middle[:, 0], face)
         along = row * lattice.step_m[1] + lattice.first_m[1] - picked(middle[:, 1], face)
         level = picked(middle[:, 2], face) + picked(slope_x, face) * across + picked(slope_y, face) * along
@@ -137,20 +137,20 @@ class MeshRenderer:
 
     @property
     def _parts(self) -> tuple[int, int]:
-        """Pixels of the mapping plane in one of the image, across and along: none much coarser than edges are soft."""
+        """Mapping-plane pixels per image pixel, across and along: their width is about 2·√σ."""
         across, along = (max(1, math.ceil(step / (2 * self.softness_m))) for step in self.grid.spacing_m)
         return min(across, _MOST_PARTS), min(along, _MOST_PARTS)
 
     @property
     def _kernels(self) -> list[list[float]]:
-        """Weights, across and along, of the mapping plane's pixels: how much wider the response is than soft edges."""
+        """Kernels, across and along, that widen the mapping plane's soft edges to the system response."""
         kernels = []
         for step, response, parts in zip(self.grid.spacing_m, self.grid.response_variance_m2, self._parts, strict=True):
             variance = max(response - self.softness_m**2, (0.5 * step / parts) ** 2)
             if parts == 1 and variance == (0.5 * step) ** 2:
                 kernels.append([1.0])
                 continue
-            reach = math.ceil(3 * math.sqrt(variance) / step)  # whole pixels beyond this one
+            reach = math.ceil(3 * math.sqrt(variance) / step)  # image pixels beyond this one
             offsets = [((2 * reach + 1) * parts - 1) / 2 - k for k in range((2 * reach + 1) * parts)]
             weights = [math.exp(-((offset * step / parts) ** 2) / (2 * variance)) for offset in offsets]
             kernels.append([weight / sum(weights) for weight in weights])
@@ -158,7 +158,7 @@ class MeshRenderer:
 
     @property
     def _margins(self) -> tuple[int, int]:
-        """Pixels of the image that the mapping plane reaches beyond it on each side."""
+        """Margin of the mapping plane around the image, image pixels on each side."""
         across, along = (
             (len(kernel) // parts - 1) // 2 for kernel, parts in zip(self._kernels, self._parts, strict=True)
         )
@@ -166,7 +166,7 @@ class MeshRenderer:
 
     @property
     def _mapping(self) -> Lattice:
-        """The mapping plane: azimuth across, slant range along."""
+        """Mapping plane: azimuth across, slant range along."""
         firsts, steps, sizes = [], [], []
         image = Lattice.of(self.grid)
         for first, step, size, parts, margin in zip(
@@ -178,7 +178,7 @@ class MeshRenderer:
         return Lattice((firsts[0], firsts[1]), (steps[0], steps[1]), sizes[0], sizes[1])
 
     def _responded(self, power: Float[Tensor, "fine_rows fine_columns"]) -> Float[Tensor, "rows columns"]:
-        """Resample the mapping plane to the image through the response, with bits that do not depend on threads."""
+        """Convolve the mapping plane with the response and sample it at the image's pixels, in a fixed order."""
         across, along = self._kernels
         parts_across, parts_along = self._parts
         ends = (self.grid.rows - 1) * parts_along + 1, (self.grid.columns - 1) * parts_across + 1

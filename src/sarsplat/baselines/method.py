@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Points = Float32[np.ndarray, "p 3"]
 
 _RAYS_PER_CELL = 4.0
-"""Along a side."""
+"""Rays along the side of a resolution cell."""
 
 
 @dataclass(frozen=True)
@@ -39,24 +39,24 @@ class BaselineMethod(Method):
     """A method whose model is a `Baseline`."""
 
     name: str
-    """On the command line and in files."""
+    """Name on the command line and in files."""
     title: str
     learns: str
     loss: str
-    """For readers: its name, what it learns (`a closed mesh`) and what its training minimises."""
+    """Texts for readers: name, learned model (`a closed mesh`) and loss."""
     defaults: BaselineConfig
-    """Default settings; all its settings are of their type."""
+    """Default settings, whose type all settings have."""
     model: Callable[[Scene, Any], Baseline]
-    """Makes the model of a scene before the first step."""
+    """Function that makes the model of a scene, from its settings."""
     takes: frozenset[str] = frozenset()
-    """`{"masks"}` if it learns from masks of the training images."""
+    """`{"masks"}` if the method learns from masks of the training images."""
 
     @property
     def settings(self) -> type[BaselineConfig]:  # type: ignore[override]
         return type(self.defaults)
 
     def preset(self, name: str, dataset: Dataset) -> BaselineConfig:
-        """Its default settings; there is only "auto"."""
+        """Default settings; the only name is "auto"."""
         if name != "auto":
             raise SarsplatError(f"{self.name} has no presets, so {shown(name)} is unknown; omit it, or give settings")
         return self.defaults
@@ -69,13 +69,13 @@ class BaselineMethod(Method):
         device: torch.device,
         begun: Callable[[], Reconstruction] | None,
     ) -> BaselineTrainer:
-        """A training at its beginning; a resumed one keeps its masks."""
+        """New trainer; a resumed training keeps its masks."""
         check_monostatic(dataset.views, f"{self.title} knows one radar only; leave out the method")
         if begun is None:
             masks = None if inputs.masks is None else read_masks(inputs.masks, dataset, ("train",))
             scene = scene_of(dataset, None if masks is None else np.stack([*masks.values()]))
         elif inputs.masks is None:
-            opened: Any = begun()  # by `open`, with errors that name the checkpoint
+            opened: Any = begun()  # its errors name the checkpoint
             scene = opened.baseline.scene
         else:
             raise SarsplatError(f"the run keeps the masks it was started with; omit the masks {inputs.masks}")
@@ -91,7 +91,7 @@ class BaselineMethod(Method):
 
 
 class BaselineReconstruction(Reconstruction):
-    """What a baseline has learned; its points are where rays of the training views meet its surface."""
+    """Learned baseline; its points are the first hits of the training views' rays on its surface."""
 
     def __init__(
         self, method: BaselineMethod, snapshot: Snapshot, config: BaselineConfig, device: str, folder: Path | None
@@ -105,13 +105,12 @@ class BaselineReconstruction(Reconstruction):
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
         if grid not in (None, self.grid):
             raise SarsplatError(
-                f"{self.method.title} renders the pixels that it was trained with, and no others; "
-                "omit the size, spacing and resolution"
+                f"{self.method.title} renders only the grid that it was trained with; omit size, spacing and resolution"
             )
         return self.baseline.images(views)
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
-        """Masks of its surface on flat ground, by ray casting, which needs embreex."""
+        """Masks of the surface on flat ground, by ray casting, which needs embreex."""
         from sarsplat.scenes.raycast import raycast_mask
 
         images = np.zeros((len(views), self.grid.rows, self.grid.columns), np.uint8)
@@ -122,7 +121,7 @@ class BaselineReconstruction(Reconstruction):
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
-        """The target's surface, m, world frame, perhaps without faces: from `mesh.ply`, or computed if that is lost."""
+        """Surface of the target, m, world frame, from `mesh.ply` or computed; it may have no faces."""
         import trimesh
 
         if self.folder is not None and (self.folder / MESH).is_file():
@@ -131,20 +130,20 @@ class BaselineReconstruction(Reconstruction):
         return trimesh.Trimesh(vertices, faces, process=False)
 
     def mesh(self, points: Points, normals: Points) -> trimesh.Trimesh:
-        """The whole surface, including parts that no view saw."""
+        """Surface including parts that no view saw."""
         return self.surface
 
     @cached_property
-    def _seen(self) -> tuple[Points, Points]:
-        return _seen_points(self.surface, self.snapshot.views, self.grid.cell_m / _RAYS_PER_CELL)
+    def _hits(self) -> tuple[Points, Points]:
+        return _first_hits(self.surface, self.snapshot.views, self.grid.cell_m / _RAYS_PER_CELL)
 
     def points(self) -> Points:
-        return self._seen[0]
+        return self._hits[0]
 
     def normals_at(self, points: Points) -> Points:
-        """Normals of the nearest points that rays meet."""
-        seen, normals = self._seen
-        return normals[cKDTree(seen).query(points)[1]] if len(points) and len(seen) else np.zeros_like(points)
+        """Normals of the nearest first hits."""
+        hits, normals = self._hits
+        return normals[cKDTree(hits).query(points)[1]] if len(points) and len(hits) else np.zeros_like(points)
 
     def write(self, folder: Path) -> None:
         if len(self.surface.faces):
@@ -159,8 +158,8 @@ class BaselineReconstruction(Reconstruction):
         return {"numbers learned": f"{sum(parameter.numel() for parameter in self.baseline.parameters()):,}"}
 
 
-def _seen_points(mesh: trimesh.Trimesh, views: Sequence[View], spacing_m: float) -> tuple[Points, Points]:
-    """Points where parallel rays first meet a mesh, m, one in each cube of the spacing, and unit normals there."""
+def _first_hits(mesh: trimesh.Trimesh, views: Sequence[View], spacing_m: float) -> tuple[Points, Points]:
+    """First hits of parallel rays on a mesh, m, thinned to one per cube of the spacing, and their unit normals."""
     points, normals = np.empty((0, 3), np.float32), np.empty((0, 3), np.float32)
     for view in views if len(mesh.faces) else ():
         frame, facets = view.look.frame, Facets.of(mesh, view)
@@ -170,7 +169,7 @@ def _seen_points(mesh: trimesh.Trimesh, views: Sequence[View], spacing_m: float)
             normal = normal * np.sign(normal @ view.look.way_in)[:, None]
             points = np.concatenate([points, hit.astype(np.float32)])
             normals = np.concatenate([normals, normal.astype(np.float32)])
-        kept = np.unique(np.floor(points / spacing_m).astype(np.int64), axis=0, return_index=True)[1]
-        kept.sort()
-        points, normals = points[kept], normals[kept]
+        first = np.unique(np.floor(points / spacing_m).astype(np.int64), axis=0, return_index=True)[1]
+        first.sort()
+        points, normals = points[first], normals[first]
     return points, normals

@@ -1,4 +1,4 @@
-"""DSR: a closed mesh deformed until it looks as the target does (docs/concepts/baselines-dsr.md)."""
+"""DSR: a closed mesh fitted to images and masks by gradient descent (docs/concepts/baselines-dsr.md)."""
 
 from __future__ import annotations
 
@@ -23,19 +23,17 @@ from sarsplat.geometry import SHADOW, TARGET, View
 from sarsplat.settings.kinds import Count, NotNegative, Positive
 
 _HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
-"""What σ and γ refer to, in longest sides of the target: as in soft rasterisation's usual scenes, where an object of
-side 1 stands in a field of view that is ±1.58 there (±30° from 2.73 away), between depths of 1 and 100."""
+"""Units of √σ and γ, in longest sides of the target: in usual scenes of soft rasterisation, an object of side 1 is in a
+field of view of ±1.58 (±30° at distance 2.73), between depths of 1 and 100."""
 
 _DIMMEST = 1e-5
-"""Added to powers before their root is taken, relative to the brightest: −50 dB."""
+"""Power added before roots are taken, relative to the brightest: −50 dB."""
 
 _START_GAMMA0 = 0.01
-"""Of the faces, relative to the brightest power: −20 dB."""
+"""Initial γ⁰ of the faces, relative to the brightest power: −20 dB."""
 
 _START_GROUND, _START_FLOOR = 1.0, 0.1
-"""Of the ground around the target, most of such an image, and of the noise: relative to `Scene.unit`."""
-
-
+"""Initial γ⁰ of the ground, and noise floor, relative to `Scene.unit`."""
 Softness = Annotated[float, Meta(ge=1e-6, le=1)]
 Momentum = Annotated[float, Meta(ge=0, le=0.9999)]
 
@@ -45,11 +43,11 @@ class DsrConfig(BaselineConfig):
     """Settings of DSR."""
 
     vertices: Literal[642, 1352] = 642
-    """Of the template."""
+    """Number of vertices of the template."""
     sigma: Softness = 1.2e-5
     """σ of the coverage, in squares of 1.58 longest sides of the target's box: √σ is the softness of edges."""
     gamma: Softness = 1e-4
-    """How far a face may lie behind another and still be seen: e-fold in depth, in 99 longest sides of the box."""
+    """Depth over which the visibility of a hidden face falls by 1/e, in 99 longest sides of the box."""
     laplacian: NotNegative = 0.3
     flatten: NotNegative = 3e-4
     lit: NotNegative = 1.0
@@ -59,15 +57,15 @@ class DsrConfig(BaselineConfig):
     iterations: Count = 2000
     views_per_step: Count = 4
     learning_rate: Positive = 0.01
-    """Of the vertices, longest sides of the target's box per step; it falls tenfold in the whole training."""
+    """Learning rate of the vertices, longest sides of the target's box; it falls tenfold in the whole training."""
     scattering_rate: Positive = 0.03
-    """Of the logarithms of scattering, ground and noise; it falls in the same way."""
+    """Learning rate of the logarithms of scattering, ground and noise; it falls tenfold, too."""
     betas: tuple[Momentum, Momentum] = (0.5, 0.99)
-    """Of Adam."""
+    """β₁ and β₂ of Adam."""
 
 
 class Dsr(Baseline):
-    """The differentiable SAR renderer on a scene; refused if that has no masks, or none shows the target."""
+    """Differentiable SAR renderer on a scene, which needs masks that show the target."""
 
     faces: Tensor
     edges: Tensor
@@ -103,10 +101,10 @@ class Dsr(Baseline):
     def loss(
         self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
     ) -> Float[Tensor, ""]:
-        """Mean over the images of the losses of masks and image, and what keeps the mesh smooth.
+        """Mean over the images of the losses of masks and amplitudes, plus regularisers of the mesh.
 
-        The image's is the mean difference of amplitudes, relative to their sum in the target's mask. It is least for
-        the median, so with speckle the rendered mean power is taken for what its median would be.
+        The loss of amplitudes is the sum of absolute differences over the sum in the target's mask. Its minimum is at
+        the median, so with speckle the rendered mean power is converted to the median.
         """
         config, points = self.config, self._points()
         dimmest, least = _DIMMEST * self.scene.brightest, math.sqrt(self.scene.brightest)
@@ -119,8 +117,8 @@ class Dsr(Baseline):
             if bool(shadow.any()):  # without ground, the shadow is unknown
                 total = total + config.shadow * iou_loss(layers.shadow, shadow)
             true = (power + dimmest).sqrt()
-            away = ((self._median * self._whole(layers, view) + dimmest).sqrt() - true).abs()
-            total = total + config.image * ordered_sum(away) / ordered_sum(true * target).clamp(min=least)
+            error = ((self._median * self._with_ground(layers, view) + dimmest).sqrt() - true).abs()
+            total = total + config.image * ordered_sum(error) / ordered_sum(true * target).clamp(min=least)
         shape = self.start + self.moved
         smooth = config.laplacian * laplacian_loss(shape, self.edges)
         flat = config.flatten * flatten_loss(shape, self.faces, self.flaps)
@@ -133,10 +131,10 @@ class Dsr(Baseline):
 
     def image(self, view: View) -> Float[Tensor, "rows columns"]:
         """β⁰ of target, ground and noise in units of `Scene.unit`, linear power, row 0 near range."""
-        return self._whole(self.layers(view), view)
+        return self._with_ground(self.layers(view), view)
 
     def layers(self, view: View, points: Float[Tensor, "n 3"] | None = None) -> Layers:
-        """What the mesh, with these vertices if given, does to the image of a view, without ground and noise."""
+        """Layers of the mesh, or of one with other vertices, in a view, without ground and noise."""
         points = self._points() if points is None else points
         return self.renderer.layers(points, self.faces, self.log_gamma0.exp(), view)
 
@@ -147,9 +145,9 @@ class Dsr(Baseline):
         points = self.moved.new_tensor(self._center_m) + self._longest_m * (self.start + self.moved)
         if self.scene.views[0].aloft:
             return points
-        return torch.cat([points[:, :2], points[:, 2:].clamp(min=0)], dim=1)  # the radar sees nothing below the ground
+        return torch.cat([points[:, :2], points[:, 2:].clamp(min=0)], dim=1)  # invisible below the ground
 
-    def _whole(self, layers: Layers, view: View) -> Float[Tensor, "rows columns"]:
+    def _with_ground(self, layers: Layers, view: View) -> Float[Tensor, "rows columns"]:
         if self.log_ground is None or self.log_floor is None:
             return layers.target
         ground = view.look.beta0_of_gamma0(self.log_ground.exp())
@@ -159,8 +157,8 @@ class Dsr(Baseline):
 def _checked_masks(scene: Scene) -> Tensor:
     if scene.masks is None:
         raise SarsplatError(
-            "DSR learns from masks of the lit target and of its shadow, which were not given; give their folder with "
-            "--masks (`sarsplat simulate --masks` makes them for simulated images), or choose another method"
+            "DSR learns from masks of the lit target and of its shadow, but masks is None; give their folder "
+            "(`sarsplat simulate --masks` makes one), or choose another method"
         )
     expected = (len(scene.views), scene.grid.rows, scene.grid.columns)
     if scene.masks.shape != expected:

@@ -1,6 +1,6 @@
 """SAR-NeRF: a field of attenuation and scattering, imaged along rays in azimuth, range and elevation.
 
-`docs/concepts/baselines-sar-nerf.md` has its two equations, and lists every choice.
+`docs/concepts/baselines-sar-nerf.md` has both image equations ("published" and "sound") and all choices.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 
 from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
-from sarsplat.baselines.fields import Field, Perceptron
-from sarsplat.baselines.isosurface import isosurface, level_of_half
+from sarsplat.baselines.fields import Field, Perceptron, isosurface, level_of_half
 from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.rays import Rays
 from sarsplat.errors import SarsplatError
@@ -28,24 +27,25 @@ from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.settings.kinds import Count, Positive
 
 _CLEAR = -4.0
-"""Added to the attenuation before its activation: e⁻⁴ per resolution cell lets light through at first."""
+"""Bias of the attenuation's activation: initially e⁻⁴ per resolution cell, which is transparent."""
 
 _DIM = -2.0
-"""Added to the scattering before its activation."""
+"""Bias of the scattering's activation."""
 
 _SOFTENED = 1e-3
-"""Amplitude, of the brightest, below which the root of a rendered power is softened: it has no slope at zero."""
+"""Amplitude, relative to the brightest, below which roots of powers are softened."""
 
 _FLOOR = 1e-4
-"""Power, of the brightest, added to images of nothing but a target for the speckle's logarithm …"""
+"""Power, relative to the brightest, added to images without ground in the speckle's likelihood."""
 
 _LEAST_NOISE = 1e-3
-"""… and, of their mean, to images of ground, beside the learned noise floor."""
+"""Power, relative to the mean, added to images with ground in the speckle's likelihood."""
 
 _FIRST_NOISE = 0.05
+"""Initial noise floor, relative to the mean power."""
 
 _NOISE_RATE = 2e-3
-"""Of Adam for the noise floor: a faster one takes the clutter's place before there is ground, and shadows are lost."""
+"""Maximum learning rate of the noise floor: a faster one explains the clutter before the ground does."""
 
 
 @dataclass(frozen=True)
@@ -53,29 +53,29 @@ class SarNerfConfig(BaselineConfig):
     """Settings of SAR-NeRF with its multi-layer perceptron."""
 
     mode: Literal["published", "sound"] = "published"
-    """The published image equation and loss, or those that hold in metres and for speckle."""
+    """"published": the paper's image equation and loss; "sound": equations in metres, and a likelihood of speckle."""
     rays: Annotated[int, Meta(ge=1, le=1000)] = 20
-    """In elevation, for each azimuth column; if sound, over ground at least one per resolution cell."""
+    """Number of rays in elevation for each azimuth column; if sound, over ground at least one per resolution cell."""
     iterations: Count = 250_000
     checkpoint_every: Count = 10
     learning_rate: Positive = 5e-4
-    """Of Adam; it falls tenfold in the whole training."""
+    """Learning rate of Adam; it falls tenfold in the whole training."""
     surface_voxels: Annotated[int, Meta(ge=4, le=1024)] = 256
-    """Along the longest side of the box in which the surface is looked for."""
+    """Number of voxels along the longest side of the surface's box."""
 
 
 class SarNerf(Baseline):
     """SAR-NeRF on a scene.
 
-    The field ends at the box of the target and, with ground, at that of all ground that images show; the published
-    perceptron's does not end.
+    The field is limited to the target's box and, with ground, the box of all visible ground; the published perceptron's
+    is unlimited.
     """
 
     start: tuple[float, float] = (0.0, 0.0)
-    """Added to attenuation and scattering before the published activations."""
+    """Biases of attenuation and scattering in the published activations."""
 
     endless: bool = True
-    """Whether the published field goes on outside of its boxes."""
+    """True if the published field is not limited to its boxes."""
 
     def __init__(self, scene: Scene, config: SarNerfConfig) -> None:
         super().__init__(scene, config)
@@ -100,13 +100,16 @@ class SarNerf(Baseline):
         return Perceptron(np.zeros(3), 1.0, generator)
 
     def _prior(self, samples: float) -> Float[Tensor, ""] | float:
-        """Nats that the field costs for each of so many samples of speckle."""
+        """Negative log-prior of the field, nats per sample of speckle."""
         return 0.0
 
     def loss(
         self, chosen: Int64[Tensor, " v"], images: Float[Tensor, "v rows columns"], generator: torch.Generator
     ) -> Float[Tensor, ""]:
-        """Squared difference of amplitudes, of the brightest; if sound, the speckle's negative log-likelihood."""
+        """Mean squared difference of amplitudes, relative to the brightest; or the speckle's negative log-likelihood.
+
+        The likelihood is used in sound mode, for speckled images.
+        """
         views = [self.scene.views[index] for index in chosen.tolist()]
         power = torch.stack([self._image(view, generator) for view in views])
         if torch.is_grad_enabled() and not power.requires_grad:
@@ -134,7 +137,7 @@ class SarNerf(Baseline):
         return torch.optim.Adam(groups)
 
     def image(self, view: View) -> Float[Tensor, "{self.scene.grid.rows} {self.scene.grid.columns}"]:
-        """β⁰ from rays in the middles of their strata."""
+        """β⁰ from rays in the middle of their strata."""
         return self._image(view, None)
 
     @torch.no_grad()
@@ -152,7 +155,7 @@ class SarNerf(Baseline):
         return isosurface(self.attenuation, low, high, self.config.surface_voxels, level, self._like)
 
     def attenuation(self, places: Float[Tensor, "p 3"]) -> Float[Tensor, " p"]:
-        """Optical depth of a range cell at places (world frame, m), one-way as published or two-way if sound."""
+        """Optical depth of a range cell at places (world frame, m), one-way if published, two-way if sound."""
         return self._depth(self.field.attenuation(places)) * self._inside(places)
 
     def _image(self, view: View, generator: torch.Generator | None) -> Float[Tensor, "rows columns"]:
@@ -161,10 +164,10 @@ class SarNerf(Baseline):
         offsets = rays.offsets(generator)
         direction = torch.from_numpy(-rays.turn[2]).to(self._like)
         parts = self._parts(rays)
-        kept = len(parts) == 1 or not torch.is_grad_enabled()
+        stored = len(parts) == 1 or not torch.is_grad_enabled()
         columns = [
             self._columns(rays, offsets, part, direction)
-            if kept
+            if stored
             else checkpoint(
                 self._columns, rays, offsets, part, direction, use_reentrant=False, preserve_rng_state=False
             )
@@ -179,7 +182,7 @@ class SarNerf(Baseline):
         return image + self.log_noise.exp().expand(grid.columns)  # so that its gradient is summed column by column
 
     def _rays(self, view: View) -> Rays:
-        """Number of rays: as configured; if sound, over ground at least one per cell, so that no row lacks rays."""
+        """Rays of a view; if sound, over ground at least one per resolution cell, so that no row lacks rays."""
         grid = self.scene.grid
         rays = Rays.through(view, grid, self.low_m, self.high_m, self.config.rays, whole=self._endless)
         if not (self._sound and self.scene.ground):
@@ -191,23 +194,21 @@ class SarNerf(Baseline):
     ) -> Float[Tensor, "c r"]:
         places = rays.places(offsets, part, self._like)
         inside = self._inside(places)
-        # elsewhere there is nothing to compute
-        shown = places.reshape(-1, 3) if self._endless else places[inside]
-        raw_attenuation, raw_scattering = self.field(shown, direction)
-        nothing = places.new_zeros(places.shape[:3])
-        depth = nothing.masked_scatter(inside, self._depth(raw_attenuation))
-        scattering = nothing.masked_scatter(inside, self._scattering(raw_scattering))
+        raw_attenuation, raw_scattering = self.field(
+            places.reshape(-1, 3) if self._endless else places[inside], direction
+        )
+        zeros = places.new_zeros(places.shape[:3])
+        depth = zeros.masked_scatter(inside, self._depth(raw_attenuation))
+        scattering = zeros.masked_scatter(inside, self._scattering(raw_scattering))
         if not self._sound:
-            seen = torch.exp(-depth.cumsum(2)) * scattering
-            return self.scene.brightest * seen.sum(1) ** 2
+            received = torch.exp(-depth.cumsum(2)) * scattering
+            return self.scene.brightest * received.sum(1) ** 2
         before = functional.pad(depth[..., :-1].cumsum(2), (1, 0))
         returned = scattering * torch.exp(-before) * -torch.expm1(-depth)
         return returned.sum(1) * (rays.spacing_m / self.scene.grid.spacing_m[1])
 
     def _depth(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
-        if (
-            self._sound
-        ):  # α has the unit 1 / resolution cell inside, so that learning does not depend on the scene's scale
+        if self._sound:  # raw attenuation is per resolution cell: learning does not depend on the scene's scale
             length = 2 * self.scene.grid.spacing_m[1] / self.scene.grid.cell_m
             return _softplus(raw + _CLEAR) * length
         return (raw + self.start[0]).relu()
@@ -223,25 +224,25 @@ class SarNerf(Baseline):
         for box in self._boxes:
             low, high = (torch.from_numpy(corner).to(places) for corner in box)
             within = torch.ones_like(inside)
-            for axis in range(3):  # many times as fast as all at once
+            for axis in range(3):  # faster than one comparison and reduction
                 within &= (places[..., axis] >= low[axis]) & (places[..., axis] <= high[axis])
             inside = inside | within
         return inside
 
     def _parts(self, rays: Rays) -> list[slice]:
-        """Columns that are computed at once; none if no pixel shows the box."""
+        """Batches of columns, within the field's limit of places; empty if no pixel shows the box."""
         total = len(rays.azimuth_m) if len(rays.range_m) else 0
         step = max(1, self.field.at_once // max(1, rays.count * len(rays.range_m)))
         return [slice(first, min(first + step, total)) for first in range(0, total, step)]
 
     @property
     def _like(self) -> Tensor:
-        """A tensor of the parameters' dtype and device."""
+        """Tensor of the parameters' dtype and device."""
         return next(self.field.parameters())
 
 
 def scene_boxes(scene: Scene) -> list[tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]]:
-    """Corners of what is imaged, m: the target's box, and that of any ground in the images, ± a cell."""
+    """Boxes of the field (low and high corner, m): the target's, and that of any ground in the images, ± a cell."""
     boxes = [(scene.low_m, scene.high_m)]
     if scene.ground:
         radius, cell = ground_radius_m(scene.views, scene.grid), scene.grid.cell_m
@@ -250,18 +251,18 @@ def scene_boxes(scene: Scene) -> list[tuple[Float64[np.ndarray, " 3"], Float64[n
 
 
 def _softplus(raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
-    """log(1 + exp(raw)): the last bits of torch's own depend on the number of threads."""
+    """log(1 + exp(raw)); unlike `functional.softplus`, its bits do not depend on the number of threads."""
     return raw.relu() + torch.log1p(torch.exp(-raw.abs()))
 
 
 def _amplitude(power: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v rows columns"]:
-    """Root, with slope 0 at 0, where the published image itself has none left."""
+    """Square root with gradient 0 at 0."""
     lit = power > 0
     return torch.where(lit, torch.where(lit, power, 1.0).sqrt(), 0.0)
 
 
 def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
-    """Mean over one dimension after the other, so that bits do not depend on the number of threads."""
+    """Mean, axis by axis, so that bits do not depend on the number of threads."""
     return images.mean(2).mean(1).mean(0)
 
 

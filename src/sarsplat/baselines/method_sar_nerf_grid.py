@@ -16,7 +16,7 @@ from sarsplat.baselines.method_sar_nerf import LOSS, SarNerf, SarNerfConfig
 from sarsplat.settings.kinds import Count, Degree, NotNegative, Positive
 
 _VIEWS_PER_HARMONIC = 2
-"""Of speckled images, at least."""
+"""Minimum number of speckled training images per spherical harmonic."""
 
 
 @dataclass(frozen=True)
@@ -28,28 +28,27 @@ class SarNerfGridConfig(SarNerfConfig):
     checkpoint_every: Count = 100
     learning_rate: Positive = 0.2
     voxel: Positive = 0.5
-    """Of the finest level of the grid in the target's box, resolution cells; on the ground around it, it is 1."""
+    """Spacing of the finest lattice in the target's box, resolution cells; on the ground around it, it is 1."""
     levels: Annotated[int, Meta(ge=1, le=10)] = 4
-    """Of the grid; each is half as fine as the next."""
+    """Number of lattices of each box, each with twice the spacing of the next."""
     degree: Degree = 2
-    """Of the spherical harmonics in the grid; if sound, for speckled images less if they are fewer than two for
-    each."""
+    """Maximum degree of the spherical harmonics; if sound, speckled images allow one harmonic per two images."""
     total_variation: NotNegative = 0.5
-    """Of the grid, if sound and for speckled images: nats that the squared difference of two neighbouring numbers costs
-    beside the likelihood of all training images; 0.5 is a normal distribution of standard deviation 1."""
+    """Weight of squared differences of neighbouring numbers, nats, for speckled images if sound; 0.5 is a normal prior
+    of standard deviation 1."""
 
 
 class SarNerfGrid(SarNerf):
-    """As `SarNerf`, but its field is a `VoxelGrid`, which ends at its boxes."""
+    """SAR-NeRF whose field is a `VoxelGrid`, limited to its boxes."""
 
     config: SarNerfGridConfig
     field: VoxelGrid
-    start = (0.02, -4.0)  # the grid is 0 at first: ReLU must start where it has a slope
+    start = (0.02, -4.0)  # the grid starts at 0, where ReLU has no gradient
     endless = False
 
     def _new_field(self) -> VoxelGrid:
         cell, degree = self.scene.grid.cell_m, self.config.degree
-        if self._speckled:  # or it would learn the speckle of each image
+        if self._speckled:  # higher degrees would fit the speckle of single images
             degree = max(0, min(degree, math.isqrt(len(self.scene.views) // _VIEWS_PER_HARMONIC) - 1))
         target, *ground = self._boxes
         boxes = [(*target, self.config.voxel * cell), *((*box, cell) for box in ground)]

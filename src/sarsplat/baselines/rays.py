@@ -1,4 +1,4 @@
-"""How SAR-NeRF samples space: azimuth × rays in elevation × range (docs/concepts/baselines-sar-nerf.md)."""
+"""Samples of SAR-NeRF: azimuth × rays in elevation × range (docs/concepts/baselines-sar-nerf.md)."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class Rays:
     """Rotation from the world to the radar frame."""
     azimuth_m: Float64[np.ndarray, " a"]
     range_m: Float64[np.ndarray, " r"]
-    """`azimuth_m` and `range_m` are those of the sampled pixels' centres …"""
+    """Centres of the sampled columns (`azimuth_m`) and rows (`range_m`), m."""
     first_column: int
     first_row: int
-    """… of which the first has this column and this row."""
+    """Column and row of the first sampled pixel."""
     elevation_m: tuple[float, float]
-    """Edges of the scene across the line of sight."""
+    """Limits of the box in elevation (across the line of sight), m."""
     count: int
-    """Rays for each column, in as many strata of equal width."""
+    """Number of rays per column, one in each of as many strata of equal width."""
 
     @classmethod
     def through(
@@ -40,6 +40,7 @@ class Rays:
         *,
         whole: bool,
     ) -> Rays:
+        """Rays through a box; `whole` samples all pixels of the grid, else only those that show the box."""
         turn = view.look.frame
         middle, half = turn @ (low_m + high_m) / 2, np.abs(turn) @ (high_m - low_m) / 2
         columns = slice(0, grid.columns) if whole else _within(grid.azimuth_m, grid.spacing_m[0], middle[0], half[0])
@@ -53,10 +54,7 @@ class Rays:
         return (self.elevation_m[1] - self.elevation_m[0]) / self.count
 
     def offsets(self, generator: torch.Generator | None) -> Float64[Tensor, "a {self.count}"]:
-        """Elevation of every ray, m, float64 [A, K]: drawn from its stratum, or without a generator its middle.
-
-        A ray keeps its elevation along its whole length: what attenuates it lies on one straight line.
-        """
+        """Elevation of every ray, m, float64 [A, K]: random in its stratum, or without generator the middle of it."""
         within = torch.full((len(self.azimuth_m), self.count), 0.5, dtype=torch.float64)
         if generator is not None:
             within = torch.rand(within.shape, dtype=torch.float64, generator=generator)
@@ -65,7 +63,7 @@ class Rays:
     def places(
         self, offsets: Float64[Tensor, "a k"], columns: slice, like: Tensor
     ) -> Float[Tensor, "c k {len(self.range_m)} 3"]:
-        """Sampled places of some columns, world frame, m, near to far, in the dtype and on the device of `like`."""
+        """Sampled places of a slice of columns, world frame, m, near to far, with dtype and device of `like`."""
         elevation = offsets[columns].to(like)
         azimuth = torch.from_numpy(self.azimuth_m[columns]).to(like)
         along = torch.from_numpy(self.range_m).to(like)
@@ -74,6 +72,6 @@ class Rays:
 
 
 def _within(centres: Float64[np.ndarray, " n"], spacing: float, middle: float, half: float) -> slice:
-    """The pixels that have a part between middle ± half."""
-    shown = np.flatnonzero(np.abs(centres - middle) < half + spacing / 2)
-    return slice(int(shown[0]), int(shown[-1]) + 1) if len(shown) else slice(0, 0)
+    """Slice of the pixels that overlap middle ± half."""
+    pixels = np.flatnonzero(np.abs(centres - middle) < half + spacing / 2)
+    return slice(int(pixels[0]), int(pixels[-1]) + 1) if len(pixels) else slice(0, 0)

@@ -1,4 +1,4 @@
-"""Losses of DSR: regularisers that keep a mesh smooth, and the distance of soft masks from true ones."""
+"""Losses of DSR: regularisers of the mesh, and the distance of soft masks from true ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sarsplat.baselines.soft_raster import summed
 
 
 def ordered_sum(values: Float[Tensor, "rows columns"]) -> Float[Tensor, ""]:
-    """The sum, in an order that does not depend on the number of threads."""
+    """Sum in an order that does not depend on the number of threads."""
     return values.sum(1).cumsum(0)[-1]
 
 
@@ -25,12 +25,12 @@ def laplacian_loss(vertices: Float[Tensor, "n 3"], edges: Int64[Tensor, "e 2"]) 
     """Sum over the vertices of the squared distance to the mean of their neighbours."""
     count = len(vertices)
     degree = torch.bincount(edges.reshape(-1), minlength=count).clamp(min=1)
-    moved = [gathered(vertices, edges[:, k]) for k in range(2)]
+    ends = [gathered(vertices, edges[:, k]) for k in range(2)]
     axis_sums = [
-        summed(moved[1][:, k], edges[:, 0], count) + summed(moved[0][:, k], edges[:, 1], count) for k in range(3)
+        summed(ends[1][:, k], edges[:, 0], count) + summed(ends[0][:, k], edges[:, 1], count) for k in range(3)
     ]
-    away = vertices - torch.stack(axis_sums, dim=1) / degree[:, None]
-    return ordered_sum(away**2)
+    offsets = vertices - torch.stack(axis_sums, dim=1) / degree[:, None]
+    return ordered_sum(offsets**2)
 
 
 def flatten_loss(
@@ -44,12 +44,12 @@ def flatten_loss(
 
 
 def face_normals(vertices: Float[Tensor, "n 3"], faces: Int64[Tensor, "f 3"]) -> Float[Tensor, "f 3"]:
-    """Outward normals, twice as long as the faces are large."""
+    """Outward normals, as long as twice the faces' areas."""
     a, b, c = (gathered(vertices, faces[:, k]) for k in range(3))
     return torch.linalg.cross(b - a, c - a, dim=1)
 
 
 def gathered(rows: Float[Tensor, "n 3"], index: Int64[Tensor, " p"]) -> Float[Tensor, "p 3"]:
-    """rows[index]; the way back adds in a fixed order on the CPU."""
-    places = (3 * index[:, None] + torch.arange(3, device=index.device)).reshape(-1)
-    return rows.reshape(-1).index_select(0, places).reshape(-1, 3)
+    """rows[index]; its gradient is added in a fixed order on the CPU."""
+    elements = (3 * index[:, None] + torch.arange(3, device=index.device)).reshape(-1)
+    return rows.reshape(-1).index_select(0, elements).reshape(-1, 3)

@@ -1,12 +1,10 @@
-"""Soft rasterisation: how much each triangle of a plane covers each pixel, differentiable in its corners.
+"""Soft rasterisation: coverage of the pixels of a plane by triangles, differentiable in their corners.
 
 A triangle covers a pixel by c = sigmoid(±d²/σ): d is the distance from the pixel's centre to the triangle's outline,
 the sign + inside and − outside; √σ is called the softness, m. Pairs of triangle and pixel are listed within boxes
-around the triangles; what depends on corners is computed for a bounded number of pairs at a time and, where there are
-more, computed again on the way back instead of kept.
+around the triangles. Large numbers of pairs are computed in batches, and again in the backward pass.
 
-Every sum over pairs is `index_add` along one dimension, which adds in the order of the pairs on the CPU whatever the
-number of threads.
+Sums over pairs are `index_add` along one dimension, which adds in a fixed order on the CPU.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ _MOST_PIXELS = 1 << 20
 
 @dataclass(frozen=True)
 class Lattice:
-    """Pixels of a plane: the first one's centre and their spacing, both (across, along), and how many there are."""
+    """Pixels of a plane: first centre and spacing, both (across, along), and size."""
 
     first_m: tuple[float, float]
     step_m: tuple[float, float]
@@ -40,7 +38,7 @@ class Lattice:
 
     @classmethod
     def of(cls, grid: ImageGrid) -> Lattice:
-        """The pixels of an image: azimuth across, slant range along."""
+        """Pixels of an image: azimuth across, slant range along."""
         return cls((float(grid.azimuth_m[0]), float(grid.range_m[0])), grid.spacing_m, grid.columns, grid.rows)
 
     @classmethod
@@ -48,7 +46,7 @@ class Lattice:
         """Square pixels around points, at ((k + ½)·step, (l + ½)·step)."""
         low = torch.floor(points.detach().amin(0).double() / step_m).tolist()
         high = torch.floor(points.detach().amax(0).double() / step_m).tolist()
-        if not all(abs(end) < _MOST_PIXELS for end in (*low, *high)):  # also catches what is not finite
+        if not all(abs(end) < _MOST_PIXELS for end in (*low, *high)):  # also catches inf and nan
             raise SarsplatError(
                 f"a vertex of the mesh is {step_m * max(map(abs, (*low, *high))):.3g} m away; start again with a lower "
                 "learning rate"
@@ -59,20 +57,20 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Pairs of triangles and pixels that these touch, ordered by triangle."""
+    """Pairs of a triangle and a pixel near it, ordered by triangle."""
 
     face: Int64[Tensor, " p"]
     """Triangle of each pair."""
     pixel: Int64[Tensor, " p"]
-    """Pixel of each pair, row · columns + column; `pixels` if it lies beside the lattice."""
+    """Pixel of each pair, row · columns + column; `pixels` outside the lattice."""
     signed: Float[Tensor, " p"]
     """±d²/σ, whose sigmoid is the coverage."""
     faces: int
     pixels: int
-    """How many there are."""
+    """Numbers of all triangles and pixels."""
 
     def shares(self) -> Float[Tensor, " p"]:
-        """Coverage of each pair as a share of its triangle's, over all pixels, beside the lattice too."""
+        """Coverage of each pair, relative to its triangle's sum over all pixels, also those outside the lattice."""
         return grouped_softmax(logsigmoid(self.signed), self.face, self.faces)
 
     def onto_pixels(self, values: Float[Tensor, " p"]) -> Float[Tensor, " pixels"]:
@@ -94,14 +92,13 @@ class Coverage:
 def soft_coverage(corners: Float[Tensor, "f 3 2"], lattice: Lattice, softness_m: float) -> Coverage:
     """Soft coverage of the pixels of a lattice by triangles (corners in m, in either order); √σ is the softness.
 
-    Differentiable in `corners`. Triangles whose box does not touch the lattice have no pairs. Of the others, what lies
-    beside the lattice by more than its own size is dropped. Refuses corners that are not finite, and triangles so large
-    that there are too many pairs.
+    Differentiable in `corners`. Triangles whose box does not touch the lattice have no pairs; pairs farther outside the
+    lattice than its own size are dropped. Raises for non-finite corners and for too many pairs.
     """
     face, column, row, counts = _pairs(corners.detach(), lattice, softness_m)
-    beside = (column < 0) | (column >= lattice.columns) | (row < 0) | (row >= lattice.rows)
+    outside = (column < 0) | (column >= lattice.columns) | (row < 0) | (row >= lattice.rows)
     pixels = lattice.rows * lattice.columns
-    pixel = torch.where(beside, pixels, row * lattice.columns + column)
+    pixel = torch.where(outside, pixels, row * lattice.columns + column)
     across = column.to(corners.dtype) * lattice.step_m[0] + lattice.first_m[0]
     along = row.to(corners.dtype) * lattice.step_m[1] + lattice.first_m[1]
     flat = corners.reshape(-1, 6).T.contiguous()  # a row for each coordinate
@@ -115,12 +112,12 @@ def soft_coverage(corners: Float[Tensor, "f 3 2"], lattice: Lattice, softness_m:
 
 
 def picked(values: Float[Tensor, " n"], index: Int64[Tensor, " p"]) -> Float[Tensor, " p"]:
-    """values[index]; the way back adds in a fixed order on the CPU."""
+    """values[index]; its gradient is added in a fixed order on the CPU."""
     return values.index_select(0, index)
 
 
 def summed(values: Float[Tensor, " p"], index: Int64[Tensor, " p"], count: int) -> Float[Tensor, " {count}"]:
-    """Sums over the values of equal index."""
+    """Sums of the values of equal index."""
     return values.new_zeros(count).index_add(0, index, values)
 
 
@@ -134,14 +131,14 @@ def grouped_softmax(logits: Float[Tensor, " p"], index: Int64[Tensor, " p"], cou
 def _pairs(
     corners: Float[Tensor, "f 3 2"], lattice: Lattice, softness_m: float
 ) -> tuple[Int64[Tensor, " p"], Int64[Tensor, " p"], Int64[Tensor, " p"], Int64[Tensor, " f"]]:
-    """Face, column and row of each pair, and the pairs of each face."""
+    """Face, column and row of each pair, and the number of pairs of each face."""
     if not bool(torch.isfinite(corners).all()):
         raise SarsplatError("a vertex of the mesh is not finite; start again with a lower learning rate")
     size = (lattice.columns, lattice.rows)
     begin, end = [], []
     for axis in range(2):
         step = lattice.step_m[axis]
-        # at least one pixel each way: also a triangle between the pixels has some
+        # at least one pixel each way, so that small triangles have pixels, too
         reach = max(softness_m * math.sqrt(-math.log(_LEAST_COVERAGE)), step)
         place = (corners[..., axis].double() - lattice.first_m[axis]) / step
         first = torch.ceil(place.amin(1) - reach / step).clamp(-size[axis], 2 * size[axis])
@@ -165,7 +162,7 @@ def _pairs(
 
 
 def _batches(counts: Int64[Tensor, " f"]) -> list[int]:
-    """Numbers of pairs to be treated together, whole faces where one has no more than a batch."""
+    """Sizes of batches of pairs; faces are not split unless they exceed a batch."""
     sizes = [0]
     for count in counts.tolist():
         while count > _PAIRS_AT_ONCE:

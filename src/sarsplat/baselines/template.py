@@ -1,7 +1,7 @@
-"""Closed triangle meshes of the unit sphere, and which of their vertices and faces are neighbours.
+"""Closed triangle meshes of the unit sphere, with their edges and adjacent faces.
 
-A solid is subdivided so that each of its edges becomes `parts` edges, then blown up to the sphere. The published 642
-vertices are those of the icosahedron with 8, and 1,352 of no icosphere, but of the cube with 15.
+Each edge of a solid is divided into `parts`, then vertices are projected onto the sphere. The published 642 vertices
+are an icosahedron's with 8 parts, 1,352 a cube's with 15.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from jaxtyping import Float64, Int64
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A closed mesh around the origin."""
+    """Closed mesh around the origin."""
 
     vertices: Float64[np.ndarray, "n 3"]
-    """On the unit sphere."""
+    """Points of the unit sphere."""
     faces: Int64[np.ndarray, "f 3"]
-    """Counter-clockwise seen from outside."""
+    """Triangles, counter-clockwise seen from outside."""
     edges: Int64[np.ndarray, "e 2"]
     """Pairs of vertices, each edge once."""
     flaps: Int64[np.ndarray, "e 2"]
@@ -27,7 +27,7 @@ class Template:
 
 
 def icosphere(parts: int) -> Template:
-    """The subdivided icosahedron: 10·parts² + 2 vertices, 20·parts² faces."""
+    """Subdivided icosahedron: 10·parts² + 2 vertices, 20·parts² faces."""
     golden = (1 + 5**0.5) / 2
     corners = np.array([(0.0, a, b * golden) for a in (-1, 1) for b in (-1, 1)])
     corners = np.concatenate([np.roll(corners, k, axis=1) for k in range(3)])
@@ -59,7 +59,7 @@ def icosphere(parts: int) -> Template:
 
 
 def cube_sphere(parts: int) -> Template:
-    """The subdivided cube: 6·parts² + 2 vertices, 12·parts² faces, at equal angles seen from its centre."""
+    """Subdivided cube: 6·parts² + 2 vertices, 12·parts² faces, at equal angles seen from its centre."""
     tangents = np.tan(np.linspace(-np.pi / 4, np.pi / 4, parts + 1))
     u, v = (one.ravel() for one in np.meshgrid(tangents, tangents, indexing="ij"))
     number = np.arange(len(u)).reshape(parts + 1, -1)

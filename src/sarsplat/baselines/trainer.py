@@ -1,4 +1,4 @@
-"""Training of a baseline: one step at a time, and its whole state, exact to the bit."""
+"""Trainer of a baseline: steps, and snapshots that restore its state bit for bit."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from sarsplat.radiometry import from_db, usual_peak
 from sarsplat.regions.target_region import target_region
 
 _ABOVE_GROUND_DB = 10.0
-"""From where on an echo is hardly speckle: of one look, 0.1 % of pixels are that far above their median."""
+"""Level above the ground's median that speckle hardly reaches: 0.1 % of single-look pixels do."""
 
 
 class BaselineTrainer(Trainable):
-    """The state of a baseline's training and how it advances by one step.
+    """Training of a baseline.
 
-    `model` is that of the dataset's scene (`scene_of`), or of the scene saved with a training that is resumed.
+    `model` is that of the dataset's scene (`scene_of`), or of the scene saved with a resumed training.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class BaselineTrainer(Trainable):
 
     def check(self) -> None:
         if self._device.type == "cuda":
-            torch.cuda.current_stream(self._device).synchronize()  # of the whole GPU, another thread may record a part
+            torch.cuda.current_stream(self._device).synchronize()  # another thread may be capturing on another stream
 
     def snapshot(self, seconds: float) -> Snapshot:
         scene = self._scene
@@ -103,7 +103,7 @@ class BaselineTrainer(Trainable):
 
 
 def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
-    """The `Scene` of a dataset's training images; the target's box is the one that sar-gs uses."""
+    """`Scene` of a dataset's training images; its target box is that of sar-gs."""
     train = dataset.select("train")
     unit = float(train.power.mean(dtype=np.float64))
     if not np.float32(unit):
@@ -125,37 +125,38 @@ def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
 
 
 def _brightest(train: Dataset) -> float:
-    """The largest power; or a lower one, if few echoes outshine all others by far, and ground is none of these."""
+    """Largest power without rare, far brighter echoes (`usual_peak`); ground does not count."""
     ground = float(np.median(train.power)) if train.ground else 0.0
     return usual_peak(train.power[train.power > ground * from_db(_ABOVE_GROUND_DB)]) or float(train.power.max())
 
 
 def saved_scene(snapshot: Snapshot) -> Scene:
-    kept = snapshot.part("scene")
-    masks = kept["masks"].numpy() if "masks" in kept else None
+    """`Scene` of a snapshot."""
+    saved = snapshot.part("scene")
+    masks = saved["masks"].numpy() if "masks" in saved else None
     if masks is not None and masks.dtype != np.uint8:
         raise ValueError(f"masks of {masks.dtype} instead of uint8")
     return Scene(
         snapshot.views,
         snapshot.grid,
-        kept["low_m"].double().numpy(),
-        kept["high_m"].double().numpy(),
+        saved["low_m"].double().numpy(),
+        saved["high_m"].double().numpy(),
         snapshot.unit,
         masks,
         snapshot.brightest / snapshot.unit,
-        bool(kept["ground"]),
-        float(kept["looks"]) or None,
+        bool(saved["ground"]),
+        float(saved["looks"]) or None,
     )
 
 
 def _scene_tensors(scene: Scene) -> dict[str, Tensor]:
-    """The fields of a scene that a snapshot does not already hold."""
-    kept = {
+    """Fields of a scene that a snapshot does not already hold."""
+    tensors = {
         "low_m": torch.from_numpy(scene.low_m),
         "high_m": torch.from_numpy(scene.high_m),
         "ground": torch.tensor(scene.ground),
         "looks": torch.tensor(scene.looks or 0.0, dtype=torch.float64),
     }
     if scene.masks is not None:
-        kept["masks"] = torch.from_numpy(scene.masks)
-    return {f"scene/{name}": tensor for name, tensor in kept.items()}
+        tensors["masks"] = torch.from_numpy(scene.masks)
+    return {f"scene/{name}": tensor for name, tensor in tensors.items()}
