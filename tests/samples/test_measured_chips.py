@@ -107,7 +107,7 @@ def test_what_does_not_fit_is_refused(datasets: list[Path], tmp_path: Path) -> N
     cases = [
         (Encoding(format="npy", quantity="complex", scale="max"), datasets, "has no phases"),
         (Encoding(crop=17), datasets, "crop is 17, but the images of .* have 16 × 16 pixels"),
-        (Encoding(), [tmp_path / "chips"], "is no dataset, and has none in it"),
+        (Encoding(), [tmp_path / "chips"], "is not a dataset and contains none"),
         (Encoding(), [tmp_path / "datasets", datasets[0]], "T72 is named twice"),
     ]
     for encoding, given, sentence in cases:

@@ -69,7 +69,7 @@ class BaselineMethod(Method):
         device: torch.device,
         begun: Callable[[], Reconstruction] | None,
     ) -> BaselineTrainer:
-        """New trainer; a resumed training keeps its masks."""
+        """A training at its beginning; a resumed one keeps its masks."""
         check_monostatic(dataset.views, f"{self.title} knows one radar only; leave out the method")
         if begun is None:
             masks = None if inputs.masks is None else read_masks(inputs.masks, dataset, ("train",))

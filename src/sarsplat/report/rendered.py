@@ -103,7 +103,7 @@ def _description(view: View) -> str:
 
 
 def _name(view: View) -> str:
-    """File name that sorts by azimuth, e.g. az030_gr17.5, with further angles and the side, e.g. _tilt-5_left."""
+    """E.g. az030_gr17.5: sorts by azimuth; what is unusual about the view follows, as _tilt-5_apart30_left."""
 
     def digits(angle: float, width: int = 0) -> str:
         return f"{angle:0{width}.6f}".rstrip("0").rstrip(".")

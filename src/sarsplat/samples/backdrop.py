@@ -1,4 +1,4 @@
-"""Ground for samples as a picture shows it."""
+"""Ground of samples from a picture."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_p
 from sarsplat.learning.sampler import LEARNED, UNIFORM
 
 _GROUND_CELLS = 3.0
-"""Standard deviation of the window through which a picture of ground is seen, resolution cells: without its speckle."""
+"""Standard deviation of the smoothing that removes the speckle of a picture of ground, resolution cells."""
 
 
 def backdrop_of(ground: str | Path, grid: ImageGrid) -> str | Float32[np.ndarray, "r c"]:
-    """The ground of samples, as `Run.sample` takes it, from a picture.
+    """Read the ground of samples, as `Run.sample` takes it, from a picture.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def backdrop_of(ground: str | Path, grid: ImageGrid) -> str | Float32[np.ndarray
         A picture of ground, with pixels of the images' size and near range at the top: amplitudes if they are whole
         numbers, or complex; or one of the words "learned" and "uniform", which are returned.
     grid : ImageGrid
-        Of the images: speckle is smoothed over three of its resolution cells.
+        Grid of the images: speckle is smoothed over three of its resolution cells.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A set of chips: samples of runs from all around, each made from the set's seed and its own number alone."""
+"""Set of chips: samples of runs from all around, each a function of the set's seed and its own number alone."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from sarsplat.samples.encoding import Encoding
 from sarsplat.settings.config import SCATTERERS
 
 _AROUND = 360
-"""Chips of a run unless a number is given."""
+"""Default number of chips of a run."""
 
 _MOST = 100_000_000
-"""Chips of a set: the numbers that files are named after have eight digits."""
+"""Maximum number of chips of a set: file names have eight digits."""
 
 _GOLDEN = (math.sqrt(5) - 1) / 2
-"""Of a turn: azimuths this far apart are spread evenly, however many there are."""
+"""Step between azimuths, turns: any number of them is spread evenly."""
 
 _FAR_DEG = 10.0
-"""Beyond the grazing angles of a training by so much, it is warned of."""
+"""Distance from the grazing angles of a training beyond which a warning is given."""
 
 _DECIMALS = 4
-"""Of angles, degrees: the table of labels holds them as they are."""
+"""Decimals of drawn angles, degrees, so that the table of labels holds them exactly."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,13 @@ class Label:
     Parameters
     ----------
     target : str
-        Its class.
+        Class.
     view : View
-        From where.
+        View.
     seed : int
-        Of all that was drawn.
+        Seed of its random numbers.
     run : int
-        Which of the set's runs it is of.
+        Index of its run in the set.
     """
 
     target: str
@@ -70,24 +70,24 @@ class Label:
 
 
 class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
-    """Chips that are made when they are asked for; see `chips`, which makes such a set.
+    """Chips that are drawn on access; made by `chips`.
 
-    Chip i is of run i mod R, so that the beginning of a set has as many of each.
+    Chip i is of run i mod R, so that every beginning of a set is balanced.
 
     Parameters
     ----------
     runs : sequence of Run
         R runs.
     count : int
-        Chips of each.
+        Number of chips of each run.
     azimuths_deg : sequence of float
-        Of the chips of a run in turn; none: all around.
+        Azimuths of a run's chips, cyclic; empty: all around.
     grazing_deg : (float, float) or None
-        Between which grazing angles are drawn; None: those of each run's training images.
+        Limits of the random grazing angles; None: those of each run's training images.
     seed : int
-        Of the set.
+        Seed of the set.
     encoding : Encoding
-        How they are stored.
+        Pixels and format.
     ground
         See `backdrop_of`.
     speckle, scatterers
@@ -121,7 +121,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         self.ground, self.speckle, self.scatterers = ground, speckle, scatterers
         for run in self.runs:
             encoding.require_room(run.grid)
-            _require_alike(run, self.runs[0], cut=encoding.crop is not None)
+            _require_equal_pixels(run, self.runs[0], cut=encoding.crop is not None)
         seed_of(seed, 0)  # refuses negative ones
         self.azimuths_deg = tuple(View(azimuth, 45.0).azimuth_deg % 360 for azimuth in azimuths_deg)
         self.grazing_deg = [_grazing(run) if grazing_deg is None else grazing_deg for run in self.runs]
@@ -135,9 +135,9 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         _warn_of_poor_runs(self.runs)
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
-        """Classes; the numbers that go with chips are places in it."""
+        """Names of the classes, by class number."""
         self.serials = tuple(_serial_of(run) for run in self.runs)
-        """Serial number of the one vehicle that each run shows; "" if that is not known."""
+        """Serial number of the vehicle that each run shows; "" if unknown or several."""
         first: dict[str, str] = {}
         for run, target in zip(self.runs, self.targets, strict=True):
             if (one := first.setdefault(target, _shows(run))) != (other := _shows(run)):
@@ -145,17 +145,17 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
                     f"{shown(one)} and {shown(other)} are two classes whose folders would both be called {target}; "
                     "make a set of each"
                 )
-        _ = self._draw  # refuses what runs cannot be asked for
+        _ = self._draw  # raises if a run cannot draw such samples
 
     def __getstate__(self) -> dict[str, Any]:
-        """State for pickling: caches are left out, so that worker processes read the runs again."""
-        read = ("_draw", "brightest")
-        state = {name: value for name, value in vars(self).items() if name not in read}
+        """State for pickling without caches: worker processes read the runs again."""
+        caches = ("_draw", "brightest")
+        state = {name: value for name, value in vars(self).items() if name not in caches}
         return state | {"runs": tuple(replace(run) for run in self.runs)}
 
     @cached_property
     def _draw(self) -> list[DrawsSamples]:
-        """What draws samples of each run."""
+        """Sampler of each run."""
         backdrops = [backdrop_of(self.ground, run.grid) for run in self.runs]
         draw = []
         for run, backdrop in zip(self.runs, backdrops, strict=True):
@@ -176,15 +176,12 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         return self.count * len(self.runs)
 
     def __getitem__(self, index: int) -> tuple[Tensor, int]:
-        """A chip [1, rows, columns], uint8, float32 or complex64 as the encoding has it, and the number of its class.
-
-        IndexError beyond the last, at which loops end.
-        """
+        """Chip [1, rows, columns], uint8, float32 or complex64 by the encoding, and its class number."""
         pixels = self.encoding.stored(self.sample(index), self.brightest)
         return torch.from_numpy(pixels)[None], self.classes.index(self.targets[index % len(self.runs)])
 
     def label(self, index: int) -> Label:
-        """What a chip shows."""
+        """Label of a chip; raises IndexError beyond the last, which ends loops."""
         if not 0 <= index < len(self):
             raise IndexError(f"chip {index} of a set of {len(self)}")
         number, place = divmod(index, len(self.runs))
@@ -200,7 +197,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         return Label(self.targets[place], view, seed, place)
 
     def sample(self, index: int) -> Complex64[np.ndarray, "rows columns"]:
-        """A chip before it is encoded: complex amplitudes √β⁰·e^jψ on the run's grid, row 0 near."""
+        """Chip before encoding: complex amplitudes √β⁰·e^jψ on the run's grid, row 0 near."""
         label = self.label(index)
         return self._draw[label.run](label.view, label.seed)
 
@@ -229,43 +226,42 @@ def chips(
     speckle: Speckle = "response",
     scatterers: float = SCATTERERS,
 ) -> Chips:
-    """Chips to train a classifier on, drawn from runs as the radar would deliver them: a torch Dataset.
+    """Chips for training a classifier, drawn from runs as the radar would deliver them: a torch Dataset.
 
-    Every chip depends on the seed, the place of its run and its number within that run alone: not on how many there
-    are, in what order they are asked for, or by how many workers. Each has a view, a gain and a displacement of its
-    own, all of them like those of the training images, and speckle and noise (`Run.sample`).
+    A chip depends only on the seed, the index of its run and its number within that run: not on the number of chips,
+    their order of access, or workers. Each has a random view, gain and displacement, distributed as in the training
+    images, and speckle and noise (`Run.sample`).
 
     Parameters
     ----------
     runs : sequence of Run or path
-        Runs, or their folders; a class is what a run's dataset says that it shows, or else the name of its folder.
+        Runs, or their folders; a class is the target that a run's dataset names, or else the name of its folder.
     count : int, optional
-        Chips of each run; as many as there are azimuths unless given, or 360.
+        Number of chips of each run; by default that of the azimuths, or 360.
     azimuths_deg : sequence of float
-        Azimuths of each run's chips in turn, degrees; without them, chips are spread evenly all around.
+        Azimuths of each run's chips, cyclic, degrees; by default, chips are spread evenly all around.
     grazing_deg : (float, float), optional
-        Lowest and highest grazing angle, degrees, between which each chip's is drawn; those of each run's training
-        images unless given.
+        Lowest and highest random grazing angle, degrees; by default those of each run's training images.
     seed : int
-        Of the set, at least 0.
+        Seed of the set, at least 0.
     quantity, scale, format, jpeg_quality, crop, near
         See `Encoding`; pixels are those of files in that format.
     ground : str or Path
-        "learned", "uniform" or a picture: see `backdrop_of`, and `Run.sample` for what the words mean.
+        "learned" or "uniform" (see `Run.sample`), or a picture (see `backdrop_of`).
     speckle, scatterers
         See `Run.sample`.
 
     Returns
     -------
     Chips
-        Of pairs: a tensor [1, rows, columns], uint8, or float32 or complex64 of `format="npy"`, and the number of its
-        class, a place in `classes`.
+        Pairs of a tensor [1, rows, columns], uint8, or float32 or complex64 with `format="npy"`, and the class number,
+        an index of `classes`.
 
     Raises
     ------
     SarsplatError
-        If there are no runs, one cannot be read or has not learned how single images differ, grids differ, an angle is
-        out of range, or a choice is unknown or does not suit another.
+        If there are no runs, one cannot be read or draws no samples, grids differ, an angle is out of range, or choices
+        are unknown or contradict each other.
     """
     # JSON cannot hold numpy's numbers, and spells 17 and 17.0 differently
     encoding = Encoding(quantity, scale, format, int(jpeg_quality), None if crop is None else int(crop), near)
@@ -277,18 +273,18 @@ def chips(
 
 
 def target_of(run: Run) -> str:
-    """What a run shows, as a folder may be named."""
+    """Class of a run, as a valid folder name."""
     return re.sub(r"[^\w+-]", "_", _shows(run))
 
 
 def one_serial(source: Mapping[str, Any]) -> str:
-    """The serial number of the vehicle that a dataset shows, as its source says; "" if it says none, or several."""
+    """Serial number of the vehicle in a dataset's source; "" for none or several."""
     serials = source.get("serials")
     return str(serials[0]) if isinstance(serials, list) and len(serials) == 1 else ""
 
 
 def _serial_of(run: Run) -> str:
-    """That of a run's dataset, if it is still there as it was; pixels are compared only if there is one."""
+    """Vehicle serial of the run's dataset; "" if the dataset has moved, has changed or names none."""
     with suppress(SarsplatError):
         if run.images is None and run.dataset_path is not None and not one_serial(read_header(run.dataset_path).source):
             return ""
@@ -304,8 +300,8 @@ def _name(run: Run) -> str:
     return "the run in memory" if run.path is None else names_of([run.path])[0]
 
 
-def _require_alike(run: Run, first: Run, cut: bool) -> None:
-    """Refuse pixels that are not alike, and images of different sizes unless they are cut to one."""
+def _require_equal_pixels(run: Run, first: Run, cut: bool) -> None:
+    """Raise if two runs' pixels differ, or their images' sizes unless they are cropped."""
     one, other = run.grid, first.grid
     if (one.spacing_m, one.resolution_m, one.response) != (other.spacing_m, other.resolution_m, other.response):
         raise SarsplatError(
@@ -321,7 +317,7 @@ def _require_alike(run: Run, first: Run, cut: bool) -> None:
 
 
 def _warn_of_far_angles(runs: Sequence[Run], lowest: float, highest: float) -> None:
-    """A shape that was seen from one height alone is not known from others."""
+    """Warn of grazing angles far from the training's: the shape is not known from there."""
     for run in runs:
         low, high = _grazing(run)
         far = max(low - lowest, highest - high)
@@ -336,7 +332,7 @@ def _warn_of_far_angles(runs: Sequence[Run], lowest: float, highest: float) -> N
 
 
 def _warn_of_poor_runs(runs: Sequence[Run]) -> None:
-    """Chips of a run that loses against pictures without a third dimension teach a classifier less than those do."""
+    """Warn of runs that are not evaluated, or worse than a two-dimensional baseline."""
     from sarsplat.evaluation import beaten
 
     folders = [run.path for run in runs if run.path is not None]
@@ -344,19 +340,21 @@ def _warn_of_poor_runs(runs: Sequence[Run]) -> None:
     scores = [(_name(run) if run.path is None else names[run.path], run.metrics) for run in runs]
     unknown = [name for name, metrics in scores if metrics is None or not metrics["images"]]
     worse = [(name, one) for name, metrics in scores if metrics is not None for one in beaten(metrics)]
-    said = []
+    sentences = []
     if worse:
         name, one = max(worse, key=lambda each: abs(each[1].best - (each[1].own or 0.0)))
         more = len({name for name, _ in worse}) - 1
         others = f" (and so for {more} of the other runs)" if more else ""
-        said.append(f"{one.sentence(name)}{others}; its chips may teach a classifier less than the training images do")
+        sentences.append(
+            f"{one.sentence(name)}{others}; its chips may teach a classifier less than the training images do"
+        )
     if unknown:
         first = f"{unknown[0]}{f' and {len(unknown) - 1} more' if len(unknown) > 1 else ''}"
-        said.append(
+        sentences.append(
             f"{first} {'was' if len(unknown) == 1 else 'were'} never evaluated on unseen images, so whether the chips "
             "look like these is not known; run `sarsplat evaluate RUN`, of a dataset with test images"
         )
-    for sentence in said:
+    for sentence in sentences:
         warnings.warn(sentence, SarsplatWarning, stacklevel=4)
 
 
@@ -366,6 +364,6 @@ def _pixels(grid: ImageGrid) -> str:
 
 
 def _grazing(run: Run) -> tuple[float, float]:
-    """The lowest and the highest grazing angle of the training images."""
+    """Lowest and highest grazing angle of the training images."""
     angles = [view.grazing_deg for view in run.snapshot.views]
     return min(angles), max(angles)

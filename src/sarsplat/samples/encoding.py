@@ -16,7 +16,7 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side
 
 ENDINGS: dict[ChipFormat, str] = {"jpeg": ".jpg", "png": ".png", "npy": ".npy"}
-"""Of files, by format."""
+"""Suffix of files, by format."""
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "quantity": get_args(ChipQuantity),
@@ -29,28 +29,28 @@ _WHITE = 255
 
 @dataclass(frozen=True)
 class Encoding:
-    """How chips are stored.
+    """Pixels and file format of chips.
 
     Parameters
     ----------
     quantity : {"magnitude", "power", "complex"}
-        What pixels are: √β⁰, β⁰, or complex amplitudes √β⁰·e^jψ.
+        Quantity of pixels: √β⁰, β⁰, or complex amplitudes √β⁰·e^jψ.
     scale : {"max", "fixed", "calibrated"}
-        What is white, and 1 where pixels are not of 8 bits: the chip's own maximum; the brightest pixel of all training
-        images, above which pixels are cut off in 8 bits; or nothing: pixels are β⁰ as the runs have it.
+        Level stored as white (8 bits) or 1: the chip's own maximum; the brightest pixel of all training images (8 bits
+        clip brighter ones); or "calibrated": pixels are the runs' β⁰, not scaled.
     format : {"jpeg", "png", "npy"}
         JPEG and PNG have 8 bits; NPY float32, or complex64.
     jpeg_quality : int
         1 to 100.
     crop : int or None
-        Side of the square that is cut out of the middle; None: all pixels.
+        Side of the square cut out of the middle; None: all pixels.
     near : {"top", "right", "bottom", "left"}
         Side of a chip that is near the radar.
 
     Raises
     ------
     SarsplatError
-        If a choice is unknown, or two do not go together.
+        If a choice is unknown, or two contradict each other.
     """
 
     quantity: ChipQuantity = "magnitude"
@@ -76,11 +76,11 @@ class Encoding:
 
     @property
     def eight_bit(self) -> bool:
-        """Whether pixels are whole numbers from 0 to 255."""
+        """True if pixels are whole numbers from 0 to 255."""
         return self.format != "npy"
 
     def require_room(self, grid: ImageGrid) -> None:
-        """Refuse to cut more out of images than they have."""
+        """Raise if the crop is larger than the images."""
         if self.crop is not None and self.crop > min(grid.rows, grid.columns):
             raise SarsplatError(
                 f"crop is {self.crop}, but the runs' images have {grid.rows} × {grid.columns} pixels; give at most "
@@ -88,23 +88,23 @@ class Encoding:
             )
 
     def size(self, grid: ImageGrid) -> tuple[int, int]:
-        """Rows and columns of the chips of images on a grid."""
+        """Rows and columns of chips of images on a grid."""
         if self.crop is not None:
             return self.crop, self.crop
         return (grid.rows, grid.columns) if self.near in ("top", "bottom") else (grid.columns, grid.rows)
 
     @property
     def scale_column(self) -> str:
-        """Of tables of labels: the column of `numbers_per_unit`."""
+        """Name of the labels' column of `numbers_per_unit`."""
         return "dn_per_power" if self.quantity == "power" else "dn_per_magnitude"
 
     def numbers_per_unit(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> float:
-        """What the unit of √β⁰ becomes in the pixels of a sample, or that of β⁰ if pixels are power."""
-        white = self._white(np.abs(self._seen(sample)), brightest)
+        """Pixel value of √β⁰ = 1 in a sample, or of β⁰ = 1 if pixels are power."""
+        white = self._white(np.abs(self._oriented(sample)), brightest)
         return (_WHITE if self.eight_bit else 1) / (white**2 if self.quantity == "power" else white)
 
     def encoded(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> bytes:
-        """The file of a sample; `brightest` is the power that is white if all chips have one scale."""
+        """Encode a sample as the content of a file; `brightest` is the power stored as white with scale "fixed"."""
         pixels = self._pixels(sample, brightest)
         buffer = io.BytesIO()
         if self.format == "npy":
@@ -116,7 +116,7 @@ class Encoding:
         return buffer.getvalue()
 
     def stored(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> Shaped[np.ndarray, "m n"]:
-        """The pixels that whoever reads that file sees: uint8, float32 or complex64."""
+        """Pixels of a sample as read back from its file: uint8, float32 or complex64."""
         if self.format != "jpeg":
             return self._pixels(sample, brightest)
         from PIL import Image
@@ -124,7 +124,7 @@ class Encoding:
         return np.array(Image.open(io.BytesIO(self.encoded(sample, brightest))))
 
     def _pixels(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> Shaped[np.ndarray, "m n"]:
-        sample = self._seen(sample)
+        sample = self._oriented(sample)
         magnitude = np.abs(sample)
         white = self._white(magnitude, brightest)
         scaled = (sample if self.quantity == "complex" else magnitude) / np.float32(white)
@@ -133,16 +133,16 @@ class Encoding:
             return np.rint(_WHITE * values.clip(0, 1)).astype(np.uint8)
         return np.ascontiguousarray(values)
 
-    def _seen(self, sample: Complex64[np.ndarray, "rows columns"]) -> Complex64[np.ndarray, "m n"]:
-        """The part that is stored, turned as it is stored."""
+    def _oriented(self, sample: Complex64[np.ndarray, "rows columns"]) -> Complex64[np.ndarray, "m n"]:
+        """Rotate a sample to the stored orientation and crop it."""
         sample = np.rot90(sample, -SIDES.index(self.near))
         if self.crop is None:
             return sample
-        top, left = ((side - self.crop) // 2 for side in sample.shape)  # as whoever cuts the whole chip would
+        top, left = ((side - self.crop) // 2 for side in sample.shape)  # after rotating, as a crop of the file would
         return sample[top : top + self.crop, left : left + self.crop]
 
     def _white(self, magnitude: Float32[np.ndarray, "m n"], brightest: float) -> float:
-        """The magnitude that is white, or 1 where pixels are not of 8 bits."""
+        """Magnitude stored as white (8 bits) or 1."""
         white = float(magnitude.max()) if self.scale == "max" else brightest**0.5 if self.scale == "fixed" else 1.0
         return white or 1.0
 

@@ -1,4 +1,4 @@
-"""Measured chips of datasets as files, written as generated ones are, so that a classifier can be trained on both."""
+"""Measured chips of datasets, written as generated ones are, so that a classifier can be trained on both."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from sarsplat.version import program_version
 
 LABELS = "labels.csv"
 MARKER = "measured-chips.json"
-"""The file that marks a folder of them."""
+"""File that marks a folder of measured chips."""
 _SCHEMA, _SCHEMA_VERSION = "sarsplat-measured-chips", 1
 
 _COLUMNS = (
@@ -41,26 +41,26 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class _Measured:
-    """One measured chip: its amplitude, row 0 near, complex if its phase is known."""
+    """Measured chip: its amplitude, row 0 near, complex if its phase is known."""
 
     split: str
     name: str
     view: View | None
-    """None if its azimuth is not known."""
+    """View; None if the azimuth is unknown."""
     grazing_deg: float
     amplitude: Complex64[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True)
 class MeasuredChips:
-    """What was written.
+    """Summary of written chips.
 
     Attributes
     ----------
     counts : dict of (str, str) to int
         Number of chips by split and class.
     size : (int, int)
-        Rows and columns of each.
+        Rows and columns of a chip.
     """
 
     counts: dict[tuple[str, str], int]
@@ -68,16 +68,13 @@ class MeasuredChips:
 
 
 def datasets_in(paths: Sequence[Path]) -> list[Path]:
-    """The datasets that are named, and those in named folders that are none themselves, such as those of a split.
-
-    Refused if there are none, or one is there twice.
-    """
+    """List datasets among paths, and those inside of other folders; raise without any, or for duplicates."""
     found: list[Path] = []
     for path in paths:
         own = [path] if (path / HEADER).is_file() else sorted(header.parent for header in path.glob(f"*/{HEADER}"))
         if not own:
             raise SarsplatError(
-                f"{path} is no dataset, and has none in it; give one, such as by `sarsplat import mstar`"
+                f"{path} is not a dataset and contains none; give one, such as by `sarsplat import mstar`"
             )
         found += own
     if len({path.resolve() for path in found}) < len(found):
@@ -90,18 +87,17 @@ def datasets_in(paths: Sequence[Path]) -> list[Path]:
 def write_measured_chips(
     datasets: Sequence[str | Path], out: str | Path, encoding: Encoding, *, overwrite: bool = False, quiet: bool = True
 ) -> MeasuredChips:
-    """Write the measured chips of datasets as a folder that is whole or absent.
+    """Write the measured chips of datasets as a folder; no partial folder is left.
 
     Parameters
     ----------
     datasets : sequence of str or Path
-        Datasets, or folders of datasets. A class is what a dataset says that it shows.
+        Datasets, or folders of datasets. A class is the target that a dataset names.
     out : str or Path
-        The folder: in it one of each set ("train", "test-15", …), in these a folder of each class, as
-        `torchvision.datasets.ImageFolder` reads them, empty where a set has none of a class; `labels.csv`; and
-        `measured-chips.json`, how they were made.
+        New folder: SET/CLASS/ with chips, for sets "train", "test-15", …, as `torchvision.datasets.ImageFolder` reads
+        them (folders of missing classes are empty); `labels.csv`; and the settings, `measured-chips.json`.
     encoding : Encoding
-        How they are stored: as the generated ones that they are mixed with.
+        Pixels and format, as of the generated chips that they are mixed with.
     overwrite : bool
         Replace an existing folder of measured chips.
     quiet : bool
@@ -110,14 +106,13 @@ def write_measured_chips(
     Raises
     ------
     SarsplatError
-        If there is no dataset, one cannot be read or is of stacks, two show classes whose folders would have one name,
-        their pixels differ, they differ in size and are not cut, phases are asked for and not known, or the folder
-        exists or cannot be written.
+        If there is no dataset, one cannot be read, has stacks or no phases for complex chips, two classes would share a
+        folder, pixels or sizes (without crop) differ, or the folder exists or cannot be written.
     """
     out, folders = Path(out), datasets_in([Path(path) for path in datasets])
     read: dict[Path, tuple[ImageGrid, str]] = {}
     brightest = 0.0
-    for path in folders:  # one after the other: only what is asked of all of them is kept
+    for path in folders:  # one in memory at a time
         dataset = read_dataset(path)
         _require_fit(path, dataset, encoding, read)
         read[path] = dataset.grid, dataset.target
@@ -142,8 +137,8 @@ def write_measured_chips(
                 (folder / file).write_bytes(encoding.encoded(chip.amplitude, brightest))
                 scale = encoding.numbers_per_unit(chip.amplitude, brightest)
                 known = planned.get(chip.name, (serial, round(chip.grazing_deg)))
-                written = {"near_side": encoding.near, encoding.scale_column: scale}
-                rows.append({**_row(file, dataset, chip, known), **written})
+                stored = {"near_side": encoding.near, encoding.scale_column: scale}
+                rows.append({**_row(file, dataset, chip, known), **stored})
             views += dataset.views
             shows.advance(1, dataset.target)
         lacking = _lacking(counts)
@@ -165,18 +160,18 @@ def write_measured_chips(
 
 
 def _lacking(counts: dict[tuple[str, str], int]) -> list[tuple[str, str]]:
-    """Sets and classes of which there is no chip: readers of folders number the classes that a set has."""
+    """Pairs of set and class without chips: readers number the folders of a set as classes."""
     splits, targets = (dict.fromkeys(names) for names in zip(*counts, strict=True))
     return [(split, target) for split in splits for target in targets if (split, target) not in counts]
 
 
 def _require_fit(path: Path, dataset: Dataset, encoding: Encoding, before: dict[Path, tuple[ImageGrid, str]]) -> None:
-    """Refuse what cannot be stored like that, or is not like the datasets before."""
+    """Raise if a dataset cannot be encoded, or its pixels differ from those of the datasets before."""
     grid = dataset.grid
     if any(entry.stack is not None for entry in dataset.entries):
-        raise SarsplatError(f"{path} holds stacks, of which there are no chips; give datasets of single images")
+        raise SarsplatError(f"{path} holds stacks; give datasets of single images")
     if not dataset.target:
-        raise SarsplatError(f"{path} does not say what it shows; import it with --class NAME")
+        raise SarsplatError(f"{path} does not name its target; import it with --class NAME")
     if encoding.quantity == "complex" and dataset.signal is None:
         raise SarsplatError(f"{path} has no phases, so its chips cannot be complex; choose magnitude or power")
     if encoding.crop is not None and encoding.crop > min(grid.rows, grid.columns):
@@ -207,7 +202,7 @@ def _require_one_name_each(read: dict[Path, tuple[ImageGrid, str]]) -> None:
 
 
 def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
-    """Every chip of a dataset, those without azimuth last, in the set that it names."""
+    """Yield all chips of a dataset, those without azimuth last."""
     amplitudes = np.sqrt(dataset.power) if dataset.signal is None else dataset.signal
     for entry, amplitude in zip(dataset.entries, amplitudes, strict=True):
         yield _Measured(entry.split, entry.name, entry.view, entry.view.grazing_deg, amplitude.astype(np.complex64))
@@ -217,7 +212,7 @@ def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
 
 
 def _planned(dataset: Dataset) -> dict[str, tuple[str, int]]:
-    """Serial number and planned depression angle, degrees, by the names of those chips of which they are known."""
+    """Serial number and planned depression angle, degrees, of chips that have both, by name."""
     known = {}
     for key in ("chips", UNPLACED):
         listed: Any = dataset.source.get(key, [])
@@ -246,12 +241,12 @@ def _table(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> bytes:
 
 
 def _plain(target: str) -> str:
-    """A class as a folder may be named, as of generated chips."""
+    """Class as a valid folder name, as of generated chips."""
     return re.sub(r"[^\w+-]", "_", target)
 
 
 def in_words(written: MeasuredChips) -> str:
-    """How many there are: "5,172 chips of 10 classes (2,747 train, 2,425 test-15), 88 × 88 pixels"."""
+    """Describe written chips: "5,172 chips of 10 classes (2,747 train, 2,425 test-15), 88 × 88 pixels"."""
     splits: dict[str, int] = {}
     for (split, _), number in written.counts.items():
         splits[split] = splits.get(split, 0) + number

@@ -1,6 +1,6 @@
-"""Sets of chips as files: folders of classes, or shards, with a table and a record of their making (`chips.json`).
+"""Sets of chips as files: folders of classes, or shards, with a table and their settings (`chips.json`).
 
-By its record a set that was stopped goes on from what is there.
+An unfinished set with the same settings is resumed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.progress import progress
 from sarsplat.samples.chip_set import Chips
 from sarsplat.samples.encoding import ENDINGS
-from sarsplat.samples.made_each import made_each
+from sarsplat.samples.parallel_map import parallel_map
 from sarsplat.version import program_version
 
 LABELS = "labels.csv"
@@ -52,10 +52,10 @@ _APART = ("transmit_azimuth_deg", "transmit_grazing_deg", "receive_azimuth_deg",
 UNUSUAL_COLUMNS = (*_TILTED, *_APART)
 
 _SCALES = "scales.npy"
-"""The file of the scales of what is finished, until the table has them."""
+"""Temporary file of the scales of finished chips, which the table takes in the end."""
 
 MARKER = "chips.json"
-"""The file that marks a folder of chips."""
+"""File that marks a folder of chips."""
 
 SCHEMA, SCHEMA_VERSION = "sarsplat-chips", 5
 _CALLED = {
@@ -64,25 +64,25 @@ _CALLED = {
     "azimuths_deg": "azimuths",
     "grazing_deg": "grazing angles",
 }
-"""Fields with values that nobody would compare, in words."""
+"""Texts of fields whose values are too long to print."""
 
 
 @checks_arguments
 def write_chips(
     chips: Chips, out: str | Path, *, shard: int | None = None, overwrite: bool = False, quiet: bool = True
 ) -> None:
-    """Write a set of chips as a folder that is whole or absent; stopped, the same call goes on from what is there.
+    """Write a set of chips as a folder; an interrupted call is resumed by the same call.
 
     Parameters
     ----------
     chips : Chips
         The set.
     out : str or Path
-        The folder: for each class a folder of files named after the chips' numbers; `labels.csv`, which also has what
-        `import mstar` and `import folder` ask for; and `chips.json`, how they were made.
+        New folder: CLASS/NUMBER.jpg (.png, .npy); `labels.csv`, which also has the columns that `import mstar` and
+        `import folder` need; and the settings, `chips.json`.
     shard : int, optional
-        Write WebDataset shards instead, tar files of so many chips: NUMBER.jpg (.png, .npy), .cls (the number of the
-        class) and .json (the row of the table).
+        Write WebDataset shards instead, tar files of `shard` chips: NUMBER.jpg (.png, .npy), .cls (class number) and
+        .json (row of the table).
     overwrite : bool
         Replace an existing set, or an unfinished one of another kind.
     quiet : bool
@@ -91,8 +91,8 @@ def write_chips(
     Raises
     ------
     SarsplatError
-        If the folder exists, is in use or cannot be written, an unfinished set of another kind waits there, or a shard
-        would be empty.
+        If the folder exists, is in use, cannot be written or holds an unfinished set of another kind, or `shard` is
+        not positive.
     """
     if shard is not None and shard < 1:
         raise SarsplatError(f"shard is {shard}; give at least one chip for each file")
@@ -121,17 +121,17 @@ def write_chips(
 
 
 def _scales(path: Path, count: int) -> Float64[np.ndarray, " n"]:
-    """How each chip is scaled, which is known when it is drawn, in a file that processes share; 0 where it is not."""
-    with suppress(OSError, ValueError):  # it is not there, or not whole
-        kept: Float64[np.ndarray, " n"] = np.lib.format.open_memmap(path, "r+")
-        if kept.shape == (count,):
-            return kept
+    """Open the scales of chips, 0 for unfinished ones, as a memory map that processes share."""
+    with suppress(OSError, ValueError):  # missing or damaged
+        old: Float64[np.ndarray, " n"] = np.lib.format.open_memmap(path, "r+")
+        if old.shape == (count,):
+            return old
     new: Float64[np.ndarray, " n"] = np.lib.format.open_memmap(path, "w+", np.float64, (count,))
     return new
 
 
 def _files(chips: Chips, folder: Path, scales: Float64[np.ndarray, " n"]) -> Iterator[int]:
-    """Write each chip that is not there; how many are there in all, after each."""
+    """Write missing chips; yield the number of finished chips after each."""
     for target in chips.classes:
         (folder / target).mkdir(exist_ok=True)
 
@@ -139,26 +139,26 @@ def _files(chips: Chips, folder: Path, scales: Float64[np.ndarray, " n"]) -> Ite
         content, scales[index] = _encoded(chips, index)
         _put(folder / _file(chips, index), content)
 
-    missing = [n for n in range(len(chips)) if not (scales[n] and _there(folder / _file(chips, n)))]
-    for done, _ in enumerate(made_each(write, missing), len(chips) - len(missing) + 1):
+    missing = [n for n in range(len(chips)) if not (scales[n] and _is_written(folder / _file(chips, n)))]
+    for done, _ in enumerate(parallel_map(write, missing), len(chips) - len(missing) + 1):
         yield done
 
 
 def _shards(chips: Chips, folder: Path, scales: Float64[np.ndarray, " n"], size: int) -> Iterator[int]:
-    """Write each shard that is not there; how many chips are there in all, after each."""
+    """Write missing shards; yield the number of finished chips after each."""
     shards = [range(first, min(first + size, len(chips))) for first in range(0, len(chips), size)]
-    missing = {n: some for n, some in enumerate(shards) if not (scales[some].all() and _there(folder / _shard(n)))}
-    each = made_each(lambda index: _encoded(chips, index), list(chain(*missing.values())))
+    missing = {n: ids for n, ids in enumerate(shards) if not (scales[ids].all() and _is_written(folder / _shard(n)))}
+    files = parallel_map(lambda index: _encoded(chips, index), list(chain(*missing.values())))
     done = len(chips) - sum(map(len, missing.values()))
     for number, indices in missing.items():
-        encoded = dict(zip(indices, each, strict=False))
+        encoded = dict(zip(indices, files, strict=False))
         scales[indices] = [scale for _, scale in encoded.values()]
         _put(folder / _shard(number), _packed(chips, number, encoded))
         yield (done := done + len(indices))
 
 
 def _encoded(chips: Chips, index: int) -> tuple[bytes, float]:
-    """The file of a chip, and its `numbers_per_unit`."""
+    """Content of a chip's file, and its `numbers_per_unit`."""
     sample = chips.sample(index)
     encoding = chips.encoding
     return encoding.encoded(sample, chips.brightest), encoding.numbers_per_unit(sample, chips.brightest)
@@ -232,8 +232,8 @@ def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:
     return dict(zip(_columns(chips), every, strict=False))
 
 
-def _there(path: Path) -> bool:
-    """Whether a file was written; after a power cut it may be empty."""
+def _is_written(path: Path) -> bool:
+    """True if a file exists and is not empty, as after a power cut."""
     return path.is_file() and path.stat().st_size > 0
 
 
@@ -245,7 +245,7 @@ def _put(path: Path, data: bytes) -> None:
 
 
 class MadeRun(msgspec.Struct, forbid_unknown_fields=True):
-    """Where a run was, what it shows, and what it had learned."""
+    """Folder, class, vehicle and state of a run when a set was made."""
 
     path: str | None
     target: str
@@ -267,10 +267,10 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
     grazing_deg: Annotated[list[tuple[float, float]], msgspec.Meta(min_length=1)]
     ground: str
     ground_digest: str | None
-    """Of the picture's file; None of a word."""
+    """Digest of the picture's file; None without picture."""
     speckle: Speckle
     scatterers: float | None
-    """None of any number."""
+    """Number of scatterers per cell (`Run.sample`); None if infinite."""
     quantity: ChipQuantity
     scale: ChipScale
     format: ChipFormat
@@ -281,11 +281,11 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
     pixels: tuple[int, int]
     """Rows and columns of each file."""
     spacing_m: tuple[float, float]
-    """Azimuth, range."""
+    """Spacing in azimuth and range, m."""
 
     @classmethod
     def of(cls, chips: Chips, shard: int | None) -> Self:
-        """The record of a set, written in shards of so many chips or chip by chip."""
+        """Settings of a set, written in shards of `shard` chips, or chip by chip."""
         how, grid = chips.encoding, chips.runs[0].grid
         return cls(
             schema=SCHEMA,
@@ -311,12 +311,12 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Read the record of a folder; a SarsplatError if it is not one of ours."""
+        """Read the settings of a folder of chips."""
         remedy = "give a folder that `sarsplat chips` has written"
         return read_versioned_json(folder / MARKER, cls, schema=SCHEMA, version=SCHEMA_VERSION, remedy=remedy)
 
     def unlike(self, folder: Path) -> str:
-        """What is different about the set in another folder, for a sentence: names, and values that are short."""
+        """Text on the fields that differ from those of the set in another folder."""
         try:
             other = Made.read(folder)
         except SarsplatError:
@@ -328,7 +328,7 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
         return f"differs in {', '.join(words)}"
 
     def encoded(self, path: Path) -> bytes:
-        """The record as JSON; `path` is what an error names."""
+        """Encode the settings as JSON; errors name `path`."""
         return encode_json(self, path)
 
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from sarsplat import SarsplatError
-from sarsplat.samples.made_each import made_each
+from sarsplat.samples.parallel_map import parallel_map
 
 
 @pytest.fixture(params=[1, 2])
@@ -22,7 +22,7 @@ def count(request, threads):
 
 
 def test_results_come_in_order_from_as_many_processes_as_there_are_threads(count: int) -> None:
-    made = list(made_each(lambda index: (index, os.getpid(), torch.get_num_threads()), range(500, 0, -1)))
+    made = list(parallel_map(lambda index: (index, os.getpid(), torch.get_num_threads()), range(500, 0, -1)))
     assert [index for index, _, _ in made] == list(range(500, 0, -1))
     assert {one for _, _, one in made} == {1}
     processes = {process for _, process, _ in made}
@@ -31,8 +31,8 @@ def test_results_come_in_order_from_as_many_processes_as_there_are_threads(count
 
 
 def test_few_are_made_here(count: int) -> None:
-    assert set(made_each(lambda _: os.getpid(), range(20))) == {os.getpid()}
-    assert list(made_each(str, [])) == []
+    assert set(parallel_map(lambda _: os.getpid(), range(20))) == {os.getpid()}
+    assert list(parallel_map(str, [])) == []
 
 
 def test_a_polite_kill_of_all_is_left_to_the_first_process(count: int) -> None:
@@ -42,12 +42,12 @@ def test_a_polite_kill_of_all_is_left_to_the_first_process(count: int) -> None:
         return index
 
     first = os.getpid()
-    assert list(made_each(work, range(300))) == list(range(300))
+    assert list(parallel_map(work, range(300))) == list(range(300))
 
 
 def long_results(tell: Connection) -> None:
     torch.set_num_threads(2)
-    for number, (process, _) in enumerate(made_each(lambda _: (os.getpid(), bytes(100_000)), range(1000))):
+    for number, (process, _) in enumerate(parallel_map(lambda _: (os.getpid(), bytes(100_000)), range(1000))):
         tell.send(process)
         if number == 100:
             time.sleep(60)
@@ -83,7 +83,7 @@ def test_a_failure_is_raised_where_it_was_in_the_same_words(count: int) -> None:
             raise SarsplatError("the disk is full; make room")
         return index
 
-    made = made_each(work, range(300))
+    made = parallel_map(work, range(300))
     assert [next(made) for _ in range(130)] == list(range(130))
     with pytest.raises(SarsplatError, match=r"^the disk is full; make room$"):
         next(made)
