@@ -8,10 +8,9 @@ from sarsplat import Gaussians, ImageGrid, View
 from sarsplat.scenes import surface_gaussians
 from sarsplat.scenes.village import village
 from sarsplat.surface import cells
-from sarsplat.surface.cells import by_cubes
+from sarsplat.surface.cells import by_cubes, parts_of
 from sarsplat.surface.neighbours import spacing_m
 from sarsplat.surface.normals import surface_normals
-from sarsplat.surface.parts import parts_of
 from sarsplat.surface.visibility import Seen
 
 

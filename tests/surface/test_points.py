@@ -15,14 +15,14 @@ from sarsplat.progress import Reporter
 from sarsplat.renderer import RayMap
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import bricks as of_bricks
+from sarsplat.surface import cells as of_cells
 from sarsplat.surface import extract_points
 from sarsplat.surface import points as of_points
-from sarsplat.surface import voxels as of_voxels
 from sarsplat.surface.bricks import Brick, Scene, Window
+from sarsplat.surface.cells import Voxels
 from sarsplat.surface.clusters import largest
 from sarsplat.surface.points import between, spread
 from sarsplat.surface.returns_on_cpu import OfView
-from sarsplat.surface.voxels import Voxels
 from upright import upright
 
 GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))
@@ -107,7 +107,7 @@ def test_voxels_are_the_same_however_the_points_come(offset: float, monkeypatch:
     places[0] += offset
     once = Voxels(0.3)
     once.add(torch.from_numpy(places))
-    monkeypatch.setattr(of_voxels, "AT_ONCE", 40)
+    monkeypatch.setattr(of_cells, "MOST_WAITING", 40)
     parts = Voxels(0.3)
     for part in np.array_split(places, 20):
         parts.add(torch.from_numpy(part))

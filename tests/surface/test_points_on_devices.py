@@ -19,7 +19,7 @@ from sarsplat.learning.strategies.ranking import whole_sums
 from sarsplat.scenes import surface_gaussians, target_mesh
 from sarsplat.scenes.village import village as made_village
 from sarsplat.settings.sections import PointExtraction
-from sarsplat.surface import cells, first_returns, neighbours, normals, points, voxels
+from sarsplat.surface import cells, first_returns, neighbours, normals, points
 from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.neighbours import Neighbours
 from sarsplat.surface.normals import surface_normals
@@ -116,7 +116,7 @@ def test_parts_at_a_time_are_as_on_the_cpu(
     scenes: dict[str, Scene], elsewhere: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Many points, many rays, and bricks."""
-    monkeypatch.setattr(voxels, "AT_ONCE", 5000)
+    monkeypatch.setattr(cells, "MOST_WAITING", 5000)
     monkeypatch.setattr(points, "_COARSEST", 1e-3)
     monkeypatch.setattr(points, "_MOST_RAYS", 30_000)
     monkeypatch.setattr(first_returns, "_AT_ONCE", 20_000)
@@ -132,10 +132,10 @@ def test_several_views_are_rendered_at_once_elsewhere(scenes: dict[str, Scene], 
     scene = scenes["vehicle"]
     rays = first_returns.RayGrid.for_image(scene.grid)
     asked = scene.gaussians, RING, scene.grid, rays
-    assert [len(some) for some in first_returns.some_at_once(*asked)] == [1] * len(RING)
+    assert [len(some) for some in first_returns.view_batches(*asked)] == [1] * len(RING)
     elsewhere()
-    assert [len(some) for some in first_returns.some_at_once(*asked)] == [len(RING)]
-    assert [*first_returns.some_at_once(scene.gaussians[:0], *asked[1:])] == [[view] for view in RING]
+    assert [len(some) for some in first_returns.view_batches(*asked)] == [len(RING)]
+    assert [*first_returns.view_batches(scene.gaussians[:0], *asked[1:])] == [[view] for view in RING]
 
 
 def test_strongest_centres_are_those_of_the_cpu(scenes: dict[str, Scene], elsewhere: Any) -> None:

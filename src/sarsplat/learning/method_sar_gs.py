@@ -39,11 +39,11 @@ from sarsplat.renderer.steps import attenuate, project
 from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, Config
 from sarsplat.settings.presets import preset
 from sarsplat.settings.sections import FlatGround
+from sarsplat.surface.cells import parts_of
 from sarsplat.surface.masks import scene_masks, without_imitated_ground
 from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.neighbours import spacing_m
 from sarsplat.surface.normals import surface_normals
-from sarsplat.surface.parts import parts_of
 from sarsplat.surface.points import extract_points
 from sarsplat.surface.visibility import Seen
 

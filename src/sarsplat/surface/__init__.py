@@ -1,4 +1,4 @@
-"""From Gaussians to a surface: points, normals, a mesh, masks. What needs torch is loaded when first used."""
+"""Surface of Gaussians: points, normals, mesh and masks. Torch is loaded when first used."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Clusters of points: which of them are objects, and which are what speckle leaves."""
+"""Clusters of points: objects are kept, remains of speckle are dropped."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ _CUBES = 4
 """Cubes per radius of a cluster (DBSCAN)."""
 
 _TOUCHING = 1.8
-"""Distance of cubes that touch at a side, an edge or a corner, at most, in sides."""
+"""Maximum distance of cubes that touch at a side, an edge or a corner, in sides."""
 
 _QUARTILE = 0.75
-"""Quantile over the views of the power of a cluster: many objects are lit from one side only."""
+"""Quantile over the views at which a cluster's power is tested: many objects are lit from one side only."""
 
 _NAMED = 3
 """Maximum number of clusters whose places a note names."""
 
 
 def largest(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Bool[np.ndarray, " p"]:
-    """Mask of the largest DBSCAN cluster: what floats apart from the target is left out."""
+    """Mask of the largest DBSCAN cluster, which drops points that float apart from the target."""
     try:
         from sklearn.cluster import DBSCAN
     except ImportError as error:
         raise SarsplatError(f"cleaning the point cloud needs scikit-learn; {install_command('evaluate')}") from error
     if len(points) == 0:
         return np.zeros(0, bool)
-    # by the cube, as far as clusters are concerned one heavy point: a dense cloud has hundreds of neighbours for each
+    # one weighted point per cube: points of a dense cloud have hundreds of neighbours
     cubes, owner = _cubes(points, radius / _CUBES)
     count = np.bincount(owner)
     centres = np.stack([np.bincount(owner, axis, len(cubes)) for axis in points.T], axis=1) / count[:, None]
@@ -63,8 +63,8 @@ def bright(
     """Mask of the clusters whose Gaussians return at least `least_m2` in a quarter of the views; reports the others.
 
     A cluster without `high` points is ground: heights of less than a cell and differences of its brightness look alike.
-    Clusters are connected cubes with sides of the radius, m. `means` (m) and `cross_sections` (m², some views at a
-    time) are those of all Gaussians; each belongs to the cluster that is nearest, within two cubes.
+    Clusters are connected cubes with sides of the radius, m. `means` (m) and `cross_sections` (m², batches of views)
+    are those of all Gaussians; each belongs to the nearest cluster within two cubes.
     """
     if len(points) == 0:
         return np.zeros(0, bool)
@@ -76,7 +76,7 @@ def bright(
     distance, nearest = tree.query(np.floor(means / radius), distance_upper_bound=2.0)
     near = np.isfinite(distance)
     of_gaussian = cluster[nearest[near]]
-    power = np.array([np.bincount(of_gaussian, one[near], count) for some in cross_sections for one in some])
+    power = np.array([np.bincount(of_gaussian, section[near], count) for batch in cross_sections for section in batch])
     kept = (np.quantile(power, _QUARTILE, axis=0) >= least_m2) & (np.bincount(cluster[owner], high, count) > 0)
     if not kept.all():
         share = power[:, ~kept].sum() / max(power.sum(), np.finfo(float).tiny)
@@ -89,7 +89,7 @@ def bright(
 
 
 def _cubes(points: Float64[np.ndarray, "p 3"], side: float) -> tuple[Int[np.ndarray, "c 3"], Int[np.ndarray, " p"]]:
-    """Cubes that hold points, in sides, and the one of each point."""
+    """Cubes that hold points, in units of their side, and the index of each point's cube."""
     places = np.floor(points / side).astype(np.int64)
     numbers = numbered(torch.from_numpy(places)).numpy()
     _, first, owner = np.unique(numbers, return_index=True, return_inverse=True)

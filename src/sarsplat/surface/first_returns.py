@@ -1,6 +1,6 @@
-"""First returns of many views at once, on the device of the Gaussians: nothing but sizes comes back to the CPU.
+"""First returns of many views at once, on the Gaussians' device: only sizes are copied to the CPU.
 
-The same as `returns_on_cpu.py` finds view by view.
+`returns_on_cpu.py` finds the same, view by view.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from sarsplat.surface.bricks import Brick, Scene, Window
 from sarsplat.tiles import at_once
 
 _AT_ONCE = 1 << 22
-"""Rays whose returns are calculated at once, and pairs of a point and a view that are compared at once."""
+"""Maximum number of rays, and of pairs of a point and a view, in a batch."""
 
 
-def some_at_once(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Iterator[list[View]]:
-    """The views, in their order: as many at a time as a GPU's memory takes; on the CPU, whose caches are small, one."""
+def view_batches(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Iterator[list[View]]:
+    """Batches of views, in their order: as many as fit into a GPU's memory; single views on the CPU, for its caches."""
     most = 1
     if len(gaussians) and not cells.on_cpu(gaussians.means):
         most = max(1, at_once(gaussians, views, grid, rays))
@@ -38,7 +38,7 @@ def some_at_once(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, r
 def traced(
     gaussians: Gaussians, views: Sequence[View], pixel: ImageGrid, rays: RayGrid, optical_depth: float
 ) -> Sequence[RayMap]:
-    """What the rays of views meet; `pixel` is a grid that takes no time."""
+    """Ray maps of views up to an optical depth; `pixel` is a grid of one pixel, since images are not needed."""
     black = gaussians.means.new_zeros(len(views), len(gaussians), 1)
     done = render(gaussians, views, pixel, rays=rays, first_return_depth=optical_depth, amplitudes=black)
     return done.ray_maps or ()
@@ -49,11 +49,11 @@ class FirstReturns:
     """First returns of the rays of V views."""
 
     windows: Sequence[Window]
-    """Where the rays are."""
+    """Rays of each view."""
     range_m: Float[Tensor, " r"]
-    """Of all rays, view by view; infinite where a ray meets nothing."""
+    """Ranges of all rays, view by view, m; infinite where a ray meets nothing."""
     frames: Float64[Tensor, "v 3 3"]
-    """R_r."""
+    """Rotations R_r from the world to the radar frame."""
     spacing_m: tuple[float, float]
 
     @classmethod
@@ -67,27 +67,27 @@ class FirstReturns:
         optical_depth: float,
         advance: Callable[[int], object],
     ) -> Self:
-        """Trace the rays of a brick view by view, or all of them and some views at a time; tell how many are done."""
+        """Trace all rays in batches of views, or those of a brick view by view; `advance` gets numbers of views."""
         windows, ranges = list[Window](), list[Float[Tensor, "rows columns"]]()
-        pixel = replace(grid, rows=1, columns=1)  # images would take their time
-        blocks = some_at_once(scene.gaussians, views, pixel, rays) if brick is None else ([view] for view in views)
-        for some in blocks:
-            asked = None if brick is None else brick.window(some[0], rays)
-            gaussians = scene.gaussians if asked is None else scene.met_by(asked, some[0], rays)[1]
-            for ray_map in traced(gaussians, some, pixel, rays, optical_depth):
-                windows.append(asked or Window.of(ray_map, rays))
+        pixel = replace(grid, rows=1, columns=1)  # images are not needed
+        batches = view_batches(scene.gaussians, views, pixel, rays) if brick is None else ([view] for view in views)
+        for batch in batches:
+            window = None if brick is None else brick.window(batch[0], rays)
+            gaussians = scene.gaussians if window is None else scene.met_by(window, batch[0], rays)[1]
+            for ray_map in traced(gaussians, batch, pixel, rays, optical_depth):
+                windows.append(window or Window.of(ray_map, rays))
                 ranges.append(windows[-1].cut(ray_map, rays).flatten())
-            advance(len(some))
+            advance(len(batch))
         frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(ranges[0].device)
         return cls(windows, torch.cat(ranges), frames, rays.spacing_m)
 
     @property
     def _sizes(self) -> list[int]:
-        """Rays of each view."""
+        """Number of rays of each view."""
         return [window.rows * window.columns for window in self.windows]
 
     def points(self, terrain: Terrain | None, lowest_m: float) -> Iterator[Float64[Tensor, "p 3"]]:
-        """The returns of each view in the world frame, m, that lie so high above the terrain."""
+        """Returns of each view, world frame, m, that are at least `lowest_m` above the terrain."""
         sizes, rays, block = self._sizes, 0, list[int]()
         ranges = self.range_m.split(sizes)
         for view, size in enumerate(sizes):
@@ -103,14 +103,14 @@ class FirstReturns:
         placed = [self._placed(view, ranges[view]) for view in views]
         points, finite = torch.cat(placed), torch.cat([ranges[view] for view in views]).isfinite()
         kept = finite & (_heights(points, terrain) >= lowest_m)
-        ends = torch.from_numpy(np.cumsum([len(each) for each in placed])).to(kept.device)
+        ends = torch.from_numpy(np.cumsum([len(returns) for returns in placed])).to(kept.device)
         upto = torch.cat([kept.new_zeros(1, dtype=torch.int64), kept.cumsum(0)])[ends].tolist()
         return points[kept].split(np.diff([0, *upto]).tolist())
 
     def _placed(self, view: int, ranges: Float[Tensor, " r"]) -> Float64[Tensor, "r 3"]:
-        """Where the rays of a view return, world frame, m; somewhere if they do not."""
+        """Points of first return of a view's rays, world frame, m; arbitrary for rays that meet nothing."""
         window, (rows, columns) = self.windows[view], self.windows[view].shape
-        # rounded as on the CPU: voxels and rays may have edges in common
+        # rounded as on the CPU, since voxels and rays may share edges
         x = (np.arange(columns) + (window.column + 0.5)) * self.spacing_m[0]
         y = (np.arange(rows) + (window.row + 0.5)) * self.spacing_m[1]
         local = ranges.new_empty(rows, columns, 3, dtype=torch.float64)
@@ -126,36 +126,40 @@ class FirstReturns:
         seen_by: int,
         advance: Callable[[int], object],
     ) -> Int64[Tensor, " k"]:
-        """Which points at most that share of the views look through, by more than `behind_m`, and so many see."""
+        """Indices of points that enough views see and few views look through.
+
+        A view sees a point if its first return is within `behind_m` of it, and looks through it if it is farther. At
+        least `seen_by` views must see it; at most the share `seen_through` of the views may look through.
+        """
         counts = torch.zeros(2, len(points), dtype=torch.int64, device=points.device)
         sizes, new = self._sizes, partial(torch.tensor, device=points.device)
         shapes = new([window.shape for window in self.windows])
         firsts = new(np.cumsum([0, *sizes[:-1]]))
         corners = new([(window.column, window.row) for window in self.windows], dtype=torch.float64)
         spacing = new(self.spacing_m, dtype=torch.float64)
-        each = max(1, _AT_ONCE // max(1, len(points)))
-        for k in range(0, len(sizes), each):
-            some = slice(k, k + each)
-            local = (points @ self.frames[some].flatten(0, 1).T).view(len(points), -1, 3)
-            place = (local[..., :2] / spacing - 0.5).round() - corners[some]
-            (column, row), (rows, columns) = place.unbind(-1), shapes[some].unbind(1)
+        count = max(1, _AT_ONCE // max(1, len(points)))
+        for k in range(0, len(sizes), count):
+            batch = slice(k, k + count)
+            local = (points @ self.frames[batch].flatten(0, 1).T).view(len(points), -1, 3)
+            place = (local[..., :2] / spacing - 0.5).round() - corners[batch]
+            (column, row), (rows, columns) = place.unbind(-1), shapes[batch].unbind(1)
             inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-            ray = (firsts[some] + row * columns + column).where(inside, 0).long()
+            ray = (firsts[batch] + row * columns + column).where(inside, 0).long()
             beyond = self.range_m[ray].double().where(inside, math.inf) - local[..., 2]
             counts[0] += (beyond > behind_m).sum(1)
             counts[1] += (beyond.abs() <= behind_m).sum(1)
-            advance(len(sizes[some]))
+            advance(len(sizes[batch]))
         return ((counts[0] <= seen_through * len(sizes)) & (counts[1] >= seen_by)).nonzero()[:, 0]
 
 
 def _heights(points: Float64[Tensor, "p 3"], terrain: Terrain | None) -> Float64[Tensor, " p"]:
-    """How far points lie above the terrain, or above z = 0, m: `heights_of` on any device."""
+    """Heights of points above the terrain, or above z = 0, m: `heights_of` on any device."""
     if terrain is None:
         return points[:, 2]
     table = torch.from_numpy(terrain.heights_m).to(points.device)
     (ny, nx), before, share = table.shape, [], []
-    for at, half, pitch, count in zip(points.T, terrain.half_m, terrain.pitch_m, (nx, ny)):
-        place = ((at + half) / pitch).clamp(0, count - 1)
+    for coordinate, half, pitch, count in zip(points.T, terrain.half_m, terrain.pitch_m, (nx, ny)):
+        place = ((coordinate + half) / pitch).clamp(0, count - 1)
         before.append(place.long().clamp(max=count - 2))
         share.append(place - before[-1])
     corner, (right, down) = before[1] * nx + before[0], share

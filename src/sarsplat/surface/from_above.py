@@ -1,4 +1,4 @@
-"""A surface seen from above: the height and γ⁰ of its uppermost layer in each pixel of a map."""
+"""Surface from above: height and γ⁰ of its uppermost layer in each pixel of a map."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from sarsplat.surface.points import imaged, spread
 _MOST_VIEWS = 96
 
 _STEEP = 0.3
-"""Upward part of a normal below which a point is of a wall: from above, walls have no area."""
+"""Upward part of a normal below which a point belongs to a wall, which has no area from above."""
 
 _HIDDEN = 0.5
-"""Ground is not seen from a view in which this share of its light is taken, on the way to it and back."""
+"""Two-way loss above which ground is hidden from a view."""
 
 
 def uppermost(
@@ -34,10 +34,10 @@ def uppermost(
     values: Real[np.ndarray, " p"] | None,
     gap_m: float,
 ) -> Float64[np.ndarray, "rows columns"]:
-    """Mean height, or mean of other values, of those points in each pixel (row, column) that are seen from above.
+    """Mean height (or other value) of each pixel's uppermost layer; NaN in pixels without points.
 
-    The uppermost layer of a pixel ends where there is nothing for `gap_m` below. Points count by the upward part of
-    their normals, and those of walls not at all, unless there are no others. NaN where there is none.
+    The layer ends at the first vertical gap of `gap_m`. Points are weighted by the upward part of their normals; walls
+    count only in pixels without other points.
     """
     rows, columns = shape
     inside = ((pixel >= 0) & (pixel < shape)).all(axis=1)
@@ -60,10 +60,10 @@ def uppermost(
 
 
 def without_holes(values: Float64[np.ndarray, "rows columns"], reach: float) -> Float64[np.ndarray, "rows columns"]:
-    """Pixels between others, not farther than `reach` pixels from them on all sides, take what the nearest one has."""
-    known, margin = np.isfinite(values), math.ceil(reach) + 1  # outside of the map nothing is known
-    apart = distance_transform_edt(~np.pad(known, margin))
-    within = distance_transform_edt(apart <= reach) > reach
+    """Fill unknown pixels inside the closing (radius `reach`, pixels) of the known ones with the nearest value."""
+    known, margin = np.isfinite(values), math.ceil(reach) + 1  # pixels outside of the map are unknown
+    distance = distance_transform_edt(~np.pad(known, margin))
+    within = distance_transform_edt(distance <= reach) > reach
     holes = within[margin:-margin, margin:-margin] & ~known
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
     filled = values.copy()
@@ -75,22 +75,22 @@ def without_holes(values: Float64[np.ndarray, "rows columns"], reach: float) -> 
 def ground_seen(
     target: Gaussians, places: Float64[np.ndarray, "p 3"], views: Sequence[View], grid: ImageGrid
 ) -> Bool[np.ndarray, " p"]:
-    """Which places on the ground, m, lie in an image of a view from which the target hides no more than half of them.
+    """Mask of the places on the ground, m, that are inside an image and not hidden by the target there.
 
-    Views are at most 96, chosen evenly; one is looked at after the other.
+    At most 96 views are used, evenly chosen.
     """
     seen, rays = np.zeros(len(places), bool), RayGrid.for_image(grid)
     chosen = along_ways(spread(views, _MOST_VIEWS))
     with stage("surface: ground", len(chosen)) as shown:
         for view in chosen:
-            asked = np.flatnonzero(~seen & imaged(places, view, grid))
-            across, elevation, _ = view.look.frame @ places[asked].T
+            index = np.flatnonzero(~seen & imaged(places, view, grid))
+            across, elevation, _ = view.look.frame @ places[index].T
             (ray_map,) = (
                 attenuate(project(target, [view], grid, rays=rays), rays, first_return_depth=1.0).ray_maps or ()
             )
             row = (elevation - ray_map.origin[1]) / rays.spacing_m[1]
             column = (across - ray_map.origin[0]) / rays.spacing_m[0]
             through = ray_map.transmittance.double().cpu().numpy()
-            seen[asked] = map_coordinates(through, [row, column], order=1, cval=1.0) > 1 - _HIDDEN
+            seen[index] = map_coordinates(through, [row, column], order=1, cval=1.0) > 1 - _HIDDEN
             shown.advance(1)
     return seen

@@ -17,8 +17,8 @@ from sarsplat.geometry.terrain import heights_of
 from sarsplat.renderer import render
 
 _SHARE = 0.5
-_LOWEST = 1.0  # height above the ground from which Gaussians count as the target, resolution cells
-_REACH = 1.5  # and how near the points, resolution cells
+_LOWEST = 1.0  # minimum height above the ground of Gaussians of the target, resolution cells
+_REACH = 1.5  # maximum distance of such Gaussians from the points, resolution cells
 
 
 @torch.no_grad()
@@ -27,27 +27,25 @@ def scene_masks(
 ) -> UInt8[np.ndarray, "v {grid.rows} {grid.columns}"]:
     """Masks of a target on its ground: 0 clutter, 1 target, 2 shadow.
 
-    The yardstick is what the ground would return in a pixel without the target. A pixel is
+    Power is compared with that of the ground in the same pixel, if the target were absent. A pixel is
 
-    - target, if the target returns at least half of that there: wherever a surface that the radar sees appears, with
-      layover, unless it is much darker than the ground. Under a tilt it is half of what there would be without: pixels
-      show more of the ground then, but no more of what stands on it;
+    - target, if the target returns at least half of it: a visible surface, with layover, unless it is much darker than
+      the ground. Under a tilt, the comparison is with the ground without tilt, which does not enlarge the target;
     - shadow, if it is not target, and the radar sees less than half of the ground there;
     - clutter otherwise.
 
-    Without ground there is no shadow, and target are the pixels in which the radar sees at least half as much of it as
-    it would of flat ground, or aloft of a plane seen at a grazing angle of 27°, by area across the line of sight. What
-    pixels show is as sharp as they are, whatever the resolution, and as exact as the rays are close.
+    Without ground there is no shadow, and areas across the line of sight are compared instead of power: target are
+    pixels with at least half the area of flat ground or, aloft, of a plane at a grazing angle of 27°. Masks are as
+    sharp as the pixels, whatever the resolution, and as exact as the rays are close.
 
-    The labels of SARBake, which predictions for measured chips are compared with, are the same of a CAD model, with
-    geometry in place of power: its lit surface projected on the slant plane, layover included, however dark it is; then
-    its shadow on flat ground.
+    The labels of SARBake for measured chips are similar, but of a CAD model and by geometry: its lit surface projected
+    on the slant plane, layover included, however dark; then its shadow on flat ground.
     """
     sharp = replace(grid, resolution_m=grid.spacing_m)
     masks = np.full((len(views), grid.rows, grid.columns), CLUTTER, np.uint8)
     channel = target.scattering.power_channel
     uniform = target.means.new_ones(1, len(target), channel + 1) if ground is None else None
-    for mask, view in zip(masks, views, strict=True):  # one at a time: memory stays small
+    for mask, view in zip(masks, views, strict=True):  # single views, to bound memory
         rendering = render(target, [view], sharp, rays=rays, amplitudes=uniform, ground=ground)
         images = rendering.channel(channel)
         if ground is None or rendering.ground is None:
@@ -64,10 +62,10 @@ def scene_masks(
 def without_imitated_ground(
     target: Gaussians, points: Real[np.ndarray, "p 3"], cell_m: float, ground: Ground | None
 ) -> Gaussians:
-    """Drop the target's Gaussians that may only imitate ground: low ones, and those far from all points.
+    """Drop the target's Gaussians that may only imitate ground.
 
-    They are those farther than 1.5 resolution cells of `cell_m` from all points that are higher than one cell and, if
-    it stands on `ground`, those lower than one cell themselves.
+    They are farther than 1.5 resolution cells of `cell_m` from all points that are higher than one cell or, on
+    `ground`, lower than one cell themselves.
     """
     means = target.means.double().cpu().numpy()
     lowest = -np.inf if ground is None else _LOWEST * cell_m

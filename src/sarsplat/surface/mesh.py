@@ -1,56 +1,54 @@
-"""A triangle mesh through points with normals: signed distances on a voxel grid, and marching cubes.
+"""Triangle mesh through points with normals: signed distances on a voxel grid, marching cubes, and smoothing.
 
-The distance of a place is the weighted mean of those from the planes of the points around it (`planes.py`). Only what
-was seen has points, so the mesh is open where no view looked, as below a vehicle. The grid is cut into bricks, of which
-only those near points are looked at, one after the other: time grows with the surface, and memory hardly. Noise of
-single points is left in such small triangles: they are turned to the normals around them (`fitting.py`).
+The signed distance is a weighted mean over the planes of the points around (`planes.py`). The mesh is open where no
+view looked, as below a vehicle. Bricks of the grid near points are processed one after the other: time grows with the
+surface, memory hardly. Finally triangles are rotated to the normals around them, which removes the noise of points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64, Int64, Real
 from scipy.ndimage import distance_transform_edt
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from sarsplat.errors import SarsplatError
 from sarsplat.extras import install_command
 from sarsplat.progress import stage
 from sarsplat.radiometry import shade
-from sarsplat.surface.fitting import ROUNDS, fitted
-from sarsplat.surface.planes import Planes, some_at_a_time
+from sarsplat.surface.planes import Planes, batches
 from sarsplat.surface.visibility import Seen
 
 if TYPE_CHECKING:
     import trimesh
 
-# Lengths in units of the planes.
-_VOXEL = 0.25
-_REACH = 0.15  # of the mesh from the nearest point
-
-# A part that is smaller, of the whole area and in square units, floats.
-_SMALLEST_PART, _SMALLEST_UNITS = 0.01, 1.5
-_SEARCH, _NEAR, _FIT, _NORMALS = 60, 70, 90, 95  # per cent of the time, until they are done
+_VOXEL = 0.25  # units of the planes
+_REACH = 0.15  # maximum distance of the mesh from the nearest point, units of the planes
+_SMALLEST_PART, _SMALLEST_UNITS = 0.01, 1.5  # minimum area of a part, relative to the whole, and in square units
+_SEARCH, _NEAR, _FIT, _NORMALS = 60, 70, 90, 95  # progress at the end of each stage, per cent
 _BRICK = 128  # voxels along a side
-_DARKEST_DB = -30.0  # of the brightest vertex: black
+_DARKEST_DB = -30.0  # black, relative to the brightest vertex
+_FIT_ROUNDS = 2
+_FIT_STEPS = 40
+_FIT_KEPT = 0.5  # weight of a vertex's old place, relative to an edge
+_FIT_LEAST = 0.2  # minimum of 1 + cosine of the rotation: no triangle is turned over
 
 
 def surface_mesh(
     points: Real[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], seen: Seen, cell: float
 ) -> trimesh.Trimesh:
-    """The surface through points [P, 3], m, with unit normals that point outwards; vertices have what the radar saw.
+    """Mesh through points [P, 3], m, with outward unit normals; it has no faces if they make no surface.
 
-    Voxels are 0.25 resolution cells, and no vertex is farther than 0.15 from a point; where points are sparse, of 7.5
-    times their spacing. World frame, m; faces are counter-clockwise seen from outside. Vertices have the
-    attribute `gamma0` (γ⁰, linear) and greys: decibels from 30 dB below the brightest vertex, black, to white. Parts of
-    less than 1 % of the area and 1.5 squares of such sides are left out, and faces that the radar would have seen from
-    behind. Without faces where the points make no surface.
-    Refused if scikit-image or trimesh is missing.
+    Lengths are in resolution cells or, for sparse points, 7.5 times their spacing: voxels are 0.25, and no vertex is
+    farther than 0.15 from a point. World frame, m; faces are counter-clockwise seen from outside. Vertices have the
+    attribute `gamma0` (γ⁰, linear) and greys: black is 30 dB below the brightest vertex. Parts of less than 1 % of the
+    area and 1.5 square units are left out, and faces that the radar would have seen from behind. Raises without
+    scikit-image or trimesh.
     """
     try:
         import trimesh
@@ -63,17 +61,17 @@ def surface_mesh(
             planes = Planes.through(np.asarray(points, np.float64), normals, cell, seen.means.device)
             vertices, faces = _zero_surface(planes, marching_cubes, lambda share: shown.update(_SEARCH * share))
             near = np.empty(len(vertices), bool)
-            for part in some_at_a_time(len(vertices)):
-                near[part] = planes.apart(vertices[part]) <= _REACH * planes.unit_m
+            for part in batches(len(vertices)):
+                near[part] = planes.distance_m(vertices[part]) <= _REACH * planes.unit_m
                 shown.update(_SEARCH + (_NEAR - _SEARCH) * part.stop / len(vertices))
             faces = _from_the_front(vertices, faces[near[faces].all(axis=1)], seen)
             vertices, faces = _without_crumbs(vertices, faces, planes.unit_m)
             if len(faces):
-                for done, moved in enumerate(fitted(vertices, faces, planes), 1):
+                for done, moved in enumerate(_fitted(vertices, faces, planes), 1):
                     vertices = moved
-                    shown.update(_NEAR + (_FIT - _NEAR) * done / ROUNDS)
+                    shown.update(_NEAR + (_FIT - _NEAR) * done / _FIT_ROUNDS)
                 vertex_normals = np.empty((len(vertices), 3))
-                for part in some_at_a_time(len(vertices)):  # of many points: those of a voxel's few triangles jump
+                for part in batches(len(vertices)):  # of the planes: normals of few triangles are noisy
                     _, vertex_normals[part] = planes.at(vertices[part])
                     shown.update(_FIT + (_NORMALS - _FIT) * part.stop / len(vertices))
         gamma0, _ = seen.around(vertices)
@@ -92,49 +90,49 @@ def surface_mesh(
 def _zero_surface(
     planes: Planes, marching_cubes: Callable[..., tuple[np.ndarray, ...]], tell: Callable[[float], object]
 ) -> tuple[Float64[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:
-    """Vertices, m, and faces where the signed distance, positive outside, changes its sign near points.
+    """Vertices, m, and faces at which the signed distance (positive outside) changes its sign near points.
 
-    Of the time that takes, it tells the part that is over.
+    `tell` gets the share of the work that is done.
     """
     unit = planes.unit_m
     voxel = _VOXEL * unit
-    band = _REACH * unit + 2 * voxel  # beyond what is kept: cubes at its rim are whole
+    band = _REACH * unit + 2 * voxel  # wider than the mesh's reach, so that cubes at its rim are complete
     points = planes.points
     corner = points.min(axis=0) - band
     voxels = np.rint((points - corner) / voxel).astype(np.int64)
     order, starts = _sorted(voxels)
     occupied = voxels[order[starts]]
-    margin = int(band / voxel) + 1  # cubes begin one before what is near, or end one behind
+    margin = int(band / voxel) + 1  # one cube more on each side
     bricks = _bricks(occupied, margin)
     vertices, faces, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
-    done, total = 0, sum(len(near_by) for _, near_by in bricks)
-    for brick, near_by in bricks:
-        first, last = near_by.min(axis=0), near_by.max(axis=0)
+    done, total = 0, sum(len(members) for _, members in bricks)
+    for brick, members in bricks:
+        first, last = members.min(axis=0), members.max(axis=0)
         low, high = np.maximum(brick, first - margin), np.minimum(brick + _BRICK, last + margin)
         start, end = np.minimum(low, first), np.maximum(high, last)
         empty = np.ones(end - start + 1, dtype=bool)
-        empty[tuple((near_by - start).T)] = False
+        empty[tuple((members - start).T)] = False
         inside = tuple(slice(begin, begin + size) for begin, size in zip(low - start, high - low + 1, strict=True))
         near = (distance_transform_edt(empty, sampling=voxel) <= band)[inside]
         distance = np.full(near.shape, unit)
         distance[near], _ = planes.at((np.argwhere(near) + low) * voxel + corner)
-        done += len(near_by)
+        done += len(members)
         tell(done / total)
         if not distance.min() < 0 < distance.max():
             continue
         try:
-            some, triangles, _, _ = marching_cubes(distance, 0.0, mask=near, allow_degenerate=False)
-        except RuntimeError:  # no cube whose corners are all near has the surface in it
+            corners, triangles, _, _ = marching_cubes(distance, 0.0, mask=near, allow_degenerate=False)
+        except RuntimeError:  # no cube with the surface has all corners near points
             continue
-        vertices.append(some + low.astype(np.float64))
+        vertices.append(corners + low.astype(np.float64))
         faces.append(triangles.astype(np.int64) + count)
-        count += len(some)
+        count += len(corners)
     joined, owner = _welded(np.concatenate(vertices))
     return joined * voxel + corner, owner[np.concatenate(faces)]
 
 
 def _sorted(voxels: Int64[np.ndarray, "v 3"]) -> tuple[Int64[np.ndarray, " v"], Int64[np.ndarray, " d"]]:
-    """Sorting permutation of rows, and where runs of equal rows begin; ten times as fast as `numpy.unique` of rows."""
+    """Sorting permutation of rows, and starts of runs of equal rows; ten times as fast as `numpy.unique`."""
     order = np.lexsort(voxels.T[::-1])
     ranked = voxels[order]
     return order, np.flatnonzero(np.append(True, (ranked[1:] != ranked[:-1]).any(axis=1)))
@@ -143,7 +141,7 @@ def _sorted(voxels: Int64[np.ndarray, "v 3"]) -> tuple[Int64[np.ndarray, " v"], 
 def _bricks(
     occupied: Int64[np.ndarray, "o 3"], margin: int
 ) -> list[tuple[Int64[np.ndarray, " 3"], Int64[np.ndarray, "n 3"]]]:
-    """First voxels of the bricks near occupied voxels, and those that reach into each: at most `margin` from it."""
+    """First voxel of each brick near occupied voxels, and the occupied voxels within `margin` of the brick."""
     members: dict[tuple[int, ...], list[Int64[np.ndarray, "n 3"]]] = {}
     first, last = (occupied - margin) // _BRICK, (occupied + margin) // _BRICK
     for step in product((0, 1), repeat=3):  # margins are shorter than bricks
@@ -161,9 +159,9 @@ def _bricks(
 def _welded(
     vertices: Float64[np.ndarray, "v 3"],
 ) -> tuple[Float64[np.ndarray, "w 3"], Int64[np.ndarray, " v"]]:
-    """Vertices, in voxels, without the doubles where bricks touch, and which of them each one is.
+    """Merge the vertices (in voxels) that touching bricks share; return them and the new index of each old one.
 
-    An edge between two voxels has one vertex at most, whose place on it is a rounding apart in both bricks.
+    An edge between two voxels has one vertex at most, with different rounding in the two bricks.
     """
     on_face = (vertices % _BRICK == 0).any(axis=1)
     edges = np.floor(vertices[on_face]) + np.ceil(vertices[on_face])
@@ -176,9 +174,9 @@ def _welded(
 def _from_the_front(
     vertices: Float64[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"], seen: Seen
 ) -> Int64[np.ndarray, "g 3"]:
-    """Faces whose outer side looks to where the radar was, on average of the views that see what is there."""
+    """Faces whose outer side is turned to the mean direction of the radars that see the place."""
     front = np.empty(len(faces), bool)
-    for part in some_at_a_time(len(faces)):
+    for part in batches(len(faces)):
         a, b, c = np.moveaxis(vertices[faces[part]], 1, 0)
         _, towards = seen.around((a + b + c) / 3)
         front[part] = np.einsum("fc,fc->f", np.cross(b - a, c - a), towards) >= 0
@@ -188,7 +186,7 @@ def _from_the_front(
 def _without_crumbs(
     vertices: Real[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"], unit_m: float
 ) -> tuple[Real[np.ndarray, "w 3"], Int64[np.ndarray, "g 3"]]:
-    """Connected parts that are not small against the whole, and only the vertices they need."""
+    """Drop small connected parts, and unused vertices."""
     ends = np.concatenate([faces[:, :2], faces[:, 1:]])
     links = coo_array((np.ones(len(ends), bool), tuple(ends.T)), shape=(len(vertices), len(vertices)))
     part = connected_components(links, directed=False)[1][faces[:, 0]]
@@ -197,3 +195,39 @@ def _without_crumbs(
     faces = faces[area[part] >= min(_SMALLEST_PART * area.sum(), _SMALLEST_UNITS * unit_m**2)]
     used, faces = np.unique(faces, return_inverse=True)
     return vertices[used], faces.reshape(-1, 3)
+
+
+def _fitted(
+    vertices: Float64[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"], planes: Planes
+) -> Iterator[Float64[np.ndarray, "v 3"]]:
+    """Vertices, m, after each of `_FIT_ROUNDS` rounds that rotate triangles to the planes' normals.
+
+    Each triangle is rotated about its middle, then vertices get the least-squares fit to all rotated edges (Y. Yu et
+    al., "Mesh editing with Poisson-based gradient field manipulation", SIGGRAPH 2004).
+    """
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    count = len(vertices)
+    links = csr_array((np.ones(2 * len(start)), (np.append(start, end), np.append(end, start))), shape=(count, count))
+    weight = (_FIT_KEPT + links.sum(axis=1))[:, None]
+    old = vertices
+    for _ in range(_FIT_ROUNDS):
+        edges = np.empty((len(faces), 3, 3))
+        for batch in batches(len(faces)):
+            edges[batch] = _rotated(vertices[faces[batch]], planes)
+        rows = edges.reshape(-1, 3)
+        pull = np.stack([np.bincount(end, row, count) - np.bincount(start, row, count) for row in rows.T], axis=1)
+        for _ in range(_FIT_STEPS):  # Jacobi iteration, which needs no sum over all vertices (bits repeat)
+            vertices = (_FIT_KEPT * old + links @ vertices + pull) / weight
+        yield vertices
+
+
+def _rotated(corners: Float64[np.ndarray, "f 3 3"], planes: Planes) -> Float64[np.ndarray, "f 3 3"]:
+    """Edges of triangles, from each corner to the next, rotated to the normals of the planes at their middles."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    across = np.cross(edges[:, 0], edges[:, 1])
+    normal = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(float).tiny)
+    _, plane_normal = planes.at(corners.mean(axis=1), normal)
+    cosine = np.einsum("fc,fc->f", normal, plane_normal)[:, None, None]
+    axis = np.cross(normal, plane_normal)[:, None]
+    along = (axis * edges).sum(axis=2, keepdims=True)
+    return edges * cosine + np.cross(axis, edges) + axis * along / np.maximum(1 + cosine, _FIT_LEAST)

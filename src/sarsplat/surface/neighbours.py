@@ -1,7 +1,4 @@
-"""Which points are near a place: on the CPU by scipy's trees, which are faster there.
-
-On other devices they are sorted by cubes, and those of 3 × 3 × 3 cubes are looked at.
-"""
+"""Nearest neighbours of places: by scipy's k-d trees on the CPU, by cubes of space on other devices."""
 
 from __future__ import annotations
 
@@ -20,27 +17,27 @@ from sarsplat.surface import cells
 from sarsplat.uninterruptible import uninterruptible
 
 _PAIRS = 1 << 22
-"""Pairs of a place and a point that are looked at at once: memory."""
+"""Maximum number of pairs of a place and a point in a batch, to bound memory."""
 
 _MEASURED = 10_000
-"""Points, at most, how far the next one is."""
+"""Maximum number of points whose nearest neighbour gives the spacing."""
 
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Places, and all points in the cubes around each: those of the first place, of the second, …"""
+    """Batch of places, and all pairs of a place and a point in the 3 × 3 × 3 cubes around it, ordered by place."""
 
     places: slice
     owner: Int64[Tensor, " m"]
-    """Which of these places."""
+    """Place of each pair, within the batch."""
     row: Int64[Tensor, " m"]
-    """Which of the cubes' points."""
+    """Point of each pair, in the order of the cubes."""
     counts: Int64[Tensor, " q"]
-    """Points of each place."""
+    """Number of pairs of each place."""
 
 
 class _Cubes:
-    """Points sorted by the cubes of a side, m, in which they lie, with an empty cube beyond the last on all sides."""
+    """Points sorted by cubes with sides of `side_m`; a layer of empty cubes surrounds them."""
 
     def __init__(self, points: Float64[Tensor, "n 3"], side_m: float) -> None:
         self._side_m = side_m
@@ -51,7 +48,7 @@ class _Cubes:
         self.points = points[self.order]
 
     def _cubes_of(self, places: Float64[Tensor, "q 3"]) -> Int64[Tensor, "q 3"]:
-        """The cube of each place; of those farther away, an empty one."""
+        """Cube of each place; places outside get the nearest empty cube."""
         return ((places - self._low) / self._side_m).floor().add(1).clamp(min=0).minimum(self._size - 1).long()
 
     def _numbered(self, cubes: Int64[Tensor, "q 3"]) -> Int64[Tensor, " q"]:
@@ -59,7 +56,7 @@ class _Cubes:
         return (x * self._rows + y) * self._layers + z
 
     def pairs(self, places: Float64[Tensor, "q 3"]) -> Iterator[_Pairs]:
-        """Some places at a time."""
+        """Pairs of places and points, in batches."""
         side = torch.arange(-1, 2, device=places.device)
         columns = (side[:, None] * self._rows + side).flatten() * self._layers  # of three cubes along z each
         middle = self._numbered(self._cubes_of(places))[:, None] + columns
@@ -75,14 +72,15 @@ class _Cubes:
         for (begin, done), (end, then) in pairwise(found):
             if begin == end:
                 continue
-            some, many = slice(begin, end), counts[begin:end].flatten()
-            number = torch.arange(len(many), device=many.device).repeat_interleave(many, output_size=then - done)
-            start = first[some].flatten() - (many.cumsum(0) - many)
-            row = torch.arange(then - done, device=many.device) + start[number]
-            yield _Pairs(some, number // len(columns), row, of_places[some])
+            batch, lengths = slice(begin, end), counts[begin:end].flatten()
+            number = torch.arange(len(lengths), device=lengths.device)
+            number = number.repeat_interleave(lengths, output_size=then - done)
+            start = first[batch].flatten() - (lengths.cumsum(0) - lengths)
+            row = torch.arange(then - done, device=lengths.device) + start[number]
+            yield _Pairs(batch, number // len(columns), row, of_places[batch])
 
-    def seen_around(self, places: Float64[Tensor, "q 3"]) -> Float64[Tensor, " q"]:
-        """How far from each place no point is missed, m."""
+    def complete_within(self, places: Float64[Tensor, "q 3"]) -> Float64[Tensor, " q"]:
+        """Radius around each place in which its pairs include all points, m."""
         cube = self._cubes_of(places)
         below = places - (self._low + (cube - 2) * self._side_m)
         above = self._low + (cube + 1) * self._side_m - places
@@ -91,7 +89,7 @@ class _Cubes:
 
 
 class Tree:
-    """Points on the CPU that are asked for again and again."""
+    """k-d tree of points on the CPU."""
 
     def __init__(self, points: Float64[Tensor, "n 3"]) -> None:
         self._tree = cKDTree(points.numpy(), leafsize=32, balanced_tree=False, compact_nodes=False)  # the fastest
@@ -99,27 +97,27 @@ class Tree:
     def nearest(
         self, places: Float64[Tensor, "q 3"], count: int
     ) -> tuple[Float64[Tensor, "q k"], Int64[Tensor, "q k"]]:
-        """As of `Neighbours`."""
-        apart, index = uninterruptible(self._tree.query, places.numpy(), k=np.arange(1, count + 1), workers=-1)
-        return torch.from_numpy(apart).square_(), torch.from_numpy(index)
+        """See `Neighbours.nearest`."""
+        distance, index = uninterruptible(self._tree.query, places.numpy(), k=np.arange(1, count + 1), workers=-1)
+        return torch.from_numpy(distance).square_(), torch.from_numpy(index)
 
 
 def neighbours_of(points: Float64[Tensor, "n 3"]) -> Tree | Neighbours:
-    """Ready to be asked, where the points are."""
+    """Search structure on the points' device."""
     return Tree(points) if cells.on_cpu(points) else Neighbours(points)
 
 
 def spacing_m(points: Real[np.ndarray, "p 3"]) -> float:
-    """How far apart points are, m: from the next one, in the median of some; none or one are 0 apart."""
-    there = torch.from_numpy(np.asarray(points, np.float64))
-    if len(there) < 2:
+    """Spacing of points, m: median distance to the nearest other one, in a sample; 0 for fewer than two points."""
+    cloud = torch.from_numpy(np.asarray(points, np.float64))
+    if len(cloud) < 2:
         return 0.0
-    some = there[:: math.ceil(len(there) / _MEASURED)]
-    return math.sqrt(float(Tree(there).nearest(some, 2)[0][:, 1].median()))
+    sample = cloud[:: math.ceil(len(cloud) / _MEASURED)]
+    return math.sqrt(float(Tree(cloud).nearest(sample, 2)[0][:, 1].median()))
 
 
 class Neighbours:
-    """Points that are asked for again and again."""
+    """Points sorted by cubes of space, for searches on any device."""
 
     def __init__(self, points: Float64[Tensor, "n 3"]) -> None:
         self._points = points
@@ -128,31 +126,31 @@ class Neighbours:
     def nearest(
         self, places: Float64[Tensor, "q 3"], count: int
     ) -> tuple[Float64[Tensor, "q k"], Int64[Tensor, "q k"]]:
-        """Squared distances, m², of so many points around each place, the nearest first, and which they are.
+        """Squared distances, m², and indices of the `count` points nearest to each place, nearest first.
 
-        There must be so many points. Those equally far away to seven digits may change places.
+        There must be at least `count` points. Points equally far to seven digits may be swapped.
         """
-        apart = places.new_empty(len(places), count)
+        squared = places.new_empty(len(places), count)
         index = torch.empty(len(places), count, dtype=torch.int64, device=places.device)
         left, side_m = torch.arange(len(places), device=places.device), _first_side(self._points, count)
         while len(left):
             if side_m not in self._cubes:
                 self._cubes[side_m] = _Cubes(self._points, side_m)
-            cubes, asked = self._cubes[side_m], places[left]
-            within = cubes.seen_around(asked).square()
+            cubes, remaining = self._cubes[side_m], places[left]
+            within = cubes.complete_within(remaining).square()
             found = torch.zeros_like(left, dtype=torch.bool)
-            for some in cubes.pairs(asked):
-                squares = (cubes.points[some.row] - asked[some.places][some.owner]).square_().sum(1)
-                best, there = _smallest(squares, some.owner, some.counts, count)
-                square = squares[best].where(there, math.inf)
-                found[some.places] = square[:, -1] <= within[some.places]
-                apart[left[some.places]], index[left[some.places]] = square, cubes.order[some.row[best]]
+            for batch in cubes.pairs(remaining):
+                squares = (cubes.points[batch.row] - remaining[batch.places][batch.owner]).square_().sum(1)
+                best, valid = _smallest(squares, batch.owner, batch.counts, count)
+                square = squares[best].where(valid, math.inf)
+                found[batch.places] = square[:, -1] <= within[batch.places]
+                squared[left[batch.places]], index[left[batch.places]] = square, cubes.order[batch.row[best]]
             left, side_m = left[~found], 2 * side_m
-        return apart, index
+        return squared, index
 
 
 def _first_side(points: Float64[Tensor, "n 3"], count: int) -> float:
-    """A side of cubes, m, that hold about so many points of a surface."""
+    """Side of cubes, m, that contain about `count` points of a surface."""
     low, high = points.aminmax(dim=0)
     _, width, length = sorted((high - low).tolist())
     share = count / len(points)
@@ -162,8 +160,8 @@ def _first_side(points: Float64[Tensor, "n 3"], count: int) -> float:
 def _smallest(
     values: Float64[Tensor, " m"], owner: Int64[Tensor, " m"], counts: Int64[Tensor, " q"], count: int
 ) -> tuple[Int64[Tensor, "q k"], Bool[Tensor, "q k"]]:
-    """So many smallest values, ≥ 0, of each owner, by rows of all values, and whether it has so many."""
-    # one number is sorted: the bits of floats that are not negative are ordered as they are
+    """Indices of the `count` smallest values (≥ 0) of each owner, and a mask, False beyond an owner's values."""
+    # sort one integer: the bits of non-negative floats are ordered as the floats
     order = ((owner << 32) + values.float().view(torch.int32)).argsort(stable=True)
     number = torch.arange(count, device=counts.device)
     first = counts.cumsum(0) - counts

@@ -18,32 +18,33 @@ from sarsplat.progress import stage
 from sarsplat.renderer import Rendering, render
 from sarsplat.surface.bricks import Scene, ray_count
 from sarsplat.surface.cells import by_cubes
-from sarsplat.surface.first_returns import some_at_once
+from sarsplat.surface.first_returns import view_batches
 from sarsplat.surface.neighbours import Neighbours, Tree, neighbours_of
 from sarsplat.tiles.plan import memory_bytes
 
 _RAYS_PER_PIXEL = 4.0
-_MOST_BYTES = 1 << 29  # of a view that is rendered at once
+_MOST_BYTES = 1 << 29  # memory of a view beyond which it is rendered in bricks
 _RADIUS = 0.25  # standard deviation of the weights around a place, resolution cells
-_NEIGHBOURS = 24  # Gaussians that count around a place; those farther away weigh next to nothing
-_ASKED = 2.0  # side of the cubes of places whose neighbours are looked for together, in these standard deviations
+_NEIGHBOURS = 24  # Gaussians that count around a place
+_ASKED = 2.0  # side of cubes that share one search of neighbours, in these standard deviations
 
 
 def _rendered(
     gaussians: Gaussians, views: Sequence[View], pixel: ImageGrid, rays: RayGrid
 ) -> Iterator[tuple[list[View], Rendering, tuple[Int64[Tensor, " k"], Bool[Tensor, " k"]] | None]]:
-    """Views, and what they show: of all Gaussians, or, where these are too many at once, of some.
+    """Batches of views with their renderings: of all Gaussians, or of each brick's where memory is too small.
 
-    Of some there are also their indices, and which of them are whole: all Gaussians are, in one of the parts.
+    For a brick also the indices of its Gaussians, and a mask of those that are rendered completely; each Gaussian is in
+    one brick.
     """
     scene, count = Scene(gaussians, rays), ray_count(gaussians, views, rays)
     needed = memory_bytes(len(gaussians), gaussians.scattering.parameters.shape[1], count / len(views), 1)
     few = needed <= _MOST_BYTES
     bricks = [] if few else list(scene.bricks(views, rays, max(rays.spacing_m), count * _MOST_BYTES / needed))
     with stage("surface: what each view sees", len(views) * max(1, len(bricks))) as shown, torch.no_grad():
-        for some in some_at_once(gaussians, views, pixel, rays) if few else ():
-            yield some, render(gaussians, some, pixel, rays=rays), None
-            shown.advance(len(some))
+        for batch in view_batches(gaussians, views, pixel, rays) if few else ():
+            yield batch, render(gaussians, batch, pixel, rays=rays), None
+            shown.advance(len(batch))
         for brick in bricks:
             own = brick.holds(gaussians.means.double())
             beyond_m = scene.widest_m(own.nonzero()[:, 0])
@@ -88,26 +89,25 @@ class Seen:
         return cls(means, cross_section[:, 0], lit_area[:, 0], towards, _RADIUS * grid.cell_m)
 
     def around(self, points: Real[np.ndarray, "p 3"]) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:
-        """γ⁰ (linear) around points (m), 0 where nothing was seen, and the mean direction to the radars, of any length.
+        """Mean γ⁰ (linear) around points (m), 0 if nothing was seen, and mean direction to the radars, of any length.
 
-        γ⁰ is the sum of the cross-sections of the Gaussians there over that of the areas they are seen across: a view
-        counts as much as it sees of them.
+        γ⁰ is the sum of the Gaussians' cross-sections over the sum of their lit areas, all views together.
         """
         places = torch.from_numpy(np.asarray(points)).to(self.means)
-        seen = self.means.new_zeros(len(places), 4)
+        means = self.means.new_zeros(len(places), 4)
         count = min(_NEIGHBOURS, len(self.means))
-        for some, middles, cube in by_cubes(places, _ASKED * self.radius_m) if count else ():
+        for rows, middles, cube in by_cubes(places, _ASKED * self.radius_m) if count else ():
             index = self._near.nearest(middles, count)[1][cube]
-            offsets = ((each[index] - there[:, None]) for each, there in zip(self.means.T, places[some].T, strict=True))
-            square = sum(each.square() for each in offsets)
-            # relative to the nearest: far from every Gaussian, the nearest still speaks
+            offsets = ((a[index] - b[:, None]) for a, b in zip(self.means.T, places[rows].T, strict=True))
+            square = sum(offset.square() for offset in offsets)
+            # relative to the nearest Gaussian, so that weights never vanish
             weight = torch.exp((square.amin(1, keepdim=True) - square) / (2 * self.radius_m**2))
             area, section, *towards = (
-                (weight * each[index]).sum(1) for each in (self.lit_area, self.cross_section, *self.towards.T)
+                (weight * value[index]).sum(1) for value in (self.lit_area, self.cross_section, *self.towards.T)
             )
-            seen[some] = torch.stack([(section / area).where(area > 0, 0.0), *towards], dim=1)
-        found = seen.cpu().numpy()
-        return found[:, 0], found[:, 1:]
+            means[rows] = torch.stack([(section / area).where(area > 0, 0.0), *towards], dim=1)
+        both = means.cpu().numpy()
+        return both[:, 0], both[:, 1:]
 
     @cached_property
     def _near(self) -> Tree | Neighbours:
