@@ -260,7 +260,7 @@ AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
             (dataset, changes, f"{next(iter(changes))} is .*, which cannot be combined with passes on")
             for changes in ({"coarsest": 8}, {"tiles": 2}, {"ground": FlatGround()}, {"surroundings": Surroundings()})
         ),
-        (lambda: replace(dataset(), target_box_m=AWAY), {}, "no training image shows anything of the box"),
+        (lambda: replace(dataset(), target_box_m=AWAY), {}, "no training image shows the box"),
         (
             lambda: of_stacks(*PAIRS),
             {},

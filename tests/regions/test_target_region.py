@@ -43,7 +43,7 @@ def test_a_box_of_the_settings_precedes_the_datasets_and_that_the_images(shown: 
 def test_what_stands_out_beyond_the_box_is_said(shown: Dataset) -> None:
     region = target_region(shown, ground=True, box=Config(target_box=INNER).box_m)
     (said,) = cut_off(region, 0.3, shown)
-    assert "of what stands out from the ground lies outside of the box" in said
+    assert "of the brightness above the ground lies outside of the box" in said
     assert "--target-box" in said
     assert cut_off(target_region(shown, ground=True, box=Config(target_box=WHOLE).box_m), 0.3, shown) == []
 

@@ -1,4 +1,4 @@
-"""Images of terrain warped to level ground, to find a target and the brightness of its ground."""
+"""Warping of images of terrain to level ground, to find a target and the brightness of its ground."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from sarsplat.renderer.echoes.lit_terrain import lit_terrain
 from sarsplat.renderer.engines.choice import passes_for
 
 _DIMMEST = 0.1
-"""Of the level of flat ground: where terrain returns less, images say nothing, and are taken to show ground."""
+"""Power of terrain, relative to flat ground, below which pixels are replaced by median ground."""
 
 
 def levelled(dataset: Dataset) -> Dataset:
     """Warp images to level ground, with its brightness; unchanged without terrain.
 
-    What stands h above the ground is displaced towards the radar, and throws a shadow, nearly as on level ground.
+    Layover and shadow of objects on the terrain are nearly as on level ground.
     """
     if dataset.terrain is None:
         return dataset
@@ -47,7 +47,7 @@ def _levelled(
     x, r = grid.azimuth_m[None, :], grid.range_m[:, None]
     across, away = look.onto_ground
     place = x[..., None] * across + r[..., None] * away
-    nearer = terrain.height_m(place[..., 0], place[..., 1]) * look.sine
-    row = (r - nearer - grid.range_m[0]) / grid.spacing_m[1]
+    shift_m = terrain.height_m(place[..., 0], place[..., 1]) * look.sine  # towards the radar
+    row = (r - shift_m - grid.range_m[0]) / grid.spacing_m[1]
     column = np.broadcast_to(np.arange(grid.columns), row.shape)
     return map_coordinates(flat, [row, column], order=1, mode="nearest").astype(np.float32)

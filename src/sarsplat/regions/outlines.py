@@ -1,54 +1,56 @@
-"""Outlines of target and shadow in an image, from its decibels alone, whichever side is near range."""
+"""Outlines of target and shadow, and levels of places on the ground, from images' decibels alone."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Real
-from scipy.ndimage import gaussian_filter, label
+from scipy.ndimage import label, map_coordinates
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid
 from sarsplat.radiometry import to_db
-from sarsplat.regions.target_box import above_ground_db
+from sarsplat.regions.target_box import above_ground_db, smoothed
 
 _BRIGHT_DB, _DARK_DB = 3.0, -4.5
-"""Above and below the ground: what is farther off, smoothed over a resolution cell, is not speckle."""
+"""Limits of speckle above and below the ground, smoothed over a resolution cell, dB."""
 
 _LARGE_PART = 0.2
-"""Parts that stand out count if they have this share of the largest."""
+"""Minimum weight of a connected part, relative to the largest."""
 
 _RANGE_DB = 30.0
-"""Images without ground: what is this far below the brightest of a median image counts as nothing."""
+"""Dynamic range of images without ground, below the brightest pixel of a median image."""
 
 _REACH = 1.0
-"""Shadow is looked for this far from the target, in the target's extent along range."""
+"""Maximum distance of shadow from the target, in the target's extent along range."""
+
+_SURE_DB = 3.0
+"""Level above the ground that speckle does not reach, dB."""
 
 
 @dataclass(frozen=True)
 class Outline:
-    """Outlines of target and shadow in one image."""
+    """Masks of the target and of the shadow in one image; the shadow may be before or behind the target in range."""
 
     target: Bool[np.ndarray, "rows columns"]
     shadow: Bool[np.ndarray, "rows columns"]
-    """Where the target is, and where it is dark beside it along range, on whichever side; perhaps nowhere."""
 
 
 def levels_db(
     power: Real[np.ndarray, "v rows columns"], grid: ImageGrid, ground: bool
 ) -> Float64[np.ndarray, "v rows columns"]:
-    """Decibels above the ground, smoothed over a resolution cell; without ground, above what counts as nothing."""
+    """Decibels above the ground, smoothed over a resolution cell; without ground, above the dynamic range's floor."""
     if ground:
         return above_ground_db(power, grid)
-    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
-    smooth = gaussian_filter(power.astype(np.float64), width, mode="nearest")
+    smooth = smoothed(power, grid)
     peak = max(float(np.median(smooth.max(axis=(1, 2)))), np.finfo(float).tiny)
     return np.maximum(to_db(smooth, peak) + _RANGE_DB, 0.0)
 
 
 def outline(level_db: Float64[np.ndarray, "rows columns"]) -> Outline:
-    """Target and shadow of one image, of `levels_db`."""
+    """Find target and shadow in one image of `levels_db`."""
     target = _large_parts(level_db > _BRIGHT_DB, np.maximum(level_db, 0))
     shadow = np.zeros_like(target)
     rows = np.flatnonzero(target.any(axis=1))
@@ -62,22 +64,38 @@ def outline(level_db: Float64[np.ndarray, "rows columns"]) -> Outline:
 
 
 def usual_gamma0(train: Dataset) -> float:
-    """Median γ⁰ of the pixels that stand out from the ground, smoothed over a resolution cell; of all if none do."""
-    grid = train.grid
-    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
-    smooth = gaussian_filter(train.power.astype(np.float64), width, mode="nearest")
+    """Median γ⁰ of the target's pixels, smoothed over a resolution cell; mean of all pixels without target."""
+    smooth = smoothed(train.power, train.grid)
     gamma0 = np.stack([view.look.gamma0_of_beta0(image) for view, image in zip(train.views, smooth, strict=True)])
-    shown = np.stack([outline(level_db).target for level_db in levels_db(train.power, grid, train.ground)])
-    return float(np.median(gamma0[shown]) if shown.any() else gamma0.mean())
+    target = np.stack([outline(level_db).target for level_db in levels_db(train.power, train.grid, train.ground)])
+    return float(np.median(gamma0[target]) if target.any() else gamma0.mean())
 
 
 def _large_parts(
-    standing_out: Bool[np.ndarray, "rows columns"], by_db: Float64[np.ndarray, "rows columns"]
+    mask: Bool[np.ndarray, "rows columns"], by_db: Float64[np.ndarray, "rows columns"]
 ) -> Bool[np.ndarray, "rows columns"]:
-    """The connected parts that have a good share of the one that stands out most."""
-    part, count = label(standing_out)
+    """Connected parts of a mask with at least `_LARGE_PART` of the largest part's sum of `by_db`."""
+    part, count = label(mask)
     if not count:
-        return standing_out
-    weight = np.bincount(part.ravel(), (standing_out * by_db).ravel(), count + 1)
+        return mask
+    weight = np.bincount(part.ravel(), (mask * by_db).ravel(), count + 1)
     weight[0] = 0
-    return (weight >= _LARGE_PART * weight.max())[part] & standing_out
+    return (weight >= _LARGE_PART * weight.max())[part] & mask
+
+
+def ground_levels_db(
+    train: Dataset, x: Float64[np.ndarray, "rows columns"], y: Float64[np.ndarray, "rows columns"]
+) -> Float64[np.ndarray, "rows columns"]:
+    """Median level over the images at places on level ground, dB above the usual ground; 0 if uncertain.
+
+    The median ignores objects on the ground, which each image shows elsewhere, except at their foot.
+    """
+    grid, levels = train.grid, []
+    for level_db, view in zip(above_ground_db(train.power, train.grid), train.views, strict=True):
+        azimuth, slant_range = np.tensordot(view.look.gradients[:, :2], np.stack([x, y]), 1)
+        pixel = (slant_range - grid.range_m[0]) / grid.spacing_m[1], (azimuth - grid.azimuth_m[0]) / grid.spacing_m[0]
+        levels.append(map_coordinates(level_db, pixel, order=1, mode="constant", cval=np.nan).astype(np.float32))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a place that no image shows
+        middle = np.nanmedian(levels, axis=0)
+    return np.where(middle > _SURE_DB, middle, 0.0).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Region in which scatterers of stacks are placed: what the images show, within one ambiguity of elevation."""
+"""Region of a stack's scatterers: imaged places within one ambiguity of elevation."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from sarsplat.regions.target_region import target_region
 from sarsplat.surface.points import imaged, spread
 
 _BELOW = 0.1
-"""Part of the heights looked at that lies below z = 0."""
+"""Share of the region's height below z = 0."""
 
 _PER_CELL = 3.0
-"""Gaussians for a cell of azimuth, range and elevation."""
+"""Gaussians per cell of azimuth, range and elevation."""
 
 _FEWEST_CELLS = 4
-"""Of elevation: a single pair of passes resolves none, but tells one."""
+"""Minimum number of cells along elevation, which a single pair of passes does not resolve."""
 
-_TRIED, _VIEWS = 1 << 16, 96
+_TRIED, _VIEWS = 1 << 16, 96  # random places, and views that are tested
 
 _SAME = 1.0 - 1e-4
-"""Cosine between directions that count as one: 0.8°."""
+"""Minimum cosine between equal directions: 0.8°."""
 
 
 def stack_region(train: Dataset, box: Box | None = None) -> Region:
-    """The given box, or the dataset's, or as high as phases tell; of one direction, only what its images show.
+    """Region of the given box, the dataset's, or one from the images; for one direction, cut to the imaged places.
 
-    Without a box, heights are those that one ambiguity holds, or that an image is long enough to show; of polarisations
-    alone, those of what stands out from the ground, or what all images hold.
+    Without a box, heights span one ambiguity, or as much as an image is long enough to show. Polarisations alone tell
+    no heights; then the region is that of single images (`target_region`).
     """
     box, grid = box or train.target_box_m, train.grid
-    blind = box is None and not any(np.ptp(stack.offsets_rad) for stack in train.stacks)  # phases tell no heights
+    blind = box is None and not any(np.ptp(stack.offsets_rad) for stack in train.stacks)  # polarisations alone
     if blind and not train.ground:
         return target_region(train, ground=False)
     half_azimuth, half_range = grid.columns * grid.spacing_m[0] / 2, grid.rows * grid.spacing_m[1] / 2
@@ -57,9 +57,7 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
         box = (-reach, -reach, low), (reach, reach, high)
     region = Region.box(*box)
     if not _in_any(_tried(region), train.views, grid).any():
-        raise SarsplatError(
-            f"no training image shows anything of the box {box[0]} to {box[1]} m; give another one with --target-box"
-        )
+        raise SarsplatError(f"no training image shows the box {box[0]} to {box[1]} m; give another target_box")
     if not of_one_direction(train.views):
         return region
     azimuth, slant = train.views[0].look.gradients
@@ -72,6 +70,7 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
 
 
 def of_one_direction(views: Sequence[View]) -> bool:
+    """True if all views have the same direction, within 0.8°."""
     directions = np.array([view.direction for view in views])
     return bool((directions @ directions[0]).min() > _SAME)
 
@@ -79,16 +78,16 @@ def of_one_direction(views: Sequence[View]) -> bool:
 def imaged_sample(
     region: Region, views: Sequence[View], grid: ImageGrid, count: int, generator: torch.Generator
 ) -> Float64[np.ndarray, "{count} 3"]:
-    """Uniform places in a region, of those that at least one image shows."""
-    kept: list[np.ndarray] = []
-    while sum(map(len, kept)) < count:
+    """Random places, uniform in the part of a region that at least one image shows."""
+    accepted: list[np.ndarray] = []
+    while sum(map(len, accepted)) < count:
         points = region.sample(count, generator)
-        kept.append(points[_in_any(points, views, grid)])
-    return np.concatenate(kept)[:count]
+        accepted.append(points[_in_any(points, views, grid)])
+    return np.concatenate(accepted)[:count]
 
 
 def enough_gaussians(region: Region, views: Sequence[View], grid: ImageGrid, stacks: Sequence[Stack]) -> int:
-    """Number of Gaussians for stacks: a fixed number for each cell of azimuth, range and elevation that images show."""
+    """Number of Gaussians for stacks: a fixed number per imaged cell of azimuth, range and elevation."""
     size, points = region.high - region.low, _tried(region)
     inside = (points @ region.normals.T <= region.offsets).all(axis=1) & _in_any(points, views, grid)
     volume, span = float(np.prod(size)) * float(inside.mean()), size[2] / views[0].look.height_per_elevation
@@ -105,6 +104,6 @@ def _in_any(points: Float64[np.ndarray, "p 3"], views: Sequence[View], grid: Ima
 
 
 def _reach_m(view: View, grid: ImageGrid, height: float) -> float:
-    """Farthest from the origin that something is imaged, along the ground, m."""
+    """Largest distance from the origin of an imaged place at this height, along the ground, m."""
     azimuth, slant = (np.abs(edges).max() for edges in (grid.extent_m[:2], grid.extent_m[2:]))
     return math.hypot(azimuth, view.look.ground_range(slant, height))

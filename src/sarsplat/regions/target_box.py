@@ -1,4 +1,4 @@
-"""The target's bounding box: what is brighter than the ground, and as high as its shadow tells."""
+"""Bounding box of the target: sides from places brighter than the ground, height from the shadow."""
 
 from __future__ import annotations
 
@@ -15,55 +15,55 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import to_db
 
 _SURE_DB = 3.0
-"""What is brighter than the ground by more is not speckle …"""
+"""Level above the ground that speckle does not reach, dB."""
 
 _PROBABLE = 2.0
-"""… and what is connected to it and brighter by this many standard deviations of the ground belongs to it …"""
+"""Standard deviations above the ground of places that belong to a target if connected to a sure one."""
 
 _FAINTEST_DB = 1.0
-"""… if by no less than this: what is bright reaches far where there is no noise."""
+"""Minimum level of such places above the ground, dB: without noise, responses reach far."""
 
 _GLINT_DB = 12.0
-"""What is darker than the bright part of the target by more may be the response of its glints."""
+"""Level below the target's bright part that the response of glints may have, dB."""
 
 _BRIGHT_PART = 0.9
-"""Share of the target that is darker than its bright part."""
+"""Quantile of the target's levels at which its bright part begins."""
 
 _LARGE_PART = 0.2
-"""Parts that stand out count if they have this share of the largest: few views show a target in pieces."""
+"""Minimum weight of a connected part, relative to the largest: few views show a target in pieces."""
 
 _DARKEST_DB = -3.0
-"""Below the ground: shadow may be darker, but says no more than that where the target is looked for …"""
+"""Level below the ground at which shadow is clipped in the search for the target, dB."""
 
 _SHADOW_DB = (-6.0, 3.0)
-"""… and than the first in the search for shadow; what is brighter than the second hides it."""
+"""Limits of levels in the search for shadow, dB: darker pixels are clipped, brighter ones are left out."""
 
 _DARK_DB = (-4.5, -2.5)
-"""Shadow is darker on average than the first in its middle; what is not darker than the second is none …"""
+"""Mean level of the middle of a shadow, dB: below the first it is certain, above the second there is no shadow."""
 
 _SURELY = 6.0
-"""… between them it must be this many standard deviations of the ground: the darkest of many places is looked at."""
+"""Standard deviations of the ground for a detection in between: it is the extreme of many places."""
 
 _KNOWN = 0.6
-"""Share of the images that must show where a place's shadow would lie for them to say whether it is there."""
+"""Minimum share of the images that show a place's possible shadow."""
 
 _UPRIGHT = 4.0
-"""A view counts half for the extent along an axis if it displaces things along that axis by their height over this."""
+"""Inverse of the displacement along an axis, per metre of height, at which a view counts half for that axis."""
 
 _TIP = 1.1
-"""Its top may be too narrow for a shadow that is seen: the box is this much higher than the highest one that is."""
+"""Height of the box, relative to the highest visible shadow: a narrow top throws none."""
 
 _HEIGHT = 0.65
-"""Of the box, relative to its narrower side, where no shadow tells it."""
+"""Height of the box without shadow, relative to its narrower side."""
 
 _SIDE = 256
-"""Places along a side of the scene that are looked at; more pixels than that are averaged."""
+"""Maximum number of places along a side of the scene; more pixels than that are averaged."""
 
 _PLACES = 128
-"""Places along a side of the box, and heights up to its width, at which shadow is looked for …"""
+"""Number of places along a side of the box, and of heights up to its width, in the search for shadow."""
 
 _VIEWS = 48
-"""… in so many of the images, evenly chosen: more would say the same."""
+"""Maximum number of images in the search for shadow, evenly chosen."""
 
 _QUARTER = 0.6373
 """Width of the narrowest interval that holds a quarter of normal noise, in standard deviations."""
@@ -72,15 +72,15 @@ _QUARTER = 0.6373
 def target_box(
     power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Corners of the box, from means over the images of the decibels above the ground at each place of it.
+    """Find the corners of the target's box (world frame, m) from mean decibels over the images at places on the ground.
 
-    What stands on the ground is displaced towards the radar, but never across: the extent along an axis is mostly that
-    in the views from its sides. It holds every object that stands out (`StandingOut`). The height is the greatest whose
-    shadow is dark in all views, but for those in which something bright hides it. Images are β⁰, linear power, and show
-    the ground around the target; their gains may differ. One that does not show the world's origin is refused.
+    Layover displaces an object towards the radar, but never across: the extent along an axis comes mostly from the
+    views across it, and includes every object (`StandingOut`). The height is the greatest whose shadow is dark in all
+    views that nothing bright hides it from. Images are β⁰, linear power, and show the ground around the target and the
+    world's origin; their gains may differ.
 
-    The box (m, world frame) is a cell wider and higher than what was found; z from 0, to two thirds of the narrower
-    side if there is no shadow. Where nothing stands out, the middle half of the scene.
+    The box is a cell larger than the target on all sides but the bottom, z = 0. Without shadow, its height is two
+    thirds of its narrower side; without target, it is the middle half of the scene.
     """
     level_db, grid, axis = _levels(power, views, grid)
     half = float(axis[-1])
@@ -93,27 +93,27 @@ def target_box(
             return np.array([-half / 2, -half / 2, 0.0]), np.array([half / 2, half / 2, _HEIGHT * half])
         extents.append(extent)
     low, high = np.array(extents).T + np.array([[-grid.cell_m], [grid.cell_m]])
-    some = np.unique(np.linspace(0, len(views) - 1, min(len(views), _VIEWS)).round().astype(int))
-    height = _height(level_db[some], [views[k] for k in some], grid, axis, low, high)
+    chosen = np.unique(np.linspace(0, len(views) - 1, min(len(views), _VIEWS)).round().astype(int))
+    height = _height(level_db[chosen], [views[k] for k in chosen], grid, axis, low, high)
     return np.array([*low, 0.0]), np.array([*high, height])
 
 
 @dataclass(frozen=True)
 class StandingOut:
-    """What stands out from the ground, at places [y, x]; the mean over the images, of the places that all show."""
+    """Places [y, x] brighter than the ground, by means over the images, within the ground that all images show."""
 
     axis: Float64[np.ndarray, " side"]
-    """The places along x and y, m."""
+    """Coordinates of the places, along x and y alike, m."""
     above_db: Float64[np.ndarray, "side side"]
-    """Decibels above the ground where it surely stands out, else 0."""
+    """Decibels above the ground of sure places, 0 elsewhere."""
     objects: tuple[Bool[np.ndarray, "side side"], ...]
-    """Connected parts of any size that are surely no noise, in decibels nearer to the target than to the ground."""
+    """Masks of connected objects, of any size (`_objects`)."""
 
 
 def standing_out(
     power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> StandingOut:
-    """What stands out from the ground; arguments and errors as for `target_box`."""
+    """Find places brighter than the ground; arguments and errors as for `target_box`."""
     level_db, grid, axis = _levels(power, views, grid)
     above_db = _on_the_ground(np.maximum(level_db, _DARKEST_DB), views, grid, axis, np.ones(len(views)))
     sure = above_db > _SURE_DB
@@ -129,7 +129,7 @@ def _objects(
     sure: Bool[np.ndarray, "side side"],
     part: Int[np.ndarray, "side side"],
 ) -> Int[np.ndarray, " k"]:
-    """Numbers of the parts that are objects: surely no noise, in decibels nearer to the target than to the ground."""
+    """Numbers of the parts that are objects: peaks are no noise, and at least half the target's bright level, dB."""
     bright_db = float(np.quantile(above_db[sure], _BRIGHT_PART))
     peaks_db = maximum(np.where(part > 0, above_db, -np.inf), part, np.arange(1, part.max() + 1))
     return 1 + np.flatnonzero(peaks_db > max(_SURE_DB, _SURELY * typical(above_db)[1], bright_db / 2))
@@ -138,18 +138,17 @@ def _objects(
 def _levels(
     power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> tuple[Float64[np.ndarray, "v rows columns"], ImageGrid, Float64[np.ndarray, " side"]]:
-    """Decibels above the ground, of fewer pixels if there are many; their grid; places on the ground along x and y."""
+    """Decibels above the ground, averaged to fewer pixels if there are many; their grid; axis of places, m."""
     half = seen_by_all(views, grid)
     if half <= 0:
         raise SarsplatError(
             f"the images, with their middle at {grid.center_m} m, do not show the world's origin, around which the "
-            "target is looked for; say where it is with --target-box (in Python target_box_m), or give images that "
-            "show the origin"
+            "target is looked for; give target_box_m, or images that show the origin"
         )
     if (factor := math.ceil(4 * half / grid.cell_m / _SIDE)) > 1:
         grid = grid.multilooked(factor)
-        whole = power[:, : grid.rows * factor, : grid.columns * factor]
-        power = whole.reshape(len(power), grid.rows, factor, grid.columns, factor).mean(axis=(2, 4))
+        cropped = power[:, : grid.rows * factor, : grid.columns * factor]
+        power = cropped.reshape(len(power), grid.rows, factor, grid.columns, factor).mean(axis=(2, 4))
     axis = np.linspace(-half, half, 2 * math.ceil(2 * half / grid.cell_m) + 1)
     return above_ground_db(power, grid), grid, axis
 
@@ -157,25 +156,25 @@ def _levels(
 def _extent(
     above_db: Float64[np.ndarray, "side side"], axis: Float64[np.ndarray, " side"], i: int
 ) -> list[float] | None:
-    """First and last place along an axis of what stands out; None if nothing does."""
+    """First and last coordinate of the target along axis i, m; None without target."""
     sure = above_db > _SURE_DB
     if not sure.any():
         return None
     part, count = _parts(above_db, sure)
     weight = np.bincount(part.ravel(), (sure * above_db).ravel(), count + 1)
-    weight[0] = 0  # what does not stand out
+    weight[0] = 0  # background
     if not weight.any():
         return None
-    held = weight >= _LARGE_PART * weight.max()
-    held[_objects(above_db, sure, part)] = True
-    found = np.nonzero(held[part])[1 - i]
-    return [float(axis[found.min()]), float(axis[found.max()])]
+    is_target = weight >= _LARGE_PART * weight.max()
+    is_target[_objects(above_db, sure, part)] = True
+    index = np.nonzero(is_target[part])[1 - i]
+    return [float(axis[index.min()]), float(axis[index.max()])]
 
 
 def _parts(
     above_db: Float64[np.ndarray, "side side"], sure: Bool[np.ndarray, "side side"]
 ) -> tuple[Int[np.ndarray, "side side"], int]:
-    """Numbers, from 1, of the connected parts that probably stand out, and how many there are."""
+    """Label the connected parts that are probably brighter than the ground, from 1; also return their number."""
     threshold_db = max(
         _FAINTEST_DB,
         _PROBABLE * typical(above_db)[1],
@@ -192,7 +191,7 @@ def _height(
     low: Float64[np.ndarray, " 2"],
     high: Float64[np.ndarray, " 2"],
 ) -> float:
-    """A little more than the greatest height in the box above which nothing casts a shadow, m."""
+    """Height of the box, m: a little above the highest place that casts a shadow."""
     tangents = np.array([view.look.slope for view in views])
     weights = tangents**-2.0  # an error along the ground is one in height times the tangent
     clipped_db = np.clip(level_db, *_SHADOW_DB)
@@ -207,23 +206,23 @@ def _height(
         mean, seen = _mean(clipped_db, views, grid, x, y, float(z), weights)
         known = seen >= _KNOWN
         if not known.any():
-            if top > z - 1.5 * step:  # as high as shadows lie within the images, and who knows how much higher
+            if top > z - 1.5 * step:  # higher shadows are outside of the images
                 top = max(top, _HEIGHT * narrow)
             break
         depth = float((mean * np.sqrt(seen))[known].min())  # fewer images, more noise
         darkest = min(darkest, depth)
         if depth < dark:
             top = float(z)
-        elif z > narrow:  # below, the target's own brightness may hide the shadow of a part
+        elif z > narrow:  # lower shadows may be hidden by the target's own brightness
             break
     if darkest > _DARK_DB[0]:
         return _HEIGHT * narrow
-    # above the middle of a wide roof the views from all sides see shadow, too, and the more, the steeper they are
+    # places above a wide roof's middle are in shadow from all sides, too, and the higher, the steeper the views
     return _TIP * max(min(top, narrow), top - narrow / 2 * float(tangents.min())) + max(grid.cell_m, 2 * step)
 
 
 def seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
-    """Radius of the largest disc of ground around the origin that lies in every image, m; ≤ 0 if there is none."""
+    """Radius of the largest disc of ground around the origin that every image shows, m; ≤ 0 without any."""
     across, along = (
         count * spacing / 2 - abs(middle)
         for count, spacing, middle in zip((grid.columns, grid.rows), grid.spacing_m, grid.center_m, strict=True)
@@ -241,7 +240,7 @@ def above_ground_db(
 
 
 def smoothed(power: Float[np.ndarray, "v rows columns"], grid: ImageGrid) -> Float64[np.ndarray, "v rows columns"]:
-    """Images smoothed over a resolution cell each way: less speckle, and all that is larger."""
+    """Images smoothed by a Gaussian over a resolution cell, to reduce speckle; `power` is linear."""
     width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
     return gaussian_filter(power.astype(np.float64), width, mode="nearest")
 
@@ -253,7 +252,7 @@ def _on_the_ground(
     axis: Float64[np.ndarray, " side"],
     weights: Float64[np.ndarray, " v"],
 ) -> Float64[np.ndarray, "side side"]:
-    """Weighted mean over the images at each place on the ground, NaN where not all show it."""
+    """Weighted mean over the images at each place on the ground; NaN if not all show it."""
     mean, seen = _mean(level_db, views, grid, axis, axis, 0.0, weights)
     return np.where(seen < 1 - 1e-9, np.nan, mean)
 
@@ -273,16 +272,15 @@ def _mean(
     z: float,
     weights: Float64[np.ndarray, " v"],
 ) -> tuple[Float64[np.ndarray, "ny nx"], Float64[np.ndarray, "ny nx"]]:
-    """Weighted mean over the images that show where on the ground places cast their shadow, and the share of these.
+    """Weighted mean over the images at the shadows of places (x, y, z) on the ground, and the share that show these.
 
-    Places are those of an even raster at one height. The ground itself casts its shadow to where it is. Where no image
-    shows it, the mean is 0.
+    A place at z = 0 is its own shadow. The mean is 0 if no image shows the shadow.
     """
     pixel_m, first_m = np.array(grid.spacing_m[::-1]), np.array([grid.range_m[0], grid.azimuth_m[0]])
     total, weight_seen, seen = np.zeros((3, len(y), len(x)))
     for image, view, weight in zip(level_db, views, weights, strict=True):
         frame = view.look.gradients[[1, 0]]  # away and across, as rows and columns are
-        # on through the first place, down to the ground
+        # shadow of the first place on the ground
         first = frame @ (x[0], y[0], z) + (z / view.look.sine, 0.0)
         step = frame[:, [1, 0]] * (y[1] - y[0], x[1] - x[0]) / pixel_m[:, None]
         level = affine_transform(
@@ -296,9 +294,9 @@ def _mean(
 
 
 def typical(values: Float64[np.ndarray, ...]) -> tuple[float, float]:
-    """Middle and standard deviation of normal noise that is at least a quarter of what is known; the rest is anything.
+    """Middle and standard deviation of normal noise among values, by the narrowest interval with a quarter of them.
 
-    What is as dark or as bright as anything gets is no noise: it was clipped.
+    NaN, and values equal to the extremes (which were clipped), do not count.
     """
     known = np.sort(values[np.isfinite(values)])
     between = known[(known > known[0]) & (known < known[-1])]

@@ -1,4 +1,4 @@
-"""The region in which Gaussians may lie, and warnings of what it cuts off."""
+"""Region of Gaussians' centres, and warnings of objects that it cuts off."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from sarsplat.regions.target_box import StandingOut, standing_out, target_box
 from sarsplat.scenes.meshes import read_mesh
 
 _MUCH = 0.2
-"""Share of what stands out from the ground that may lie beyond the box: side lobes, and what is there by chance."""
+"""Maximum share of the brightness (dB) above the ground outside of the box, for side lobes and chance."""
 
 _NAMED = 3
-"""Things beside the box whose places are told."""
+"""Maximum number of objects outside of the box that a warning locates."""
 
 
 def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> Region:
-    """The given box (m), or the dataset's, or what its training images tell; z is above the terrain, if any.
+    """Region of the given box (m), the dataset's, or one from the training images; z is above the terrain, if any.
 
-    `ground` is whether the target stands on ground that images show; without, all that is bright is the target.
+    `ground`: images show ground around the target; otherwise all bright pixels are the target.
     """
     train, box = levelled(dataset.select("train")), box or dataset.target_box_m
     if box is not None:
@@ -38,14 +38,14 @@ def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> 
 
 
 def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
-    """What of the target lies outside, by the true shape or else by the images; a list of one sentence, or empty."""
+    """Warnings (at most one) of parts of the target outside of a region, by the true shape or else by the images."""
     box = f"the box it is looked for in ({spans(region.low, region.high)} m)"
     remedy = "give another with --target-box, in Python Config(target_box=...)"
     low, high = region.low - margin_m, region.high + margin_m
     if dataset.truth_mesh is not None:
         try:
             vertices = np.asarray(read_mesh(dataset.truth_mesh).vertices)
-        except (ImportError, SarsplatError):  # training does not need it; evaluation, which does, says what is wrong
+        except (ImportError, SarsplatError):  # training does not need it; evaluation raises
             return []
         vertices = np.column_stack([vertices[:, :2], heights_of(vertices, dataset.terrain)])
         least, most = vertices.min(axis=0), vertices.max(axis=0)
@@ -58,19 +58,19 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
     found = standing_out(train.power, train.views, train.grid)
     inside = np.outer(*((low[i] <= found.axis) & (found.axis <= high[i]) for i in (1, 0)))
     share = float(found.above_db[~inside].sum() / found.above_db.sum()) if found.above_db.any() else 0.0
-    beside = _objects_beside(found, inside, region, box)
-    if share > _MUCH and not beside:
-        return [f"{math.floor(100 * share)} % of what stands out from the ground lies outside of {box}; {remedy}"]
-    return beside
+    warning = _objects_beside(found, inside, region, box)
+    if share > _MUCH and not warning:
+        return [f"{math.floor(100 * share)} % of the brightness above the ground lies outside of {box}; {remedy}"]
+    return warning
 
 
 def _objects_beside(found: StandingOut, inside: Bool[np.ndarray, "side side"], region: Region, box: str) -> list[str]:
-    """Where something stands beside the box, and one around both, no higher; a list of one sentence, or empty."""
-    beside = [here for here in found.objects if not (here & inside).any()]
+    """Warnings (at most one) of objects outside of the box, with a box around all, as high as before."""
+    beside = [mask for mask in found.objects if not (mask & inside).any()]
     if not beside:
         return []
-    ends = [[found.axis[np.flatnonzero(here.any(axis=i))[[0, -1]]] for i in (0, 1)] for here in beside]
-    corners = np.array(ends).transpose(2, 0, 1)  # the lowest x and y of each thing, and the highest
+    ends = [[found.axis[np.flatnonzero(mask.any(axis=i))[[0, -1]]] for i in (0, 1)] for mask in beside]
+    corners = np.array(ends).transpose(2, 0, 1)  # lowest x and y of each object, and highest
     low = [*np.minimum(region.low[:2], corners[0].min(axis=0)), region.low[2]]
     high = [*np.maximum(region.high[:2], corners[1].max(axis=0)), region.high[2]]
     where = "; ".join(
@@ -84,12 +84,12 @@ def _objects_beside(found: StandingOut, inside: Bool[np.ndarray, "side side"], r
 
 
 def box_misses(dataset: Dataset) -> list[str]:
-    """What of the target lies outside of the box that the dataset names; a list of one sentence, or empty."""
+    """Warnings (at most one) of parts of the target outside of the dataset's own box."""
     if dataset.target_box_m is None:
         return []
     return cut_off(Region.box(*dataset.target_box_m), 0.0, dataset)
 
 
 def spans(low: np.ndarray, high: np.ndarray) -> str:
-    """A box, m: "x -3.2 … 9.7, y 0.3 … 7.8, z 0 … 5"."""
+    """Text of a box, m: "x -3.2 … 9.7, y 0.3 … 7.8, z 0 … 5"."""
     return ", ".join(f"{name} {a:.3g} … {b:.3g}" for name, a, b in zip("xyz", low, high, strict=True))
