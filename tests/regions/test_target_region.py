@@ -78,7 +78,7 @@ def test_speckled_ground_alone_says_nothing() -> None:
 
 def test_gaussians_stay_in_the_given_box_and_a_run_keeps_it(shown: Dataset) -> None:
     config = Config(target_box=INNER, iterations=3, gaussians=50)
-    with pytest.warns(SarsplatWarning, match="stands out"):
+    with pytest.warns(SarsplatWarning, match="brightness above the ground"):
         run = reconstruct(shown, config, quiet=True)
     reach = 1.5 + config.margin * GRID.cell_m
     assert float(run.gaussians.means[:, :2].abs().max()) <= reach + 1e-6

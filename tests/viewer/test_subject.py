@@ -14,7 +14,7 @@ from sarsplat.runs import reconstruct
 from sarsplat.settings import preset
 from sarsplat.viewer import subject_at
 from sarsplat.viewer.subject import TRUTH, dataset_subject
-from sarsplat.viewer.viewer import _who
+from sarsplat.viewer.viewer import _explained
 
 VIEW = View(40.0, 30.0)
 
@@ -67,7 +67,7 @@ def test_a_wall_is_at_its_foot_too_where_second_bounces_were_simulated(dataset):
     place = Pixel(row, column).place_m(dataset.grid)
     feet = both.places_m[:20, :2] @ VIEW.look.gradients[:, :2].T
     assert np.abs(feet - place).max() < 2 * max(dataset.grid.resolution_m)
-    assert "returns by way of the ground" in _who(both, False)
+    assert "returns by way of the ground" in _explained(both, False)
 
 
 def test_the_nearest_view_is_an_angle_away(dataset):

@@ -1,4 +1,4 @@
-"""The controls on the page."""
+"""Controls on the viewer's page."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ class Choices:
 
     @property
     def page(self) -> Page:
-        """The colours of the page."""
+        """Colours of the page."""
         return DARK if self.dark else LIGHT
 
 
 class Controls:
-    """The page's panels: settings on the left, images on the right.
+    """Panels of the page: settings on the left, images on the right.
 
-    The subject decides which controls are offered. `on_change` is called when any of them changes, `on_aim` with the
-    view that the sliders or buttons set.
+    The subject decides which controls are offered. `on_change` is called when a control changes, `on_aim` with the view
+    that the sliders or buttons set.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Controls:
         )
 
     def _watched(self, name: str, handle: Any) -> None:
-        """Redraw when the control changes; its value is the choice of that name."""
+        """Register a control under the name of its choice, and redraw when it changes."""
         handle.on_update(lambda _: self._on_change())
         self._set[name] = handle
 
@@ -123,7 +123,7 @@ class Controls:
             steps = gui.add_button_group("known views", ("◀ previous", "next ▶"))
 
         def slid(event: Any) -> None:
-            if event.client is None:  # the page itself, which follows the radar
+            if event.client is None:  # set by `follow`
                 return
             try:
                 aimed = replace(self._view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value)
@@ -164,9 +164,9 @@ class Controls:
         """Show the controls that apply to a subject, and hide the rest."""
         self.title.content = f"**{subject.title}**"
         names = tuple(cloud.name for cloud in subject.clouds)
-        ways = (BY_HEIGHT, *((BY_GAMMA0,) if subject.scatters else ()), *((BY_ERROR,) if subject.knows_errors else ()))
+        colours = [BY_HEIGHT, *([BY_GAMMA0] if subject.scatters else []), *([BY_ERROR] if subject.knows_errors else [])]
         maps = (_NO_MAP, *(MAPS if subject.surface is not None else ()), *((PHASES,) if subject.knows_phases else ()))
-        offered = {"cloud": names or ("nothing",), "coloured_by": ways, "map": maps}
+        offered = {"cloud": names or ("nothing",), "coloured_by": tuple(colours), "map": maps}
         for handle, options in ((self._set[name], options) for name, options in offered.items()):
             if tuple(handle.options) != options:
                 handle.options = options
@@ -177,7 +177,7 @@ class Controls:
 
     @property
     def choices(self) -> Choices:
-        """The current settings."""
+        """Current values of all controls."""
         values = {name: handle.value for name, handle in self._set.items()}
         return Choices(**values | {"map": None if values["map"] == _NO_MAP else values["map"]})
 
@@ -192,20 +192,20 @@ class Controls:
     def show_row(
         self, index: int, heads: list[tuple[str, str]], picture: UInt8[np.ndarray, "height width 4"], legends: list[str]
     ) -> None:
-        """Show a row of images: titles above, each with a smaller line, and what the colours mean below."""
+        """Show a row of images, with titles (each with a smaller line) above and colour legends below."""
         if index == len(self._rows):
             with self._tab:
                 html, order = self._gui.add_html, 10.0 * index
                 image = self._gui.add_image(picture, format="png", order=order + 1)
                 self._rows.append((html("", order=order), image, html("", order=order + 2)))
-        titles, image, meanings = self._rows[index]
+        titles, image, below = self._rows[index]
         image.image = picture
         words = (
             f'<b>{escape(title)}</b><div style="font-size:11px;opacity:.75">{escape(line)}</div>'
             for title, line in heads
         )
         self._show(titles, _cells(words, 'class="heads" style="font-size:13px;line-height:1.35;'))
-        self._show(meanings, _cells(legends, 'style="'))
+        self._show(below, _cells(legends, 'style="'))
         for handle in self._rows[index]:
             handle.visible = True
 
@@ -215,7 +215,7 @@ class Controls:
             handle.visible = False
 
     def show_foot(self, text: str) -> None:
-        """A line of text below the images."""
+        """Show a line of text below the images."""
         style = "font-size:13px;line-height:1.5;margin-top:4px;padding:0 10px"
         self._show(self.foot, f'<div id="foot" style="{style}">{text}</div>')
 
@@ -225,6 +225,6 @@ class Controls:
 
 
 def _cells(contents: Iterable[str], attributes: str) -> str:
-    """HTML side by side, in as many columns as there are images in a row."""
+    """HTML of contents side by side, in two columns as the images of a row."""
     cells = "".join(f'<div style="flex:0 1 50%;min-width:0">{content}</div>' for content in contents)
     return f'<div {attributes}display:flex;gap:6px;padding:0 10px">{cells}</div>'

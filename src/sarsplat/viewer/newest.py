@@ -1,4 +1,4 @@
-"""A worker thread that only does the newest request, such as rendering while the mouse moves."""
+"""Worker thread that only serves the newest request, such as rendering while the mouse moves."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from concurrent.futures import wait as wait_for
 
 
 class Newest:
-    """Does one piece of work on a thread of its own whenever it is asked to, never twice at once.
+    """Thread that runs one function on request, never twice at once.
 
-    What is asked for while it works is done once, after that, however often it was asked for: the work looks up the
-    newest state itself. An error is logged, and the next request is served all the same.
+    Requests during a run lead to a single further run: the function reads the newest state itself. Errors are logged
+    and do not stop the thread.
     """
 
     def __init__(self, work: Callable[[], object]) -> None:
@@ -36,7 +36,7 @@ class Newest:
         return self._last is None or not wait_for([self._last], timeout_s).not_done
 
     def close(self) -> None:
-        """Finish the work in progress and refuse any more."""
+        """Finish the work in progress and ignore later requests."""
         with self._asking:
             self._closed = True
         self._pool.shutdown(cancel_futures=True)

@@ -1,4 +1,4 @@
-"""The images of one view side by side: the rendering, the nearest measured image, and their difference."""
+"""Pictures of one view side by side: the rendering, the nearest measured image, their difference, and radar maps."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.radar import Pixel, RadarMaps
 from sarsplat.radiometry import difference_db, to_db
 
-_SIDE = 256  # pixels of the longer side of a panel, at least half of it
+_SIDE = 256  # longer side of a panel, pixels; at least half of it after rounding
 _GAP = 6  # pixels between panels
 
 MAPS = ("height", "incidence", "layover", "shadow and layover")
-"""The radar maps by their names on the page."""
+"""Names of the radar maps on the page."""
 
 PHASES = "phase between passes"
-"""What is offered beside them where phases were learned."""
+"""Name of the map of learned phases on the page."""
 
 
 @dataclass(frozen=True)
 class Scale:
     """Colour scale of one quantity, with its unit in the label; values beyond the ends are clipped.
 
-    What is transparent in a ramp shows the `page`'s panels.
+    Transparent colours of a ramp show the background of the `page`'s panels.
     """
 
     label: str
@@ -62,7 +62,7 @@ class Scale:
         return np.where(finite[..., None], colours, np.array(rgb(self.page.line), np.uint8))
 
     def bar(self) -> str:
-        """A colour bar with numbers at its ends and in the middle, as HTML."""
+        """Colour bar as HTML, with numbers at its ends and in the middle."""
         digits = 0 if self.high - self.low >= 8 else 1 if self.high - self.low >= 1 else 2
         places = (self.low, (self.low + self.high) / 2, self.high)
         numbers = "".join(f"<span>{place:.{digits}f}</span>".replace("-", "−") for place in places)
@@ -74,13 +74,13 @@ class Scale:
         )
 
     def panel(self, title: str, values: Real[np.ndarray, "rows columns"]) -> Panel:
-        """A picture of values, with its colour bar."""
+        """Panel of values, with a colour bar."""
         return Panel(title, self.rgb(values), self.bar())
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One picture of a strip, with what it shows in words, and what its colours mean as HTML."""
+    """Picture of a strip, with its title, and its colour legend as HTML."""
 
     title: str
     rgb: UInt8[np.ndarray, "rows columns 3"]
@@ -95,7 +95,7 @@ def power_panel(
     colours: str,
     page: Page,
 ) -> Panel:
-    """An image in decibels of `peak`."""
+    """Panel of an image in decibels relative to `peak`."""
     return Scale("dB relative to the brightest pixels", *limits_db, colours, page).panel(title, to_db(power, peak))
 
 
@@ -108,7 +108,7 @@ def difference_panel(
     *,
     speckled: bool,
 ) -> Panel:
-    """Rendered over measured, in decibels; pixels below `darkest_db` count as equally dark."""
+    """Panel of rendered over measured power, dB; pixels below `darkest_db` count as equally dark."""
     widest = 10.0 if speckled else 6.0
     if speckled:
         rendered, measured = (uniform_filter(power, 3) for power in (rendered, measured))
@@ -117,7 +117,7 @@ def difference_panel(
 
 
 def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float, page: Page) -> Panel:
-    """One of `MAPS`; heights are coloured up to `highest_m`."""
+    """Panel of one of `MAPS`; heights are coloured up to `highest_m`."""
     if name == "height":
         heights = Scale("height of the first return, m", 0.0, highest_m, HEIGHT, page)
         return heights.panel("first-return height", maps.height_m)
@@ -134,8 +134,8 @@ def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float, page:
     )
     classes = np.full((*maps.shadow.shape, 3), rgb(page.card), np.uint8)
     legend = ""
-    for where, colour, text in kinds:
-        classes[where] = rgb(colour)
+    for mask, colour, text in kinds:
+        classes[mask] = rgb(colour)
         legend += (
             f'<span style="display:inline-block;width:10px;height:10px;border-radius:2px;background:{colour};'
             f'margin:0 5px 0 0"></span>{text}<br>'
@@ -144,13 +144,13 @@ def map_panel(name: str, maps: RadarMaps, highest_m: float, cell_m: float, page:
 
 
 def phase_panel(phase: Float[np.ndarray, "rows columns"], cycle_m: float, page: Page) -> Panel:
-    """A phase, rad, of which one cycle is so much height."""
+    """Panel of a phase, rad, of which one cycle is `cycle_m` of height."""
     scale = Scale(f"rad; one cycle is {cycle_m:.3g} m of height", -math.pi, math.pi, PHASE, page)
     return scale.panel("phase above level ground", phase)
 
 
 class Strip:
-    """So many panels of one grid beside each other, in pixels as square as the ground they show, on a page."""
+    """Strip of `count` panels of one grid side by side, on a scale that is equal in azimuth and slant range."""
 
     def __init__(self, grid: ImageGrid, count: int, page: Page) -> None:
         self.grid, self.count, self._page = grid, count, page
@@ -161,7 +161,7 @@ class Strip:
         self._height, self._width = (max(round(side * factor), 1) for side in size.tolist())
 
     def drawn(self, panels: list[Panel], pixel: Pixel | None) -> UInt8[np.ndarray, "height width 4"]:
-        """The panels in one picture, RGBA, with a frame around the picked pixel in each; missing ones are empty."""
+        """Draw the panels as one RGBA picture, with a frame around the picked pixel in each; missing ones are empty."""
         step = self._width + _GAP
         strip = np.zeros((self._height, self.count * step - _GAP, 4), np.uint8)
         for place, panel in enumerate(panels):
@@ -174,7 +174,7 @@ class Strip:
         return strip
 
     def enlarged(self, panel: Panel) -> UInt8[np.ndarray, "height width 3"]:
-        """One panel as large as it is drawn, with a thin line around it: some look like the page."""
+        """Enlarge a panel to its size in the strip, with a thin line around it."""
         row = np.arange(self._height) * self.grid.rows // self._height
         column = np.arange(self._width) * self.grid.columns // self._width
         picture: UInt8[np.ndarray, "height width 3"] = panel.rgb[row[:, None], column]
@@ -182,7 +182,7 @@ class Strip:
         return picture
 
     def pixel_at(self, x: float, y: float) -> Pixel | None:
-        """The pixel at parts of the width and height of the whole picture, or None between two panels."""
+        """Pixel at a position in the strip, relative to its width and height; None between two panels."""
         total = self.count * (self._width + _GAP) - _GAP
         place = int(x * total) % (self._width + _GAP)
         if place >= self._width or not 0 <= y < 1:
@@ -202,5 +202,5 @@ class Strip:
 
 
 def heights_up_to(height_m: Float[np.ndarray, " n"]) -> float:
-    """The upper end of a colour bar of heights, m."""
+    """Upper end of a colour bar of heights, m."""
     return float(max(np.quantile(height_m, 0.995), 1e-3)) if len(height_m) else 1.0

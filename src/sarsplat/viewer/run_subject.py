@@ -24,25 +24,25 @@ from sarsplat.viewer.subject import TRUTH, Cloud, OfScene, Subject, at_most, dat
 
 @checks_arguments
 def subject_at(path: str | Path) -> Subject:
-    """The run or dataset in a folder."""
+    """Open the run or dataset in a folder as a subject."""
     path = Path(path)
     if (path / "config.json").is_file():
         return subject_of_run(Run.load(path))
     if (path / "dataset.json").is_file():
         return dataset_subject(read_dataset(path))
-    what = "does not exist" if not path.exists() else "is neither a run nor a dataset"
+    problem = "does not exist" if not path.exists() else "is neither a run nor a dataset"
     raise SarsplatError(
-        f"{path} {what}; give the folder of one, which `sarsplat simulate` or `sarsplat reconstruct` writes"
+        f"{path} {problem}; give the folder of one, which `sarsplat simulate` or `sarsplat reconstruct` writes"
     )
 
 
 def subject_of_run(run: Run) -> Subject:
-    """A run of any method; its dataset may be gone."""
+    """Subject of a run of any method; its dataset may be missing."""
     return RunSubject(run) if run.model is None else GaussianSubject(run, run.model)
 
 
 class RunSubject(Subject):
-    """A run of any method."""
+    """Subject of a run of any method."""
 
     renders = True
 
@@ -76,7 +76,7 @@ class RunSubject(Subject):
     def surface(self) -> Surface | None:
         try:
             return surface_of_run(self.run)
-        except SarsplatError:  # it has learned no surface
+        except SarsplatError:  # the run has no surface
             return None
 
     def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"]:
@@ -87,7 +87,7 @@ class RunSubject(Subject):
         return self._errors[cloud.name]
 
     def interferogram(self, view: View) -> tuple[Interferogram, Pair]:
-        """Interferogram with the passes of the nearest training view."""
+        """Interferogram of two passes like those of the nearest training view."""
         cosines = [known.direction @ view.direction for known in self.train_views]
         stack = self.run.snapshot.stacks[int(np.argmax(cosines))]
         pair = Pair.longest(stack, view, spread_m(self.run.points))
@@ -106,7 +106,7 @@ class RunSubject(Subject):
 
 
 class GaussianSubject(OfScene, RunSubject):
-    """A run of Gaussians."""
+    """Subject of a run of Gaussians."""
 
     def __init__(self, run: Run, model: SceneModel) -> None:
         super().__init__(run)

@@ -1,4 +1,4 @@
-"""viser's web server, kept on this machine: one port or none, no stranger's page, nothing loaded from elsewhere."""
+"""viser's web server on the loopback interface: a fixed port, no requests of other sites' pages, nothing external."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 HOST = "127.0.0.1"
 _NAMES = (HOST, "localhost", "[::1]")
-"""What a browser on this machine may call it; also one at the other end of a tunnel, whose port may be another."""
+"""Host names under which the page is served, on any port: an SSH tunnel may change it."""
 
 _TITLE = "sarsplat"
 
@@ -31,8 +31,7 @@ _POLICY = (
     "worker-src blob: data:; img-src blob: data:; font-src blob: data:; "
     "connect-src 'self' {sockets} blob: data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
-"""Content-Security-Policy: whatever the page's scripts would like, the browser asks nobody but this server."""
-
+"""Content-Security-Policy: the browser only connects to this server."""
 
 _OWN = re.compile(rf"(?:{'|'.join(map(re.escape, _NAMES))})(?::[0-9]{{1,5}})?", re.IGNORECASE | re.ASCII)
 _STARTING = threading.Lock()
@@ -41,8 +40,8 @@ _STARTING = threading.Lock()
 def start_server(port: int, on_pick: Callable[[float, float], None]) -> viser.ViserServer:
     """Serve a page on a port of 127.0.0.1; 0 takes any free one.
 
-    `on_pick` gets where the page's picture was clicked: parts of its width and height, from the upper left. It runs in
-    the server's thread and must return at once. Raises `SarsplatError` if the port is taken or not allowed.
+    `on_pick` gets the position of a click on the page's picture, relative to its width and height, from the upper left.
+    It runs in the server's thread and must return at once. Raises if the port is taken or not allowed.
     """
     import viser
 
@@ -67,7 +66,7 @@ def _bound(port: int) -> socket.socket:
     if not 0 <= port < 65536:
         raise SarsplatError(f"port {port} is not a valid port; give a number from 1024 to 65535")
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    if os.name == "posix":  # of a server that has just ended; elsewhere this would take the port from a living one
+    if os.name == "posix":  # reuse the port of a server that has just ended; Windows would share a busy port
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((HOST, port))
@@ -82,13 +81,12 @@ def _bound(port: int) -> socket.socket:
 
 @contextmanager
 def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, float], None]) -> Iterator[None]:
-    """While viser starts: it serves on this socket, and not on the next free port as it otherwise would.
+    """Make viser, which starts inside the block, serve on this socket instead of the next free port, and more safely.
 
-    Its pages then say what the browser may load, and only they may open a connection: any site that is open in the
-    same browser could otherwise listen in. Nor is anything answered that was asked of another name: a stranger's name
-    can be made to mean this machine (DNS rebinding), and then its pages would be ours. viser passes nothing of this on
-    to websockets, so its call of `serve` is intercepted: that with our port alone, one start at a time. Whoever else
-    serves something meanwhile is unaffected.
+    Pages get a Content-Security-Policy, and requests are rejected if their origin is another site or their host name is
+    not this machine's (DNS rebinding): any site open in the same browser could otherwise connect. viser has no options
+    for this, so websockets' `serve` is patched for the call with this port, one start at a time; other calls are
+    unaffected.
     """
     from websockets.asyncio import server as library
 
@@ -99,17 +97,17 @@ def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, f
             return real(handler, host, port, **options)
         process_request = options.pop("process_request")
 
-        def asked(connection: ServerConnection, request: Request) -> Response | None:
-            if (refusal := _foreign(request)) is not None:
-                return connection.respond(403, refusal)
+        def on_request(connection: ServerConnection, request: Request) -> Response | None:
+            if (reason := _rejection(request)) is not None:
+                return connection.respond(403, reason)
             if urlsplit(request.path).path == "/pick":
                 return _picked(connection, request, on_pick)
             if "Accept-Encoding" in request.headers:
-                del request.headers["Accept-Encoding"]  # on one machine, packing only takes time
+                del request.headers["Accept-Encoding"]  # compression only takes time on one machine
             response: Response | None = process_request(connection, request)
             return response
 
-        def answered(connection: ServerConnection, request: Request, response: Response) -> None:
+        def on_response(connection: ServerConnection, request: Request, response: Response) -> None:
             if response.headers.get("Content-Type", "").startswith("text/html"):
                 response.body = response.body.replace(b"<title>Viser</title>", b"<title>sarsplat view</title>")
                 response.body = response.body.replace(b"</head>", addition + b"</head>", 1)
@@ -118,8 +116,8 @@ def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, f
                 response.headers["Content-Security-Policy"] = _POLICY.format(sockets=f"ws://{request.headers['Host']}")
                 response.headers["Referrer-Policy"] = "no-referrer"
 
-        own_options: dict[str, Any] = {"process_request": asked, "process_response": answered}
-        return real(handler, sock=listener, **own_options, **options)
+        hooks: dict[str, Any] = {"process_request": on_request, "process_response": on_response}
+        return real(handler, sock=listener, **hooks, **options)
 
     library.serve = serve  # type: ignore[misc, assignment]
     try:
@@ -128,10 +126,10 @@ def _served_on(listener: socket.socket, number: int, on_pick: Callable[[float, f
         library.serve = real  # type: ignore[misc]
 
 
-def _foreign(request: Request) -> str | None:
-    """Why a request is not answered, if it was asked of another name than this machine's, or by another site's page.
+def _rejection(request: Request) -> str | None:
+    """Reason to reject a request to another host name or from another site's page, or None.
 
-    A page says what site it is of whenever it opens a socket; programs that are no browsers say nothing.
+    Browsers send the origin with every socket; other programs send none.
     """
     hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
     if len(hosts) != 1 or not _OWN.fullmatch(hosts[0]):

@@ -1,4 +1,4 @@
-"""The 3D scene of the page: the target, a dome with all views, the radar, and the image on its plane below."""
+"""3D scene of the page: the target, a dome with all views, the radar, and the image on its plane below."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ Polygon = Float[np.ndarray, "n 2"]
 """Corners of a convex polygon on the ground, m, in order."""
 
 _RADAR, _LIT, _FAINT = rgb(RADAR), rgb(PICKED), rgb(LIGHT.muted)
-_DOME = 1.9  # radius, in those of the target
-_REACH = 0.6  # of the dome's radius: how far above the target the line of one range goes on
+_DOME = 1.9  # radius of the dome, in radii of the target
+_REACH = 0.6  # extension of the line of one range above the target, in radii of the dome
 _FIELD_DEG = 50.0  # vertical field of view
-_CAMERA_ASIDE_DEG, _CAMERA_UP_DEG = 100.0, 27.0  # where the reader looks from, from the first view and the horizon
-_ROOM = 1.15  # half of what is seen, in radii of the dome
-_PHONE, _BETWEEN_PANELS = 0.55, 0.62  # width over height of what is free on a phone, at most, and on a small laptop
+_CAMERA_ASIDE_DEG, _CAMERA_UP_DEG = 100.0, 27.0  # camera's azimuth from the first view, and elevation
+_ROOM = 1.15  # half of the visible height, in radii of the dome
+_PHONE, _BETWEEN_PANELS = 0.55, 0.62  # width over height of the free area: maximum on a phone, and on a small laptop
 _THIN = 0.0015  # width of a line, in radii of the dome
-_STEPS = 72  # of a circle of latitude
+_STEPS = 72  # segments of a circle of latitude
 HIGHEST_DEG = 89.0
-"""Of a radar that is dragged, above the horizon."""
+"""Highest grazing angle of a dragged radar, degrees."""
 
-_LEAST_SHARE = 0.01  # of a pixel: Gaussians that add less are not lit
+_LEAST_SHARE = 0.01  # minimum share of a pixel's power of a highlighted Gaussian
 
 
 class Stage:
-    """Everything in three dimensions, around the corners of the target's bounding box (m).
+    """3D scene around the target's bounding box (corners, m).
 
-    `views` are the known ones with their sets. `on_aim` gets the view that the radar was dragged to or whose dot was
-    clicked, `on_plane` the ray of a click on the image's plane: origin and direction, m.
+    `views` are the known ones with their sets. `on_aim` gets the view of a dragged radar or a clicked dot, `on_plane`
+    the ray of a click on the image's plane: origin and direction, m.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class Stage:
         server.on_client_connect(self._fit)
         scene.set_up_direction("+z")
         scene.world_axes.visible = False
-        scene.configure_default_lights(enabled=False)  # colours mean something: nothing shades them
+        scene.configure_default_lights(enabled=False)  # shading would change the colours
         scene.configure_environment_map(None, environment_intensity=0.0)
         scene.add_light_ambient("/light", intensity=np.pi)
         self._page: Page | None = None
-        self._corners: Float[np.ndarray, "corners 3"] = np.empty((0, 3))  # of the image, where it is shown
+        self._corners: Float[np.ndarray, "corners 3"] = np.empty((0, 3))  # of the visible image
         self._eye, _ = self._camera(1.0)
         self._grid(scene)
         self._dome(scene, views, on_aim)
@@ -89,7 +89,7 @@ class Stage:
         self._cloud: Any = None
 
     def _camera(self, aspect: float) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-        """Position and aim of a camera that sees the whole dome in a window of this width over height.
+        """Position and aim of a camera that sees the dome in a window of this aspect (width over height).
 
         On a phone the controls cover the lower part of the window.
         """
@@ -101,17 +101,17 @@ class Stage:
         client.camera.position, client.camera.look_at = self._camera(client.camera.aspect)
 
         @client.camera.on_update
-        def moved(camera: viser.CameraHandle) -> None:  # of several browsers, the one that moved last
+        def moved(camera: viser.CameraHandle) -> None:  # the last one counts if several browsers are open
             self._eye = np.array(camera.position)
-            self._leave_out()
+            self._redraw_ground()
 
-    def _leave_out(self) -> None:
-        """Draw no line of the ground across the image below it."""
+    def _redraw_ground(self) -> None:
+        """Draw the ground's lines, cut where they would cross the image below."""
         hidden = seen_through(self._corners, self._eye)
         self.grid.points = ground_lines(self._foot, self._radius, self._step_m, hidden).astype(np.float32)
 
     def paint(self, page: Page) -> None:
-        """Give the scene the colours of a page of the report."""
+        """Colour the scene like the page."""
         if page is not self._page:
             self._page = page
             self.grid.colors = np.array(rgb(page.line), np.uint8)
@@ -122,7 +122,7 @@ class Stage:
     def _grid(self, scene: Any) -> None:
         self._step_m = float(10 ** np.floor(np.log10(self.size_m)))  # 1 m for a vehicle, 10 m for a ship
         self.grid = scene.add_line_segments("/ground", np.zeros((1, 2, 3)), _FAINT, thickness=_THIN * self._radius)
-        self._leave_out()
+        self._redraw_ground()
         nose = self._foot + np.array([self._radius, 0, 0])
         self._nose = scene.add_label("/nose", f"nose (+x); squares: {self._step_m:g} m", position=nose)
 
@@ -188,7 +188,7 @@ class Stage:
         return self._foot + self._radius * view.direction
 
     def view_under(self, camera: Float[np.ndarray, " 3"], pointer: Float[np.ndarray, " 3"]) -> View:
-        """The view whose place on the dome is under the mouse: the nearer side, or the place nearest to its ray."""
+        """View at the dome's point under the mouse, on the near side; beside the dome, at the point nearest the ray."""
         ray = (pointer - camera) / np.linalg.norm(pointer - camera)
         origin = camera - self._foot
         half = float(origin @ ray)
@@ -198,11 +198,11 @@ class Stage:
         grazing = np.degrees(np.arctan2(place[2], flat))
         azimuth = float(np.degrees(np.arctan2(-place[1], place[0]))) % 360.0
         grazing = float(np.clip(grazing, lowest_deg(self._known), HIGHEST_DEG))
-        return replace(self._known, azimuth_deg=azimuth, grazing_deg=grazing)  # tilted as it is
+        return replace(self._known, azimuth_deg=azimuth, grazing_deg=grazing)  # keeps the tilt
 
-    # ---- what changes ------------------------------------------------------------------------------------------------
+    # ---- changes -----------------------------------------------------------------------------------------------------
     def aim(self, view: View) -> None:
-        """Move the radar to a view; dragged on, it looks alike."""
+        """Move the radar to a view, whose tilt and side it keeps when dragged."""
         self._known = view
         place = self._at(view)
         self._handle.position = place
@@ -219,7 +219,7 @@ class Stage:
         self.grid.visible = self._nose.visible = visible
 
     def draw_cloud(self, cloud: Cloud, colours: UInt8[np.ndarray, "n 3"], scale: float) -> None:
-        """Show one cloud; only its colours are sent if it is there already."""
+        """Show one cloud; if it is already shown, send only its colours and size."""
         size = cloud.size_m * scale
         if self._cloud is not None and self._cloud[0] is cloud:
             handle = self._cloud[1]
@@ -234,30 +234,27 @@ class Stage:
         self._cloud = (cloud, handle)
 
     def plane_depth(self, view: View) -> float:
-        """Elevation y_r at which the image lies: below all of the target, seen along the lines of one range, m."""
+        """Elevation y_r of the image's plane, below all of the target, m."""
         return self._elevations(view)[0] - 0.12 * self._radius
 
     def _elevations(self, view: View) -> tuple[float, float]:
-        """The lowest and the highest elevation y_r of the target's box, m."""
+        """Lowest and highest elevation y_r of the target's box, m."""
         corners = np.array(list(product(*zip(self.low, self.high, strict=True))))
         elevations = corners @ view.look.frame[1]
         return float(elevations.min()), float(elevations.max())
 
     def iso_range_line(self, view: View, place_m: tuple[float, float]) -> Float[np.ndarray, "2 3"]:
-        """All places of one azimuth and slant range, from the image's plane to well above the target, m.
-
-        It is as long for pixels beside the target as for those on it: a miss is as informative as a hit.
-        """
+        """Line of one azimuth and slant range, from the image's plane to well above the target, m."""
         azimuth, away = view.look.in_frame(*place_m)
         ends = self.plane_depth(view), self._elevations(view)[1] + _REACH * self._radius
         return np.array([[azimuth, elevation, away] for elevation in ends]) @ view.look.frame
 
     def lay_image(self, rgb: UInt8[np.ndarray, "rows columns 3"], view: View, part: ImageGrid, visible: bool) -> None:
-        """Lay an image on its plane, azimuth × slant range, which the lines of one range cross at right angles."""
+        """Show an image on its plane, azimuth × slant range, perpendicular to the lines of one range."""
         frame, (wider, longer) = view.look.frame, view.look.in_frame(1.0, 1.0)
         place = np.array([wider * part.center_m[0], self.plane_depth(view), longer * part.center_m[1]]) @ frame
         across = frame[0]
-        if view.side == "left":  # its frame is mirrored, and planes are turned only
+        if view.side == "left":  # its frame is mirrored, but planes can only be rotated
             rgb, across = rgb[:, ::-1], -across
         turn = Rotation.from_matrix(np.stack([across, frame[2], -frame[1]], axis=1)).as_quat(scalar_first=True)
         size = wider * part.columns * part.spacing_m[0], longer * part.rows * part.spacing_m[1]
@@ -278,10 +275,10 @@ class Stage:
         across, down = size[0] / 2 * frame[0], size[1] / 2 * frame[2]
         corners = place + np.stack([-across - down, across - down, across + down, down - across])
         self._corners = corners if visible else corners[:0]
-        self._leave_out()
+        self._redraw_ground()
 
     def light(self, line: Float[np.ndarray, "2 3"] | None, lit: Contributors | None) -> None:
-        """Show the line of one azimuth and range, and the contributors on it."""
+        """Highlight the line of one azimuth and range, and the contributors on it."""
         self._line.visible = line is not None
         self._lit.visible = lit is not None and len(lit.shares) > 0
         if line is not None:
@@ -293,21 +290,21 @@ class Stage:
 
 
 def lowest_deg(view: View) -> float:
-    """How low a radar like that of a view can be dragged, degrees above the horizon."""
+    """Lowest grazing angle of a dragged radar, degrees."""
     return -HIGHEST_DEG if view.aloft else 1.0
 
 
 def _linear(colour: str) -> tuple[int, int, int]:
-    """A colour as viser wants it of instances, which it does not decode from sRGB."""
+    """Linear RGB of a colour, for viser's instances, which are not decoded from sRGB."""
     red, green, blue = (round(255 * (value / 255) ** 2.2) for value in rgb(colour))
     return red, green, blue
 
 
-# ---- lines on the ground, clipped where they would cross the SAR image that is shown below it ------------------------
+# ---- lines on the ground, clipped where they would cross the SAR image below -----------------------------------------
 def ground_lines(
     middle: Float[np.ndarray, " 3"], reach_m: float, step_m: float, hidden: Polygon
 ) -> Float[np.ndarray, "s 2 3"]:
-    """A square grid up to `reach_m` from its middle, m: its lines as segments, without what lies inside `hidden`."""
+    """Segments of a square grid up to `reach_m` from its middle, m, outside of the polygon `hidden`."""
     count = int(reach_m // step_m)
     segments = []
     for along in (0, 1):
@@ -324,18 +321,18 @@ def ground_lines(
 
 
 def seen_through(corners: Float[np.ndarray, "corners 3"], eye: Float[np.ndarray, " 3"]) -> Polygon:
-    """Where on the ground, z = 0, a flat picture with these corners is seen through it from `eye`, m.
+    """Polygon of the ground, z = 0, through which a flat picture is seen from `eye`, m.
 
-    Of a picture without corners, or one that is on the eye's side, nothing is.
+    Empty for a picture without corners or on the eye's side of the ground.
     """
     side = 1.0 if eye[2] >= 0 else -1.0
     heights = side * corners[:, 2]
     places = []
-    for one, two, here, there in zip(corners, np.roll(corners, -1, axis=0), heights, np.roll(heights, -1), strict=True):
-        if here <= 0:
-            places.append(one)
-        if (here < 0) != (there < 0):  # its edge goes through the ground
-            places.append(one + here / (here - there) * (two - one))
+    for a, b, high, next_high in zip(corners, np.roll(corners, -1, axis=0), heights, np.roll(heights, -1), strict=True):
+        if high <= 0:
+            places.append(a)
+        if (high < 0) != (next_high < 0):  # the edge crosses the ground
+            places.append(a + high / (high - next_high) * (b - a))
     if not places or eye[2] == 0:
         return np.empty((0, 2))
     beyond = np.stack(places)
@@ -345,10 +342,10 @@ def seen_through(corners: Float[np.ndarray, "corners 3"], eye: Float[np.ndarray,
 
 
 def _crossed(polygon: Polygon, axis: int, place: float) -> tuple[float, float] | None:
-    """The part of the line at `place` of an axis that is inside a convex polygon, along the other axis."""
-    found = []
-    for one, two in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        if (one[axis] < place) != (two[axis] < place):
-            share = (place - one[axis]) / (two[axis] - one[axis])
-            found.append(float(one[1 - axis] + share * (two[1 - axis] - one[1 - axis])))
-    return (min(found), max(found)) if found else None
+    """Interval of a line inside a convex polygon; the line has coordinate `place` on `axis`, along the other axis."""
+    ends = []
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if (a[axis] < place) != (b[axis] < place):
+            share = (place - a[axis]) / (b[axis] - a[axis])
+            ends.append(float(a[1 - axis] + share * (b[1 - axis] - a[1 - axis])))
+    return (min(ends), max(ends)) if ends else None

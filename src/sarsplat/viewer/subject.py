@@ -1,4 +1,4 @@
-"""What the viewer shows: the interface of a run, a dataset or a training, and scenes of Gaussians."""
+"""Subjects of the viewer: interface of a run, a dataset or a training, and scenes of Gaussians."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ if TYPE_CHECKING:
     import trimesh
 
 TRUTH = "true surface"
-"""Name of the cloud that is the truth and not a reconstruction."""
+"""Name of the cloud of the true surface."""
 
 MAX_POINTS = 60_000
-"""Largest number of points drawn; more would only look denser."""
+"""Maximum number of points drawn."""
 
-_ONE_DIRECTION = 1e-12  # of cosines
+_ONE_DIRECTION = 1e-12  # tolerance of cosines of equal directions
 _FAINT = 0.05
 """Optical depth below which a Gaussian is not drawn."""
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Places in the world (m) by name, and how large to draw each, m."""
+    """Named places in the world, m, and the size of their dots, m."""
 
     name: str
     places_m: Float32[np.ndarray, "n 3"]
@@ -55,9 +55,9 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Contributors:
-    """What makes a pixel: places with their shares, largest first, and the share of the learned ground.
+    """Contributors to a pixel: places with their shares, largest first, and the share of the learned ground.
 
-    `by_ground_share` is what of the places' shares returns by way of the ground.
+    `by_ground_share` is the part of the places' shares that returns by way of the ground.
     """
 
     places_m: Float[np.ndarray, "n 3"]
@@ -67,35 +67,32 @@ class Contributors:
 
 
 class Subject:
-    """A dataset, and whatever a run of it adds; `dataset` is None if its images are no longer there.
-
-    `peak` is the power shown white.
-    """
+    """Dataset, and a run of it if any; `dataset` is None if its images are missing. `peak` is the power shown white."""
 
     renders = False
-    """Whether `render` can be asked."""
+    """True if `render` is implemented."""
 
     has_ground = False
-    """Whether ground was learned, which can be hidden."""
+    """True if ground was learned, which can be hidden."""
 
     scatters = False
-    """Whether the clouds have a γ⁰."""
+    """True if `gamma0` is implemented."""
 
     knows_errors = False
-    """Whether `error_m` can be asked."""
+    """True if `error_m` is implemented."""
 
     knows_phases = False
-    """Whether `interferogram` can be asked."""
+    """True if `interferogram` is implemented."""
 
     def __init__(
         self, title: str, grid: ImageGrid, train_views: tuple[View, ...], peak: float, dataset: Dataset | None
     ) -> None:
         self.title, self.grid, self.train_views, self.peak, self.dataset = title, grid, train_views, peak, dataset
 
-    # ---- from its dataset -------------------------------------------------------------------------------------------
+    # ---- dataset ----------------------------------------------------------------------------------------------------
     @property
     def speckled(self) -> bool:
-        """Whether the images of the dataset are speckled."""
+        """True if the dataset's images are speckled."""
         return self.dataset is not None and self.dataset.looks is not None
 
     @property
@@ -106,15 +103,15 @@ class Subject:
         return [(entry.view, entry.split) for entry in self.dataset.entries]
 
     def nearest(self, view: View) -> tuple[int, float]:
-        """The known view nearest to one: its index in `views`, and the angle between the two, degrees.
+        """Nearest known view: its index in `views`, and the angle to it, degrees.
 
-        Of those from one direction, it is the one whose image is turned about that most alike.
+        Of views from one direction, the one with the most similar frame is chosen.
         """
         cosines = self._directions @ view.direction
-        alike = np.flatnonzero(cosines >= cosines.max() - _ONE_DIRECTION)
-        index = int(max(alike, key=lambda k: float((self.views[k][0].look.frame * view.look.frame).sum())))
-        apart = math.dist(self._directions[index], view.direction)  # arccos loses the digits of small angles
-        return index, math.degrees(2 * math.asin(min(apart / 2, 1.0)))
+        nearest = np.flatnonzero(cosines >= cosines.max() - _ONE_DIRECTION)
+        index = int(max(nearest, key=lambda k: float((self.views[k][0].look.frame * view.look.frame).sum())))
+        chord = math.dist(self._directions[index], view.direction)  # arccos loses the digits of small angles
+        return index, math.degrees(2 * math.asin(min(chord / 2, 1.0)))
 
     @cached_property
     def _directions(self) -> Float[np.ndarray, "v 3"]:
@@ -122,7 +119,7 @@ class Subject:
 
     @cached_property
     def truth(self) -> trimesh.Trimesh | None:
-        """The true surface, if it is known and can be read."""
+        """True surface, if it is known and can be read."""
         if self.dataset is None or self.dataset.truth_mesh is None:
             return None
         try:
@@ -130,10 +127,10 @@ class Subject:
         except SarsplatError:
             return None
 
-    # ---- what it shows ----------------------------------------------------------------------------------------------
+    # ---- views and clouds -------------------------------------------------------------------------------------------
     @cached_property
     def clouds(self) -> list[Cloud]:
-        """What can be drawn in the scene, the best first."""
+        """Clouds for the scene, the best first."""
         if self.surface is None:
             return []
         places = self.surface.gaussians.means.numpy()
@@ -141,29 +138,26 @@ class Subject:
 
     @cached_property
     def surface(self) -> Surface | None:
-        """What radar maps are made from, if anything is known of the target's shape."""
+        """Surface for radar maps, or None."""
         return None if self.truth is None else surface_of_mesh(self.truth, self.grid.cell_m)
 
     def gamma0(self, cloud: Cloud, view: View) -> Float[np.ndarray, " n"]:
-        """γ⁰ of every place of a cloud towards the radar, linear; asked only if `scatters`."""
+        """γ⁰ of every place of a cloud towards the radar, linear; needs `scatters`."""
         raise NotImplementedError
 
     def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"]:
-        """Distance of every place of a cloud from the true surface, m; asked only if `knows_errors`."""
+        """Distance of every place of a cloud from the true surface, m; needs `knows_errors`."""
         raise NotImplementedError
 
     def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
-        """β⁰ of any view, linear power; asked only if `renders`.
-
-        Without `shadow`, target and ground are each seen as if the other were not there.
-        """
+        """β⁰ of a view, linear power; needs `renders`. Without `shadow`, target and ground are rendered separately."""
         raise NotImplementedError
 
     def interferogram(self, view: View) -> tuple[Interferogram, Pair]:
-        """What was learned of the phase of two passes from any view, and of which; asked only if `knows_phases`."""
+        """Learned interferogram of two passes from any view, and the pair; needs `knows_phases`."""
         raise NotImplementedError
 
-    # ---- why a pixel shows what it shows ----------------------------------------------------------------------------
+    # ---- contributors to a pixel ------------------------------------------------------------------------------------
     @property
     def maps_grid(self) -> ImageGrid:
         """Grid of the images relative to an undisplaced scene."""
@@ -174,7 +168,7 @@ class Subject:
         return None if self.surface is None or not view.plain else radar_maps(self.surface, view, self.maps_grid)
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
-        """The contributors to a pixel: here, by area alone, and by way of the ground if that was simulated."""
+        """Contributors to a pixel, by area alone, and by way of the ground if that was simulated."""
         surface = self.surface
         if surface is None:
             return None
@@ -222,27 +216,27 @@ class Subject:
 
 
 def dataset_subject(dataset: Dataset) -> Subject:
-    """The images of a dataset, and its true surface where there is one."""
+    """Subject of a dataset's images, and of its true surface if known."""
     train = dataset.select("train")
     name = dataset.path.name if dataset.path else dataset.target
     return Subject(f"{name}: dataset of {dataset.target}", dataset.grid, train.views, white_level(train.power), dataset)
 
 
 def at_most(places: Any, most: int = MAX_POINTS) -> Float32[np.ndarray, "n 3"]:
-    """A random choice of at most `most` places, float32 [N, 3]."""
+    """Choose at most `most` random places, float32 [N, 3]."""
     places = np.asarray(places, np.float32)
     return places if len(places) <= most else places[np.random.default_rng(0).permutation(len(places))[:most]]
 
 
 # ---- scenes of Gaussians ---------------------------------------------------------------------------------------------
 class OfScene(Subject):
-    """A subject that is a scene of Gaussians, shown with and without its ground and the shadow on it."""
+    """Subject of a scene of Gaussians, with or without its ground and the shadow on it."""
 
     renders = True
     scatters = True
 
     def look_at(self, model: SceneModel, degree: int) -> None:
-        """Set the scene and the degree of its harmonics; copied, so that a training may continue with it."""
+        """Set the scene (copied, since training may continue) and the degree of its harmonics."""
         self._model, self._groundless, self._degree = model.copy(), model.copy(ground=False), degree
         self.scene, self.target = (part.detach() for part in (self._model.scene(degree), self._model.target(degree)))
         self.has_ground = model.ground() is not None
@@ -254,12 +248,12 @@ class OfScene(Subject):
 
     @cached_property
     def gaussian_cloud(self) -> Cloud:
-        """The centres of the Gaussians that are not faint."""
+        """Centres of the Gaussians that are not faint."""
         places = self.target.means[self.target.optical_depth > _FAINT]
         return Cloud("Gaussians", places.cpu().numpy(), self.grid.cell_m / 3)
 
     def gamma0(self, cloud: Cloud, view: View) -> Float[np.ndarray, " n"]:
-        """See `Subject`: of the Gaussian nearest to each place."""
+        """γ⁰ of the Gaussian nearest to each place."""
         if cloud.name not in self._nearest:
             self._nearest[cloud.name] = cKDTree(self.target.means.double().cpu().numpy()).query(cloud.places_m)[1]
         towards = self.target.means.new_tensor(view.look.facing)[None]
@@ -284,15 +278,15 @@ class OfScene(Subject):
         return image
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
-        """See `Subject`: by power."""
+        """Contributors to a pixel, by power."""
         bounces = [echo for echo in self._model.echoes() if isinstance(echo, GroundBounce)]
         return self._shares(self.scene, len(self.target), view, pixel, bounces[0] if bounces else None)
 
 
 class SceneAlone(OfScene):
-    """Gaussians that no run holds."""
+    """Subject of Gaussians without a run."""
 
-    surface = None  # its normals would take seconds
+    surface = None  # normals would take seconds
 
     @cached_property
     def clouds(self) -> list[Cloud]:
@@ -302,7 +296,7 @@ class SceneAlone(OfScene):
 def scene_of(
     gaussians: Gaussians, grid: ImageGrid | None = None, views: Sequence[View] | None = None, peak: float | None = None
 ) -> SceneAlone:
-    """Gaussians of one's own; grid, views and the power shown white are chosen unless given."""
+    """Subject of given Gaussians; grid, views and the power shown white have defaults."""
     config, snapshot = own_scene(gaussians, grid, views, peak, 0.0)
     peak = peak or snapshot.brightest
     scene = SceneAlone(f"{len(gaussians):,} Gaussians", snapshot.grid, snapshot.views, peak, None)
@@ -311,7 +305,7 @@ def scene_of(
 
 
 def training_subject(dataset: Dataset, trainer: Trainer) -> SceneAlone:
-    """A training as it is between two steps; what is shown is copied."""
+    """Subject of a training between two steps, copied."""
     title = f"{dataset.target}: training, {trainer.iteration:,} steps, {trainer.gaussian_count:,} Gaussians"
     images = dataset_subject(dataset)
     scene = SceneAlone(title, images.grid, images.train_views, images.peak, dataset)

@@ -1,4 +1,4 @@
-"""The page: a radar that is dragged around a target, and the image that it would take."""
+"""Page with a radar to drag around a target, and the image that it would take."""
 
 from __future__ import annotations
 
@@ -47,39 +47,39 @@ from sarsplat.viewer.subject import (
     training_subject,
 )
 
-_MARGIN = 1.4  # of the part of an image around the target: its shadow is behind it
-_GAMMA0_DB = 30.0  # shown below the strongest
-_MOST_OF_IT = 0.9
-_KEPT = 0.4  # of a colour where something else is highlighted; the rest is grey
+_MARGIN = 1.4  # half side of the zoomed part of an image, in radii of the target: room for shadow
+_GAMMA0_DB = 30.0  # dynamic range of γ⁰
+_MOST_OF_IT = 0.9  # share of a pixel's power that is explained
+_KEPT = 0.4  # share of its colour that a dimmed cloud keeps; the rest is grey
 _ACROSS = 2  # pictures in a row
-_SAME_DEG = 0.05
+_SAME_DEG = 0.05  # largest angle between equal views
 _FIRST_AZIMUTH_DEG = 45.0
 
 _SHARE = 0.03
-"""Largest share of a training's time that may be spent on showing it."""
+"""Maximum share of a training's time that is spent on showing it."""
 
 _WAIT_S = 2.0
-"""Longest wait for one picture, s."""
+"""Maximum wait for one picture, s."""
 
 
 class Viewer:
-    """A page on this machine; it works until `close`, or in a `with` block until that ends.
+    """Page on this machine, served until `close` or the end of a `with` block.
 
     Parameters
     ----------
     subject : Subject or Gaussians
-        What to look at: the subject of a folder (`subject_at`), or Gaussians of a loop of one's own (`update`).
+        Subject of a folder (`subject_at`), or Gaussians of a custom training loop (`update`).
     port : int
         Port on 127.0.0.1; 0 takes any free one.
     grid : ImageGrid, optional
-        Of Gaussians: pixels and resolution of their images; 128 × 128 that show all of them if omitted.
+        Pixels and resolution of the images of Gaussians; by default 128 × 128 pixels that show all of them.
     views : sequence of View, optional
-        Of Gaussians: views to choose from; 24 from all sides if omitted.
+        Views to choose from for Gaussians; by default 24 from all sides.
 
     Attributes
     ----------
     frame_s : float
-        How long the newest image took, from the request to what is sent to the browser, s.
+        Time to draw the newest image, s.
 
     Raises
     ------
@@ -113,17 +113,17 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        """The address to open in a browser."""
+        """URL of the page."""
         return f"http://{HOST}:{self._server.get_port()}"
 
     @property
     def view(self) -> View:
-        """Where the radar is."""
+        """View of the radar."""
         return self._view
 
     @property
     def pixel(self) -> Pixel | None:
-        """The picked pixel, if any."""
+        """Picked pixel, if any."""
         return self._pixel
 
     @checks_arguments
@@ -140,25 +140,19 @@ class Viewer:
 
     @checks_arguments
     def show(self, subject: Subject) -> None:
-        """Continue with a newer state of the same subject."""
+        """Show a newer state of the same subject."""
         self._subject, self._picked, self._offered = subject, None, False
         self._ask()
 
     @checks_arguments
     def update(self, gaussians: Gaussians) -> None:
-        """Show a newer state of Gaussians of one's own; called after every step, it takes 3 % of a loop's time at most.
-
-        States in between are left out.
-        """
-        now = self._subject
-        self.keep_up(lambda: scene_of(gaussians, now.grid, now.train_views, now.peak))
+        """Show a newer state of Gaussians of a custom loop; calls that would take more than 3 % of its time are ignored."""
+        old = self._subject
+        self.keep_up(lambda: scene_of(gaussians, old.grid, old.train_views, old.peak))
 
     @checks_arguments
     def keep_up(self, newer: Callable[[], Subject]) -> None:
-        """Show a newer state of a training that waits meanwhile, unless that would take more than 3 % of its time.
-
-        Two processors that share the work would only slow each other down.
-        """
+        """Show a newer state of a training, unless that would take more than 3 % of its time; the training waits."""
         begun = time.monotonic()
         if begun >= self._pause_until:
             self.show(newer())
@@ -178,15 +172,15 @@ class Viewer:
         return self._newest.wait(timeout_s)
 
     def close(self) -> None:
-        """End the page."""
+        """Stop serving the page."""
         self._newest.close()
         stop_server(self._server)
 
     def _ask(self) -> None:
-        if self._ready:  # viser reports even what we set ourselves, and a browser may be early
+        if self._ready:  # viser also reports values set by this program, and browsers may connect early
             self._newest.ask()
 
-    # ---- drawing, all of it on one thread ---------------------------------------------------------------------------
+    # ---- drawing, on a single thread --------------------------------------------------------------------------------
     def _draw(self) -> None:
         begun = time.perf_counter()
         subject, view, pixel = self._subject, self._view, self._pixel
@@ -220,13 +214,13 @@ class Viewer:
             self._controls.show_foot(self._text(subject, view, pixel, lit))
 
     def _panels(self, subject: Subject, view: View, choices: Choices) -> list[tuple[Panel, str]]:
-        """Every picture of the strip, and the line below its title."""
-        panels, here = [], _name(view)
+        """Pictures of the strip, each with the line below its title."""
+        panels, name = [], _name(view)
         style = subject.peak, choices.limits_db, choices.colours, choices.page
         rendered = None
         if subject.renders:
             rendered = subject.render(view, ground=choices.ground, shadow=choices.shadow)
-            panels.append((power_panel("rendered", rendered, *style), here))
+            panels.append((power_panel("rendered", rendered, *style), name))
         if subject.dataset is not None:
             index, apart_deg = subject.nearest(view)
             entry, power = subject.dataset.entries[index], subject.dataset.power[index]
@@ -244,11 +238,11 @@ class Viewer:
             panels.append((panel, f"passes {pair.first + 1} and {pair.second + 1}, rendered"))
         elif choices.map in MAPS and (maps := subject.maps(view)) is not None:
             highest_m = heights_up_to(subject.clouds[0].places_m[:, 2])
-            panels.append((map_panel(choices.map, maps, highest_m, subject.grid.cell_m, choices.page), here))
+            panels.append((map_panel(choices.map, maps, highest_m, subject.grid.cell_m, choices.page), name))
         return panels
 
     def _window(self, view: View, zoom: bool) -> tuple[ImageGrid, tuple[slice, slice]]:
-        """The part of an image that shows the target, of the same size from everywhere; its grid and its indices."""
+        """Grid and slices (rows, columns) of the part that shows the target; its size does not depend on the view."""
         grid, radius = self._subject.grid, _MARGIN * self._stage.size_m
         azimuth, slant_range = view.look.gradients @ self._stage.centre
         window = []
@@ -287,7 +281,7 @@ class Viewer:
         self._pick_in_part(_moved(Pixel(row, column), 0, 0, part))
 
     def _pick_in_part(self, pixel: Pixel | None) -> None:
-        """Pick a pixel of the part that is shown; what was picked already is put out."""
+        """Pick a pixel of the visible part; picking the same pixel again clears it."""
         picked = None if pixel is None else _moved(pixel, *self._corner, self._subject.grid)
         self.pick(None if picked == self._pixel else picked)
 
@@ -314,15 +308,15 @@ class Viewer:
             where += f"; {float(to_db(power, subject.peak)):.1f} dB"
         if lit is None:
             return f"{where}. Nothing is known to be there. {took}"
-        return f"{where}. {escape(_who(lit, subject.scatters))} {took}".replace("-", "−")
+        return f"{where}. {escape(_explained(lit, subject.scatters))} {took}".replace("-", "−")
 
 
 @contextmanager
 def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator[Callable[[Step[Any]], None]]:
-    """A page that shows a training; call the yielded function after each step, which leaves the training unchanged.
+    """Open a page that shows a training; the yielded function, called after each step, updates it.
 
-    The page is drawn while the training waits, at most for 3 % of its time (`Viewer.keep_up`). `say` gets a sentence
-    with the page's address. Raises `SarsplatError` if the port is taken; 0 takes any free one.
+    Drawing takes at most 3 % of the training's time (`Viewer.keep_up`) and leaves the training unchanged. `say` gets a
+    sentence with the page's URL. Raises if the port is taken; 0 takes any free one.
     """
     with Viewer(dataset_subject(dataset), port) as viewer:
         say(f"open {viewer.address} in a browser on this machine to watch the training")
@@ -330,13 +324,13 @@ def watched(dataset: Dataset, port: int, say: Callable[[str], None]) -> Iterator
 
 
 def _first_view(subject: Subject) -> View:
-    """A known view from the front left, at an elevation that is usual among them."""
+    """Known view nearest to the front left, at the median elevation."""
     usual = float(np.median([view.grazing_deg for view, _ in subject.views]))
     return subject.views[subject.nearest(View(_FIRST_AZIMUTH_DEG, usual, aloft=subject.views[0][0].aloft))[0]][0]
 
 
-def _who(lit: Contributors, gaussians: bool) -> str:
-    """One sentence on what makes a pixel."""
+def _explained(lit: Contributors, gaussians: bool) -> str:
+    """Sentence on the contributors to a pixel."""
     ground = f" {lit.ground_share:.0%} comes from the ground." if lit.ground_share >= 0.005 else ""
     if lit.by_ground_share >= 0.005:
         ground += f" {lit.by_ground_share:.0%} returns by way of the ground, at the foot of what returns it."
@@ -353,13 +347,13 @@ def _who(lit: Contributors, gaussians: bool) -> str:
 
 
 def _coloured(subject: Subject, cloud: Cloud, view: View, choices: Choices) -> tuple[np.ndarray, Scale]:
-    """A number for each place, and how it is coloured."""
-    way, page = choices.coloured_by, choices.page
-    if way == BY_GAMMA0 and cloud.name != TRUTH:
+    """Value of each place, and its colour scale."""
+    quantity, page = choices.coloured_by, choices.page
+    if quantity == BY_GAMMA0 and cloud.name != TRUTH:
         level = to_db(subject.gamma0(cloud, view))
         top = float(np.ceil(np.quantile(level, 0.995)))
         return level, Scale("γ⁰ towards the radar, dB", top - _GAMMA0_DB, top, STRENGTH, page)
-    if way == BY_ERROR and cloud.name != TRUTH:
+    if quantity == BY_ERROR and cloud.name != TRUTH:
         return subject.error_m(cloud), Scale("distance to the true surface, m", 0.0, subject.grid.cell_m, ERROR, page)
     return cloud.places_m[:, 2], Scale("height, m", 0.0, heights_up_to(cloud.places_m[:, 2]), HEIGHT, page)
 
@@ -369,6 +363,6 @@ def _name(view: View) -> str:
 
 
 def _moved(pixel: Pixel, rows: int, columns: int, grid: ImageGrid) -> Pixel | None:
-    """A pixel so many rows and columns farther on; None if that is outside the grid."""
+    """Pixel shifted by rows and columns; None outside the grid."""
     row, column = pixel.row + rows, pixel.column + columns
     return Pixel(row, column) if 0 <= row < grid.rows and 0 <= column < grid.columns else None
