@@ -125,7 +125,7 @@ def test_a_stopped_rendering_goes_on(tmp_path: Path, after):
 
 def test_a_folder_of_something_else_is_spared(tmp_path: Path):
     (tmp_path / "thesis.tex").touch()
-    with pytest.raises(SarsplatError, match=r"holds thesis\.tex, which is no tile"), tiles_kept_in(tmp_path):
+    with pytest.raises(SarsplatError, match=r"holds thesis\.tex, which is not a tile"), tiles_kept_in(tmp_path):
         pass
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 

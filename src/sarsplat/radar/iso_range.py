@@ -22,7 +22,7 @@ _PARALLEL = 1e-12
 
 @dataclass(frozen=True)
 class Pixel:
-    """One pixel of an image.
+    """Pixel of an image.
 
     Parameters
     ----------
@@ -57,15 +57,14 @@ def iso_range_line(
     low: Real[np.ndarray, " 3"],
     high: Real[np.ndarray, " 3"],
 ) -> Float64[np.ndarray, "2 3"] | None:
-    """The line of all places in a box that appear in a pixel, whatever their height.
+    """Line of all places in a box that appear in a pixel, whatever their height.
 
-    They lie on an arc around the radar. It is so far away that the arc is a straight line along elevation, at right
-    angles to the line of sight.
+    It is an arc around the radar, which is so far away that the arc is straight, perpendicular to the line of sight.
 
     Parameters
     ----------
     view, grid, pixel
-        Which pixel of which image.
+        Pixel of an image.
     low, high : numpy.ndarray [3]
         Corners of the box, world frame, m.
 
@@ -104,20 +103,20 @@ def contributions(
     rays: RayGrid | None = None,
     bounce: GroundBounce | None = None,
 ) -> Float[np.ndarray, " n"]:
-    """How much each Gaussian adds to the power of one pixel; the sum is the pixel of `render`.
+    """Power that each Gaussian adds to a pixel; the sum is the pixel of `render`.
 
-    With `bounce`, what it adds by way of the ground instead: the sum is that pixel of this echo.
+    With `bounce`, the power that it adds by way of the ground; the sum is the pixel of this echo.
 
     Parameters
     ----------
     gaussians : Gaussians
         The scene, N Gaussians.
     view, grid, pixel
-        Which pixel of which image.
+        Pixel of an image.
     rays : RayGrid, optional
         As for `render`.
     bounce : GroundBounce, optional
-        An echo, of which each Gaussian's part is wanted.
+        Echo by way of the ground.
 
     Returns
     -------
@@ -147,6 +146,6 @@ def contributions(
     a, b, c = footprints.roots[0].unbind(-1)
     x, y = (footprints.centers.new_tensor(place) - footprints.centers[0]).unbind(-1)
     squared = (a * x + b * y) ** 2 + (c * y) ** 2
-    mass = 2 * math.pi * (1 - math.exp(-IMAGE_CUT / 2))  # of a footprint, cut where the renderer cuts it
+    mass = 2 * math.pi * (1 - math.exp(-IMAGE_CUT / 2))  # integral of a footprint, cut as in the renderer
     weight = torch.where(squared <= IMAGE_CUT, torch.exp(-squared / 2), 0) * a * c / mass
     return (sections * weight).cpu().numpy()

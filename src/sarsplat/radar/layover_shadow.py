@@ -1,4 +1,4 @@
-"""Where a radar sees several places of a map in one pixel (layover), or none (shadow), from heights alone."""
+"""Layover (several places of a map share a pixel) and shadow (a place is hidden), from heights alone."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ LEGEND = {
 }
 
 _STEP = 0.5
-"""Distance of the places that are looked at, pixels."""
+"""Spacing of sampled places, pixels of the map."""
 
 _AT_A_TIME = 1 << 22
-"""Places."""
+"""Places in a batch."""
 _MOST_PLACES, _MOST_LINES = 1 << 33, 1 << 24
-"""As many bytes; and as many lines across the map."""
+"""Maximum number of places (a byte each), and of lines across the map."""
 _PIXEL, _PLACE = 40, 130
-"""Bytes that are needed for each pixel of the map, and for each place that is looked at."""
+"""Memory per pixel of the map, and per place in a batch, bytes."""
 _SMALLER = "cut it in parts, or make its pixels larger"
 _ALONG_AN_EDGE = 1e-9
-"""Of half a map's side, by which a line nears it at each step: so near 0 that it never reaches it."""
+"""Step of a line towards an edge, relative to half the map's side, below which the line is parallel to the edge."""
 
 
 @checks_arguments
@@ -45,14 +45,14 @@ def layover_shadow(
 ) -> UInt8[np.ndarray, "rows columns"]:
     """Classes of the places of a map for one view, by the heights between the radar and them.
 
-    A place is in shadow if what is nearer to the radar reaches above its line of sight, and in layover if another place
-    of the same azimuth has its slant range: all that share a range are, the slope that lies over and what it lies on.
+    A place is in shadow if a nearer one reaches above its line of sight, and in layover if another place has the same
+    azimuth and slant range: a slope that faces the radar, and the places that it shares pixels with.
 
     Parameters
     ----------
     heights_m : numpy.ndarray, float [rows, columns]
-        Heights z, m, along +x with the columns and along −y with the rows, as maps are; NaN where they are unknown.
-        Unknown places hide nothing and lie over nothing.
+        Heights z, m; columns along +x and rows along −y, as on maps. NaN is unknown; such places hide nothing and
+        cause no layover.
     pitch_m : (float, float)
         Distance of the places along x and y, m.
     view : View
@@ -74,8 +74,8 @@ def layover_shadow(
         )
     rows, columns = heights_m.shape
     step, ahead = _STEP * min(pitch_m), view.look.ahead
-    axes = np.array([[-ahead[1], ahead[0]], ahead])  # along a line of azimuths, and away from the radar along each
-    half = np.array([(columns - 1) / 2 * pitch_m[0], (rows - 1) / 2 * pitch_m[1]])  # from the middle, rows along -y
+    axes = np.array([[-ahead[1], ahead[0]], ahead])  # across the lines (azimuth), and along them, away from the radar
+    half = np.array([(columns - 1) / 2 * pitch_m[0], (rows - 1) / 2 * pitch_m[1]])
     lines, most = (2 * math.ceil(float(reach) / step) + 1 for reach in abs(axes) @ half)
     steps = axes / (half + np.array(pitch_m) / 2) * step
     if lines > _MOST_LINES or lines * (spans := _on_map(np.arange(lines) - lines // 2, most, steps))[1] > _MOST_PLACES:
@@ -92,21 +92,21 @@ def layover_shadow(
     known = np.isfinite(heights_m)
     if not known.any():
         return np.full((rows, columns), UNKNOWN, np.uint8)
-    held = _with_known(heights_m.astype(np.float64), known)
+    filled = _filled(heights_m.astype(np.float64), known)
     found = np.empty((lines, places), np.uint8)
-    each = max(1, _AT_A_TIME // places)
+    count = max(1, _AT_A_TIME // places)
     with stage("layover and shadow", lines) as shown:
-        for first in range(0, lines, each):
-            some = np.arange(first, min(first + each, lines))
-            along = (starts[some, None] + np.arange(places)) * step
-            x, y = ((some - lines // 2) * step)[:, None] * axes[0][:, None, None] + along * axes[1][:, None, None]
-            where = np.stack([(half[1] - y) / pitch_m[1], (x + half[0]) / pitch_m[0]])
-            z = map_coordinates(held, where, order=1, mode="nearest")
-            inside = ((where > -0.5) & (where < np.array([rows, columns])[:, None, None] - 0.5)).all(axis=0)
-            nearest = np.clip(np.rint(where).astype(np.int64), 0, np.array([rows, columns])[:, None, None] - 1)
+        for first in range(0, lines, count):
+            batch = np.arange(first, min(first + count, lines))
+            along = (starts[batch, None] + np.arange(places)) * step
+            x, y = ((batch - lines // 2) * step)[:, None] * axes[0][:, None, None] + along * axes[1][:, None, None]
+            pixel = np.stack([(half[1] - y) / pitch_m[1], (x + half[0]) / pitch_m[0]])
+            z = map_coordinates(filled, pixel, order=1, mode="nearest")
+            inside = ((pixel > -0.5) & (pixel < np.array([rows, columns])[:, None, None] - 0.5)).all(axis=0)
+            nearest = np.clip(np.rint(pixel).astype(np.int64), 0, np.array([rows, columns])[:, None, None] - 1)
             z[~(inside & known[tuple(nearest)])] = np.nan
-            found[some] = _along_lines(z, along, view)
-            shown.advance(len(some))
+            found[batch] = _along_lines(z, along, view)
+            shown.advance(len(batch))
     classes = np.empty((rows, columns), np.uint8)
     x = np.arange(columns) * pitch_m[0] - half[0]
     for row in range(rows):
@@ -120,14 +120,14 @@ def layover_shadow(
 def _on_map(
     lines: Int64[np.ndarray, " lines"], most: int, axes: Float64[np.ndarray, "2 2"]
 ) -> tuple[Int64[np.ndarray, " lines"], int]:
-    """The first of the `most` places of each line that may be on the map, and of how many from there on any is.
+    """First place of each line (of `most`, around 0) that may be on the map, and the maximum number of places from it.
 
-    A long and narrow map has a few of each line, wherever on it these are: all places would be its length squared.
-    `axes` are steps across and along lines, in halves of the map's sides.
+    Only these are sampled: on a long and narrow map, full lines would be its length squared. `axes` are the steps
+    across and along lines, in halves of the map's sides.
     """
     first, last = np.full(len(lines), float(-(most // 2))), np.full(len(lines), float(most // 2))
     for across, along in axes.T:  # |line · across + place · along| ≤ 1
-        if abs(along) > _ALONG_AN_EDGE:  # or else the line stays between these edges
+        if abs(along) > _ALONG_AN_EDGE:  # otherwise the line is parallel to these edges
             ends = (np.array([[-1.0], [1.0]]) - lines * across) / along
             first, last = np.maximum(first, ends.min(axis=0) - 1), np.minimum(last, ends.max(axis=0) + 1)  # rounded
     first = np.floor(first)
@@ -135,10 +135,10 @@ def _on_map(
     return np.minimum(first, most // 2 + 1 - count).astype(np.int64), count
 
 
-def _with_known(
+def _filled(
     heights: Float64[np.ndarray, "rows columns"], known: Bool[np.ndarray, "rows columns"]
 ) -> Float64[np.ndarray, "rows columns"]:
-    """Unknown heights are as the nearest that is known: between it and them there is no slope that no one saw."""
+    """Fill unknown heights with the nearest known one, so that interpolation makes no slope at their edge."""
     if known.all():
         return heights
     return heights[tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))]

@@ -16,42 +16,42 @@ from sarsplat.radar.surface import Surface, above_ground
 from sarsplat.renderer import RayMap, attenuate, project, splat
 
 _SHARE = 0.5
-"""A pixel shows the target if that covers this share of it, or this share of the area that flat ground would have."""
+"""Minimum share of a target's pixel that it covers, or of the area that flat ground would have in it."""
 
 _HIDDEN = 0.5
-"""Ground is in shadow if the target takes this share of its light, on the way to it and back."""
+"""Two-way loss above which ground is in shadow."""
 
 _SAMPLES = 3
-"""Rays per pixel and axis that look for its ground."""
+"""Sampled places of a pixel's ground, per axis."""
 
 _GRAZED = 0.02
 """Cosine below which a surface counts as parallel to a direction."""
 
 _SAME_PLACE = 0.05
-"""Scatterers nearer to one another than this do not determine a slope; in pixel spacings."""
+"""Minimum distance of scatterers that determine a slope, pixel spacings."""
 
 
 @dataclass(frozen=True)
 class RadarMaps:
-    """What each pixel of one image sees, however strongly it scatters: geometry, not power.
+    """Geometry of the surface in each pixel of one image, independent of scattering.
 
-    Every array is float32 or bool [rows, columns], row 0 near range. Where several parts of the surface share a pixel,
-    each counts by the area across the line of sight over which the radar sees it.
+    Every array is float32 or bool [rows, columns], row 0 near range. Parts of the surface that share a pixel are
+    weighted by their visible area across the line of sight.
 
     Parameters
     ----------
     height_m : numpy.ndarray
-        Mean height z of the first returns in the pixel, m; NaN where there is no target.
+        Mean height z of the first returns in the pixel, m; NaN without target.
     incidence_deg : numpy.ndarray
-        Mean local incidence angle, degrees: 0 for a surface that faces the radar, 90 for one that is only grazed; NaN
-        where there is no target.
+        Mean local incidence angle, degrees: 0 for a surface that faces the radar, 90 at grazing incidence; NaN without
+        target.
     spread_m : numpy.ndarray
-        How far apart along elevation the scatterers that share the pixel lie, m: for two equally large ones their
-        distance. What a single slope spreads over a pixel does not count. NaN where there is no target.
+        Spread along elevation of the scatterers in the pixel, m: the distance of two equally large ones. The spread of
+        a single slope does not count. NaN without target.
     layover : numpy.ndarray
-        Whether that is more than a resolution cell: parts of the target lie over one another.
+        True if the spread exceeds a resolution cell: parts of the target share the pixel.
     shadow : numpy.ndarray
-        Whether the target hides the flat ground at z = 0 that the pixel would show, and is not seen there itself.
+        True if the target hides the pixel's flat ground at z = 0, and is not seen in the pixel itself.
     """
 
     height_m: Float[np.ndarray, "rows columns"]
@@ -64,20 +64,20 @@ class RadarMaps:
 @torch.no_grad()
 @checks_arguments
 def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid | None = None) -> RadarMaps:
-    """Maps of what a radar sees of a surface that stands on flat ground at z = 0, or is aloft and throws no shadow.
+    """Make radar maps of a surface on flat ground at z = 0, or aloft, where it throws no shadow.
 
-    The maps are as sharp as the pixels, whatever the resolution of the images is.
+    Maps are as sharp as the pixels, whatever the images' resolution.
 
     Parameters
     ----------
     surface : Surface
-        The target; see `surface_of_run` and `surface_of_mesh`.
+        Target; see `surface_of_run` and `surface_of_mesh`.
     view : View
-        From where.
+        View of the radar.
     grid : ImageGrid
-        Where the pixels lie; its resolution cell is what counts as layover.
+        Pixels; the resolution cell is the threshold of layover.
     rays : RayGrid, optional
-        Rays that find what is seen; two to a pixel spacing unless given.
+        Rays that find the visible surface; by default two per pixel spacing.
 
     Returns
     -------
@@ -87,11 +87,9 @@ def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid |
     rays, gaussians = rays or RayGrid.for_image(grid), surface.gaussians.detach()
     sharp = replace(grid, resolution_m=grid.spacing_m)
     if len(gaussians) == 0:
-        nothing, none = (
-            np.full((grid.rows, grid.columns), np.nan, np.float32),
-            np.zeros((grid.rows, grid.columns), bool),
-        )
-        return RadarMaps(nothing, nothing, nothing, none, none)
+        shape = grid.rows, grid.columns
+        nan, false = np.full(shape, np.nan, np.float32), np.zeros(shape, bool)
+        return RadarMaps(nan, nan, nan, false, false)
     projection = project(gaussians, [view], sharp, rays=rays)
     lit = attenuate(projection, rays).lit_area[0]
     weighted = lit[:, None] * torch.from_numpy(_columns(surface, view)).to(lit)
@@ -119,17 +117,17 @@ _PAIRS = np.triu_indices(3)
 
 
 def _columns(surface: Surface, view: View) -> Float64[np.ndarray, "n 13"]:
-    """Per-Gaussian terms of the weighted sums of a pixel, per unit of area across the line of sight."""
+    """Terms of a pixel's sums per Gaussian and visible area: area, height, incidence, cover, and moments of places."""
     means, frame = surface.gaussians.means.double().numpy(), view.look.frame
     azimuth, elevation, slant_range = frame @ means.T
-    place = np.stack([azimuth, slant_range, elevation - elevation.mean()], axis=1)  # float32 sums lose few digits
+    place = np.stack([azimuth, slant_range, elevation - elevation.mean()], axis=1)  # centred for float32 sums
     _, across, towards = np.abs(frame @ surface.normals.T).clip(_GRAZED, 1)
     named = [np.ones(len(means)), means[:, 2], np.degrees(np.arccos(towards)), across / towards]
     return np.column_stack([*named, place, place[:, _PAIRS[0]] * place[:, _PAIRS[1]]])
 
 
 def _unexplained(means: Float64[np.ndarray, "13 rows columns"], grid: ImageGrid) -> Float64[np.ndarray, "rows columns"]:
-    """Variance of the elevation that no slope explains, m²: what is left after a plane was fitted in each pixel."""
+    """Variance of the elevation around the plane fitted to each pixel, m²."""
     first = means[_FIRST]
     (aa, ar, ae, rr, re, ee) = means[_SECOND] - first[_PAIRS[0]] * first[_PAIRS[1]]
     aa, rr = (
@@ -143,10 +141,7 @@ def _unexplained(means: Float64[np.ndarray, "13 rows columns"], grid: ImageGrid)
 def _hidden_ground(
     gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid
 ) -> Bool[np.ndarray, "{grid.rows} {grid.columns}"]:
-    """Whether Gaussians above the ground take the light of the ground that each pixel would show.
-
-    The ray that ends there meets whatever is above the ground before it.
-    """
+    """Mask of the pixels whose ground is hidden by Gaussians above it."""
     if len(gaussians) == 0:
         return np.zeros((grid.rows, grid.columns), bool)
     projection = project(gaussians, [view], grid, rays=rays)
@@ -164,7 +159,7 @@ def _hidden_ground(
 def _transmittance(
     ray_map: RayMap, rays: RayGrid, azimuth: Float64[np.ndarray, "r c"], elevation: Float64[np.ndarray, "r c"]
 ) -> Float64[np.ndarray, "r c"]:
-    """Two-way, at places on the computation plane; 1 where no ray was needed."""
+    """Two-way transmittance at places on the computation plane; 1 beyond the rays."""
     row = (elevation - ray_map.origin[1]) / rays.spacing_m[1]
     column = (azimuth - ray_map.origin[0]) / rays.spacing_m[0]
     return map_coordinates(ray_map.transmittance.double().numpy(), [row, column], order=1, mode="constant", cval=1.0)

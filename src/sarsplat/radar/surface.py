@@ -1,4 +1,4 @@
-"""A target's surface as opaque Gaussians with normals, from which radar maps are made."""
+"""Surface of a target as opaque Gaussians with normals, for radar maps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sarsplat.surface.masks import without_imitated_ground
 if TYPE_CHECKING:
     import trimesh
 
-_PIECE = 0.5  # edges of a mesh's pieces, resolution cells
+_PIECE = 0.5  # edge of the pieces of a mesh, resolution cells
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Surface:
     Parameters
     ----------
     gaussians : Gaussians
-        N of them, on the CPU; only where they are, how large and how opaque counts here.
+        N Gaussians on the CPU; their scattering is not used.
     normals : numpy.ndarray, float [N, 3]
-        Unit normal of the surface at each, world frame; of either side.
+        Unit normals of the surface, of either side, world frame.
 
     Raises
     ------
@@ -53,10 +53,9 @@ class Surface:
 
 @checks_arguments
 def surface_of_run(run: Run) -> Surface:
-    """A run's estimate of the target's surface: its Gaussians, or the triangles of a method that has none.
+    """Surface of the target from a run: its Gaussians, or the triangles of a method without Gaussians.
 
-    The normal of a Gaussian is that of the nearest of the run's points. Gaussians that the learned ground
-    could replace are dropped.
+    A Gaussian has the normal of the run's nearest point. Gaussians that may only imitate ground are dropped.
 
     Raises
     ------
@@ -76,7 +75,7 @@ def surface_of_run(run: Run) -> Surface:
 
 @checks_arguments
 def surface_of_mesh(mesh: trimesh.Trimesh, cell_m: float) -> Surface:
-    """The surface of triangles, m, in pieces of half a resolution cell of `cell_m`.
+    """Surface of triangles, m, in pieces of half a resolution cell of `cell_m`.
 
     Raises
     ------
@@ -88,5 +87,5 @@ def surface_of_mesh(mesh: trimesh.Trimesh, cell_m: float) -> Surface:
 
 
 def above_ground(gaussians: Gaussians) -> Gaussians:
-    """The Gaussians whose centres are above z = 0: only they can throw a shadow on it."""
+    """Gaussians whose centres are above z = 0, which may throw shadow on it."""
     return gaussians[torch.nonzero(gaussians.means[:, 2] > 0)[:, 0]]

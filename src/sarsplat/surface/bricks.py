@@ -20,7 +20,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import RayGrid, View
 from sarsplat.renderer import RayMap
 from sarsplat.renderer.constants import CELL_WIDENING, MIN_RAY_DEPTH
-from sarsplat.tiles.reach import rows_of
+from sarsplat.tiles.halo import rows_of
 
 _CUBES = 48  # search cubes along the longest side of the scene
 _SMALLEST = 32  # ray spacings along a brick's side, at least: in smaller ones, most rays are at the rim

@@ -146,7 +146,7 @@ class Viewer:
 
     @checks_arguments
     def update(self, gaussians: Gaussians) -> None:
-        """Show a newer state of Gaussians of a custom loop; calls that would take more than 3 % of its time are ignored."""
+        """Show a newer state of Gaussians of a custom loop, unless that would take more than 3 % of its time."""
         old = self._subject
         self.keep_up(lambda: scene_of(gaussians, old.grid, old.train_views, old.peak))
 

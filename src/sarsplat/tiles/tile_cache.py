@@ -1,4 +1,4 @@
-"""Finished tiles on the disk: a rendering that was stopped goes on from them."""
+"""Cache of finished tiles on disk, from which an interrupted rendering resumes."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.tiles.plan import Tile
 
 _folder: ContextVar[Path | None] = ContextVar("_folder", default=None)
-"""Where tiles are kept."""
+"""Folder of the cache, if any."""
 
 
 @contextmanager
 @checks_arguments
 def tiles_kept_in(folder: str | Path) -> Iterator[None]:
-    """Keep finished tiles in a folder until the block ends well, and go on from those that are there.
+    """Cache finished tiles in a folder until the block ends without an error, and use those that it has.
 
     Parameters
     ----------
     folder : str or Path
-        Made with the first tile. The block's end removes it; an error, Ctrl-C or a kill leaves it. Tiles of other
-        scenes, views or settings in it are not used.
+        Made with the first tile, and removed at the end of the block; an error, Ctrl-C or a kill leaves it. Tiles of
+        other scenes, views or settings are ignored.
 
     Raises
     ------
     SarsplatError
-        If it is a file, or holds something else than tiles.
+        If it is a file, or holds other files than tiles.
     """
     folder = Path(folder)
     with plain_os_errors("read", folder):
         for path in folder.iterdir() if folder.exists() else ():
             if not re.fullmatch(r"[0-9a-f]{32}", path.name) or path.is_symlink():
-                raise SarsplatError(f"{folder} holds {path.name}, which is no tile; move it or choose another name")
+                raise SarsplatError(f"{folder} holds {path.name}, which is not a tile; move it or choose another name")
     before = _folder.set(folder)
     try:
         yield
@@ -55,10 +55,10 @@ def tiles_kept_in(folder: str | Path) -> Iterator[None]:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-class KeptTiles:
-    """The tiles of one image, each a file that is whole or absent; none where no folder was named.
+class TileCache:
+    """Cached tiles of one image, a file each; empty outside of `tiles_kept_in`.
 
-    `settings` is what else than the scene the image depends on: tensors, and things whose `repr` says all of them.
+    `settings` are all other values that the image depends on: tensors, and values with a complete `repr`.
     """
 
     def __init__(self, gaussians: Gaussians, *settings: object) -> None:
@@ -67,12 +67,14 @@ class KeptTiles:
         self._folder = None if folder is None else folder / _digest(*scene, *settings)
 
     def find(self, tile: Tile) -> Float[Tensor, "c rows columns"] | None:
+        """Image of a tile, or None."""
         if self._folder is None or not (path := self._path(tile)).is_file():
             return None
         with plain_os_errors("read", path):
             return torch.from_numpy(np.load(path, allow_pickle=False))
 
     def add(self, tile: Tile, image: Float[Tensor, "c rows columns"]) -> None:
+        """Write the image of a tile; nothing without a folder."""
         if self._folder is None:
             return
         with plain_os_errors("write", self._folder):

@@ -1,4 +1,4 @@
-"""Bounding boxes of footprints on the two planes of a view, by which a tile finds the Gaussians that it needs."""
+"""Halos of Gaussians: bounding boxes of their footprints on the two planes of a view, to find those of a tile."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from sarsplat.renderer import Footprints, project
 from sarsplat.renderer.constants import IMAGE_CUT, MIN_RAY_DEPTH
 from sarsplat.renderer.footprints import deviations
 
-_AT_A_TIME = 1 << 18  # Gaussians that are projected at once: their footprints are not kept
+_BATCH = 1 << 18  # Gaussians that are projected at once, to bound memory
 
 
 @dataclass(frozen=True)
 class Window:
-    """A rectangle of a plane, m."""
+    """Rectangle of a plane, m."""
 
     low: tuple[float, float]
     high: tuple[float, float]
@@ -36,18 +36,19 @@ class Window:
 
 
 NOWHERE = Window((math.inf, math.inf), (-math.inf, -math.inf))
-"""What overlaps nothing."""
+"""Empty window, which overlaps nothing."""
 
 
 @dataclass(frozen=True)
 class Boxes:
-    """Rectangles around footprints on one plane, a point of its lattice wider than they are."""
+    """Rectangles around footprints on one plane, one lattice spacing wider on each side."""
 
     low: Float[Tensor, "2 n"]
     high: Float[Tensor, "2 n"]
-    """Corners, m; what touches nothing has its low one above its high one."""
+    """Corners, m; an empty rectangle has low above high."""
 
     def overlapping(self, window: Window) -> Int64[Tensor, " k"]:
+        """Indices of the boxes that overlap a window."""
         inside = torch.ones_like(self.low[0], dtype=torch.bool)
         for low, high, begin, end in zip(self.low, self.high, window.low, window.high, strict=True):
             inside &= (low <= end) & (high >= begin)
@@ -65,43 +66,43 @@ class Boxes:
 
 
 @dataclass(frozen=True)
-class Reach:
-    """Boxes of a scene's Gaussians seen from one direction: on the ray lattice and in the image."""
+class Halos:
+    """Boxes of a scene's Gaussians in one view: on the ray lattice and in the image."""
 
     on_rays: Boxes
     in_image: Boxes
 
-    def some(self, index: Int64[Tensor, " k"]) -> Reach:
-        return Reach(self.on_rays.of(index), self.in_image.of(index))
+    def of_rows(self, index: Int64[Tensor, " k"]) -> Halos:
+        return Halos(self.on_rays.of(index), self.in_image.of(index))
 
     @classmethod
     def of(
         cls, gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, shift: Float[Tensor, "1 2"] | None
-    ) -> Reach:
+    ) -> Halos:
         count = len(gaussians)
         sides = torch.empty(2, 4, count, device=gaussians.means.device)
         with stage("where Gaussians reach", count) as reporter:
-            for first in range(0, count, _AT_A_TIME):
-                some = slice(first, first + _AT_A_TIME)
-                p = project(rows_of(gaussians, some), [view], grid, rays=rays, shift=shift)
+            for first in range(0, count, _BATCH):
+                batch = slice(first, first + _BATCH)
+                p = project(rows_of(gaussians, batch), [view], grid, rays=rays, shift=shift)
                 depth = p.optical_depth[0]
                 radius = (2 * (depth / MIN_RAY_DEPTH).log()).clamp(min=0).sqrt()
-                radius = radius.masked_fill(depth < MIN_RAY_DEPTH, -math.inf)  # it touches no ray
-                sides[0, :, some] = _around(p.rays, radius[:, None], rays.spacing_m)
-                sides[1, :, some] = _around(p.pixels, math.sqrt(IMAGE_CUT), grid.spacing_m)
+                radius = radius.masked_fill(depth < MIN_RAY_DEPTH, -math.inf)  # touches no ray
+                sides[0, :, batch] = _around(p.rays, radius[:, None], rays.spacing_m)
+                sides[1, :, batch] = _around(p.pixels, math.sqrt(IMAGE_CUT), grid.spacing_m)
                 reporter.advance(len(depth))
         return cls(*(Boxes(side[:2], side[2:]) for side in sides))
 
 
 def rows_of(gaussians: Gaussians, rows: slice | Int64[Tensor, " k"]) -> Gaussians:
-    """`gaussians[rows]`, in time that depends on the number of rows alone."""
+    """`gaussians[rows]`, in time that only depends on the number of rows."""
     return gaussians.with_tensors(**{name: tensor[rows] for name, tensor in gaussians.tensors().items()})
 
 
 def _around(
     footprints: Footprints, radius: float | Float[Tensor, "n 1"], spacing_m: tuple[float, float]
 ) -> Float[Tensor, "4 n"]:
-    """Boxes of footprints that end at so many standard deviations: low corners, then high ones."""
+    """Boxes of footprints cut at `radius` standard deviations: low corners, then high ones."""
     centers, half = footprints.centers[0], radius * deviations(footprints.roots[0])
     half = half + torch.tensor(spacing_m, dtype=half.dtype, device=half.device)
     return torch.cat([centers - half, centers + half], dim=1).T
