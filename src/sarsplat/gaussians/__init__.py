@@ -1,4 +1,4 @@
-"""The scene model: parameters, covariance, scattering."""
+"""Scene model: Gaussians, their scattering laws, and ground."""
 
 from sarsplat.gaussians.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 from sarsplat.gaussians.ground import Ground

@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 def rotation_matrix(quaternions: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 3 3"]:
-    """R(q) of quaternions (w, x, y, z), [..., 4] → [..., 3, 3]; normalised here."""
+    """Rotation matrices R(q) of quaternions (w, x, y, z), normalised here, [..., 4] → [..., 3, 3]."""
     w, x, y, z = torch.unbind(quaternions / quaternions.norm(dim=-1, keepdim=True), dim=-1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -19,20 +19,20 @@ def rotation_matrix(quaternions: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 3 3
 
 
 def rotated(quaternions: Float[Tensor, "*n 4"], vectors: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
-    """R(q) v, [..., 3]; cheaper than the matrix."""
+    """Rotated vectors R(q) v, [..., 3]; cheaper than by the matrix."""
     w, axis = (quaternions / quaternions.norm(dim=-1, keepdim=True)).split([1, 3], dim=-1)
     across = 2 * torch.linalg.cross(axis, vectors)
     return vectors + w * across + torch.linalg.cross(axis, across)
 
 
 def product(one: Float[Tensor, "*n 4"], other: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
-    """Quaternions of R(one) R(other), [..., 4]; as long as both together."""
+    """Product of quaternions, that of R(one) R(other), [..., 4]; its norm is the product of both norms."""
     (w, axis), (x, second) = one.split([1, 3], dim=-1), other.split([1, 3], dim=-1)
-    turn = w * second + x * axis + torch.linalg.cross(axis, second)
-    return torch.cat([w * x - (axis * second).sum(-1, keepdim=True), turn], dim=-1)
+    vector = w * second + x * axis + torch.linalg.cross(axis, second)
+    return torch.cat([w * x - (axis * second).sum(-1, keepdim=True), vector], dim=-1)
 
 
 def covariance(quaternions: Float[Tensor, "*n 4"], scales: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3 3"]:
-    """Σ = R(q) diag(s²) R(q)ᵀ, m²; [..., 4] and [..., 3] → [..., 3, 3]."""
+    """Covariance matrices Σ = R(q) diag(s²) R(q)ᵀ, m²; [..., 4] and [..., 3] → [..., 3, 3]."""
     root = rotation_matrix(quaternions) * scales[..., None, :]
     return root @ root.transpose(-1, -2)

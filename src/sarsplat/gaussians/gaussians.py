@@ -1,4 +1,4 @@
-"""The scene model: anisotropic Gaussians that attenuate and scatter."""
+"""Anisotropic Gaussians that attenuate and scatter."""
 
 from __future__ import annotations
 
@@ -17,23 +17,17 @@ from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians.scattering import Scattering
 
 MIN_SCALE = 1e-4
-"""Smallest standard deviation a Gaussian may have along an axis, m."""
+"""Minimum standard deviation along an axis, m."""
 
 MAX_OPTICAL_DEPTH = 40.0
-"""Largest two-way peak optical depth κ; e⁻⁴⁰ is dark, and float32 still carries it."""
+"""Maximum two-way peak optical depth κ; float32 still resolves e⁻⁴⁰."""
 
 _INDEX = "give an integer, a slice, a mask [N] or integers [M]"
 _GEOMETRY = ("means", "quaternions", "scales", "optical_depth")
 
 
 def check_tensors(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], whole: str) -> None:
-    """Refuse tensors of wrong shapes, of different dtypes or on different devices.
-
-    Raises
-    ------
-    SarsplatError
-        If one is not; `whole` says what the shapes are for.
-    """
+    """Raise if tensors have wrong shapes (those of `whole`, for the error), or different dtypes or devices."""
     first, like = next(iter(tensors.items()))
     for name, tensor in tensors.items():
         expect(Tensor, **{name: tensor})
@@ -50,10 +44,10 @@ def check_tensors(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ..
 
 @dataclass(frozen=True)
 class Gaussians:
-    """N Gaussians in physical units, every tensor differentiable, on one device and of one floating dtype.
+    """N Gaussians in physical units, as differentiable tensors on one device and of one floating dtype.
 
-    `len` counts them. An integer, a slice, a boolean mask [N] or integer indices select some (`gaussians[:100]`),
-    `Gaussians.cat` joins several scenes, and `to` moves one; gradients flow through all three.
+    `len` is N. An integer, a slice, a boolean mask [N] or integer indices select Gaussians (`gaussians[:100]`),
+    `Gaussians.cat` joins scenes, and `to` converts; gradients flow through all three.
 
     Parameters
     ----------
@@ -62,12 +56,11 @@ class Gaussians:
     quaternions : Tensor [N, 4]
         Orientation q = (w, x, y, z); normalised where used, must not be zero.
     scales : Tensor [N, 3]
-        Standard deviations s along the Gaussian's own axes, m, at least `MIN_SCALE`.
+        Standard deviations s along the Gaussian's axes, m, at least `MIN_SCALE`.
     optical_depth : Tensor [N]
         Two-way peak optical depth κ = k⁺ + k⁻, 0 ≤ κ ≤ `MAX_OPTICAL_DEPTH`.
     scattering : Scattering
-        How much against direction, by a law such as `Harmonics` or `NormalLobes` with a row of parameters for each
-        Gaussian.
+        Scattering law by direction, such as `Harmonics` or `NormalLobes`, with a row of parameters per Gaussian.
 
     Raises
     ------
@@ -90,12 +83,12 @@ class Gaussians:
 
     def __repr__(self) -> str:
         law, means = self.scattering, self.means
-        what = f"{law.kind} with {counted(law.parameters.shape[1], 'number')}"
-        return f"Gaussians({len(self):,}, {what}, {means.dtype}, {means.device})"
+        scattering = f"{law.kind} with {counted(law.parameters.shape[1], 'number')}"
+        return f"Gaussians({len(self):,}, {scattering}, {means.dtype}, {means.device})"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self.__post_init__()  # files may hold anything
+        self.__post_init__()  # files may be invalid
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -110,55 +103,56 @@ class Gaussians:
         return self._with(lambda tensor: tensor[index if chosen.ndim else chosen[None]])
 
     def tensors(self) -> dict[str, Tensor]:
-        """The five tensors by name; that of `scattering` are its parameters [N, K]."""
+        """All five tensors by name; "scattering" has the law's parameters [N, K]."""
         return {name: getattr(self, name) for name in _GEOMETRY} | {"scattering": self.scattering.parameters}
 
     def with_tensors(self, **tensors: Tensor) -> Gaussians:
-        """The same scene with other tensors in place of those named, as in `tensors()`."""
+        """Copy with some tensors replaced, by their names in `tensors()`."""
         merged = self.tensors() | tensors
         law = replace(self.scattering, parameters=merged.pop("scattering"))
         return Gaussians(**merged, scattering=law)
 
     @checks_arguments
     def amplitudes(self, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n c"]:
-        """What each channel returns per lit area [V, N, C] towards unit vectors u [V, 3] (`Scattering.amplitudes`).
+        """Amplitudes of each channel per lit area [V, N, C] towards unit vectors u [V, 3] (`Scattering.amplitudes`).
 
         Raises
         ------
         SarsplatError
-            If the law returns anything else, or of another dtype or device than the means: an engine would misread it.
+            If the law returns another shape, dtype or device, which engines would misread.
         """
-        made = self.scattering.amplitudes(directions, self.quaternions, self.scales)
+        result = self.scattering.amplitudes(directions, self.quaternions, self.scales)
         law, means = f"amplitudes of the scattering law {type(self.scattering).__name__}", self.means
-        if not isinstance(made, Tensor):
-            raise SarsplatError(f"{law} is of type {type(made).__name__}; return a tensor")
-        wanted = (len(directions), len(self))
-        if made.ndim != 3 or made.shape[:2] != wanted or not made.shape[2]:
-            raise SarsplatError(f"{law} has shape {tuple(made.shape)}; it must be ({wanted[0]}, {wanted[1]}, C)")
-        if (made.dtype, made.device) != (means.dtype, means.device):
+        if not isinstance(result, Tensor):
+            raise SarsplatError(f"{law} is of type {type(result).__name__}; return a tensor")
+        v, n = len(directions), len(self)
+        if result.ndim != 3 or result.shape[:2] != (v, n) or not result.shape[2]:
+            raise SarsplatError(f"{law} has shape {tuple(result.shape)}; it must be ({v}, {n}, C)")
+        if (result.dtype, result.device) != (means.dtype, means.device):
             raise SarsplatError(
-                f"{law} is {made.dtype} on {made.device} but means is {means.dtype} on {means.device}; return its like"
+                f"{law} is {result.dtype} on {result.device} but means is {means.dtype} on {means.device}; "
+                "return its like"
             )
-        return made
+        return result
 
     @checks_arguments
     def gamma0(self, directions: Float[Tensor, "v 3"]) -> Float[Tensor, "v n"]:
-        """γ⁰ [V, N] towards unit vectors u [V, 3] of the world frame, the power channel of it; differentiable."""
+        """γ⁰ [V, N], the power channel, towards unit vectors u [V, 3] of the world frame; differentiable."""
         return self.amplitudes(directions)[..., self.scattering.power_channel]
 
     def detach(self) -> Gaussians:
-        """The same Gaussians outside the autograd graph."""
+        """Copy outside of the autograd graph."""
         return self._with(Tensor.detach)
 
     def to(self, *target: Any, **options: Any) -> Gaussians:
-        """The same Gaussians on another device or in another dtype; arguments are those of `torch.Tensor.to`."""
+        """Copy on another device or in another dtype; arguments are those of `torch.Tensor.to`."""
         try:
             return self._with(lambda tensor: tensor.to(*target, **options))
-        except (RuntimeError, AssertionError, TypeError) as error:  # torch's, for what it has not
-            asked = ", ".join(shown(value) for value in (*target, *options.values()))
+        except (RuntimeError, AssertionError, TypeError) as error:  # torch's, for missing devices and wrong arguments
+            values = ", ".join(shown(value) for value in (*target, *options.values()))
             reason = str(error).partition("\n")[0]
             raise SarsplatError(
-                f"Gaussians cannot be turned to {asked} ({reason}); give a device that is there, or a dtype"
+                f"Gaussians cannot be turned to {values} ({reason}); give a device that is there, or a dtype"
             ) from error
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""The ground: the plane, or the terrain, on which rays end."""
+"""Ground: the plane, or the terrain, on which rays end."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from sarsplat.geometry import Terrain
 
 @dataclass(frozen=True)
 class Ground:
-    """A horizontal plane, or terrain: what is left of a ray that reaches it returns by the ground's γ⁰ there.
+    """Infinite horizontal plane, or terrain, which is opaque: the rest of a ray that reaches it returns by its γ⁰.
 
-    Nothing below or behind it is seen, and it has no end. Every tensor is differentiable; heights are fixed.
+    Every tensor is differentiable; heights are fixed.
 
     Parameters
     ----------
     gamma0 : Tensor [] or [ny, nx]
-        γ⁰, linear: one number, or those of places on a square lattice around the origin, rows along y, columns along x;
-        linear between them, and beyond the last ones as there. Images show it at their pixels' centres, so places
-        should lie no closer than the images resolve.
+        γ⁰, linear: one number, or those of a square lattice around the origin, rows along y, columns along x; linear
+        between places, constant beyond the last. Images sample it at their pixels' centres, so the lattice should be
+        no finer than they resolve.
     pitch_m : float
-        Distance of the places, m.
+        Spacing of the lattice, m.
     height_m : float or Terrain
-        Height z of the plane, m, or heights of places.
+        Height z of the plane, m, or a terrain.
     exponent : Tensor [], optional
-        Law of the grazing angle θ: γ⁰ is the above times (sin θ) to this power; 0 unless given, the same at all angles.
+        γ⁰ is multiplied by (sin θ) to this power, for the grazing angle θ; by default 0.
 
     Raises
     ------
@@ -51,12 +51,12 @@ class Ground:
                 kind = tensor.dtype if isinstance(tensor, Tensor) else type(tensor).__name__
                 raise SarsplatError(f"the ground's {name} is {kind}; give a floating-point torch.Tensor")
             if tensor.ndim not in dimensions or not tensor.numel():
-                wanted = "one number" + (", or a lattice [ny, nx]" if 2 in dimensions else "")
-                raise SarsplatError(f"the ground's {name} has shape {tuple(tensor.shape)}; give {wanted}")
+                shapes = "one number" + (", or a lattice [ny, nx]" if 2 in dimensions else "")
+                raise SarsplatError(f"the ground's {name} has shape {tuple(tensor.shape)}; give {shapes}")
         for name, length, positive in (("pitch_m", self.pitch_m, True), ("height_m", self.span_m[0], False)):
             if not is_number(length) or not math.isfinite(length) or (positive and length <= 0):
-                what = "a positive, finite" if positive else "a finite"
-                raise SarsplatError(f"the ground's {name} is {length}; give {what} number of metres")
+                kind = "a positive, finite" if positive else "a finite"
+                raise SarsplatError(f"the ground's {name} is {length}; give {kind} number of metres")
 
     @property
     def span_m(self) -> tuple[float, float]:

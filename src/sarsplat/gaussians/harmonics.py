@@ -2,7 +2,7 @@
 
 Degree 0:  ½/√π.  Degree 1: (−y, z, −x)·√(3/4π).  Degree 2: (xy, −yz, 3z² − 1, −xz, x² − y²), degree 3:
 (−y(3x² − y²), xyz, −y(5z² − 1), z(5z² − 3), −x(5z² − 1), z(x² − y²), −x(x² − 3y²)), each with the constant below.
-The Condon–Shortley sign (−1)^m is included. 3DGS evaluates them at the direction *from* the camera, we at u, the
+The Condon–Shortley sign (−1)^m is included. 3DGS evaluates them at the direction *from* the camera, sarsplat at u, the
 direction *to* the radar: exports flip the sign of odd degrees.
 """
 
@@ -33,7 +33,7 @@ CONSTANTS: tuple[float, ...] = (
 
 
 def harmonic_basis(directions: Float[Tensor, "*n 3"], degree: int) -> Float[Tensor, "*n {(degree+1)**2}"]:
-    """Y_k(u) for unit vectors, [..., 3] → [..., (degree + 1)²]."""
+    """Evaluate Y_k(u) at unit vectors, [..., 3] → [..., (degree + 1)²]."""
     x, y, z = torch.unbind(directions, dim=-1)
     one = torch.ones_like(x)
     terms = [

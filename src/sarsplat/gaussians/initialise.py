@@ -1,4 +1,4 @@
-"""Initial positions of Gaussians: random in the region that the images bound, or on the paper's hemisphere shell."""
+"""Initial positions of Gaussians: random in a region bounded by the images, or on the paper's hemisphere."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import brighter, usual_peak
 
 BRIGHT_DB = -30.0
-"""Pixels above this, relative to the brightest of the set (`usual_peak`), show the target, dB."""
+"""Minimum level of the target's pixels, relative to the brightest of the set (`usual_peak`), dB."""
 
 _ONE_SIDE = 1e-3
-"""Length of the mean direction to the radars, below which they are on all sides."""
+"""Length of the mean direction to the radars below which they are on all sides."""
 
-_AT_A_TIME = 1 << 18
+_BATCH = 1 << 18
 """Points that are compared with all planes at once."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """A convex part of space: normals · x ≤ offsets, inside the box [low, high]; world frame, m."""
+    """Convex region normals · x ≤ offsets, with its bounding box [low, high]; world frame, m."""
 
     normals: Float64[np.ndarray, "planes 3"]
     offsets: Float64[np.ndarray, " planes"]
@@ -35,19 +35,19 @@ class Region:
 
     @classmethod
     def box(cls, low: Sequence[float], high: Sequence[float]) -> Region:
-        """An upright box."""
+        """Box parallel to the axes."""
         corners = np.array(low, float), np.array(high, float)
         return cls(np.concatenate([-np.eye(3), np.eye(3)]), np.concatenate([-corners[0], corners[1]]), *corners)
 
     def sample(self, count: int, generator: torch.Generator) -> Float64[np.ndarray, "{count} 3"]:
-        """Uniform points inside, float64 [count, 3]."""
-        kept: list[np.ndarray] = []
-        while sum(map(len, kept)) < count:
+        """Random points, uniform in the region, float64 [count, 3]."""
+        accepted: list[np.ndarray] = []
+        while sum(map(len, accepted)) < count:
             unit = torch.rand(4 * count, 3, generator=generator, device="cpu", dtype=torch.float64).numpy()
             points = self.low + (self.high - self.low) * unit
-            parts = (points[first : first + _AT_A_TIME] for first in range(0, len(points), _AT_A_TIME))
-            kept += [part[(part @ self.normals.T <= self.offsets).all(axis=1)] for part in parts]
-        return np.concatenate(kept)[:count]
+            batches = (points[first : first + _BATCH] for first in range(0, len(points), _BATCH))
+            accepted += [batch[(batch @ self.normals.T <= self.offsets).all(axis=1)] for batch in batches]
+        return np.concatenate(accepted)[:count]
 
 
 def bounded_region(
@@ -56,27 +56,27 @@ def bounded_region(
     grid: ImageGrid,
     threshold_db: float = BRIGHT_DB,
 ) -> Region:
-    """The region that can hold the target if nothing else returns power: an intersection of half-spaces.
+    """Region that can contain the target if nothing else returns power: an intersection of half-spaces.
 
-    In every view the target lies within the azimuths of the bright pixels and behind the nearest bright range; it
-    stands on the ground z = 0. Shadow hides nothing from these bounds, so nothing of the target is cut off. Aloft,
-    there is no ground, and all radars may be on one side: then what no image shows may be cut off on the other.
+    In every view the target is within the azimuths of the bright pixels, behind the nearest bright range, and above the
+    ground z = 0. These bounds contain all of the target, also its hidden parts. Aloft, there is no ground, and all
+    radars may be on one side; then hidden parts on the other side may be cut off.
 
     Parameters
     ----------
     power : numpy.ndarray [V, rows, columns]
         β⁰ of the training images, linear power, without ground.
     views, grid
-        Where they were taken from, and where their pixels lie.
+        Views and pixels of the images.
     threshold_db : float
-        Pixels above this, relative to `usual_peak` of all, count as bright, dB.
+        Minimum level of bright pixels, relative to `usual_peak` of all, dB.
 
     Raises
     ------
     SarsplatError
         If an image has no bright pixel, or the bounds leave no space.
     """
-    from scipy.optimize import linprog  # here, because it takes half a second to import, and only trainings start
+    from scipy.optimize import linprog  # slow to import, and only needed by trainings
 
     bright = brighter(power, threshold_db, usual_peak(power))
     aloft = views[0].aloft
@@ -102,7 +102,7 @@ def bounded_region(
     reach = float(np.hypot(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0]))
     if aloft and (behind := _behind(a, b, views, shown, reach)) is not None:
         a, b = np.vstack([a, behind[0]]), np.append(b, behind[1])
-    # both extremes along each axis as one program: for few planes linprog's own checks take longer than the solver
+    # one program for both extremes along each axis: linprog's checks take longer than the solver
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     extremes = linprog(axes.ravel(), np.kron(np.eye(6), a), np.tile(b, 6), bounds=(-reach, reach))
     if not extremes.success:
@@ -110,7 +110,7 @@ def bounded_region(
             "no region of space could explain the bright pixels of all views; check the sense of the azimuths and the "
             "image orientation (row 0 = near range)"
         )
-    low, high = extremes.x.reshape(2, 3, 3).diagonal(axis1=1, axis2=2) + 0.0  # where it is −0, 0
+    low, high = extremes.x.reshape(2, 3, 3).diagonal(axis1=1, axis2=2) + 0.0  # no −0
     return Region(a, b, low, high)
 
 
@@ -121,10 +121,9 @@ def _behind(
     shown: Sequence[tuple[Float64[np.ndarray, " 3"], float]],
     reach: float,
 ) -> tuple[Float64[np.ndarray, " 3"], float] | None:
-    """A plane behind everything that any image shows, seen from the middle of the views; None if they have none.
+    """Plane behind all visible parts, perpendicular to the mean direction of the views; None if they are all around.
 
-    `shown` are, of each view, the gradient of slant range and the farthest bright one, m: what this view shows, but for
-    what it hides, is not beyond it.
+    `shown` has each view's gradient of slant range, and its farthest bright range, m: no visible part is farther.
     """
     from scipy.optimize import linprog
 
@@ -135,13 +134,13 @@ def _behind(
     farthest = -np.inf
     for slant_range, far in shown:
         found = linprog(-away, np.vstack([a, slant_range]), np.append(b, far), bounds=(-reach, reach))
-        if found.success:  # or the bounds of other views say that this one shows nothing
+        if found.success:  # otherwise the bounds of other views contradict this view
             farthest = max(farthest, -float(found.fun))
     return (away, farthest) if farthest > -np.inf else None
 
 
 def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> Float64[np.ndarray, "{count} 3"]:
-    """Points spread evenly over a half sphere around a region, float64 [count, 3] (the paper's start)."""
+    """Random points, uniform on a hemisphere around a region, float64 [count, 3] (the paper's start)."""
     centre = (region.low + region.high) / 2 * (1, 1, 0)
     radius = float(np.linalg.norm((region.high - region.low)[:2])) / 2
     unit = torch.rand(count, 2, generator=generator, device="cpu", dtype=torch.float64).numpy()
@@ -151,7 +150,7 @@ def hemisphere_shell(region: Region, count: int, generator: torch.Generator) -> 
 
 
 def random_quaternions(count: int, generator: torch.Generator) -> Float32[Tensor, "{count} 4"]:
-    """Uniformly distributed orientations, float32 [count, 4]."""
+    """Random orientations, uniformly distributed, float32 [count, 4]."""
     return torch.nn.functional.normalize(
         torch.randn(count, 4, generator=generator, dtype=torch.float32, device="cpu"), dim=1
     )

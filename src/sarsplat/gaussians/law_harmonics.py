@@ -20,7 +20,7 @@ class Harmonics(Scattering):
     """Real spherical harmonics: γ⁰(u) = p_min + softplus(Σ_k parameters_k Y_k(u)).
 
     `parameters` is [N, K] with K = (degree + 1)², degree ≤ 3; order and signs are those of 3D Gaussian splatting
-    (docs/concepts/image-model.md). Whatever else is at `Scattering` holds here too.
+    (docs/concepts/image-model.md). See also `Scattering`.
     """
 
     kind: ClassVar[str] = "harmonics"
@@ -46,24 +46,24 @@ class Harmonics(Scattering):
         quaternions: Float[Tensor, "n 4"],
         scales: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "v n 1"]:
-        """See `Scattering.amplitudes`; how a Gaussian is turned does not matter."""
+        """See `Scattering.amplitudes`; independent of orientation and shape."""
         return (self.p_min + softplus(harmonic_basis(directions, self.degree) @ self.parameters.T))[..., None]
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """See `Scattering.initial`; of degree 3, and the same in all directions."""
+        """See `Scattering.initial`; degree 3, isotropic."""
         parameters = torch.zeros(count, len(CONSTANTS), dtype=torch.float32, device="cpu")
         parameters[:, 0] = softplus_inverse(gamma0 - p_min) / CONSTANTS[0]
         return cls(parameters, p_min)
 
     def detailed(self, degree: int) -> Self:
-        """The harmonics up to that degree."""
-        if degree >= self.degree:  # a slice of everything would be a copy all the same
+        """Harmonics up to that degree."""
+        if degree >= self.degree:  # a full slice would be a copy
             return self
         return replace(self, parameters=self.parameters[:, : (degree + 1) ** 2])
 
     def joined(self, other: Scattering) -> Self:
-        """See `Scattering.joined`; the shorter rows are filled up with zeros."""
+        """See `Scattering.joined`; shorter rows are padded with zeros."""
         if not isinstance(other, Harmonics):
             return super().joined(other)
         columns = max(self.parameters.shape[1], other.parameters.shape[1])

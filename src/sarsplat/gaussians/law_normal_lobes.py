@@ -15,29 +15,29 @@ from sarsplat.gaussians.covariance import rotated
 from sarsplat.gaussians.scattering import MIN_EXCESS, Scattering, softplus, softplus_inverse
 
 _IN_LOBE = 0.2
-"""Share of γ⁰ that a lobe starts with. With half of it, surfaces that scatter the same to all sides, or have parts that
-differ, come out worse, because Gaussians turn before their law is known; with little, those that follow a cosine do."""
+"""Initial share of γ⁰ in the lobe. Larger ones rotate Gaussians before their law is known, which is worse for isotropic
+or varied surfaces; smaller ones are worse for surfaces that follow a cosine."""
 
 _GRAZING = 1e-12
-"""Squared cosines below it count as this: the logarithm has no value at zero."""
+"""Minimum squared cosine, for a finite logarithm."""
 
 _MOST_LOG = 5.0
-"""Logarithms of exponents count no more than this, of either sign."""
+"""Maximum absolute logarithm of an exponent."""
 
 
 @dataclass(frozen=True)
 class NormalLobes(Scattering):
-    """A lobe around the surface normal: γ⁰(u) = p_min + b₀ + b₁·|n·u|ᵉ.
+    """Lobe around the surface normal: γ⁰(u) = p_min + b₀ + b₁·|n·u|ᵉ.
 
     n is the shortest axis of a Gaussian, and two-sided: a flat Gaussian is a piece of surface. e = 1 is Lambert's law,
-    larger ones are narrower. Differentiable with respect to quaternions too; which axis is the shortest is held
-    constant.
+    larger exponents are narrower. Differentiable with respect to quaternions, too; the choice of the shortest axis is
+    held constant.
 
     Parameters
     ----------
     parameters : Tensor [N, 3]
-        softplus of the first two is b₀, the same in all directions, and b₁; the third is the logarithm of e, which all
-        Gaussians of a training have in common.
+        softplus of the first two is b₀, which is isotropic, and b₁; the third is the logarithm of e, which all
+        Gaussians of a training may share.
     p_min : float
         Minimum scattering P_min ≥ 0 (γ⁰).
     """
@@ -48,7 +48,7 @@ class NormalLobes(Scattering):
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """b₀, b₁ and e."""
+        """Number of parameters: b₀, b₁ and e."""
         return (3,)
 
     @property
@@ -73,12 +73,12 @@ class NormalLobes(Scattering):
 
     @property
     def _exponents(self) -> Float[Tensor, " n"]:
-        """The exponent of each Gaussian."""
+        """Exponent of each Gaussian."""
         return self.parameters[:, 2].clamp(-_MOST_LOG, _MOST_LOG).exp()
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """See `Scattering.initial`; a part of it in the lobe, the squared cosine."""
+        """See `Scattering.initial`; a share of it is in a lobe of a squared cosine."""
         excess = max(gamma0 - p_min, MIN_EXCESS)
         b = ((1 - _IN_LOBE) * excess, 3 * _IN_LOBE * excess)  # cos² is 1/3 on average
         row = torch.tensor([*(softplus_inverse(value) for value in b), math.log(2)], dtype=torch.float32, device="cpu")

@@ -22,24 +22,24 @@ _MOST = 4
 
 @dataclass(frozen=True)
 class Polarimetric(Scattering):
-    """What Gaussians return in P polarisations together: E[y yᴴ] = γ⁰(u)·V, with one V for all directions.
+    """Covariances of P polarisations: E[y yᴴ] = γ⁰(u)·V, with one V for all directions.
 
     V is Hermitian and positive semi-definite, and the mean of its diagonal is 1, so that γ⁰ is the mean power. With a
     lower triangular L, V = P·L Lᴴ / tr L Lᴴ.
 
-    The first channel of images is γ⁰; then come the powers of the P polarisations, and of all pairs i < j the real
-    parts of E[y_i y_j*], then the imaginary ones (`covariances_between`).
+    Channels of images are γ⁰, the powers of the P polarisations, and for all pairs i < j the real parts of E[y_i y_j*],
+    then the imaginary parts (`covariances_between`).
 
     Parameters
     ----------
     parameters : Tensor [N, P² + K]
-        γ⁰ = p_min + softplus(Σ_k a_k Y_k(u)) in K = 1, 4, 9 or 16 harmonics: the first column is a_0, the last K − 1
-        are the others. Between them are the P² numbers of L: softplus of the first P is its diagonal, the others are
-        the real, then the imaginary parts of what lies below it, row by row.
+        Column 0 is a_0 and the last K − 1 are the other coefficients of γ⁰ = p_min + softplus(Σ_k a_k Y_k(u)) in K = 1,
+        4, 9 or 16 harmonics. Between them are the P² numbers of L: softplus of the first P is its diagonal, then come
+        the real and the imaginary parts below the diagonal, row by row.
     p_min : float
         Minimum scattering P_min ≥ 0 (γ⁰).
     polarisations : tuple of str
-        Received and transmitted, such as "HV"; 2 to 4 of them.
+        Received and transmitted polarisation, such as "HV"; 2 to 4 pairs.
     """
 
     polarisations: tuple[str, ...] = _LINEAR
@@ -58,7 +58,7 @@ class Polarimetric(Scattering):
 
     @property
     def channels(self) -> tuple[str, ...]:  # type: ignore[override]  # as many as there are polarisations
-        """γ⁰, the powers, and real and imaginary parts of the pairs."""
+        """Names of the channels: γ⁰, powers, and real and imaginary parts of the pairs."""
         pairs = [f"{one} {other}*" for one, other in combinations(self.polarisations, 2)]
         return ("power", *self.polarisations, *(f"Re {pair}" for pair in pairs), *(f"Im {pair}" for pair in pairs))
 
@@ -73,7 +73,7 @@ class Polarimetric(Scattering):
         quaternions: Float[Tensor, "n 4"],
         scales: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "v n c"]:
-        """See `Scattering.amplitudes`; how a Gaussian is turned does not matter."""
+        """See `Scattering.amplitudes`; independent of orientation and shape."""
         harmonics = torch.cat([self.parameters[:, :1], self.parameters[:, 1 + self._shape :]], dim=1)
         degree = self.columns.index(self.parameters.shape[1])
         gamma0 = self.p_min + softplus(harmonic_basis(directions, degree) @ harmonics.T)
@@ -81,18 +81,18 @@ class Polarimetric(Scattering):
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """See `Scattering.initial`; of degree 3, and the same in all polarisations, which are uncorrelated."""
+        """See `Scattering.initial`; degree 3, isotropic, with uncorrelated polarisations of equal power."""
         return cls(_start(count, gamma0 - p_min, len(_LINEAR)), p_min)
 
     def detailed(self, degree: int) -> Self:
-        """The harmonics up to that degree."""
+        """Law with harmonics up to that degree."""
         columns = self._shape + (degree + 1) ** 2
         if columns >= self.parameters.shape[1]:
             return self
         return replace(self, parameters=self.parameters[:, :columns])
 
     def for_polarisations(self, polarisations: tuple[str, ...]) -> Self:
-        """See `Scattering.for_polarisations`; uncorrelated ones of the same power, and γ⁰ as it is in the mean."""
+        """See `Scattering.for_polarisations`; uncorrelated polarisations of equal power, and isotropic γ⁰."""
         if polarisations == self.polarisations:
             return self
         start = _start(len(self.parameters), 1.0, len(polarisations))
@@ -104,7 +104,7 @@ class Polarimetric(Scattering):
         return len(self.polarisations) ** 2
 
     def _packed(self) -> Float[Tensor, "n c"]:
-        """1, and the parts of V: in real numbers one by one, so that bits do not depend on threads."""
+        """Columns 1 and the entries of V, in real arithmetic, so that bits do not depend on the number of threads."""
         count = len(self.polarisations)
         pairs = count * (count - 1) // 2
         raw = self.parameters[:, 1 : 1 + self._shape]
@@ -121,7 +121,7 @@ class Polarimetric(Scattering):
             return real[:, below[i, k]], imaginary[:, below[i, k]]
 
         def product(i: int, j: int) -> tuple[Tensor, Tensor]:
-            """(L Lᴴ)_ij for i ≤ j."""
+            """Entry (L Lᴴ)_ij for i ≤ j."""
             re, im = torch.zeros_like(diagonal[0]), torch.zeros_like(diagonal[0])
             for k in range(i + 1):
                 (a, b), (c, d) = entry(i, k), entry(j, k)
@@ -138,7 +138,7 @@ class Polarimetric(Scattering):
 def covariances_between(
     amplitudes: Float[Tensor, "*shape c"], polarisations: int
 ) -> Complex[Tensor, "*shape {polarisations} {polarisations}"]:
-    """Hermitian matrices E[y_i y_j*] of the channels of `Polarimetric`, which come last."""
+    """Hermitian matrices E[y_i y_j*] from the channels of `Polarimetric`, which are the last dimension."""
     powers, pairs = amplitudes[..., 1 : 1 + polarisations], amplitudes[..., 1 + polarisations :]
     real, imaginary = pairs.chunk(2, dim=-1)
     matrices = torch.diag_embed(powers).to(powers.dtype.to_complex())

@@ -20,24 +20,24 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.names import SCATTERINGS
 
 MIN_EXCESS = 1e-3
-"""γ⁰ above p_min that a law starts with at least: softplus never reaches zero."""
+"""Minimum of the initial γ⁰ − p_min: softplus never reaches zero."""
 
 L = TypeVar("L", bound="type[Scattering]")
 
 
 @dataclass(frozen=True)
 class Scattering(ABC):
-    """What N Gaussians scatter towards u per area projected along the line of sight, dimensionless; first of all γ⁰(u).
+    """Scattering law of N Gaussians: γ⁰(u), and maybe more channels, per area projected along the line of sight.
 
-    A law of your own is a frozen dataclass derived from this one, with its `kind` and `amplitudes`; for trainings also
+    A custom law is a frozen dataclass derived from this class, with `kind` and `amplitudes`; trainings also need
     `initial`. `register_scattering` makes it known to trainings and files. Settings that are not learned are further
-    fields, of types that JSON can hold.
+    fields, of types that JSON can represent.
 
     Parameters
     ----------
     parameters : Tensor [N, K]
-        What is learned, a row for each Gaussian. The first column speaks for all directions, the others of differences
-        between them: they have learning rates of their own. A training with more than 16 columns is slower.
+        Learned parameters, a row for each Gaussian. The first column is the isotropic part, the others differences
+        between directions, with a separate learning rate. A training with more than 16 columns is slower.
     p_min : float
         Minimum scattering P_min ≥ 0 (γ⁰). Above zero it forbids black absorbers.
 
@@ -51,26 +51,26 @@ class Scattering(ABC):
     p_min: float = 0.0
 
     kind: ClassVar[str]
-    """Its name in files and configurations."""
+    """Name in files and configurations."""
 
     channels: ClassVar[tuple[str, ...]] = ("power",)
-    """What the channels of its images are, C of them."""
+    """Names of the images' C channels."""
 
     power_channel: ClassVar[int] = 0
-    """Which of them is γ⁰, the power: what is shown, scored and trained on."""
+    """Index of the channel with γ⁰, the power that is shown, scored and trained on."""
 
     oriented: ClassVar[bool] = False
-    """Whether γ⁰ depends on which axis of a Gaussian is the shortest."""
+    """True if γ⁰ depends on the choice of a Gaussian's shortest axis."""
 
     common: ClassVar[tuple[tuple[float, float], ...]] = ()
-    """Ranges of the last columns of the parameters, of those that all Gaussians of a training have in common."""
+    """Ranges of the last columns of the parameters, which all Gaussians of a training may share."""
 
     def __init_subclass__(cls) -> None:
         add_safe_globals([cls])  # so that `torch.load` reads Gaussians that `torch.save` has written
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self.__post_init__()  # files may hold anything
+        self.__post_init__()  # files may be invalid
 
     def __post_init__(self) -> None:
         expect(Tensor, parameters=self.parameters)
@@ -80,12 +80,12 @@ class Scattering(ABC):
         shape, allowed = tuple(self.parameters.shape), self.columns
         if len(shape) != 2 or (shape[1] not in allowed if allowed else shape[1] < 1):
             numbers = " or ".join(", ".join(map(str, allowed)).rsplit(", ", 1))
-            wanted = f"= {numbers}" if allowed else "at least 1"
-            raise SarsplatError(f"scattering has shape {shape}; for N Gaussians it must be (N, K) with K {wanted}")
+            condition = f"= {numbers}" if allowed else "at least 1"
+            raise SarsplatError(f"scattering has shape {shape}; for N Gaussians it must be (N, K) with K {condition}")
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """How many columns the parameters may have: one of these numbers, or any number if there is none."""
+        """Allowed numbers of columns of the parameters; any if empty."""
         return ()
 
     @abstractmethod
@@ -95,20 +95,19 @@ class Scattering(ABC):
         quaternions: Float[Tensor, "n 4"],
         scales: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "v n c"]:
-        """What each channel returns per lit area [V, N, C], of Gaussians turned and shaped like this; differentiable.
+        """Amplitudes of each channel per lit area [V, N, C] towards unit vectors u [V, 3] of the world frame.
 
-        Towards unit vectors u [V, 3] of the world frame; dimensionless. `power_channel` of them is γ⁰, which is never
-        negative; the others may have any sign.
+        Dimensionless and differentiable. Channel `power_channel` is γ⁰ ≥ 0; others may have any sign.
         """
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
-        """Initial law of a training: the same for all Gaussians, γ⁰ on average over all directions; float32, CPU.
+        """Initial law of a training, equal for all Gaussians, with mean `gamma0` over all directions; float32, CPU.
 
         Raises
         ------
         SarsplatError
-            If the law does not say: it can be rendered, but not trained.
+            If the law does not implement it and so can be rendered, but not trained.
         """
         raise SarsplatError(
             f"a training cannot start with the scattering law {cls.__name__}; give it a class method "
@@ -117,19 +116,19 @@ class Scattering(ABC):
 
     @property
     def in_words(self) -> str:
-        """What `sarsplat info` and reports say of it; its kind, unless a law says more."""
+        """Description in `sarsplat info` and reports; by default the kind."""
         return self.kind
 
     def detailed(self, degree: int) -> Self:
-        """The law with no more detail than `degree`, 0 to 3: a training adds it by and by; most laws have none."""
+        """Law limited to the detail `degree`, 0 to 3, which a training increases; by default unlimited."""
         return self
 
     def for_polarisations(self, polarisations: tuple[str, ...]) -> Self:
-        """The law, at its start, for images in these polarisations, two or more; most laws know one."""
+        """Initial law for images in two or more polarisations; by default unchanged."""
         return self
 
     def settings(self) -> dict[str, Any]:
-        """Settings that are not learned, by name; with `kind` and the parameters they define the law."""
+        """Settings that are not learned, by name; with `kind` and the parameters, they define the law."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "parameters"}
 
     @checks_arguments
@@ -143,15 +142,15 @@ class Scattering(ABC):
 
 
 def register_scattering(law: L) -> L:
-    """Make a law known by its `kind`, as a decorator of the class: in `reconstruct(..., scattering=KIND)` and in files.
+    """Register a law under its `kind`, as a decorator: for `reconstruct(..., scattering=KIND)` and for files.
 
-    That holds in this program. A package makes a law known to all programs, the command line among them, by an entry
-    point of the group `sarsplat.scattering`, whose name is the kind.
+    This holds for the running program. A package registers a law for all programs, including the command line, by an
+    entry point of the group `sarsplat.scattering`, whose name is the kind.
 
     Raises
     ------
     SarsplatError
-        If it is not a law with a kind and its methods, or another law has that kind.
+        If it is not a law with a kind and all methods, or another law has that kind.
     """
     if not (isinstance(law, type) and issubclass(law, Scattering) and isinstance(getattr(law, "kind", None), str)):
         raise SarsplatError(f"law is {described(law)}; give a class derived from Scattering with a kind, a str")
@@ -165,7 +164,7 @@ def register_scattering(law: L) -> L:
 
 @cache
 def _check_methods(law: type[Scattering]) -> None:
-    """Refuse a law that lacks methods, or whose methods take other arguments."""
+    """Raise if a law lacks methods, or its methods take other arguments."""
     if missing := sorted(law.__abstractmethods__):
         raise SarsplatError(f"the scattering law {law.__name__} has no {' or '.join(missing)}; define that, too")
     for name in ("amplitudes", "initial"):
@@ -184,12 +183,12 @@ def _home(law: type[Scattering]) -> str:
 
 @checks_arguments
 def scattering_named(kind: str) -> type[Scattering]:
-    """The law of that kind.
+    """Law of a kind.
 
     Raises
     ------
     SarsplatError
-        If there is none, or its package does not fit.
+        If the kind is unknown, or its package is faulty.
     """
     if kind not in SCATTERINGS:
         raise SarsplatError(
@@ -207,10 +206,11 @@ def scattering_named(kind: str) -> type[Scattering]:
 
 
 def softplus(values: Tensor) -> Tensor:
-    """log(1 + e^x). torch rounds the last numbers of a thread's share otherwise: bits would depend on threads."""
+    """Softplus log(1 + e^x); unlike torch's, its bits do not depend on the number of threads."""
     return -logsigmoid(-values)
 
 
 def softplus_inverse(value: float) -> float:
+    """Inverse of softplus, for values of at least `MIN_EXCESS`."""
     value = max(value, MIN_EXCESS)
-    return value + math.log(-math.expm1(-value))  # of large ones the exponential would overflow
+    return value + math.log(-math.expm1(-value))  # the exponential of large values would overflow

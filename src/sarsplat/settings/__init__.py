@@ -1,4 +1,4 @@
-"""How a reconstruction is done: records of settings, and presets of them. Needs no torch."""
+"""Settings of a reconstruction: records, and presets of them. Needs no torch."""
 
 import lazy_loader
 

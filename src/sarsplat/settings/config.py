@@ -1,6 +1,6 @@
 """`Config`: all settings of a reconstruction, a frozen record; needs no torch.
 
-Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings suit a ship as they suit a tank.
+Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings suit targets of any size.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ if TYPE_CHECKING:
     from sarsplat.data.header import Box
 
 DEFAULT_METHOD = "sar-gs"
-"""The method where none is named."""
+"""Default method."""
 
 OWN_LOOP = "own loop"
-"""Instead of a preset: Gaussians that no training of ours has made (`Run.from_gaussians`)."""
+"""Name in place of a preset, of Gaussians from elsewhere (`Run.from_gaussians`)."""
 
 SCATTERERS = 2.5
-"""Of a target that a pixel of a sample sees at a time: on MSTAR, chosen by training chips that were left out."""
+"""Default mean number of a target's scatterers in a pixel of a sample, fitted to held-out training chips of MSTAR."""
 
 
 class AnyConfig(Record):
-    """Base of every method's settings: what its loop and its run need to know."""
+    """Base of every method's settings: those that its loop and its run need."""
 
     iterations: int
     checkpoint_every: int
@@ -61,20 +61,20 @@ class AnyConfig(Record):
     seed: int
 
     may_change: ClassVar[tuple[str, ...]] = ("iterations", "checkpoint_every")
-    """What a training does not depend on, so that it may differ when a run is resumed; with a dot, a section."""
+    """Settings (with a dot: sections) that may change when a run is resumed: training does not depend on them."""
 
     before: ClassVar[Mapping[str, Any]] = {}
-    """Settings of runs whose files do not have them, where these are not the defaults."""
+    """Values of settings missing in older files, if they differ from the defaults."""
 
     @classmethod
     def of_run(cls, settings: Mapping[str, Any], source: str) -> Self:
-        """Those that a run's file holds, as the run was begun, maybe by an earlier version; errors as `from_dict`."""
+        """Read the settings of a run's file, maybe of an earlier version; errors as `from_dict`."""
         return cls.from_dict({**cls.before, **settings}, source)
 
 
 @dataclass(frozen=True)
 class Config(AnyConfig):
-    """Everything a reconstruction depends on, besides the dataset; the defaults are the preset `default`.
+    """All settings of a reconstruction; the defaults are the preset `default`.
 
     Parameters
     ----------
@@ -85,22 +85,21 @@ class Config(AnyConfig):
     views_per_step : int
         Images used in one step.
     gaussians : int or None
-        Gaussians at the start; None: as many as the next two say.
+        Gaussians at the start; None: by `gaussians_per_cell` and `fewest_gaussians`.
     gaussians_per_cell : float
-        Gaussians for each resolution cell that the target covers in a training image, divided by f³ᐟ² where the
-        training begins with blocks of f × f pixels.
+        Gaussians for each resolution cell that the target covers in a training image, divided by f³ᐟ² if the training
+        begins with blocks of f × f pixels.
     fewest_gaussians : int
-        At least so many, where `gaussians` is None.
+        Minimum number of Gaussians if `gaussians` is None.
     coarsest : int
-        Side of the blocks of pixels over which images are averaged at first, in pixels; half of it is next, and so on.
-        Powers of two, and no more than leave 20 resolution cells across the target: small ones are looked at as they
-        are. 1: so are all.
+        Largest side of the blocks of pixels over which images are averaged at first, a power of two; it is halved
+        step by step to 1. Blocks leave at least 20 resolution cells across the target. 1: images are never averaged.
     tiles : int
-        Tiles along each side of the scene: from images of smaller blocks than so many pixels on, each is learned by
-        itself, in the memory that it takes. 1: the scene is learned whole.
+        Tiles along each side of the scene, learned one by one to save memory, as soon as blocks of pixels are smaller
+        than this number. 1: no tiles.
     target_box : tuple of float or None
-        Lower and upper corner (x, y, z, x, y, z) of the box in which the target is looked for, m; None: the dataset's,
-        or what the images tell.
+        Lower and upper corner (x, y, z, x, y, z) of the target's box, m; None: the dataset's, or one found in the
+        images.
     initialisation : str
         Start inside the box derived from the images ("box"), or on the paper's hemisphere ("hemisphere").
     loss : str
@@ -108,27 +107,26 @@ class Config(AnyConfig):
     ssim_weight : float
         Weight of SSIM in the loss on amplitudes; L1 has the rest.
     total_power : float
-        Weight that "speckle" gives, where nothing surrounds the target, to the squared relative difference between the
-        total powers of rendered and true images: otherwise glints, smoothed with the speckle, come out too dark.
+        Weight in "speckle", for targets without surroundings, of the squared relative difference of total powers of
+        rendered and true images: without it, glints are too dark.
     scattering : str
         Scattering law: "harmonics", "normal-lobes", or another that is registered.
     p_min : float
-        Smallest γ⁰ of a Gaussian.
+        Minimum γ⁰ of a Gaussian.
     unit : str
-        Unit of every γ⁰ in the settings, and of the noise floor: "image" is 1, with `surroundings` the mean of the
-        training images; in "target", half of the pixels that stand out from the ground show less than 0.5.
+        Unit of every γ⁰ in the settings, and of the noise floor: "image": 1, or with `surroundings` the mean of the
+        training images; "target": twice the median γ⁰ of the pixels above the ground.
     scattering_penalty : float
         Weight of differences between the Gaussians' scattering, in units of the loss of black images, or, with a
-        likelihood, in nats per pixel. Most materials scatter the same: a thin layer that scatters strongly looks like
-        an opaque one, and costs more.
+        likelihood, in nats per pixel. It favours opaque surfaces over thin layers that scatter strongly.
     common_law : bool
-        Whether all Gaussians have in common what their law of scattering says: of "normal-lobes" the exponent, which
-        starts as 2. Otherwise each has its own.
+        Share the common parameters of the scattering law between all Gaussians: of "normal-lobes" the exponent, which
+        starts as 2.
     law_from : float
-        That is learned from this share on of the iterations: as long as surfaces have no shape, any law would do.
+        Share of the iterations from which on the common parameters are learned; before, surfaces have no shape.
     law_penalty : float
-        Weight of its squared distance from its start, in the units of `scattering_penalty`; of an exponent that is the
-        logarithm's.
+        Weight of the squared distance of the common parameters (of an exponent, its logarithm) from their start, in the
+        units of `scattering_penalty`.
     initial_scale : float
         Standard deviation of a Gaussian at the start, in resolution cells.
     initial_optical_depth : float
@@ -136,38 +134,37 @@ class Config(AnyConfig):
     initial_scattering : float
         γ⁰ of a Gaussian at the start, its mean over all directions.
     scale_bounds : tuple of float
-        Smallest and largest standard deviation of a Gaussian, in resolution cells; the largest times f¹ᐟ⁶ where the
+        Minimum and maximum standard deviation of a Gaussian, in resolution cells; the maximum times f¹ᐟ⁶ if the
         training begins with blocks of f × f pixels.
     margin : float
-        How far centres may leave the space that the images bound, in resolution cells.
+        Distance that centres may be outside of the target's region, in resolution cells.
     max_optical_depth : float
-        Largest two-way peak optical depth of a Gaussian.
+        Maximum two-way peak optical depth of a Gaussian.
     harmonics_degree : int
         Highest degree of the spherical harmonics.
     harmonics_every : int
         Iterations after which the next degree is added.
     views_per_coefficient : float
-        The degree stays so low that there are more training views than this for each coefficient of the harmonics.
+        Minimum number of training views per coefficient of the harmonics, which limits the degree.
     directional_std : float or None
-        Standard deviation of each coefficient of the harmonics above degree 0, relative to a Gaussian's γ⁰, as expected
-        before the images are seen; None: all are equally likely.
+        Prior standard deviation of each coefficient of the harmonics above degree 0, relative to a Gaussian's γ⁰; None:
+        no prior.
     sparsity : float
-        How strongly Gaussians are expected to be empty before the images are seen, nats: one of optical depth κ costs
-        ln(1 + κ/0.05) of them.
+        Weight of the prior for empty Gaussians, nats: optical depth κ costs `sparsity`·ln(1 + κ/0.05).
     dropout : float
-        Share of the Gaussians left out of each step, by chance; the others make up for their optical depth.
+        Share of random Gaussians left out of each step; the others compensate for their optical depth.
     few_views : float
-        The same where that is more: the square of this number by the number of training views, and at most 0.4.
+        Dropout is at least the square of this number over the number of training views, up to 0.4.
     rays_per_pixel : float
         Rays per pixel spacing; more are more accurate and slower.
     fine_rays_per_pixel : float
-        The same towards the end …
+        Rays per pixel spacing after `fine_from`.
     fine_from : float
-        … from this share on of the iterations that look at the images themselves.
+        Share of the iterations on full-resolution images from which on `fine_rays_per_pixel` are used.
     rates : Rates
         Learning rates.
     points : PointExtraction
-        How the point cloud is extracted.
+        Extraction of the point cloud.
     densification : Densification or None
         Density control; None: the number of Gaussians is fixed.
     relocation : Relocation
@@ -175,13 +172,13 @@ class Config(AnyConfig):
     smoothing : Smoothing
         Moves of neighbours into common planes.
     ground : FlatGround or None
-        Ground below the target; None: nothing.
+        Ground below the target; None: no ground.
     bounce : Bounce or None
-        Second bounce by way of level ground; None: nothing returns that way.
+        Second bounce by way of level ground; None: no second bounce.
     surroundings : Surroundings or None
-        What measured images show besides target and ground; None: nothing.
+        Noise, shifts, gains, side lobes and texture of measured images; None: none of them.
     passes : Passes or None
-        How covariances of interferometric stacks are learned from; None: from power alone.
+        Learning from covariances of interferometric stacks; None: from power alone.
     turns : Turns
         Refinement of uncertain rotations of a target aloft.
     evidence : str
@@ -264,9 +261,7 @@ class Config(AnyConfig):
                 f"target_box is {shown(self.target_box)}; give the lower corner (x, y, z) and then the upper one, m"
             )
         if self.bounce is not None and self.ground is None:
-            raise SarsplatError(
-                "bounce is on, but ground is off, by way of which it returns; give ground on, or bounce off"
-            )
+            raise SarsplatError("bounce is on, but needs ground, which is off; switch ground on, or bounce off")
         if self.scale_bounds[0] > self.scale_bounds[1]:
             raise SarsplatError(f"scale_bounds is {shown(self.scale_bounds)}; give the smaller one first")
         if self.directional_std is not None and self.scattering != "harmonics":
@@ -282,7 +277,7 @@ class Config(AnyConfig):
 
 
 def refuse_other_settings(run: Path, begun: AnyConfig, wanted: AnyConfig) -> None:
-    """Refuse to resume a run with settings other than its own, unless the training does not depend on them."""
+    """Raise if a run is resumed with other settings than its own, unless training does not depend on them."""
     free = begun.may_change
     for name, before, after in begun.changes(wanted):
         if not any(name == one or (one.endswith(".") and name.startswith(one)) for one in free):

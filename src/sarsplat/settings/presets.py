@@ -1,4 +1,4 @@
-"""Presets: settings that go together, as data."""
+"""Presets of settings."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from sarsplat.settings.sections import (
 )
 
 PRESETS: dict[str, Config] = {
-    # what measures best on noise-free images
+    # best scores on noise-free images
     "default": Config(),
-    # a first look, in a quarter of the time
+    # rough result in a quarter of the time
     "quick": Config(
         preset="quick",
         iterations=400,
@@ -48,7 +48,7 @@ PRESETS: dict[str, Config] = {
         points=PointExtraction(optical_depth=0.5, voxel=0.067, behind=0.25),
     ),
     # speckle on ground, any number of objects: few, large Gaussians, most of them dropped at each step, do not learn
-    # single speckles; what images need besides is switched on by what they show (learning/evidence.py)
+    # single speckles; learning/evidence.py switches on further parts that the images need
     "scene": Config(
         preset="scene",
         iterations=300,
@@ -107,8 +107,8 @@ PRESETS: dict[str, Config] = {
         checkpoint_every=2500,
     ),
     # real chips: ground, noise floor, shift and gain of each chip, speckle likelihood. Gaussians of about a cell
-    # average speckle; larger opaque ones would have their edges where nothing is;
-    # glints are 20 dB above the ground, so the harmonics must travel far.
+    # average speckle; edges of larger opaque ones would be visible; glints are 20 dB above the ground, so rates of the
+    # harmonics are high
     "measured": Config(
         preset="measured",
         iterations=800,
@@ -148,7 +148,7 @@ PRESETS: dict[str, Config] = {
         ground=FlatGround(std=0.3),
         surroundings=Surroundings(),
     ),
-    # interferometric stacks: all that images show, ground included, is Gaussians of one size, which move in elevation
+    # interferometric stacks: the whole scene, ground included, is Gaussians of one size, which move in elevation
     "stack": Config(
         preset="stack",
         iterations=250,
@@ -171,8 +171,8 @@ PRESETS: dict[str, Config] = {
         passes=Passes(),
     ),
 }
-# several polarisations: the same, with a matrix for each Gaussian. Materials are not alike, and sparsity and dropout
-# keep faint Gaussians from mixing those that share pixels.
+# several polarisations: a matrix for each Gaussian. Materials differ, and sparsity and dropout keep faint Gaussians
+# from mixing those that share pixels.
 PRESETS["polarimetric"] = replace(
     PRESETS["stack"],
     preset="polarimetric",
@@ -186,7 +186,7 @@ PRESETS["polarimetric"] = replace(
 
 @checks_arguments
 def preset(name: str) -> Config:
-    """The preset of that name; a SarsplatError if there is none."""
+    """Return a preset by name; raise if it is unknown."""
     if name not in PRESETS:
         raise SarsplatError(f"preset {shown(name)} is unknown; {advised(name, PRESETS)}")
     return PRESETS[name]

@@ -1,4 +1,4 @@
-"""Frozen records of settings that check every value against the type of its field, however they are made."""
+"""Frozen records of settings that check every value against the type of its field."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from sarsplat.typed import convert
 
 @dataclass(frozen=True)
 class Record:
-    """Base of the records: `msgspec` checks each value against the annotation of its field, ranges included.
+    """Base of records: `msgspec` checks each value against the annotation of its field, ranges included.
 
-    A whole number becomes a float and a list a tuple where the field is one. A value of another type or outside the
-    field's range is a SarsplatError.
+    Whole numbers are converted to float, and lists to tuple, as the field needs. Other types and values out of range
+    raise.
     """
 
     _section: ClassVar[str] = ""
-    """What stands before the names of its fields in errors, such as ``rates.``."""
+    """Prefix of its fields in errors, such as ``rates.``."""
 
     _gone: ClassVar[Mapping[str, str]] = {}
-    """Fields that files of earlier versions have, and what is to be done about them."""
+    """Fields of earlier versions, with advice to their users."""
 
     def __post_init__(self) -> None:
         for name, hint in _hints(type(self)).items():
@@ -38,7 +38,7 @@ class Record:
                 raise SarsplatError(f"{self._section}{name} is {shown(value)}; it must be {_allowed(hint)}") from error
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain JSON data."""
+        """Convert the record to JSON data."""
         return msgspec.to_builtins(self)
 
     def changes(self, other: Self) -> Iterator[tuple[str, Any, Any]]:
@@ -51,10 +51,10 @@ class Record:
                 yield f"{self._section}{name}", own, others
 
     def with_settings(self, changes: Mapping[str, Any], source: str = "the settings") -> Self:
-        """The same with other values, by dotted names such as ``rates.means``; errors name the `source`.
+        """Copy with other values, by dotted names such as ``rates.means``; errors name the `source`.
 
-        As on the command line, "on" or "off" switches a record that may be absent, a value of it switches it on, and
-        "None" is no value.
+        As on the command line, "on" or "off" switches an optional record, a value inside of it switches it on, and
+        "None" is None.
         """
         data = self.as_dict()
         for name, value in changes.items():
@@ -63,7 +63,7 @@ class Record:
             kind: type[Record] = type(self)
             for section in sections:
                 if section not in place or (inner := record_in(kind, section)) is None:
-                    break  # `from_dict` says what is wrong
+                    break  # `from_dict` raises
                 kind = inner
                 if place[section] is None:
                     place[section] = {}
@@ -78,10 +78,10 @@ class Record:
 
     @classmethod
     def from_dict(cls, data: object, source: str = "the configuration") -> Self:
-        """The record that `as_dict` described; errors name the `source`, e.g. the path of a file.
+        """Make a record from the data of `as_dict`; errors name the `source`, e.g. the path of a file.
 
-        Absent fields take their defaults, as in files from before there were these settings. Refused if a field is
-        unknown, not what it must be, or missing without a default.
+        Absent fields take their defaults, as in older files. Raises if a field is unknown, invalid, or missing without
+        a default.
         """
         try:
             return _read(data, cls)
@@ -92,7 +92,7 @@ class Record:
 R = TypeVar("R", bound=Record)
 
 
-_resolved = cache(partial(get_type_hints, include_extras=True))  # which evaluates text, .3 ms each time
+_resolved = cache(partial(get_type_hints, include_extras=True))  # evaluates text, 0.3 ms each time
 
 
 def _hints(record: type) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def _hints(record: type) -> dict[str, Any]:
 
 
 def record_in(record: type[Record], name: str) -> type[Record] | None:
-    """The kind of record that a field holds, or that it holds where it is not None; None if it holds other values."""
+    """Type of the record in a field, which may be optional; None if the field holds other values."""
     kinds = (kind for kind in _choices(_hints(record)[name]) if isinstance(kind, type))
     return next((kind for kind in kinds if issubclass(kind, Record)), None)
 
@@ -129,7 +129,7 @@ def _read(data: object, record: type[R]) -> R:
 
 
 def _allowed(hint: Any) -> str:
-    """What a type allows, in words."""
+    """Describe the values that a type allows."""
     if get_origin(hint) is Annotated:
         kind, limits = get_args(hint)
         return f"a {'whole ' if kind is int else ''}number from {limits.ge:g} to {limits.le:g}"

@@ -1,6 +1,6 @@
-"""Sections of the settings: records that belong together, most of which are absent unless they are wanted.
+"""Sections of the settings: records, most of which are optional.
 
-Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings suit a ship as they suit a tank.
+Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings suit targets of any size.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ class Rates(Record):
     directional_scattering : float
         Directional part of the scattering.
     law : float
-        What all Gaussians' laws of scattering have in common.
+        Common parameters of all Gaussians' scattering laws.
     shift : float
         Shifts of measured images, resolution cells per step.
     ground : float
         Logarithms of γ⁰ of single places on the ground.
     nuisance : float
-        Ground as a whole, noise floor, phase screens (rad), side lobes and logarithms of the gains of measured images.
+        Mean ground, noise floor, phase screens (rad), side lobes and logarithms of the gains of measured images.
     """
 
     _section: ClassVar[str] = "rates."
@@ -101,17 +101,16 @@ class Densification(Record):
 
 @dataclass(frozen=True)
 class Relocation(Record):
-    """Idle Gaussians move to where something returns: each takes over half of a strong one.
+    """Moves of idle Gaussians to strong ones, of which each takes over half.
 
     Parameters
     ----------
     rounds : int
-        How often, evenly spaced; 0: never.
+        Number of rounds, evenly spaced; 0: none.
     until : float
-        When the last round is, as a share of all iterations.
+        Time of the last round, as a share of all iterations.
     idle_share : float
-        Idle are the weakest Gaussians that together have at most this share of all cross-sections; of each the largest
-        in any training view counts.
+        Share of all cross-sections (the largest in any training view) that the idle, weakest Gaussians have together.
     """
 
     _section: ClassVar[str] = "relocation."
@@ -123,20 +122,20 @@ class Relocation(Record):
 
 @dataclass(frozen=True)
 class Smoothing(Record):
-    """What is lit in each resolution cell moves and turns towards a plane through its neighbours.
+    """Moves and rotations of visible Gaussians towards the plane of their neighbours.
 
-    Only where the training begins with blocks of pixels: surfaces of many cells look alike from inside, at any height.
+    Only for trainings that begin with blocks of pixels: images hardly tell the height inside of large surfaces.
 
     Parameters
     ----------
     rounds : int
-        How often, evenly spaced over all iterations; 0: never.
+        Number of rounds, evenly spaced over all iterations; 0: none.
     share : float
-        How far each time, of the distance to the plane and of the angle to its normal.
+        Share of the distance to the plane, and of the angle to its normal, that a round removes.
     radius : float
-        How far neighbours are at most, in resolution cells.
+        Maximum distance of neighbours, in resolution cells.
     thinner : float
-        By which share the shortest standard deviation of what moves shrinks each time.
+        Share by which a round reduces the shortest standard deviation of the moved Gaussians.
     """
 
     _section: ClassVar[str] = "smoothing."
@@ -149,7 +148,7 @@ class Smoothing(Record):
 
 @dataclass(frozen=True)
 class PointExtraction(Record):
-    """How a point cloud is extracted from the Gaussians.
+    """Extraction of a point cloud from the Gaussians.
 
     Parameters
     ----------
@@ -157,27 +156,28 @@ class PointExtraction(Record):
         "rays": first returns of rays from the training views and from halfway between neighbouring ones;
         "centres": centres of the Gaussians.
     optical_depth : float
-        Two-way optical depth of a first return ("rays"), or smallest κ of a Gaussian ("centres").
+        Two-way optical depth of a first return ("rays"), or minimum κ of a Gaussian ("centres").
     power_share : float
-        Leave out the weakest Gaussians, which together return the rest of the power ("centres").
+        Share of the power that the strongest Gaussians, which are kept, return ("centres").
     voxel : float
-        Keep one point in each voxel of this side, in resolution cells.
+        Side of voxels with one point each, in resolution cells.
     min_height : float
-        Lower points are treated as ground and removed, in resolution cells.
+        Minimum height of points, in resolution cells; lower ones are ground.
     rays_per_pixel : float
         Rays per pixel spacing ("rays").
     seen_through : float
-        Remove a point if this share of the views have their first return behind it ("rays") …
+        Remove a point if more than this share of the views look through it: their first return is farther than `behind`
+        behind it ("rays").
     behind : float
-        … by more than this distance, in resolution cells.
+        Distance within which a first return confirms a point, in resolution cells ("rays").
     seen_by : int
-        Remove a point unless this many of the views, or a fifth of them if that is fewer, have their first return
-        within this distance of it ("rays"): each view takes speckle for something else. 0: keep it.
+        Remove a point unless this many views, or a fifth of them if that is fewer, confirm it ("rays"): speckle differs
+        between views. 0: keep it.
     clusters : str
         "largest": keep only the largest cluster (DBSCAN); "bright": keep every cluster that is higher than a resolution
         cell and returns more than the brightest speckle of a cell of ground.
     cluster_radius : float or None
-        Largest distance of neighbours in a cluster, in resolution cells; None: keep all points.
+        Maximum distance of neighbours in a cluster, in resolution cells; None: keep all points.
     cluster_size : int
         Minimum number of neighbours of a point inside the largest cluster.
     """
@@ -200,21 +200,21 @@ class PointExtraction(Record):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.method == "rays" and self.optical_depth == 0:
-            raise SarsplatError("points.optical_depth is 0, which no ray returns at; give more, as 0.6")
+            raise SarsplatError("points.optical_depth is 0, at which no ray returns; give more, such as 0.6")
 
 
 @dataclass(frozen=True)
 class FlatGround(Record):
-    """Ground at z = 0, or the dataset's terrain, on which rays end: it has a γ⁰, and shadow.
+    """Ground at z = 0, or the dataset's terrain, on which rays end, with a learned γ⁰.
 
     Parameters
     ----------
     pitch : float
-        Distance of the places that have a γ⁰ of their own, in resolution cells; 0: all of it has the same.
+        Spacing of the lattice of γ⁰, in resolution cells; 0: uniform ground.
     std : float
-        Standard deviation of the logarithm of a single place's γ⁰, as expected before the images are seen.
+        Prior standard deviation of the logarithm of a single place's γ⁰.
     from_images : bool
-        Whether places start as bright as half of the images show them, such as roads; otherwise all start alike.
+        Start at the median brightness of the images, place by place, such as of roads; otherwise uniform.
     """
 
     _section: ClassVar[str] = "ground."
@@ -226,12 +226,12 @@ class FlatGround(Record):
 
 @dataclass(frozen=True)
 class Bounce(Record):
-    """Second bounce by way of the ground, which is level and reflects like a mirror, from target to ground and reverse.
+    """Second bounce between target and level ground, which reflects like a mirror.
 
     Parameters
     ----------
     reflectivity : float
-        Share of the power that the ground reflects like a mirror, 0 to 1, at the start: it is learned.
+        Initial share of the power that the ground reflects like a mirror, 0 to 1; it is learned.
     """
 
     _section: ClassVar[str] = "bounce."
@@ -241,39 +241,38 @@ class Bounce(Record):
 
 @dataclass(frozen=True)
 class Surroundings(Record):
-    """What else is modelled in measured images of a target on the ground (docs/concepts/measured-chips.md).
+    """Further effects in measured images of a target on the ground (docs/concepts/measured-chips.md).
 
-    Standard deviations say how far something is expected to be from its usual value, before the images are seen; with 0
-    it keeps that value.
+    Standard deviations are those of priors; 0 keeps the usual value.
 
     Parameters
     ----------
     noise_floor : float
-        Additive power at the start, in units of the training mean, like `p_min` and every γ⁰.
+        Initial additive power, in units of the training mean, like `p_min` and every γ⁰.
     shift_std : float
-        Standard deviation of an image's shift, in resolution cells.
+        Prior standard deviation of an image's shift, in resolution cells.
     gain_std : float
-        Standard deviation of the logarithm of an image's gain.
+        Prior standard deviation of the logarithm of an image's gain.
     side_lobes : float
-        Power of the side lobes of bright scatterers at the start, relative to those of the response (−35 dB Taylor
-        where that has none); 0: none.
+        Initial power of the side lobes of bright scatterers, relative to those of the response (−35 dB Taylor for a
+        response without any); 0: none.
     texture_looks : float
-        The factor between images and scene that is shared by neighbouring images: how many looks it takes to believe in
-        one that differs from 1 by half of what they show; 0: there is none.
+        Number of looks at which the texture, a factor between images and scene that neighbouring images share, is half
+        of the one measured; 0: no texture.
     texture_reach_deg : float
-        Difference of azimuth at which it is shared to 1/e, whatever the grazing angles.
+        Difference of azimuth at which neighbouring images share 1/e of the texture, whatever the grazing angles.
     texture_width : float
-        Standard deviation of the window through which it is seen, in resolution cells.
+        Standard deviation of the texture's smoothing, in resolution cells.
     texture_rounds : int
-        How often it is estimated anew, evenly and the last time at the end, after the first time …
+        Number of estimates of the texture, evenly from `texture_from` to the end.
     texture_from : float
-        … at this share of the iterations.
+        Time of the texture's first estimate, as a share of the iterations.
     azimuth_rounds : int
-        How often uncertain azimuths of training images are refined, evenly spaced …
+        Number of refinements of uncertain azimuths, evenly from `azimuth_from` to `azimuth_until`.
     azimuth_from : float
-        … from this share of all iterations on …
+        Time of the first refinement of azimuths, as a share of all iterations.
     azimuth_until : float
-        … to this one.
+        Time of the last refinement of azimuths, as a share of all iterations.
     """
 
     _section: ClassVar[str] = "surroundings."
@@ -305,16 +304,16 @@ class Surroundings(Record):
 
 @dataclass(frozen=True)
 class Turns(Record):
-    """How axes and rates of rotation that are uncertain are refined (`sarsplat.Turn`).
+    """Refinement of uncertain axes and rates of rotation (`sarsplat.Turn`).
 
     Parameters
     ----------
     rounds : int
-        How often, evenly spaced; 0: never.
+        Number of rounds, evenly spaced; 0: none.
     begin : float
-        The first time, as a share of all iterations.
+        Time of the first round, as a share of all iterations.
     until : float
-        The last time.
+        Time of the last round, as a share of all iterations.
     """
 
     _section: ClassVar[str] = "turns."
@@ -326,21 +325,21 @@ class Turns(Record):
 
 @dataclass(frozen=True)
 class Passes(Record):
-    """How a scene is learned from interferometric stacks.
+    """Learning from interferometric stacks.
 
     Parameters
     ----------
     window : int
-        Side of the square, in pixels, over which covariances are averaged, those of the images and those of the scene,
-        after the phase of level ground is taken out: single looks would be taken for surfaces.
+        Side of the square, in pixels, over which covariances of images and scene are averaged, after removing the phase
+        of level ground: single looks would be taken for surfaces.
     elevation_only : float
-        Share of the training in which centres move in elevation alone, where all images have one direction: what lies
-        where in the images is known to a pixel, and what is higher is not.
+        Share of the training in which centres only move in elevation, if all images have one direction: azimuth and
+        range are known to a pixel, elevation is not.
     noise : float
-        Power of the passes' noise at the start, in units of the training mean, where the stacks do not say.
+        Initial power of the passes' noise, in units of the training mean, if the stacks do not give it.
     screen_std : float
-        Standard deviation of what atmosphere and unknown baselines add to the phases of each pass, rad: a constant, and
-        slopes from the middle of images to their edges; 0: nothing.
+        Prior standard deviation of the phase that atmosphere and unknown baselines add to each pass, rad: a constant,
+        and slopes from the middle of images to their edges; 0: none.
     """
 
     _section: ClassVar[str] = "passes."
