@@ -107,5 +107,5 @@ def test_sampling_in_pieces_draws_the_same(dataset, monkeypatch):
 
     region = initialise.bounded_region(dataset.images("train"), dataset.select("train").views, GRID)
     whole = region.sample(1000, torch.Generator().manual_seed(0))
-    monkeypatch.setattr(initialise, "_AT_A_TIME", 300)
+    monkeypatch.setattr(initialise, "_BATCH", 300)
     assert (region.sample(1000, torch.Generator().manual_seed(0)) == whole).all()

@@ -137,7 +137,7 @@ def test_the_viewer_tells_whose_foot_is_in_a_pixel(mirrored: Dataset) -> None:
 
 
 def test_what_it_cannot_be_combined_with_is_refused(mirrored: Dataset) -> None:
-    with pytest.raises(SarsplatError, match="bounce is on, but ground is off, by way of which it returns; give ground"):
+    with pytest.raises(SarsplatError, match="bounce is on, but needs ground, which is off; switch ground on"):
         replace(SHORT, ground=None)
     assert Stacks.goes_with["ground"] is None  # without which there is no bounce
     with pytest.raises(SarsplatError, match=r"bounce is on, which is off level ground, but .* has terrain; give"):

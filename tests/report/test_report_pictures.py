@@ -71,7 +71,7 @@ def test_of_more_points_than_a_picture_can_show_some_are_drawn(monkeypatch: pyte
     monkeypatch.setattr("sarsplat.report.boards._MOST_POINTS", 500)
     places = np.random.default_rng(0).uniform(0, 1, (20_000, 3))
     drawn = []
-    monkeypatch.setattr("sarsplat.report.boards._apart_m", lambda cloud: drawn.append(cloud.n) or 0.0)
+    monkeypatch.setattr("sarsplat.report.boards._point_width_m", lambda cloud: drawn.append(cloud.n) or 0.0)
     (block,), _ = point_boards({"cloud": places}, None, 1.0)
     assert block.title == "cloud, 20,000 points" and drawn == [500]
 

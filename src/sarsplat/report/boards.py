@@ -58,10 +58,10 @@ def point_boards(
     if surface is not None:
         truth = _tree(surface)
         if heights:
-            seen = raster.sides(surface, _apart_m(truth))
+            seen = raster.sides(surface, _point_width_m(truth))
             by_height.append(raster.board("true surface", seen, surface[:, 2], span, HEIGHT))
     for (name, points), title in zip(clouds.items(), titles, strict=True):
-        seen = raster.sides(points, _apart_m(_tree(points)))
+        seen = raster.sides(points, _point_width_m(_tree(points)))
         if heights or truth is None:
             by_height.append(raster.board(title, seen, points[:, 2], span, HEIGHT))
         if truth is not None:
@@ -83,7 +83,7 @@ def _tree(points: Points) -> cKDTree:
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
-def _apart_m(cloud: cKDTree) -> float:
+def _point_width_m(cloud: cKDTree) -> float:
     """Width at which points are drawn to close the gaps between them, m: about the voxels that they were thinned to."""
     if cloud.n <= _NEIGHBOURS:
         return 0.0

@@ -251,7 +251,7 @@ def in_words(written: MeasuredChips) -> str:
     for (split, _), number in written.counts.items():
         splits[split] = splits.get(split, 0) + number
     classes = len({target for _, target in written.counts})
-    each = ", ".join(f"{number:,} {split}" for split, number in splits.items())
+    sets = ", ".join(f"{number:,} {split}" for split, number in splits.items())
     rows, columns = written.size
     kinds = "1 class" if classes == 1 else f"{classes} classes"
-    return f"{counted(sum(splits.values()), 'chip')} of {kinds} ({each}), {rows} × {columns} pixels"
+    return f"{counted(sum(splits.values()), 'chip')} of {kinds} ({sets}), {rows} × {columns} pixels"

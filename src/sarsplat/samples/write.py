@@ -101,13 +101,13 @@ def write_chips(
     made = header.encoded(out / MARKER)
 
     def goes_on(folder: Path) -> bool:
-        begun = (folder / MARKER).read_bytes() if (folder / MARKER).is_file() else b""
-        if begun not in (b"", made) and not overwrite:
+        started = (folder / MARKER).read_bytes() if (folder / MARKER).is_file() else b""
+        if started not in (b"", made) and not overwrite:
             raise SarsplatError(
                 f"{out} is an unfinished set that {header.unlike(folder)}; go on with it by the command that began it, "
                 "choose another name, or pass overwrite=True to begin anew"
             )
-        return begun == made
+        return started == made
 
     with new_folder(out, overwrite, marker=MARKER, goes_on=goes_on) as folder:
         _put(folder / MARKER, made)

@@ -77,15 +77,15 @@ def bright(
     near = np.isfinite(distance)
     of_gaussian = cluster[nearest[near]]
     power = np.array([np.bincount(of_gaussian, section[near], count) for batch in cross_sections for section in batch])
-    kept = (np.quantile(power, _QUARTILE, axis=0) >= least_m2) & (np.bincount(cluster[owner], high, count) > 0)
-    if not kept.all():
-        share = power[:, ~kept].sum() / max(power.sum(), np.finfo(float).tiny)
-        first = [points[cluster[owner] == k].mean(axis=0) for k in np.flatnonzero(~kept)[:_NAMED]]
+    keep = (np.quantile(power, _QUARTILE, axis=0) >= least_m2) & (np.bincount(cluster[owner], high, count) > 0)
+    if not keep.all():
+        share = power[:, ~keep].sum() / max(power.sum(), np.finfo(float).tiny)
+        first = [points[cluster[owner] == k].mean(axis=0) for k in np.flatnonzero(~keep)[:_NAMED]]
         where = "; ".join(", ".join(f"{value:.2f}" for value in place) for place in first)
-        more = ", …" if (~kept).sum() > _NAMED else ""
-        left_out = counted(int((~kept).sum()), "cluster")
+        more = ", …" if (~keep).sum() > _NAMED else ""
+        left_out = counted(int((~keep).sum()), "cluster")
         say(f"points: left out {left_out} like speckle or ground, {share:.2g} of the power, at ({where}{more}) m")
-    return kept[cluster[owner]]
+    return keep[cluster[owner]]
 
 
 def _cubes(points: Float64[np.ndarray, "p 3"], side: float) -> tuple[Int[np.ndarray, "c 3"], Int[np.ndarray, " p"]]:

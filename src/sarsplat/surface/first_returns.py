@@ -102,10 +102,10 @@ class FirstReturns:
     ) -> Sequence[Float64[Tensor, "p 3"]]:
         placed = [self._placed(view, ranges[view]) for view in views]
         points, finite = torch.cat(placed), torch.cat([ranges[view] for view in views]).isfinite()
-        kept = finite & (_heights(points, terrain) >= lowest_m)
-        ends = torch.from_numpy(np.cumsum([len(returns) for returns in placed])).to(kept.device)
-        upto = torch.cat([kept.new_zeros(1, dtype=torch.int64), kept.cumsum(0)])[ends].tolist()
-        return points[kept].split(np.diff([0, *upto]).tolist())
+        keep = finite & (_heights(points, terrain) >= lowest_m)
+        ends = torch.from_numpy(np.cumsum([len(returns) for returns in placed])).to(keep.device)
+        upto = torch.cat([keep.new_zeros(1, dtype=torch.int64), keep.cumsum(0)])[ends].tolist()
+        return points[keep].split(np.diff([0, *upto]).tolist())
 
     def _placed(self, view: int, ranges: Float[Tensor, " r"]) -> Float64[Tensor, "r 3"]:
         """Points of first return of a view's rays, world frame, m; arbitrary for rays that meet nothing."""

@@ -73,6 +73,6 @@ def without_imitated_ground(
     points = points[heights_of(points, terrain) >= lowest]
     if not len(points):
         return target[:0]
-    kept = np.isfinite(cKDTree(points).query(means, distance_upper_bound=_REACH * cell_m)[0])
-    kept &= heights_of(means, terrain) >= lowest
-    return target[torch.from_numpy(kept).to(target.means.device)]
+    keep = np.isfinite(cKDTree(points).query(means, distance_upper_bound=_REACH * cell_m)[0])
+    keep &= heights_of(means, terrain) >= lowest
+    return target[torch.from_numpy(keep).to(target.means.device)]

@@ -94,10 +94,10 @@ def extract_points(
         raise SarsplatError("there are no views that could see a surface; give at least one View")
     gaussians, cell = gaussians.detach(), grid.cell_m
     if how.method == "centres":
-        kept = gaussians.optical_depth >= how.optical_depth
+        keep = gaussians.optical_depth >= how.optical_depth
         if how.power_share < 1:
-            kept &= _strongest(gaussians, views, grid, how.power_share)
-        points = gaussians.means[kept].double().cpu().numpy()
+            keep &= _strongest(gaussians, views, grid, how.power_share)
+        points = gaussians.means[keep].double().cpu().numpy()
         voxels = Voxels(how.voxel * cell)
         voxels.add(torch.from_numpy(points[heights_of(points, terrain) >= how.min_height * cell]))
         points = voxels.means().numpy()
@@ -187,8 +187,8 @@ def _seen_points(
             for batch in returns.points(terrain, how.min_height * cell):
                 voxels.add(batch if brick is None else batch[brick.holds(batch)])
             means = voxels.means()
-            kept = returns.confirmed(means, how.behind * cell, how.seen_through, enough, shown.advance)
-            found.append(means[kept].cpu())
+            confirmed = returns.confirmed(means, how.behind * cell, how.seen_through, enough, shown.advance)
+            found.append(means[confirmed].cpu())
     return torch.cat(found).numpy()
 
 

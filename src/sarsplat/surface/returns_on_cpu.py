@@ -58,17 +58,17 @@ class FirstReturnsOnCpu:
         advance: Callable[[int], object],
     ) -> Int64[Tensor, " k"]:
         """See `FirstReturns.confirmed`."""
-        left, places = np.arange(len(points)), np.ascontiguousarray(points.numpy().T)
+        index, places = np.arange(len(points)), np.ascontiguousarray(points.numpy().T)
         through, seen = np.zeros((2, len(points)), np.uint8 if len(self.views) < 256 else np.int64)
         for number in _mixed(len(self.views)):  # different directions drop isolated points soon
             beyond = self.views[number].beyond(places.T)
             through += beyond > behind_m
             seen += np.abs(beyond, out=beyond) <= behind_m
-            kept = through <= seen_through * len(self.views)
-            if kept.sum() <= _WORTH * len(left):
-                left, places, through, seen = left[kept], places[:, kept], through[kept], seen[kept]
+            keep = through <= seen_through * len(self.views)
+            if keep.sum() <= _WORTH * len(index):
+                index, places, through, seen = index[keep], places[:, keep], through[keep], seen[keep]
             advance(1)
-        return torch.from_numpy(left[(through <= seen_through * len(self.views)) & (seen >= seen_by)])
+        return torch.from_numpy(index[(through <= seen_through * len(self.views)) & (seen >= seen_by)])
 
 
 def _mixed(count: int) -> Int64[np.ndarray, " n"]:

@@ -111,8 +111,8 @@ def _in_sight(
     depth = gaussians.optical_depth
     for first in range(0, grid.columns, _STRIP):
         strip = grid.part(slice(0, grid.rows), slice(first, min(first + _STRIP, grid.columns)))
-        seen = left_in_sight(echoes, gaussians.means, [view], strip, rays, shift)
-        depth = depth if seen is None else depth * seen[0]
+        visible = left_in_sight(echoes, gaussians.means, [view], strip, rays, shift)
+        depth = depth if visible is None else depth * visible[0]
     return replace(gaussians, optical_depth=depth)
 
 
