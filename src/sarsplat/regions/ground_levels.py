@@ -6,28 +6,25 @@ import warnings
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.ndimage import map_coordinates
 
 from sarsplat.data import Dataset
-from sarsplat.regions.target_box import above_ground_db
+from sarsplat.regions.image_levels import above_ground_db, values_at
 
 _SURE_DB = 3.0
-"""Level above the ground from which on a place is not speckle, dB."""
+"""Minimum level of bright ground, dB above the usual ground; less is speckle."""
 
 
 def ground_levels_db(
-    train: Dataset, x: Float64[np.ndarray, "rows columns"], y: Float64[np.ndarray, "rows columns"]
-) -> Float64[np.ndarray, "rows columns"]:
-    """Return the median level over the images at places on the ground, dB above the usual ground; 0 if not certain.
+    train: Dataset, x: Float64[np.ndarray, "ny nx"], y: Float64[np.ndarray, "ny nx"]
+) -> Float64[np.ndarray, "ny nx"]:
+    """Return the median level over the images at places on level ground (m), dB above the usual ground; 0 if speckle.
 
-    What stands on the ground is shown elsewhere in each image, so that half of them show a place as bright only if it
-    is, or lies below something bright. Images are those of level ground.
+    Objects are displaced differently in each image, so the median is high only where the ground is bright or under a
+    bright object.
     """
-    grid, shown = train.grid, []
-    for level_db, view in zip(above_ground_db(train.power, train.grid), train.views, strict=True):
-        azimuth, slant_range = np.tensordot(view.look.gradients[:, :2], np.stack([x, y]), 1)
-        pixel = (slant_range - grid.range_m[0]) / grid.spacing_m[1], (azimuth - grid.azimuth_m[0]) / grid.spacing_m[0]
-        shown.append(map_coordinates(level_db, pixel, order=1, mode="constant", cval=np.nan).astype(np.float32))
+    places = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    levels_db = above_ground_db(train.power, train.grid)
+    shown = [values_at(image, view, train.grid, places) for image, view in zip(levels_db, train.views, strict=True)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a place that no image shows
         middle = np.nanmedian(shown, axis=0)

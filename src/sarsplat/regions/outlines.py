@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Real
-from scipy.ndimage import gaussian_filter, label
+from scipy.ndimage import label
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid
 from sarsplat.radiometry import to_db
-from sarsplat.regions.target_box import above_ground_db
+from sarsplat.regions.image_levels import above_ground_db, smoothed
 
 _BRIGHT_DB, _DARK_DB = 3.0, -4.5
 """Above and below the ground: what is farther off, smoothed over a resolution cell, is not speckle."""
@@ -41,8 +41,7 @@ def levels_db(
     """Decibels above the ground, smoothed over a resolution cell; without ground, above what counts as nothing."""
     if ground:
         return above_ground_db(power, grid)
-    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
-    smooth = gaussian_filter(power.astype(np.float64), width, mode="nearest")
+    smooth = smoothed(power, grid)
     peak = max(float(np.median(smooth.max(axis=(1, 2)))), np.finfo(float).tiny)
     return np.maximum(to_db(smooth, peak) + _RANGE_DB, 0.0)
 
@@ -64,8 +63,7 @@ def outline(level_db: Float64[np.ndarray, "rows columns"]) -> Outline:
 def usual_gamma0(train: Dataset) -> float:
     """Median γ⁰ of the pixels that stand out from the ground, smoothed over a resolution cell; of all if none do."""
     grid = train.grid
-    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
-    smooth = gaussian_filter(train.power.astype(np.float64), width, mode="nearest")
+    smooth = smoothed(train.power, grid)
     gamma0 = np.stack([view.look.gamma0_of_beta0(image) for view, image in zip(train.views, smooth, strict=True)])
     shown = np.stack([outline(level_db).target for level_db in levels_db(train.power, grid, train.ground)])
     return float(np.median(gamma0[shown]) if shown.any() else gamma0.mean())

@@ -1,4 +1,4 @@
-"""Number of threads with which steps are quickest: on cores that others use, many threads wait for each other."""
+"""Choice of the number of threads: on cores that others use, many threads wait for each other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TypeVar
 import torch
 
 _EVERY = 100
-"""Steps from one trial to the next: others come and go, and finer images are more work."""
+"""Steps between trials: the load of the machine and the size of the images change."""
 
 _TIMED = 2
 """Steps of a trial with each number of threads, of which the quicker one counts."""
@@ -22,15 +22,14 @@ T = TypeVar("T")
 
 
 class ThreadChoice:
-    """Makes steps with the quickest of 1, 2, 4, … threads, which a trial finds from time to time.
+    """Runs steps with the quickest of 1, 2, 4, … threads, found anew every 100 steps.
 
-    A context, in whose end torch has the number of threads that it had. Results do not depend on it. Where several
-    threads of Python train, it leaves torch's number as it is, which they share.
+    The context restores torch's number of threads at its end. Inactive on GPUs and outside of the main thread.
     """
 
     def __init__(self, device: str) -> None:
         self._most = torch.get_num_threads()
-        self._wanted = device == "cpu" and self._most > 1 and threading.current_thread() is threading.main_thread()
+        self._active = device == "cpu" and self._most > 1 and threading.current_thread() is threading.main_thread()
         self._until_trial = 0
         self._untried: list[int] = []
         self._seconds: dict[int, float] = {}
@@ -39,12 +38,12 @@ class ThreadChoice:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if self._wanted:
+        if self._active:
             torch.set_num_threads(self._most)
 
     def step(self, make: Callable[[], T]) -> T:
-        """Make a step."""
-        if not self._wanted:
+        """Run one step and return its result."""
+        if not self._active:
             return make()
         if self._until_trial == 0:
             counts = [*(2**k for k in range(self._most.bit_length()) if 2**k < self._most), self._most]
@@ -58,7 +57,7 @@ class ThreadChoice:
         made = make()
         took = time.perf_counter() - begun
         self._seconds[count] = min(took, self._seconds.get(count, took))
-        if took > _HOPELESS * min(self._seconds.values()) and count > 1:
+        if count not in self._untried and self._seconds[count] > _HOPELESS * min(self._seconds.values()):
             self._untried = []
         if not self._untried:
             torch.set_num_threads(min(self._seconds, key=lambda threads: self._seconds[threads]))

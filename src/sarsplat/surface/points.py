@@ -120,10 +120,10 @@ def extract_points(
     chosen = spread(views, _MOST_VIEWS)
     with stage("points: power of clusters", len(chosen)) as shown:
         sections = (found.cpu().numpy() for _, found in _cross_sections(gaussians, chosen, grid, shown.advance))
-        least_m2 = brightest_speckle_m2(ground_gamma0, grid)
+        threshold_m2 = brightest_speckle_m2(ground_gamma0, chosen, grid)
         means = gaussians.means.double().cpu().numpy()
         high = heights_of(points, terrain) > cell
-        return points[bright(points, high, how.cluster_radius * cell, least_m2, means, sections, shown.note)]
+        return points[bright(points, high, how.cluster_radius * cell, threshold_m2, means, sections, shown.note)]
 
 
 def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, share: float) -> Bool[Tensor, " n"]:
