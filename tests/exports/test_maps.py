@@ -262,7 +262,7 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
         ("dsm.tif", {"view": View(0, 30)}, "the same from every direction"),
         ("dsm.tif", {"pixel_m": 0.001}, "finer than the points of the surface are apart"),
         ("dsm.tif", {"pixel_m": -1.0}, "positive number of metres"),
-        ("a.xyz", {"pixel_m": 1.0}, "has no pixel"),
+        ("a.ply", {"pixel_m": 1.0}, "has no pixel"),
         ("dsm.tif", {"crs": "EPSG:32633"}, "does not know where on earth it is"),
         ("layover-shadow.tif", {"view": View(0, 30, tilt_deg=9)}, "level, monostatic view"),
         ("layover-shadow.tif", {"view": View(0, 30, aloft=True)}, "aloft"),

@@ -80,7 +80,7 @@ def export(
         What was reconstructed.
     path : str or Path
         File to write; its ending decides the format (`FORMATS`). An existing file is replaced.
-    content : "gaussians", "points", "mesh", "dsm", "gamma0", "layover-shadow" or "everything", optional
+    content : "gaussians", "points", "mesh", "dsm", "gamma0" or "layover-shadow", optional
         What it holds, where a format can hold several; a map whose name is, or ends with, one of them holds that.
     colour : "db" or "height", optional
         What viewers show of Gaussians: γ⁰ in decibels (the default) or the height.
