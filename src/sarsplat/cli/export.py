@@ -9,7 +9,6 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, Metres, one_of, refuse_existing, run_at, views_from
-from sarsplat.cli.beaten import warn_if_beaten
 from sarsplat.errors import SarsplatError
 from sarsplat.names import Colour, Content
 
@@ -82,7 +81,7 @@ def export(
     else:
         # of points, meshes and maps: nothing is as fine as the rest, and as wide as strays
         done = run_at(run, strays=holds == "gaussians")
-        warn_if_beaten(done.metrics)
+        console.warn_if_beaten(done.metrics)
         refuse_other_kinds(file, run, kind.recognises)
         with console.busy(f"writing {file}"):
             written = exports.export(done, file, format, colour=colour, crs=crs, pixel_m=pixel, view=view)
