@@ -214,38 +214,6 @@ def test_learned_ground_has_heights_where_it_was_seen(small_box: Dataset, tmp_pa
     assert np.nanmin(read(tmp_path / "gamma0.tif")[1]) > 0
 
 
-def test_info_says_what_a_map_holds(block: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    placed = with_points(replace(block, place=Place(47.3769, 8.5417, 408.0)))
-    export(placed, tmp_path / "dsm.tif", pixel_m=0.5)
-    export(placed, tmp_path / "layover-shadow.tif", view=View(0, 40), pixel_m=0.5)
-    assert main(["info", str(tmp_path / "dsm.tif")]) == 0
-    told = capsys.readouterr().out
-    assert "a map (GeoTIFF)" in told and "of 0.5 m × 0.5 m" in told
-    assert "47.37" in told and "height of the surface, above the WGS 84 ellipsoid, m" in told
-    assert main(["info", str(tmp_path / "layover-shadow.tif")]) == 0
-    assert "0 neither; 1 shadow" in capsys.readouterr().out
-    with rasterio.open(
-        tmp_path / "dem.tif",
-        "w",
-        driver="GTiff",
-        width=9,
-        height=8,
-        count=1,
-        dtype="uint16",
-        crs=32633,
-        transform=rasterio.Affine(1, 0, 5e5, 0, -1, 5e6),
-    ) as dem:
-        dem.write(np.full((1, 8, 9), 20000, np.uint16))
-    assert main(["info", str(tmp_path / "dem.tif")]) == 2
-    assert "lies on a map (GeoTIFF); give heights as --terrain" in capsys.readouterr().err
-    with rasterio.open(tmp_path / "dem.tif", "r+") as dem:
-        dem.write(np.full((1, 8, 9), 400, np.uint16))
-    assert main(["info", str(tmp_path / "dem.tif")]) == 0  # nobody but who wrote it knows whether these are heights
-    told = " ".join(capsys.readouterr().out.split())
-    assert "8 rows × 9 columns of 1 m × 1 m" in told and "numbers 400 … 400" in told
-    assert "if heights give heights as --terrain" in told and "--geocoded" in told
-
-
 def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: Run, tmp_path: Path) -> None:
     assert format_of(Path("gamma0.tif"))[1] == "gamma0"
     assert format_of(Path("Layover-Shadow.TIF"))[1] == "layover-shadow"
@@ -262,7 +230,7 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
         ("dsm.tif", {"view": View(0, 30)}, "the same from every direction"),
         ("dsm.tif", {"pixel_m": 0.001}, "finer than the points of the surface are apart"),
         ("dsm.tif", {"pixel_m": -1.0}, "positive number of metres"),
-        ("a.xyz", {"pixel_m": 1.0}, "has no pixel"),
+        ("a.ply", {"pixel_m": 1.0}, "has no pixel"),
         ("dsm.tif", {"crs": "EPSG:32633"}, "does not know where on earth it is"),
         ("layover-shadow.tif", {"view": View(0, 30, tilt_deg=9)}, "level, monostatic view"),
         ("layover-shadow.tif", {"view": View(0, 30, aloft=True)}, "aloft"),

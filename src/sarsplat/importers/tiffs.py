@@ -14,8 +14,7 @@ import numpy as np
 import tifffile
 from jaxtyping import Bool, Shaped
 
-from sarsplat.data.files import open_file
-from sarsplat.data.foreign_tiff import KEYS, NO_DATA, PageTags, gdal_items, opened_tiff, tags_of
+from sarsplat.data.foreign_tiff import NO_DATA, PageTags, gdal_items, opened_tiff, tags_of
 from sarsplat.data.georeference import Georeference, georeference_of
 from sarsplat.data.packed_tiff import masked_out, pixels_of
 from sarsplat.errors import SarsplatError, shown
@@ -97,17 +96,6 @@ def first_georeference(paths: Iterable[Path]) -> Georeference | None:
         return None if first is None else read_tiff_of_others(first)[1].georeference
     except SarsplatError:
         return None
-
-
-def is_plain_tiff_of_others(path: Path) -> bool:
-    """Whether a TIFF was not written by us and lies on no map; also False if its tags cannot be read."""
-    with open_file(path) as file:
-        try:
-            with tifffile.TiffFile(file) as tiff:
-                page = tiff.pages.first
-                return page.software != "sarsplat" and KEYS not in page.tags
-        except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
-            return False
 
 
 def refuse_bomb(path: Path, unpacked: int, size: int, packed: bool) -> None:
