@@ -69,15 +69,15 @@ _VIEWS = 48
 def target_box(
     power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Corners of the box, from means over the images of the decibels above the ground at each place of it.
+    """Return the corners of the target's box, from the mean level above the ground at each ground place over the images.
 
-    What stands on the ground is displaced towards the radar, but never across: the extent along an axis is mostly that
-    in the views from its sides. It holds every object that stands out (`StandingOut`). The height is the greatest at
-    which the shadow of some place is dark on average over the views that show it and in which nothing bright hides it. Images are β⁰, linear power, and show
+    Objects are displaced in range, never across: views across an axis weigh most for the extent along it. The box holds
+    every object that stands out (`StandingOut`). Its height is the greatest at which the shadow of some place is dark
+    on average over the views that show it and in which nothing bright hides it. Images are β⁰, linear power, and show
     the ground around the target; their gains may differ. One that does not show the world's origin is refused.
 
-    The box (m, world frame) is a cell wider and higher than what was found; z from 0, to two thirds of the narrower
-    side if there is no shadow. Where nothing stands out, the middle half of the scene.
+    The box (m, world frame) is a cell wider and higher than the target; z from 0, to two thirds of the narrower side if
+    there is no shadow. Where nothing stands out, it is the middle half of the scene.
     """
     level_db, grid, axis = _levels(power, views, grid)
     half = float(axis[-1])
