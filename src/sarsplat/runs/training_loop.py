@@ -17,7 +17,6 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.method import Trainable
-from sarsplat.processes import Processes
 from sarsplat.progress import Reporter
 from sarsplat.runs.run import InMemory, Run
 from sarsplat.runs.run_folder import ABOUT, HEADER, LogLine, RunFolder, log_text, require_replaceable
@@ -56,7 +55,7 @@ class Training(Generic[T]):
     """A trainer at work: counts the time, calls `on_step`, and keeps the log.
 
     `run` is the one whose folder gets the log and the checkpoints; None in memory. `ended` is whether `on_step` asked
-    for the end. Of `processes` that share the work, only the first has a run and `on_step`.
+    for the end.
     """
 
     def __init__(
@@ -64,9 +63,8 @@ class Training(Generic[T]):
         trainer: T,
         on_step: Callable[[Step[T]], object] | None,
         shown: Reporter,
-        processes: Processes | None = None,
     ) -> None:
-        self.trainer, self.shown, self._on_step, self._processes = trainer, shown, on_step, processes
+        self.trainer, self.shown, self._on_step = trainer, shown, on_step
         self.history: list[LogLine] = []
         self.run: Run | None = None
         self.ended = False
@@ -83,17 +81,6 @@ class Training(Generic[T]):
     def last(self) -> bool:
         """Whether the step that was just made is the last one of this process."""
         return self.trainer.iteration >= self.trainer.config.iterations
-
-    @property
-    def follows(self) -> bool:
-        """Whether another process writes and says what is done."""
-        return self._processes is not None and not self._processes.leads
-
-    def follow(self) -> None:
-        """Begin where the first process does, which resumes."""
-        assert self._processes is not None
-        if (snapshot := self._processes.shared(None)) is not None:
-            self.trainer.restore(snapshot)
 
     def resume(self, dataset: Dataset) -> None:
         """Bring the trainer, the log and the folder to the newest checkpoint of `run`."""
@@ -114,10 +101,8 @@ class Training(Generic[T]):
         other_results = any(name not in AnyConfig.may_change for name, _, _ in run.config.changes(config))
         where = None if dataset.path is None else dataset.path.resolve()
         self.run = resumed = replace(run, dataset_path=where, config=config)
-        snapshot = run.snapshot if begun else None
-        if self._processes is not None:
-            self._processes.shared(snapshot)
-        if snapshot is not None:
+        if begun:
+            snapshot = run.snapshot
             try:
                 self.trainer.restore(snapshot)
             except (LookupError, TypeError, ValueError, RuntimeError, OverflowError) as error:
@@ -171,17 +156,8 @@ class Training(Generic[T]):
                 self._show(loss.item())
             if saves:
                 self._save()
-            self.ended = self._ends(Step(trainer.iteration, loss, trainer, line, self.folder_to_come, self.last))
-
-    def _ends(self, step: Step[T]) -> bool:
-        """Whether this was the last step, as `on_step` says; an exception of it ends those that follow, too."""
-        ended = True
-        try:
-            ended = self._on_step is not None and self._on_step(step) is True
-        finally:
-            if self._processes is not None:
-                ended = self._processes.said(ended)
-        return ended
+            step = Step(trainer.iteration, loss, trainer, line, self.folder_to_come, self.last)
+            self.ended = self._on_step is not None and self._on_step(step) is True
 
     def _line(self, losses: list[Tensor]) -> LogLine:
         loss = sum(self._require_finite(losses)) / len(losses)
@@ -233,9 +209,7 @@ def train(
         raise SarsplatError("a run is either resumed or overwritten; give only one of resume and overwrite")
     if out is None and (resume or overwrite):
         raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
-    if out is None or training.follows:
-        if resume:
-            training.follow()
+    if out is None:
         training.advance_to(config.iterations)
         held = InMemory(training.trainer.snapshot(training.seconds), tuple(training.history))
         return replace(new, memory=held, images=dataset)
