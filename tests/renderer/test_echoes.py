@@ -126,7 +126,7 @@ def test_what_does_not_fit_is_refused() -> None:
         ("in_sight", lambda self, means, *_: torch.ones(len(means)), r"in_sight gave \(3,\); it must give a tensor"),
         ("in_sight", lambda self, means, *_: 1.0, "in_sight gave float"),
         ("visible", lambda self, gaussians: gaussians[:2], "visible makes 3 Gaussians to 2"),
-        ("seen", lambda self, sighting, _: torch.ones(GRID.rows, GRID.columns), r"returned torch.float32 .* must"),
+        ("seen", lambda self, sighting: torch.ones(GRID.rows, GRID.columns), r"returned torch.float32 .* must"),
         ("returned", lambda self, seen, *_: seen.double(), "returned torch.float64"),
         ("returned", lambda self, *_: None, "returned NoneType"),
     ],

@@ -1,4 +1,4 @@
-"""One picture under two directions: the same pixels (of the same speckle see `copied`)."""
+"""One picture under two directions: the same pixels."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ _LEAST = 1e-30
 _ROUNDED = 0.02
 """Of the brightest pixel: by how much images that are the same by symmetry differ, by rounding or by rays."""
 
-_REMEDY = "so the file or the angles of one are wrong: correct them, or remove one"
-
 
 def repeated_images(dataset: Dataset) -> list[str]:
     """Whether images are the same, pixel by pixel, though of other directions, or twice in one set; a sentence each.
@@ -30,10 +28,10 @@ def repeated_images(dataset: Dataset) -> list[str]:
     for index, image in enumerate(dataset.power):
         if (at := first.setdefault(image.tobytes(), index)) != index and np.ptp(image) > 0:
             pairs.append((at, index))
-    apart = [(i, j) for i, j in pairs if apart_deg(dataset.views[i], dataset.views[j]) > _SAME_DIRECTION_DEG]
+    apart = [(i, j) for i, j in pairs if _apart_deg(dataset.views[i], dataset.views[j]) > _SAME_DIRECTION_DEG]
     twice = [(i, j) for i, j in pairs if (i, j) not in apart and dataset.entries[i].split == dataset.entries[j].split]
     apart = [pair for pair in apart if not _symmetric(dataset, *pair)]
-    return [*said_of_pairs(dataset, apart, ""), *_said_of_twice(dataset, twice)]
+    return [*_said_of_pairs(dataset, apart), *_said_of_twice(dataset, twice)]
 
 
 def _said_of_twice(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> list[str]:
@@ -46,7 +44,7 @@ def _said_of_twice(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> list[s
     ]
 
 
-def apart_deg(one: View, other: View) -> float:
+def _apart_deg(one: View, other: View) -> float:
     """Angle between two directions, degrees."""
     return math.degrees(math.acos(min(max(float(one.direction @ other.direction), -1.0), 1.0)))
 
@@ -74,18 +72,15 @@ def _symmetric(dataset: Dataset, i: int, j: int) -> bool:
     )
 
 
-def said_of_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]], how: str) -> list[str]:
-    """A sentence that names the first of these pairs of images, which are the same in some way; or none."""
+def _said_of_pairs(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> list[str]:
     if not pairs:
         return []
-    one, other = (named(dataset, k) for k in pairs[0])
-    return [f"{one} and {other} are one and the same picture{how}{_more(pairs)}, {_REMEDY}"]
-
-
-def named(dataset: Dataset, k: int) -> str:
-    """The name of an image, and its angles."""
-    entry = dataset.entries[k]
-    return f"{entry.name} (azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°)"
+    entries = [dataset.entries[k] for k in pairs[0]]
+    one, other = (f"{e.name} (azimuth {e.view.azimuth_deg:g}°, grazing {e.view.grazing_deg:g}°)" for e in entries)
+    return [
+        f"{one} and {other} are one and the same picture{_more(pairs)}, so the file or the angles of one are wrong: "
+        "correct them, or remove one"
+    ]
 
 
 def _more(pairs: Sequence[tuple[int, int]]) -> str:
