@@ -11,7 +11,7 @@ import pytest
 from datasets import dataset_of
 from sarsplat.data import Dataset
 from sarsplat.examination.outcome import Examination
-from sarsplat.examination.repeated import repeated_images
+from sarsplat.examination.plausible import repeated_images
 from sarsplat.examination.scaling import examine_cut_off, examine_scaling, share_at_top
 from sarsplat.geometry import ImageGrid, View
 
