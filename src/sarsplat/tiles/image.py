@@ -44,7 +44,7 @@ def tile_image(
     new_pass = passes_for("auto", {"transmittance": ends.transmittance})
     sighting = Sighting(some, [view], pixels, rays, shift, attenuation.lit_area, ends, new_pass)
     for echo in echoes:
-        returned = echo.returned(echo.seen(sighting, echo.by_view(1)), [view], pixels, shift)
+        returned = echo.returned(echo.seen(sighting), [view], pixels, shift)
         images = added(images, returned, gaussians.scattering.power_channel)
     return images[0]
 

@@ -95,14 +95,11 @@ class GroundBounce(Echo):
         hidden = gaussians.means[:, 2] < self._height
         return replace(gaussians, optical_depth=gaussians.optical_depth.masked_fill(hidden, 0.0))
 
-    def by_view(self, views: int) -> Float[Tensor, "v n"] | None:
-        if self.amplitudes is not None and len(self.amplitudes) != views:
-            raise SarsplatError(f"the bounce's amplitudes are of {len(self.amplitudes)} views, not of {views}")
-        return self.amplitudes
-
-    def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
+    def seen(self, sighting: Sighting) -> Float[Tensor, "v rows columns"]:
         """As if the ground reflected everything."""
         s = sighting
+        if self.amplitudes is not None and len(self.amplitudes) != len(s.views):
+            raise SarsplatError(f"the bounce's amplitudes are of {len(self.amplitudes)} views, not of {len(s.views)}")
         if s.new_pass is not None and (kernel := s.new_pass()).has("bounce", {}):
             _check_views(s.views)
             assert s.ends is not None  # asked for
@@ -112,7 +109,7 @@ class GroundBounce(Echo):
                 s.views,
                 s.grid,
                 rays=s.rays,
-                amplitudes=self._amplitudes(s, by_view),
+                amplitudes=self._amplitudes(s),
                 shift=s.shift,
                 lit_area=s.lit_area,
                 ends=s.ends,
@@ -120,7 +117,7 @@ class GroundBounce(Echo):
                 factor=_COHERENT,
             )
         steps = _Steps(s.new_pass, s.cuts)
-        sections, places = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift, by_view)
+        sections, places = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift)
         return steps.splat(places, sections[..., None], s.grid)[:, 0]
 
     def returned(
@@ -138,7 +135,7 @@ class GroundBounce(Echo):
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
         """What each Gaussian returns by way of a ground that reflects everything, m², and where images show it."""
         steps = _Steps(passes_for("auto", gaussians.tensors(), grid), cuts=True)
-        return self._parts(steps, gaussians, views, grid, rays, None, self.amplitudes)
+        return self._parts(steps, gaussians, views, grid, rays, None)
 
     def _parts(
         self,
@@ -148,19 +145,17 @@ class GroundBounce(Echo):
         grid: ImageGrid,
         rays: RayGrid,
         shift: Float[Tensor, "v 2"] | None,
-        amplitudes: Float[Tensor, "v n"] | None,
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
         _check_views(views)
-        if amplitudes is None:
-            amplitudes = _gamma0(steps.new_pass, gaussians, views)
+        amplitudes = _gamma0(steps.new_pass, gaussians, views) if self.amplitudes is None else self.amplitudes
         lit = both_ways(*lit_both_ways(steps, gaussians, views, grid, rays, self._height))
         return lit * amplitudes * _COHERENT, steps.feet(gaussians, views, grid, self._height, shift)
 
-    def _amplitudes(self, s: Sighting, by_view: Tensor | None) -> Float[Tensor, "v n 1"] | None:
+    def _amplitudes(self, s: Sighting) -> Float[Tensor, "v n 1"] | None:
         """None for harmonics, which engines evaluate themselves."""
-        if by_view is None and isinstance(s.gaussians.scattering, Harmonics):
+        if self.amplitudes is None and isinstance(s.gaussians.scattering, Harmonics):
             return None
-        return (_gamma0(s.new_pass, s.gaussians, s.views) if by_view is None else by_view)[..., None]
+        return (_gamma0(s.new_pass, s.gaussians, s.views) if self.amplitudes is None else self.amplitudes)[..., None]
 
     @property
     def _height(self) -> float:

@@ -60,7 +60,7 @@ def ground_two_ways(echo: GroundEcho, maps: Sequence[RayMap], sighting: Sighting
         longer = _in_range(s.grid, 1 / look.shortening)
         moved = None if s.shift is None else s.shift[k : k + 1] * s.shift.new_tensor([1.0, 1 / look.shortening])
         of_one = replace(s, views=[one], grid=longer, shift=moved, lit_area=s.lit_area[k : k + 1], ends=ends_of([met]))
-        seen = echo.returned(echo.seen(of_one, None), [one], longer, moved)
+        seen = echo.returned(echo.seen(of_one), [one], longer, moved)
         u, u_t, u_r = (float(way[2]) for way in (look.facing, look.way_in, look.way_out))
         returned.append(seen * (math.sqrt(u_t * u_r) / (u * look.shortening)))
     return torch.cat(returned)
