@@ -61,7 +61,7 @@ command = command_of(
 def recognise(contents: Contents) -> Recognised | None:
     """Pictures, with or without a table of their angles."""
     from sarsplat.importers.pictures import PICTURE_ENDINGS
-    from sarsplat.importers.tiffs import TIFF, is_plain_tiff_of_others
+    from sarsplat.importers.rasters import TIFF, is_plain_tiff_of_others
 
     pictures = len(contents.ending_in(*PICTURE_ENDINGS))
     ending = contents.path.suffix.lower()
@@ -132,7 +132,7 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     from sarsplat.data.csv_table import read_table
     from sarsplat.importers.columns import WAYS, chosen_columns
     from sarsplat.importers.pictures import PICTURE_ENDINGS
-    from sarsplat.importers.tiffs import first_georeference
+    from sarsplat.importers.rasters import first_georeference
 
     facts = {"pictures": str(pictures)}
     try:
@@ -159,9 +159,9 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
         facts["stacks"] = f"{counted(len(set(views)), 'view')} of several channels"
     lies = first_georeference(contents.files)
     if lies is not None:
-        at = f"on a map, {lies.system}: geocoded" if lies.on_map else "in no map's system"
+        at = f"on a map, {lies.system}: geocoded" if (lies.crs is not None) else "in no map's system"
         facts["GeoTIFF"] = f"{at}, pixels of {lies.pixel} (columns × rows)"
-    more = [] if lies is None else ["--geocoded", "GROUND", "--resolution", "METRES"] * lies.on_map
+    more = [] if lies is None else ["--geocoded", "GROUND", "--resolution", "METRES"] * (lies.crs is not None)
     target_class = next(iter(classes)) if len(classes) > 1 else None
     named = [contents.path / row[columns["file"]] for _, row in table.rows] if "file" in columns else []
     inside = set(contents.files)

@@ -20,7 +20,7 @@ from sarsplat.errors import SarsplatError, counted
 if TYPE_CHECKING:
     import trimesh
 
-    from sarsplat.data.georeference import Georeference
+    from sarsplat.data.geotiff import Georeference
 
 _MARKERS = ("config.json", "contact-sheet.png")
 """Of folders that we make, besides datasets."""
@@ -262,22 +262,21 @@ def _others_map(path: Path, description: str) -> tuple[str, dict[str, str]]:
 
 def _in_degrees(path: Path) -> Georeference | None:
     """Where a GeoTIFF's pixels lie, if that is by longitude and latitude."""
-    from sarsplat.importers.tiffs import first_georeference
+    from sarsplat.importers.rasters import first_georeference
 
     lies = first_georeference([path])
-    return lies if lies is not None and lies.kind == "geographic" else None
+    return lies if lies is not None and lies.geographic else None
 
 
 def _map(path: Path, description: str) -> tuple[str, dict[str, str]]:
     """What a GeoTIFF of one band holds: a map that `export` wrote, a dataset's terrain, or anyone's heights."""
     import numpy as np
 
-    from sarsplat.data.geotiff import read_heights
-    from sarsplat.data.raster import LEVELS
+    from sarsplat.data.geotiff import LEVELS, read_heights
 
     found = read_heights(path)
     values, (width, height), place = found.raster.values, found.raster.pitch_m, found.place
-    above = found.raster.system.height_above
+    above = found.raster.height_above
     known = values[np.isfinite(values)]
     return "a map (GeoTIFF)", {
         "pixels": f"{values.shape[0]} rows × {values.shape[1]} columns of {width:.6g} m × {height:.6g} m",
