@@ -242,7 +242,9 @@ def test_a_map_in_feet_is_refused_even_if_only_its_number_says_so(tmp_path):
         read_terrain(write_geotiff(tmp_path / "a.tif", HEIGHTS, keys))
 
 
-@pytest.mark.parametrize(("code", "said"), [(5715, "measured down"), (8051, "foot"), (6357, "measured down"), (6360, "foot")])
+@pytest.mark.parametrize(
+    ("code", "said"), [(5715, "measured down"), (8051, "foot"), (6357, "measured down"), (6360, "foot")]
+)
 def test_depths_and_heights_in_feet_are_refused(tmp_path, code, said):
     pytest.importorskip("pyproj")
     with pytest.raises(SarsplatError, match=said):

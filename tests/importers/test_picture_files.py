@@ -200,7 +200,7 @@ def test_scale_and_offset_of_the_file(tmp_path):
     np.testing.assert_allclose(values.image, 10 ** ((EIGHT * 0.25 - 60) / 10), rtol=1e-5)
     assert values.assumptions == ("pixels are multiplied by 0.25, and -60 is added, as the files say",)
     np.testing.assert_allclose(read_values(path, "db", 0.1, 0.0).image, 10 ** (EIGHT * 0.1 / 10), rtol=1e-5)
-    with pytest.raises(SarsplatError, match="names inf, -60.0 as scale and offset"):
+    with pytest.raises(SarsplatError, match=r"names inf, -60\.0 as scale and offset"):
         read_picture(tagged(tmp_path, EIGHT, (42112, "s", 0, text.replace("0.25", "inf"), True)))
 
 

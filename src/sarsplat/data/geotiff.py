@@ -243,18 +243,24 @@ def read_terrain(path: str | Path) -> Terrain:
         it is cut, with the same middle.
     """
     path = Path(path)
-    own = _own_terrain(path)
-    if own is None:
-        found = read_heights(path)
-        pitch = found.raster.pitch_m[0] * found.metres[0], found.raster.pitch_m[1] * found.metres[1]
-        own = known_part(path, found.raster.values), pitch, found.place
+    heights, pitch, place = _own_terrain(path) or _terrain_of_others(path)
     try:
-        return Terrain(np.ascontiguousarray(own[0][::-1]), *own[1:])
+        return Terrain(np.ascontiguousarray(heights[::-1]), pitch, place)
     except SarsplatError as error:
         raise SarsplatError(f"{path}: {error}") from error
 
 
-def _own_terrain(path: Path) -> tuple[Float64[np.ndarray, "rows columns"], tuple[float, float], None] | None:
+_Stored = tuple[Float64[np.ndarray, "rows columns"], tuple[float, float], Place | None]
+"""Heights with row 0 in the north, pitch and place."""
+
+
+def _terrain_of_others(path: Path) -> _Stored:
+    found = read_heights(path)
+    (x, y), (on_x, on_y) = found.raster.pitch_m, found.metres
+    return known_part(path, found.raster.values), (x * on_x, y * on_y), found.place
+
+
+def _own_terrain(path: Path) -> _Stored | None:
     """Heights and pitch by `write_terrain`; None if the file is another's, or damaged."""
     with open_file(path) as file:
         data = file.read()
