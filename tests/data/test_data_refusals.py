@@ -389,7 +389,7 @@ MASKS: Refusals = [
 
 HEIGHTS = np.arange(12.0).reshape(3, 4)
 DEGREES = (1, 1, 0, 1, 1024, 0, 1, 2)
-FEET = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9002)
+FEET = (1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 2263)
 TURNED = (34264, "d", 16, (2.0, 1, 0, 7, 1, -3, 0, 9, 0, 0, 0, 0, 0, 0, 0, 1), True)
 
 
@@ -404,9 +404,9 @@ def heights(values: np.ndarray = HEIGHTS, cut: int | None = None, **options: Any
 
 TERRAIN: Refusals = [
     (heights(keys=DEGREES), "is in degrees of latitude and longitude; bring it into metres"),
-    (heights(keys=FEET), "has lengths in another unit than metres .EPSG 9002.; convert it"),
+    (heights(keys=FEET), "is measured east in units called US survey foot; make metres"),
     (heights(scale=None), "does not say how far its pixels are apart; write it as a GeoTIFF in metres"),
-    (heights(scale=(0.0, 1.0, 0.0)), "pitch_m is .0.0, 1.0.; give two positive"),
+    (heights(scale=(-2.0, 3.0, 0.0)), "is turned against its system's axes; straighten it"),
     (heights(HEIGHTS[:1]), "has 1 × 4 heights; give at least 2 × 2"),
     (
         heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)),
@@ -416,7 +416,7 @@ TERRAIN: Refusals = [
     (heights(np.zeros((4, 5, 3), np.uint8), photometric="rgb"), "has 3 bands; give one of heights"),
     (heights(scale=None, extra=[TURNED]), "is turned against its system's axes; straighten it"),
     (heights(cut=-40), "bad.tif"),
-    (stored(b"heights", read_terrain), "is not a readable TIFF"),
+    (stored(b"heights", read_terrain), "is not a readable raster"),
 ]
 
 # ---- PLY ----

@@ -97,4 +97,4 @@ def test_plans_are_described_and_other_settings_are_not(tmp_path, capsys):
 def test_nitf_files_that_are_no_sicd_are_named(tmp_path, capsys):
     (tmp_path / "old.ntf").write_bytes(b"NITF02.00" + bytes(900))
     assert main(["info", str(tmp_path / "old.ntf")]) == 2
-    assert "is a NITF file of another version than 2.1, so it is not a SICD" in capsys.readouterr().err
+    assert "is not a NITF file of version 2.1, so it is not a SICD" in capsys.readouterr().err

@@ -24,8 +24,8 @@ from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside, warn_of_world_files
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
 from sarsplat.importers.picture_views import Angles, view_of_picture
+from sarsplat.importers.rasters import first_georeference
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
-from sarsplat.importers.tiffs import first_georeference
 from sarsplat.importers.values import read_values
 from sarsplat.names import Backscatter, Projection, Quantity, RadarSide, Side, Transmit
 from sarsplat.radiometry import beta0_of_gamma0, beta0_of_sigma0
@@ -369,7 +369,7 @@ def _in_range(table: Path, one: Seen, near: Side, mirrored: bool) -> MeasuredIma
     picture, georeference = one.picture, one.values.tags.georeference
     stated = picture.spacing_m
     if georeference is not None:
-        if georeference.on_map:
+        if georeference.crs is not None:
             refuse_map(str(picture.path), georeference)
         stated = spacing_beside(str(picture.path), georeference, near, stated)
     spacing = lengths(table, picture, "spacing", stated, one.slant)

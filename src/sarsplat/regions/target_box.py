@@ -69,7 +69,7 @@ _VIEWS = 48
 def target_box(
     power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Return the corners of the target's box, from the mean level above the ground at each ground place over the images.
+    """Return the corners of the target's box, from the mean level over the images at each place of the ground.
 
     Objects are displaced in range, never across: views across an axis weigh most for the extent along it. The box holds
     every object that stands out (`StandingOut`). Its height is the greatest at which the shadow of some place is dark
