@@ -130,7 +130,7 @@ def _described(value: object) -> str:
 def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     """Pictures and a table, which may lack columns or not be readable."""
     from sarsplat.data.csv_table import read_table
-    from sarsplat.importers.columns import WAYS, chosen_columns
+    from sarsplat.importers.columns import chosen_columns
     from sarsplat.importers.pictures import PICTURE_ENDINGS
     from sarsplat.importers.tiffs import first_georeference
 
@@ -144,8 +144,7 @@ def _with_table(contents: Contents, pictures: int, path: Path) -> Recognised:
     facts["table"] = f"{table.path} ({counted(len(table.rows), 'row')})"
     if columns:
         facts["columns"] = ", ".join(f"{meaning} = {name}" for meaning, name in columns.items())
-    angles = WAYS if any(way in columns for way in WAYS) else ("azimuth",)
-    lacking = [meaning for meaning in ("file", *angles) if meaning not in columns]
+    lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
     if "heading" in columns and "azimuth" in lacking:
         lacking.remove("azimuth")
     if lacking:
@@ -189,7 +188,7 @@ def _command(
         words += ["--class", target_class]
     if lacking:
         words += ["--columns", ",".join(f"{meaning}=NAME" for meaning in lacking)]
-    if not columns.keys() & {"grazing", "incidence", "transmit-grazing"}:
+    if not columns.keys() & {"grazing", "incidence"}:
         words += ["--grazing", "DEGREES"]
     elif not columns.keys() & PER_UNIT.keys():
         words += _quantity(pictures)

@@ -46,15 +46,6 @@ class SingleImages(Observation):
             raise SarsplatError(f"bounce is on, which is off level ground, but {dataset} has terrain; give bounce off")
         if config.bounce is not None and inputs.processes is not None:
             raise SarsplatError(f"{inputs.processes} cannot be combined with bounce on; omit them, or give bounce off")
-        if any(view.apart_deg for view in dataset.views):
-            asked = {
-                "bounce on; give bounce off": config.bounce is not None,
-                f"tiles {config.tiles}; give tiles 1": config.tiles > 1,
-                "terrain; leave it out": dataset.terrain is not None,
-                f"{inputs.processes}; omit them": inputs.processes is not None,
-            }
-            for what in (what for what, there in asked.items() if there):
-                raise SarsplatError(f"{dataset} is bistatic, which cannot be learned with {what}")
         super().refuse(config, dataset, inputs)
 
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
