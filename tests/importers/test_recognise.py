@@ -112,27 +112,6 @@ def test_a_table_with_columns_of_other_names(tmp_path):
     assert "azimuth=NAME --spacing METRES" in str(it.command)
 
 
-def test_a_table_of_transmitters_and_receivers(tmp_path):
-    folder = tmp_path / "apart"
-    folder.mkdir()
-    for k, image in enumerate(POWER):
-        np.save(folder / f"{k}.npy", image)
-    rows = [
-        "file,tx_az,tx_elevation,rx_az,rx_elevation,spacing",
-        *(f"{k}.npy,{90 * k},30,{90 * k + 40},45,0.2" for k in range(4)),
-    ]
-    (folder / "angles.csv").write_text("\n".join(rows))
-    it = known(folder)
-    assert "transmit-azimuth = tx_az, transmit-grazing = tx_elevation, receive-azimuth = rx_az" in it.facts["columns"]
-    assert "missing" not in it.facts
-    assert it.certainty == 1
-    assert "--grazing" not in str(it.command)
-    (folder / "angles.csv").write_text("\n".join(rows).replace("rx_elevation", "other"))
-    lacking = known(folder)
-    assert "which column is the receive-grazing" in lacking.facts["missing"]
-    assert "--columns receive-grazing=NAME" in str(lacking.command)
-
-
 def test_the_sample_set(tmp_path):
     for image, azimuth in zip(POWER, (11.0, 30.0, 44.0, 60.0), strict=True):
         write_sample(tmp_path / "set", image * (1 + 1j), azimuth)
