@@ -269,7 +269,8 @@ HEADERS: Refusals = [
         "azimuth_std_deg -1.0 of the image '001' is not a number between 0 and 10",
     ),
     (header("views.1.split", "TEST"), "split"),
-    (header("views.1.stretch", 1.1), r"views\[1\]: only images that one radar takes of a target aloft"),
+    (header("views.1.stretch", 1.1), r"views\[1\]: only images of a target aloft"),
+    (header("views.1.apart_deg", 30.0), r"views\[1\]: the view is bistatic, which is not supported"),
     (
         header("views.1.turn", {"axis": [0, 0, 0], "angle_deg": 3}),
         r"views\[1\]\.turn: the rotation axis .* no direction",

@@ -142,17 +142,3 @@ def test_what_it_cannot_be_combined_with_is_refused(mirrored: Dataset) -> None:
         SingleImages.refuse(SHORT, replace(mirrored, terrain=hill()), Inputs())
     with pytest.raises(SarsplatError, match="bounce is on, which cannot be combined with tiles 2; give off, or tiles"):
         PartsOfImages.refuse(replace(SHORT, tiles=2), mirrored, Inputs())
-
-
-def test_what_bistatic_images_cannot_be_learned_with_is_refused_before_any_work(mirrored: Dataset) -> None:
-    entries = tuple(replace(entry, view=replace(entry.view, apart_deg=20.0)) for entry in mirrored.entries)
-    apart = replace(mirrored, entries=entries)
-    plain = replace(SHORT, bounce=None)
-    for changed, dataset, told in (
-        (SHORT, apart, "bounce on; give bounce off"),
-        (replace(plain, tiles=2), apart, "tiles 2; give tiles 1"),
-        (plain, replace(apart, terrain=hill()), "terrain; leave it out"),
-    ):
-        with pytest.raises(SarsplatError, match=f"is bistatic, which cannot be learned with {told}"):
-            SingleImages.refuse(changed, dataset, Inputs())
-    SingleImages.refuse(plain, apart, Inputs())

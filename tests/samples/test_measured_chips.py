@@ -137,7 +137,7 @@ def test_the_command_takes_a_folder_of_datasets_and_replaces_only_its_own(
 
 
 def test_labels_say_what_is_unusual_about_views(tmp_path: Path) -> None:
-    views = [View(0.0, 30.0, apart_deg=40.0), View(50.0, 30.0, 5.0, "left")]
+    views = [View(0.0, 30.0), View(50.0, 30.0, 5.0, "left")]
     power = np.ones((2, 16, 20), np.float32)
     power[:, 5:9, 6:12] = 20
     dataset = dataset_of(
@@ -146,10 +146,9 @@ def test_labels_say_what_is_unusual_about_views(tmp_path: Path) -> None:
     write_dataset(tmp_path / "data", dataset)
     write_measured_chips([tmp_path / "data"], tmp_path / "out", Encoding())
     with (tmp_path / "out" / "labels.csv").open(newline="") as file:
-        apart, tilted = csv.DictReader(file)
-    legs = views[0].legs
-    assert [float(apart[f"{way}_azimuth_deg"]) for way in ("transmit", "receive")] == [leg.azimuth_deg for leg in legs]
-    assert (tilted["tilt_deg"], tilted["look"], tilted["receive_azimuth_deg"]) == ("5.0", "left", "")
+        level, tilted = csv.DictReader(file)
+    assert (level["tilt_deg"], level["look"]) == ("0.0", "right")
+    assert (tilted["tilt_deg"], tilted["look"]) == ("5.0", "left")
 
 
 @pytest.mark.parametrize(("scale", "near"), [("max", "bottom"), ("fixed", "left")])

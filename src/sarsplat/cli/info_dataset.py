@@ -99,7 +99,6 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
         **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
         **_rotations([entry.turn for entry in dataset.entries if entry.turn is not None]),
         **_looks(dataset.views),
-        **_bistatic([view.apart_deg for view in dataset.views]),
         **({} if train[0].aloft else {"largest gap": f"{gap} (azimuths of the training views)"}),
         **(_passes(dataset.stacks[0]) if dataset.passes else {"weakest direction": str(weakest_direction(train))}),
         "protocol": dataset.protocol or "none",
@@ -122,12 +121,6 @@ def _looks(views: Sequence[View]) -> dict[str, str]:
     if left:
         said.append("looking left" if left == len(views) else f"{left} of {len(views)} looking left")
     return {"views": ", ".join(said)} if said else {}
-
-
-def _bistatic(apart_deg: Sequence[float]) -> dict[str, str]:
-    """Between what angles transmitter and receiver are apart, if they are."""
-    low, high = (f"{bound(apart_deg):.3g}" for bound in (min, max))
-    return {"bistatic": f"by {low}{'' if low == high else f' to {high}'}°"} if any(apart_deg) else {}
 
 
 def _passes(stack: Stack) -> dict[str, str]:

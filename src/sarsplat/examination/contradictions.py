@@ -48,11 +48,6 @@ TWINS = (
 )
 """What the table of orientations does not show."""
 
-_SWAPPED = (
-    "cannot be told apart: transmitter and receiver in each other's place give the same images, and how far apart they "
-    "are is not examined"
-)
-
 _TABLE = ("import with", "shadow beyond", "bright edge", "layover", "neighbours match", "")
 
 
@@ -107,12 +102,10 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
     if dataset.views[0].aloft:
         examined.checks["orientation"] = "cannot be determined: what is aloft turns about any axis and has no shadow"
         return dataset
-    apart = any(view.apart_deg for view in dataset.views)
-    if apart:
-        examined.checks["two ways"] = _SWAPPED
     if not all(_shaded_below(view, dataset.grid) for view in dataset.views):
-        why = "the two ways are too far apart" if apart else "the azimuth axes are tilted too much"
-        examined.checks["orientation"] = f"not examined: shadows fall to the sides of the images, for {why}"
+        examined.checks["orientation"] = (
+            "not examined: shadows fall to the sides of the images, for the azimuth axes are tilted too much"
+        )
         return dataset
     ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
     centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
@@ -154,11 +147,8 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
 
 def _shaded_below(view: View, grid: ImageGrid) -> bool:
     """Whether an image shows shadows where they are looked for: rather below what casts them than beside it."""
-    for way in view.look.ways:
-        across, away = view.look.gradients[:, :2] @ -way[:2] / grid.spacing_m
-        if not abs(across) < away:
-            return False
-    return True
+    across, away = view.look.gradients[:, :2] @ -view.direction[:2] / grid.spacing_m
+    return bool(abs(across) < away)
 
 
 def _edges(power: np.ndarray) -> np.ndarray:

@@ -139,8 +139,7 @@ def export_terrain(terrain: str | Path, path: str | Path, view: View) -> Written
     Raises
     ------
     SarsplatError
-        If the terrain cannot be read, the path has another ending, the view is tilted or bistatic, or the file cannot
-        be written.
+        If the terrain cannot be read, the path has another ending, the view is tilted, or the file cannot be written.
     """
     path = Path(path)
     format, holds = format_of(path, "layover-shadow")

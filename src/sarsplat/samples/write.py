@@ -43,13 +43,8 @@ _COLUMNS = (
     "near_side",
 )
 
-_TILTED = ("tilt_deg", "look")
-"""More columns, if the radar of a run squints, climbs, dives or looks to its left, or is bistatic."""
-
-_APART = ("transmit_azimuth_deg", "transmit_grazing_deg", "receive_azimuth_deg", "receive_grazing_deg")
-"""And if a run's is bistatic; clockwise, as `azimuth_deg`."""
-
-UNUSUAL_COLUMNS = (*_TILTED, *_APART)
+UNUSUAL_COLUMNS = ("tilt_deg", "look")
+"""More columns, if the radar of a run squints, climbs, dives or looks to its left."""
 
 _SCALES = "scales.npy"
 """The file of the scales of what is finished, until the table has them."""
@@ -210,15 +205,12 @@ def _columns(chips: Chips) -> tuple[str, ...]:
 
 def unusual_columns(views: Iterable[View]) -> tuple[str, ...]:
     """Columns that say what is unusual about some of the views; none if nothing is."""
-    views = list(views)
-    tilted, apart = any(view.unusual for view in views), any(view.apart_deg for view in views)
-    return (*(_TILTED * tilted), *(_APART * apart))
+    return UNUSUAL_COLUMNS if any(view.unusual for view in views) else ()
 
 
 def unusual_values(view: View) -> tuple[float | str, ...]:
     """What is in these columns, whether they are there or not."""
-    ways = [angle for leg in view.legs for angle in (leg.azimuth_deg, leg.grazing_deg)] if view.apart_deg else [""] * 4
-    return (view.tilt_deg, view.side, *ways)
+    return view.tilt_deg, view.side
 
 
 def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from sarsplat.errors import SarsplatError, counted
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
-from sarsplat.geometry.view import along_ways
+from sarsplat.geometry.view import unstretched
 from sarsplat.memory import required
 from sarsplat.progress import stage
 from sarsplat.radiometry import usual_peak
@@ -70,7 +70,7 @@ def extract_points(
     gaussians : Gaussians
         The target alone, on any device.
     views : sequence of View
-        The training views; of bistatic ones, rays are traced along both ways.
+        The training views.
     grid : ImageGrid
         Sets the spacing of the rays and the unit of `how`, its resolution cell.
     how : PointExtraction
@@ -104,8 +104,7 @@ def extract_points(
         voxels.add(torch.from_numpy(points[heights_of(points, terrain) >= how.min_height * cell]))
         points = voxels.means().numpy()
     else:
-        ways = along_ways(views)
-        points = _seen_points(gaussians, [*ways, *between(ways)], grid, how, terrain)
+        points = _seen_points(gaussians, [*unstretched(views), *between(views)], grid, how, terrain)
     if how.cluster_radius is None:
         return points
     if how.clusters == "largest":

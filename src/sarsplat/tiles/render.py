@@ -14,7 +14,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.geometry.view import check_monostatic
+from sarsplat.geometry.view import check_unstretched
 from sarsplat.progress import stage
 from sarsplat.renderer.echoes import Echo, GroundEcho
 from sarsplat.renderer.echoes.echo import all_visible, left_in_sight
@@ -69,7 +69,7 @@ def render_tiled(
     """
     if not 0 < memory_gib < float("inf"):
         raise SarsplatError(f"memory_gib {memory_gib} must be positive and finite, such as {USUAL_GIB}")
-    check_monostatic([view], "images are rendered by tiles only if one radar takes them; use render")
+    check_unstretched([view])
     rays = rays or RayGrid.for_image(grid)
     kept = KeptTiles(gaussians, view, grid.as_dict(), rays, shift, memory_gib, *_said_of(ground))
     with torch.no_grad():

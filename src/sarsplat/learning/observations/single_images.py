@@ -44,14 +44,6 @@ class SingleImages(Observation):
             )
         if config.bounce is not None and dataset.terrain is not None:
             raise SarsplatError(f"bounce is on, which is off level ground, but {dataset} has terrain; give bounce off")
-        if any(view.apart_deg for view in dataset.views):
-            asked = {
-                "bounce on; give bounce off": config.bounce is not None,
-                f"tiles {config.tiles}; give tiles 1": config.tiles > 1,
-                "terrain; leave it out": dataset.terrain is not None,
-            }
-            for what in (what for what, there in asked.items() if there):
-                raise SarsplatError(f"{dataset} is bistatic, which cannot be learned with {what}")
         super().refuse(config, dataset, inputs)
 
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:

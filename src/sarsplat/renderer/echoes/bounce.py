@@ -7,7 +7,7 @@ the ground. The amplitudes of both orders add: four times the power of one.
 What returns is lit both ways. Along M u the scene is seen as its mirror image is along u: rays go on through the image
 with what is left of them behind the scene, for all of that is before the ground. The CPU engine does so in one call; to
 the steps of a rendering the scene and its image are one scene of 2 N Gaussians. The area of both ways is
-√(lit(u)·lit(M u)) (`both_ways.py`).
+√(lit(u)·lit(M u)).
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.geometry.view import check_monostatic
-from sarsplat.renderer.both_ways import both_ways
+from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.chosen_views import by_view
@@ -101,7 +100,7 @@ class GroundBounce(Echo):
         if self.amplitudes is not None and len(self.amplitudes) != len(s.views):
             raise SarsplatError(f"the bounce's amplitudes are of {len(self.amplitudes)} views, not of {len(s.views)}")
         if s.new_pass is not None and (kernel := s.new_pass()).has("bounce", {}):
-            _check_views(s.views)
+            check_unstretched(s.views)
             assert s.ends is not None  # asked for
             return bounced_with(
                 kernel,
@@ -146,9 +145,12 @@ class GroundBounce(Echo):
         rays: RayGrid,
         shift: Float[Tensor, "v 2"] | None,
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
-        _check_views(views)
+        check_unstretched(views)
         amplitudes = _gamma0(steps.new_pass, gaussians, views) if self.amplitudes is None else self.amplitudes
-        lit = both_ways(*lit_both_ways(steps, gaussians, views, grid, rays, self._height))
+        direct, by_ground = lit_both_ways(steps, gaussians, views, grid, rays, self._height)
+        both = direct * by_ground
+        some = both > 0
+        lit = both.where(some, 1.0).sqrt() * some  # the root's slope at 0 is infinite, and taken as 0
         return lit * amplitudes * _COHERENT, steps.feet(gaussians, views, grid, self._height, shift)
 
     def _amplitudes(self, s: Sighting) -> Float[Tensor, "v n 1"] | None:
@@ -225,10 +227,6 @@ def _with_mirror_image(gaussians: Gaussians, height_m: float) -> Gaussians:
         g.optical_depth.repeat(2),
         Harmonics(g.means.new_zeros(2 * len(g), 1)),  # nobody asks
     )
-
-
-def _check_views(views: Sequence[View]) -> None:
-    check_monostatic(views, "the bounce off the ground is that of one radar")
 
 
 def _gamma0(new_pass: NewPass | None, gaussians: Gaussians, views: Sequence[View]) -> Float[Tensor, "v n"]:

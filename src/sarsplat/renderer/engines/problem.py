@@ -90,7 +90,7 @@ def level_basis(view: View, degree: int, device: torch.device) -> Float[Tensor, 
 
 
 def _level(view: View) -> Float[np.ndarray, " 3"]:
-    flat = view.look.way_out * (1.0, 1.0, 0.0)
+    flat = view.look.facing * (1.0, 1.0, 0.0)
     return flat / np.linalg.norm(flat)
 
 
