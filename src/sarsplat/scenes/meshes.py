@@ -23,7 +23,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid
 from sarsplat.scenes._obj_text import plain_obj
-from sarsplat.scenes._polygon_files import of_triangles
+from sarsplat.scenes._polygons import polygon_mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -168,16 +168,30 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     elif not _is_binary(kind, data):
         data = _plain_text(path, kind, data)
     try:
-        data, crossed = of_triangles(kind, data)
+        cut = polygon_mesh(kind, data)
     except SarsplatError as error:
         raise SarsplatError(f"'{path}': {error}") from error
-    if crossed:
+    mesh = _read_with_trimesh(path, kind, data) if cut is None else trimesh.Trimesh(*cut[:2], process=False)
+    if cut is not None and cut[2]:
         warnings.warn(
-            f"'{path}': the outlines of {counted(crossed, 'face')} cross themselves, so that their surface is a guess; "
+            f"'{path}': the outlines of {counted(cut[2], 'face')} cross themselves, so that their surface is a guess; "
             "repair the mesh",
             SarsplatWarning,
             stacklevel=2,
         )
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if len(faces) == 0:
+        raise SarsplatError(f"'{path}' holds no faces, only {len(vertices)} vertices; give a triangle mesh")
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
+        raise SarsplatError(f"'{path}' has faces that refer to missing vertices; repair the mesh")
+    if (far := np.abs(vertices[np.isfinite(vertices)])).size and far.max() > _FARTHEST:
+        raise SarsplatError(f"'{path}' has a vertex {far.max():.3g} m from the origin; repair it or scale it to metres")
+    return mesh
+
+
+def _read_with_trimesh(path: Path, kind: str, data: bytes) -> trimesh.Trimesh:
+    import trimesh
+
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -186,18 +200,11 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
             # Unprocessed: merging vertices would move them. A stream without resolver: no other file can be named.
             scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True)
             mesh = scene.to_mesh()
-            if kind == ".glb":  # y is up there
-                mesh.vertices = mesh.vertices[:, [0, 2, 1]] * (1, -1, 1)
     except Exception as error:  # the readers behind trimesh raise whatever their parsers raise
         reason = repr(str(error) or type(error).__name__)[:200]
         raise SarsplatError(f"'{path}' cannot be read as a mesh ({reason}); repair it or give another file") from error
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    if len(faces) == 0:
-        raise SarsplatError(f"'{path}' holds no faces, only {len(vertices)} vertices; give a triangle mesh")
-    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
-        raise SarsplatError(f"'{path}' has faces that refer to missing vertices; repair the mesh")
-    if (far := np.abs(vertices[np.isfinite(vertices)])).size and far.max() > _FARTHEST:
-        raise SarsplatError(f"'{path}' has a vertex {far.max():.3g} m from the origin; repair it or scale it to metres")
+    if kind == ".glb":  # y is up there
+        mesh.vertices = mesh.vertices[:, [0, 2, 1]] * (1, -1, 1)
     return mesh
 
 
