@@ -13,7 +13,7 @@ _DISTRIBUTIONS = {
 """Of modules that are called otherwise."""
 
 _MODULES = {
-    "simulate": "trimesh embreex",
+    "simulate": "trimesh mapbox_earcut embreex",
     "mesh": "trimesh skimage",
     "mstar": "PIL",
     "evaluate": "sklearn skimage trimesh embreex fcpw",

@@ -129,7 +129,7 @@ def test_another_set_is_not_gone_on_with_and_not_lost(run: Run, tmp_path, change
     what = r"seed \(0, not 1\)" if changed == "seed" else "the picture of the ground"
     with pytest.raises(SarsplatError, match=f"unfinished set that differs in {what}; go on with it"):
         write_chips(other, tmp_path / "set")
-    header = next(tmp_path.glob(".set.tmpdir/*/chips.json"))
+    header = next(tmp_path.glob(".set.tmpdir/chips.json"))
     text = header.read_text()
     header.write_text(text.replace('"schema_version": 5', '"schema_version": 3'))
     with pytest.raises(SarsplatError, match="that has a header that this version of the program does not read"):
@@ -166,9 +166,6 @@ def test_folders_in_the_way(run: Run, tmp_path: Path) -> None:
     other = chips([run], count=2, format="png")
     write_chips(other, tmp_path / "set", overwrite=True)
     assert len(list((tmp_path / "set" / "box").iterdir())) == 2
-    (tmp_path / "set" / "notes.txt").touch()
-    with pytest.raises(SarsplatError, match=r"holds notes\.txt, which sarsplat did not create"):
-        write_chips(made, tmp_path / "set", overwrite=True)
 
 
 def test_shards_hold_image_class_and_row(folders: list[Path], tmp_path: Path) -> None:

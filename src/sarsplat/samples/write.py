@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import new_folder
+from sarsplat.data import new_folder, write_bytes
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import View
@@ -105,12 +105,12 @@ def write_chips(
         return begun == made
 
     with new_folder(out, overwrite, marker=MARKER, goes_on=goes_on) as folder:
-        _put(folder / MARKER, made)
+        write_bytes(folder / MARKER, made)
         total, scales = len(chips), _scales(folder / _SCALES, len(chips))
         with progress(f"chips to {out}", total, quiet) as reporter:
             for done in _files(chips, folder, scales) if shard is None else _shards(chips, folder, scales, shard):
                 reporter.update(done)
-        _put(folder / LABELS, _table(chips, shard, scales))
+        write_bytes(folder / LABELS, _table(chips, shard, scales))
         del scales  # some systems remove no file that is open
         (folder / _SCALES).unlink()
 
@@ -132,7 +132,7 @@ def _files(chips: Chips, folder: Path, scales: Float64[np.ndarray, " n"]) -> Ite
 
     def write(index: int) -> None:
         content, scales[index] = _encoded(chips, index)
-        _put(folder / _file(chips, index), content)
+        write_bytes(folder / _file(chips, index), content)
 
     missing = [n for n in range(len(chips)) if not (scales[n] and _there(folder / _file(chips, n)))]
     for done, _ in enumerate(made_each(write, missing), len(chips) - len(missing) + 1):
@@ -148,7 +148,7 @@ def _shards(chips: Chips, folder: Path, scales: Float64[np.ndarray, " n"], size:
     for number, indices in missing.items():
         encoded = dict(zip(indices, each, strict=False))
         scales[indices] = [scale for _, scale in encoded.values()]
-        _put(folder / _shard(number), _packed(chips, number, encoded))
+        write_bytes(folder / _shard(number), _packed(chips, number, encoded))
         yield (done := done + len(indices))
 
 
@@ -227,13 +227,6 @@ def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:
 def _there(path: Path) -> bool:
     """Whether a file was written; after a power cut it may be empty."""
     return path.is_file() and path.stat().st_size > 0
-
-
-def _put(path: Path, data: bytes) -> None:
-    """Write a file, whole or not at all; the folder is synced at its end."""
-    unfinished = path.with_name(f".{path.name}.tmp")
-    unfinished.write_bytes(data)
-    unfinished.replace(path)
 
 
 class MadeRun(msgspec.Struct, forbid_unknown_fields=True):
