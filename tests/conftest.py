@@ -57,7 +57,6 @@ def nothing_is_synced() -> Iterator[None]:
     """No test pulls the plug, and a shared disk takes tens of milliseconds to sync a file."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda _: None)
-        patch.setattr("sarsplat.data.folders._flush_whole_disk", lambda _: False)  # file by file, so by `fsync`
         yield
 
 

@@ -230,17 +230,6 @@ def _splat() -> bytes:
     return table.tobytes()
 
 
-def _compressed() -> bytes:
-    """SuperSplat's compressed PLY: three Gaussians with harmonics of degree 1."""
-    ends = [f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("min", "max") for axis in "xyz"]
-    words = [f"packed_{word}" for word in ("position", "rotation", "scale", "color")]
-    head = ["ply", "format binary_little_endian 1.0", "element chunk 1", *(f"property float {name}" for name in ends)]
-    head += ["element vertex 3", *(f"property uint {word}" for word in words), "element sh 3"]
-    head += [*(f"property uchar f_rest_{k}" for k in range(9)), "end_header", ""]
-    chunk = np.array([0, 0, 0, 1, 1, 1, -3, -3, -3, -1, -1, -1], "<f4").tobytes()
-    return "\n".join(head).encode() + chunk + np.arange(12, dtype="<u4").tobytes() + bytes(range(27))
-
-
 def _read_gaussians(folder: Path) -> object:
     return _finite(read_gaussians_ply(folder / "g.ply"))
 
@@ -487,7 +476,6 @@ READERS = (
     Reader("image.tif", "image.tif", _read_tiff, _tiffs, (_spoil_tiff,)),
     Reader("gaussians.ply", "g.ply", _read_gaussians, lambda: [_gaussians(0), _gaussians(2)], (_ply_fits,)),
     Reader("g.splat", "g.splat", lambda folder: _finite(read_gaussians_ply(folder / "g.splat")), lambda: [_splat()]),
-    Reader("compressed.ply", "g.ply", _read_gaussians, lambda: [_compressed()]),
     Reader("points.ply", "p.ply", lambda folder: read_points_ply(folder / "p.ply"), lambda: [_points()], (_ply_fits,)),
     Reader(
         "checkpoint",

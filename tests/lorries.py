@@ -14,10 +14,10 @@ Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 BOXES: tuple[Box, ...] = ((6, 2, 1), (0, 0, 0.5)), ((1.5, 1.8, 1.2), (2.2, 0, 1.6)), ((0.8, 0.8, 1), (-2, 0.6, 1.5))
 
 
-def lorry(*beside: Box, scale: float = 1.0) -> Any:
-    """Larger or smaller, and with other boxes beside it."""
+def lorry(scale: float = 1.0) -> Any:
+    """Larger or smaller."""
     parts = []
-    for size, place in (*BOXES, *beside):
+    for size, place in BOXES:
         part = trimesh.creation.box(np.multiply(size, scale))
         part.apply_translation(np.multiply(place, scale))
         parts.append(part)

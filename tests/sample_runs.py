@@ -20,15 +20,10 @@ def settings() -> Config:
     return replace(preset("measured"), **few, points=FEW_POINTS)
 
 
-def made_up(
-    target: str, out: Path | None = None, grid: ImageGrid = GRID, tilt_deg: float = 0.0, apart_deg: float = 0.0
-) -> Run:
-    """Of images of a level radar that looks to the right, a tilted one that looks to the left, or two."""
+def made_up(target: str, out: Path | None = None, grid: ImageGrid = GRID, tilt_deg: float = 0.0) -> Run:
+    """Of images of a level radar that looks to the right, or a tilted one that looks to the left."""
     side: RadarSide = "left" if tilt_deg else "right"
-    views = [
-        (View(azimuth, 16.0 + azimuth / 180, tilt_deg, side, False, apart_deg), "train")
-        for azimuth in range(0, 360, 60)
-    ]
+    views = [(View(azimuth, 16.0 + azimuth / 180, tilt_deg, side), "train") for azimuth in range(0, 360, 60)]
     power = np.random.default_rng(0).exponential(size=(6, grid.rows, grid.columns)).astype(np.float32)
     power[:, 10:16, 12:22] *= 30
     power[:, 16:24, 12:22] *= 0.05

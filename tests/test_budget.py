@@ -9,6 +9,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -50,6 +51,7 @@ def _sentences(tree: ast.Module) -> Iterator[tuple[bool, str]]:
             yield False, " ".join(map(ast.unparse, node.args))
 
 
+@cache
 def _measured() -> dict[str, dict[str, int]]:
     """Numbers of today, of each room and of the tests."""
     rooms: dict[str, Counter[str]] = {}

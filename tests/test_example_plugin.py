@@ -47,7 +47,7 @@ def test_the_example_imports_and_exports(site: Path, tmp_path: Path, beside, cap
     file, folder, imported, reconstructed, exported, _ = (out for _, out, _ in done)
     assert [code for code, _, _ in done] == [0, 0, 0, 0, 0, 2]
     for told in (file, folder):
-        assert "box.npz --spacing METRES --out DIR" in told
+        assert "import with: sarsplat import arrays" in told
     assert "assumed: row 0 is near range" in imported
     assert "wrote run" in reconstructed
     assert "open points.csv with any spreadsheet" in exported

@@ -48,10 +48,8 @@ import_arrays = command_of(__name__, f"{__name__}:read_arrays")
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """What `sarsplat info` says of an .npz file, or of a folder of them."""
-    stacks = contents.ending_in(".npz")
-    command = "sarsplat import arrays {} --spacing METRES --out DIR"
-    return Recognised("stacks of images", {}, command.format(stacks[0]), certainty=0.5) if stacks else None
+    """Recognise an .npz file, or a folder of them, for `sarsplat info`."""
+    return Recognised("stacks of images", certainty=0.5) if contents.ending_in(".npz") else None
 
 
 def write_csv(points: Points, path: Path, colour: str) -> None:

@@ -11,10 +11,6 @@ class SarsplatError(Exception):
     """
 
 
-class Abandoned(SarsplatError):
-    """Another process of the same training has ended; the command line exits with code 75."""
-
-
 class SarsplatWarning(UserWarning):
     """Something that looks like a mistake but may be intended, described in one sentence; the work continues.
 

@@ -13,18 +13,17 @@ _DISTRIBUTIONS = {
 """Of modules that are called otherwise."""
 
 _MODULES = {
-    "simulate": "trimesh embreex",
+    "simulate": "trimesh mapbox_earcut embreex",
     "mesh": "trimesh skimage",
     "mstar": "PIL",
     "evaluate": "sklearn skimage trimesh embreex fcpw",
     "baselines": "trimesh skimage embreex",
     "view": "viser websockets matplotlib trimesh fcpw",
     "report": "matplotlib jinja2 trimesh skimage",
-    "tiff": "imagecodecs",
     "sicd": "sarkit lxml",
     "rslc": "h5py",
     "phase-history": "finufft sarkit lxml",
-    "gis": "pyproj",
+    "gis": "pyproj rasterio",
     "las": "laspy lazrs pyproj",
     "video": "PIL cv2",
     "tensorboard": "tensorboard",

@@ -17,7 +17,7 @@ from typing import Any
 from sarsplat.cli import main
 from sarsplat.settings import PRESETS
 
-EVENTS = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate", "shutil.rmtree", "ctypes.dlsym")
+EVENTS = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate", "shutil.rmtree")
 
 
 def use_small_presets() -> None:

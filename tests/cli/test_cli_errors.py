@@ -44,10 +44,8 @@ MISTAKES = {
     f"{SIMULATE} --ground 0.1 --terrain missing.tif": "missing.tif",
     "view empty": "is neither a run nor a dataset",
     "info nowhere": "does not exist",
-    "info empty": "neither a dataset nor a run",
+    "info empty": "cannot be described; give a dataset",
     "info full --plot new.png": "draws the views of a dataset",
-    "info full/picture.png": "is a picture without units",
-    "info full/broken.tif": "not a readable TIFF",
     "import mstar nowhere --out new --class T72 --train-views 8": "folder",
 }
 

@@ -65,8 +65,6 @@ def test_images_with_phase_say_so(dataset: Path, tmp_path: Path, said) -> None:
     write_dataset(tmp_path / "complex", Dataset.of_complex(GRID, power.entries, power.power.astype(np.complex64)))
     for path, told in ((dataset, "linear power, float32"), (tmp_path / "complex", "is β⁰, complex64")):
         assert told in said(f"info {path}")
-    for name, told in (("data", "a power image"), ("complex", "a complex image")):
-        assert told in said(f"info {tmp_path / name / 'images' / '000.tif'}")
 
 
 @pytest.mark.parametrize(
@@ -236,12 +234,6 @@ def test_info_on_an_unfinished_run_says_how_to_go_on(run: Path, tmp_path: Path, 
     assert "state unfinished, 0 of 6,000 iterations" in told()
     shutil.copy("run/points.ply", run / "points.ply")
     assert "state finished, but its checkpoint is missing, so it can be neither rendered nor continued" in told()
-
-
-@pytest.mark.parametrize("part", ["run/config.json", "run/report", "run/report/index.html", "dataset/dataset.json"])
-def test_info_points_from_a_part_to_the_whole(there, workshop: Path, part: str, refused) -> None:
-    whole = workshop / part.partition("/")[0]
-    assert f"is part of the {whole.name} {whole}; give that folder" in refused(f"info {part}")
 
 
 def test_a_run_that_loses_says_so_wherever_it_is_shown(run: Path, tmp_path: Path, capsys) -> None:

@@ -66,7 +66,6 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("places")
     write_dataset(folder / "dataset", small_dataset())
     Run.from_gaussians(upright([1.0, 1.0, 1.0]), SMALL, [View(0, 30)]).save(folder / "run")
-    (folder / "image.tif").write_bytes((folder / "dataset" / "images" / "000.tif").read_bytes())
     (folder / "file.unknown").write_text("?")
     return folder
 
@@ -105,7 +104,6 @@ INFO = {
     "info dataset": (0, "a dataset of 3 images"),
     "info run": (0, "learned     1 Gaussian"),
     "info run/points.ply": (0, "other columns  nx, ny, nz"),
-    "info image.tif": (0, "a power image"),
     "info file.unknown": (2, ""),
 }
 

@@ -269,7 +269,8 @@ HEADERS: Refusals = [
         "azimuth_std_deg -1.0 of the image '001' is not a number between 0 and 10",
     ),
     (header("views.1.split", "TEST"), "split"),
-    (header("views.1.stretch", 1.1), r"views\[1\]: only images that one radar takes of a target aloft"),
+    (header("views.1.stretch", 1.1), r"views\[1\]: only images of a target aloft"),
+    (header("views.1.apart_deg", 30.0), r"views\[1\]: the view is bistatic, which is not supported"),
     (
         header("views.1.turn", {"axis": [0, 0, 0], "angle_deg": 3}),
         r"views\[1\]\.turn: the rotation axis .* no direction",
@@ -389,7 +390,7 @@ MASKS: Refusals = [
 
 HEIGHTS = np.arange(12.0).reshape(3, 4)
 DEGREES = (1, 1, 0, 1, 1024, 0, 1, 2)
-FEET = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9002)
+FEET = (1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 2263)
 TURNED = (34264, "d", 16, (2.0, 1, 0, 7, 1, -3, 0, 9, 0, 0, 0, 0, 0, 0, 0, 1), True)
 
 
@@ -404,9 +405,9 @@ def heights(values: np.ndarray = HEIGHTS, cut: int | None = None, **options: Any
 
 TERRAIN: Refusals = [
     (heights(keys=DEGREES), "is in degrees of latitude and longitude; bring it into metres"),
-    (heights(keys=FEET), "has lengths in another unit than metres .EPSG 9002.; convert it"),
+    (heights(keys=FEET), "is measured east in units called US survey foot; make metres"),
     (heights(scale=None), "does not say how far its pixels are apart; write it as a GeoTIFF in metres"),
-    (heights(scale=(0.0, 1.0, 0.0)), "pitch_m is .0.0, 1.0.; give two positive"),
+    (heights(scale=(-2.0, 3.0, 0.0)), "is turned against its system's axes; straighten it"),
     (heights(HEIGHTS[:1]), "has 1 × 4 heights; give at least 2 × 2"),
     (
         heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)),
@@ -416,7 +417,7 @@ TERRAIN: Refusals = [
     (heights(np.zeros((4, 5, 3), np.uint8), photometric="rgb"), "has 3 bands; give one of heights"),
     (heights(scale=None, extra=[TURNED]), "is turned against its system's axes; straighten it"),
     (heights(cut=-40), "bad.tif"),
-    (stored(b"heights", read_terrain), "is not a readable TIFF"),
+    (stored(b"heights", read_terrain), "is not a readable raster"),
 ]
 
 # ---- PLY ----

@@ -57,6 +57,14 @@ def test_round_trip(tmp_path):
     assert again.power.dtype == np.float32
 
 
+def test_angles_between_transmitter_and_receiver_of_older_versions_may_be_0(dataset):
+    path = dataset.path / "dataset.json"
+    header = json.loads(path.read_text())
+    header["views"][0] |= {"apart_deg": 0.0, "apart_towards_deg": 0.0}
+    path.write_text(json.dumps(header))
+    assert read_dataset(dataset.path).fingerprint() == dataset.fingerprint()
+
+
 def test_sets_of_a_dataset(dataset):
     assert dataset.splits() == ("train", "test-17", "test")
     assert dataset.views == tuple(view for view, _ in VIEWS)

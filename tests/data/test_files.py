@@ -59,16 +59,6 @@ def test_a_killed_process_leaves_no_stale_lock(tmp_path):
     assert names(tmp_path) == ["a"]
 
 
-def test_what_is_no_lock_is_left_alone(tmp_path):
-    place = tmp_path / ".a.lock"
-    for make in (lambda: place.write_text("mine"), lambda: os.mkfifo(place), lambda: place.symlink_to("x")):
-        make()
-        with pytest.raises(SarsplatError, match="is not a sarsplat lock file; remove it"):
-            write_bytes(tmp_path / "a", b"")
-        assert names(tmp_path) == [".a.lock"]
-        place.unlink()
-
-
 def test_a_link_under_the_temporary_name_is_not_followed(tmp_path):
     (tmp_path / "other").write_text("other")
     (tmp_path / ".a.tmp").symlink_to("other")

@@ -179,7 +179,6 @@ def test_nothing_is_ever_unpickled(tmp_path):
         *((text, "not valid JSON") for text in (rb'["\ud800"]', rb'{"\udfff": 1}', "\ufeff\ufeff{}".encode())),
         (b'{"a": 1e999}', "number out of range"),
         (b'{"a": ' + b"9" * 5000 + b"}", "integer value out of range"),
-        (b"[" + b"[]," * 400_000 + b"0]", "packs"),
         (b'{"a":' * 100_000, "nested too deeply"),
         (b"[" * 200_000, "nested too deeply"),
     ],

@@ -19,7 +19,6 @@ from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.examination.contradictions import examine
-from sarsplat.examination.running_numbers import counting
 from sarsplat.examination.significance import Evidence
 from sarsplat.examination.units import clutter, contrast_of
 from sarsplat.geometry import ImageGrid, View
@@ -343,31 +342,6 @@ def test_one_image_is_not_called_all(bare: Dataset) -> None:
     assert examine(bare.take([0, 1])).checks["images"] == "all 2 differ, none is constant"
 
 
-def numbered(dataset: Dataset, places: np.ndarray | range, first: float = 1.0) -> Dataset:
-    """With the number of each image as its azimuth, of a dataset that was imported from a table."""
-    entries = [
-        replace(dataset.entries[k], view=View(number + first, dataset.entries[k].view.grazing_deg))
-        for number, k in enumerate(places)
-    ]
-    made = replace(dataset.take([*places]), entries=tuple(entries))
-    return replace(made, source={"kind": "folder", "layout": asdict(Layout())})
-
-
-@pytest.mark.parametrize(("step", "ground"), [(15, None), (30, 0.05), (45, 0.05)])
-def test_numbers_of_images_are_no_azimuths(ground: float | None, step: int) -> None:
-    """Neither in the order of their azimuths nor in another; without a table only if other azimuths match better."""
-    dataset = speckled(simulated(ground, azimuths=range(0, 360, step)), 1, 0)
-    count = len(dataset.entries)
-    for places in (range(count), np.random.default_rng(0).permutation(count)):
-        said = only(numbered(dataset, places))
-        assert f"they count from 1 to {count}, and images" in said
-        assert "--columns azimuth=NAME" in said
-    in_order = replace(numbered(dataset, range(count), 100.0), source={})
-    said = examine(in_order).contradictions
-    assert [text for text in said if "match better if these are spread all round" in text] == said[: step == 15]
-    assert len(said) == (step < 45)  # so far apart that images are unlike, they are found to be in the wrong places
-
-
 @pytest.mark.parametrize(("first", "ground"), [(0, None), (1, 0.05), (70, 0.05)])
 def test_azimuths_that_do_count_degrees_pass(ground: float | None, first: int) -> None:
     """A sector in steps of a degree, from the nose or from the side."""
@@ -375,16 +349,6 @@ def test_azimuths_that_do_count_degrees_pass(ground: float | None, first: int) -
     sector = simulated(ground, grid, azimuths=range(first, first + 36))
     dataset = replace(speckled(sector, 1, 0), source={"layout": asdict(Layout())})
     assert examine(dataset).contradictions == []
-
-
-def test_degrees_all_round_count_nothing() -> None:
-    assert counting([View(float(k), 30.0) for k in range(360)]) is None
-    assert counting([View(float(k), 30.0) for k in (1, 2, 3, 5)]) is None
-    counts = counting([View(float(k), grazing) for k, grazing in ((3, 30), (1, 30), (2, 40), (4, 40))])
-    assert counts is not None
-    assert (counts.first_deg, counts.last_deg) == (1, 4)
-    assert counts.from_one
-    assert [view.azimuth_deg for view in counts.spread] == [180, 0, 0, 180]
 
 
 @pytest.mark.parametrize("width", [(2.0, 2.0), (30.0, 1.6), (16.0, 16.0)])

@@ -1,20 +1,17 @@
-"""Cut-off, stretched, repeated and copied pictures are found; pictures of one scale are not taken for these."""
+"""Cut-off, stretched and repeated pictures are found; pictures of one scale are not taken for these."""
 
 from __future__ import annotations
 
-import io
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from datasets import dataset_of
 from sarsplat.data import Dataset
-from sarsplat.examination.copied import copied_images
 from sarsplat.examination.outcome import Examination
-from sarsplat.examination.repeated import repeated_images
+from sarsplat.examination.plausible import repeated_images
 from sarsplat.examination.scaling import examine_cut_off, examine_scaling, share_at_top
 from sarsplat.geometry import ImageGrid, View
 
@@ -141,50 +138,6 @@ def test_targets_without_speckle_may_be_symmetric():
     assert repeated_images(rounded) == []
     assert len(repeated_images(with_copy(symmetric, half[2]))) == 1
     assert repeated_images(symmetric.take([0, 6])) == []  # left and right
-
-
-@pytest.mark.parametrize(
-    ("change", "how"),
-    [
-        (lambda image: image * np.float32(10), "perhaps scaled or compressed again"),
-        (lambda image: image[::-1, ::-1], "turned by a half"),
-        (lambda image: image[:, ::-1], "mirrored"),
-    ],
-)
-def test_copies_are_known_by_their_speckle(change, how):
-    dataset = pictures()
-    (said,) = copied_images(with_copy(dataset, change(dataset.power[2])))
-    assert said.startswith("002 (azimuth 60°, grazing 30°) and 007")
-    assert how in said
-
-
-def test_a_whole_half_that_was_copied_is_no_symmetry():
-    half = pictures().power[:6]
-    dataset = replace(pictures(), power=np.concatenate([half, half]))
-    assert repeated_images(dataset) == []  # as those of a target that is the same from both sides
-    (said,) = copied_images(dataset)
-    assert "(and 5 other pairs)" in said
-
-
-def test_a_copy_that_was_compressed_again():
-    dataset = stored(pictures(), 80)
-    packed = io.BytesIO()
-    Image.fromarray(np.sqrt(dataset.power[2]).astype(np.uint8)).save(packed, format="JPEG", quality=85)
-    copy = np.square(np.maximum(np.asarray(Image.open(packed)), 1), dtype=np.float32)
-    assert len(copied_images(with_copy(dataset, copy))) == 1
-
-
-def test_images_within_one_aperture_may_share_their_speckle():
-    dataset = pictures(step_deg=0.2)
-    assert copied_images(with_copy(dataset, dataset.power[2] * np.float32(1.1))) == []
-    assert copied_images(pictures()) == []
-
-
-def test_images_without_speckle_are_not_asked_for_it():
-    """Points of a target from directions that are near one another look alike."""
-    smooth = np.ones((COUNT, 1, 1)) * np.exp(-((np.mgrid[-20:20, -24:24] / 3.0) ** 2).sum(axis=0))
-    noise = np.random.default_rng(0).normal(1, 0.01, smooth.shape)
-    assert copied_images(replace(pictures(), power=(smooth * noise + 1e-6).astype(np.float32))) == []
 
 
 def large(seed: int) -> Dataset:

@@ -1,4 +1,4 @@
-"""Bistatic, tilted and left-looking datasets: what is right passes, what is wrong is found, and twins are named."""
+"""Tilted and left-looking datasets: what is right passes, what is wrong is found, and twins are named."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,13 +14,7 @@ from sarsplat.data import Dataset
 from sarsplat.examination.contradictions import examine
 from sarsplat.geometry import View
 
-
-def apart(azimuth: float, by: float = 40.0, grazing: float = 40.0, tilt: float = 0.0) -> View:
-    return View.bistatic(View(azimuth, 30.0).direction, View(azimuth + by, grazing).direction, tilt_deg=tilt)
-
-
 KINDS: dict[str, Callable[[float], View]] = {
-    "bistatic": apart,
     "tilted": lambda azimuth: View(azimuth, 30.0, 25.0),
     "left and tilted": lambda azimuth: View(azimuth, 30.0, -20.0, "left"),
 }
@@ -41,14 +35,6 @@ def with_views(seen: Dataset, views: list[View]) -> Dataset:
     return replace(seen, entries=tuple(entries))
 
 
-def negated(view: View) -> View:
-    """All azimuths in the other sense, those of both ways too."""
-    if not view.apart_deg:
-        return replace(view, azimuth_deg=-view.azimuth_deg)
-    first, second = (View(-leg.azimuth_deg, leg.grazing_deg).direction for leg in view.legs)
-    return View.bistatic(first, second)
-
-
 @pytest.mark.parametrize("ground", [None, 0.05])
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_right_passes(kind: str, ground: float | None) -> None:
@@ -61,7 +47,7 @@ def test_what_is_right_passes(kind: str, ground: float | None) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_azimuths_in_the_other_sense_are_found_and_both_twins_are_right(kind: str) -> None:
     seen = dataset(kind)
-    wrong = with_views(seen, [negated(view) for view in seen.views])
+    wrong = with_views(seen, [replace(view, azimuth_deg=-view.azimuth_deg) for view in seen.views])
     (text,) = examine(wrong).contradictions
     assert "match better if azimuths run the other way" in text
     tilts = " and negate the tilts" if any(view.tilt_deg for view in seen.views) else ""
@@ -75,36 +61,15 @@ def test_azimuths_in_the_other_sense_are_found_and_both_twins_are_right(kind: st
         np.testing.assert_allclose(twin.look.gradients @ mirror, right.look.gradients * [[-1], [1]], atol=1e-9)
 
 
-def test_turned_bistatic_images_are_found() -> None:
-    seen = dataset("bistatic")
+def test_turned_images_are_found() -> None:
+    seen = dataset("tilted")
     turned = replace(seen, power=np.ascontiguousarray(seen.power[:, ::-1, ::-1]))
     (text,) = examine(turned).contradictions
     assert "near range is at the bottom" in text
 
 
-def test_which_way_is_the_transmitters_cannot_be_told() -> None:
-    seen = dataset("bistatic")
-    swapped = with_views(
-        seen, [replace(view, apart_towards_deg=(view.apart_towards_deg % 360) - 180) for view in seen.views]
-    )
-    assert swapped.views[0].look.way_in == pytest.approx(seen.views[0].look.way_out)
-    found = examine(swapped)
-    assert found.contradictions == []
-    assert found.checks["two ways"].startswith("cannot be told apart: transmitter and receiver in each other's place")
-    assert found.checks == examine(seen).checks
-    assert "two ways" not in examine(dataset("tilted")).checks
-
-
-@pytest.mark.parametrize(
-    ("view", "why"),
-    [
-        (lambda azimuth: apart(azimuth, 120.0), "the two ways are too far apart"),
-        (lambda azimuth: apart(azimuth, 80.0, 15.0), "the two ways are too far apart"),
-        (lambda azimuth: View(azimuth, 50.0, 75.0), "the azimuth axes are tilted too much"),
-    ],
-)
-def test_shadows_beside_the_target_are_not_taken_for_a_turned_image(view: Callable[[float], View], why: str) -> None:
-    seen = dataset("bistatic")
-    examined = examine(with_views(seen, [view(one.azimuth_deg) for one in seen.views]))
-    assert why in examined.checks["orientation"]
+def test_shadows_beside_the_target_are_not_taken_for_a_turned_image() -> None:
+    seen = dataset("tilted")
+    examined = examine(with_views(seen, [View(one.azimuth_deg, 50.0, 75.0) for one in seen.views]))
+    assert "the azimuth axes are tilted too much" in examined.checks["orientation"]
     assert "near range" not in examined.checks

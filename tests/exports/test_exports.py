@@ -1,6 +1,5 @@
 """Every export, read back by a program that is not ours."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -97,40 +96,6 @@ def test_las_holds_targets_of_any_size(run: Run, tmp_path: Path) -> None:
     np.testing.assert_allclose(laspy.read(tmp_path / "large.las").xyz, run.points * 1e6, atol=1, rtol=1e-6)
 
 
-def test_pcd_is_as_its_specification_says(run: Run, tmp_path: Path) -> None:
-    """https://pointclouds.org/documentation/tutorials/pcd_file_format.html, read in the plainest way."""
-    export(run, tmp_path / "points.pcd")
-    head, _, data = (tmp_path / "points.pcd").read_bytes().partition(b"DATA binary\n")
-    fields = dict(line.split(" ", 1) for line in head.decode("ascii").splitlines()[1:])
-    assert list(fields) == ["VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS"]
-    assert fields["FIELDS"] == "x y z normal_x normal_y normal_z gamma0"
-    assert (fields["SIZE"], fields["TYPE"], fields["COUNT"]) == ("4 4 4 4 4 4 4", "F F F F F F F", "1 1 1 1 1 1 1")
-    assert int(fields["WIDTH"]) * int(fields["HEIGHT"]) == int(fields["POINTS"]) == len(run.points)
-    table = np.frombuffer(data, "<f4").reshape(len(run.points), 7)
-    np.testing.assert_array_equal(table, np.column_stack([run.points, run.normals, run.points_gamma0]))
-
-
-def test_xyz_is_read_by_numpy(run: Run, tmp_path: Path) -> None:
-    export(run, tmp_path / "points.xyz")
-    names = (tmp_path / "points.xyz").read_text().splitlines()[0]
-    assert names == "# x_m y_m z_m nx ny nz gamma0"
-    expected = np.column_stack([run.points, run.normals, run.points_gamma0])
-    np.testing.assert_allclose(np.loadtxt(tmp_path / "points.xyz"), expected, rtol=1e-6)
-
-
-def test_npz_holds_every_tensor_with_a_description(run: Run, tmp_path: Path) -> None:
-    export(run, tmp_path / "all.npz")
-    with np.load(tmp_path / "all.npz", allow_pickle=False) as file:
-        description = json.loads(str(file["description"]))
-        assert set(file.files) == {"description", *description["arrays"]}
-        for name, tensor in run.gaussians.tensors().items():
-            np.testing.assert_array_equal(file[name], tensor)
-        np.testing.assert_array_equal(file["points"], run.points)
-        np.testing.assert_array_equal(file["points_gamma0"], run.points_gamma0)
-    assert description["arrays"]["scales"].endswith(", m")
-    assert description["scattering_law"]["p_min"] == run.config.p_min
-
-
 def test_splat_holds_what_its_viewer_reads(run: Run, tmp_path: Path) -> None:
     """As antimatter15/splat reads it: six floats, four colours, four bytes of a rotation; the most important first."""
     export(run, tmp_path / "all.splat")
@@ -186,8 +151,8 @@ def test_a_mesh_is_made_once(run: Run) -> None:
 
 
 def test_colours_apply_only_to_gaussians(run: Run, tmp_path: Path) -> None:
-    with pytest.raises(SarsplatError, match=r"a\.xyz will hold points, whose colours are not chosen"):
-        export(run, tmp_path / "a.xyz", colour="height")
+    with pytest.raises(SarsplatError, match=r"a\.las will hold points, whose colours are not chosen"):
+        export(run, tmp_path / "a.las", colour="height")
 
 
 def test_other_methods_have_points_but_no_gaussians(small_box: Dataset, tmp_path: Path) -> None:
@@ -198,11 +163,6 @@ def test_other_methods_have_points_but_no_gaussians(small_box: Dataset, tmp_path
     for name in ("a.ply", "a.splat"):
         with pytest.raises(SarsplatError, match=r"was made by sar-nerf-grid, which learns no Gaussians; export its"):
             export(other, tmp_path / name)
-    export(other, tmp_path / "a.npz")
-    with np.load(tmp_path / "a.npz", allow_pickle=False) as file:
-        assert set(file.files) == {"description", "points", "normals"}
-    export(other, tmp_path / "a.xyz")
-    assert np.loadtxt(tmp_path / "a.xyz").shape == (3, 6)
     pytest.importorskip("laspy")
     export(other, tmp_path / "a.las")
 

@@ -34,7 +34,6 @@ NONE: list[object] = [
         "towards": View.towards,
         "isar": lambda one: View.isar(one, (0, 0, 1)),
         "axis": lambda one: View.isar((1, 0, 0), one),
-        "bistatic": lambda one: View.bistatic(one, (0, 0, 1)),
         "turn": lambda one: Turn(one, 1.0),
         "of_ecef": Place.of_ecef,
     }.values(),
@@ -64,7 +63,7 @@ def test_what_are_no_places_are_refused(convert: Callable[[object], object], non
     {
         "azimuth": lambda: View(True, 30.0),
         "grazing": lambda: View(1.0, True),
-        "tilt of two ways": lambda: View.bistatic((1, 0, 1), (0, 1, 1), tilt_deg=True),
+        "tilt": lambda: View(1.0, 30.0, True),
         "angle of a turn": lambda: Turn((0, 0, 1), True),
         "rate of a turn": lambda: Turn((0, 0, 1), 1.0, 0.0, np.True_),  # type: ignore[arg-type]
         "latitude": lambda: Place(True, 2.0, 3.0),

@@ -17,7 +17,6 @@ from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.examination import contradictions
 from sarsplat.examination.contradictions import examine
-from sarsplat.geometry import View
 from sarsplat.importers import import_folder, import_mstar
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
@@ -317,89 +316,6 @@ def test_the_tilt_is_that_of_the_flight_however_a_left_look_is_said(tmp_path, co
     made = import_pictures(folder, **options)
     np.testing.assert_array_equal(made.power, POWER)
     assert {(view.tilt_deg, view.side) for view in made.views} == {(-12.0, "right")}
-
-
-WAYS = "file,transmit_azimuth_deg,transmit_grazing,Receive Azimuth (deg),receive-grazing"
-
-
-def two_ways(view: View) -> list[float]:
-    """The cells of a table for a bistatic view."""
-    return [angle for leg in view.legs for angle in (leg.azimuth_deg, leg.grazing_deg)]
-
-
-@pytest.mark.parametrize("counter_clockwise", [False, True])
-def test_a_table_of_transmitters_and_receivers(tmp_path, counter_clockwise):
-    """Both ways are where the table says, whichever way it counts, and whatever else is in it."""
-    views = [View.bistatic(View(10 + k, 20).direction, View(50 + k, 40 + k / 9).direction) for k in AZIMUTHS]
-    cells = [two_ways(view) for view in views]
-    if counter_clockwise:
-        cells = [[30 - transmit, low, 30 - receive, high] for transmit, low, receive, high in cells]
-    folder = write_pictures(tmp_path / "in", POWER, [[f"{k}.npy", *row] for k, row in enumerate(cells)], WAYS)
-    turned = {"counter_clockwise": True, "azimuth_offset_deg": 30} if counter_clockwise else {}
-    made = import_pictures(folder, **turned)
-    np.testing.assert_array_equal(made.power, POWER)
-    for view, expected in zip(read_dataset(tmp_path / "out").views, views, strict=True):
-        np.testing.assert_allclose(view.look.gradients, expected.look.gradients, atol=1e-12)
-        np.testing.assert_allclose(view.look.ways, expected.look.ways, atol=1e-12)
-    assert "slant ranges are half of the way from the transmitter to the receiver" in made.source["assumptions"]
-
-
-def test_equal_ways_are_those_of_one_radar_and_rows_may_differ(tmp_path):
-    names = f"{WAYS},azimuth,grazing,side"
-    cells = [
-        ["", "", "", "", 0, 30],
-        [90, 30, 90, 30, "", ""],
-        [180, 30, 180, 30, 180, 30],
-        [270, 30, 300, 30, 285, ""],
-    ]
-    rows = [[f"{k}.npy", *row, side] for k, (row, side) in enumerate(zip(cells, ["right", "R", "", "right"]))]
-    made = import_pictures(write_pictures(tmp_path / "in", POWER, rows, names))
-    assert made.views[:3] == tuple(View(azimuth, 30) for azimuth in AZIMUTHS[:3])
-    assert made.views[3] == View.bistatic(View(270, 30).direction, View(300, 30).direction)
-
-
-def test_ranges_along_the_ground_of_two_ways(tmp_path):
-    """Half the way there and back grows by the cosine of half the angle between both ways."""
-    view = View.bistatic(View(0, 30).direction, View(60, 30).direction)
-    folder = write_pictures(tmp_path / "in", POWER, [[f"{k}.npy", *two_ways(view)] for k in range(4)], WAYS)
-    with pytest.warns(SarsplatWarning, match="views are the same"):
-        made = import_pictures(folder, ground_range=True, resolution_m=None)
-    ahead = np.append(view.look.ahead, 0)
-    half = -(view.look.way_in + view.look.way_out) / 2
-    assert made.grid.spacing_m == pytest.approx((0.1, 0.3 * half @ ahead))
-    assert half @ ahead == pytest.approx(np.cos(np.radians(view.apart_deg / 2)) * np.cos(np.radians(view.grazing_deg)))
-
-
-def test_a_bistatic_left_looking_tilted_picture_is_mirrored(tmp_path):
-    """As one that looks to the right and has the opposite tilt; the ways stay."""
-    view = View.bistatic(View(10, 20).direction, View(50, 40).direction, tilt_deg=7, side="left")
-    rows = [[f"{k}.npy", *two_ways(view), 7, "Left"] for k in range(4)]
-    folder = write_pictures(tmp_path / "in", POWER[..., ::-1], rows, f"{WAYS},tilt,side")
-    with pytest.warns(SarsplatWarning, match="views are the same"):
-        made = import_pictures(folder)
-    np.testing.assert_array_equal(made.power, POWER)
-    look = made.views[0].look
-    np.testing.assert_allclose(look.gradients, view.look.gradients * [[-1], [1]], atol=1e-12)
-    np.testing.assert_allclose(look.ways, view.look.ways, atol=1e-12)
-
-
-def test_what_the_ray_caster_shows_of_two_ways_comes_back_through_a_table(tmp_path):
-    """Pictures of a bistatic radar of one's own, and the views and powers that they were simulated with."""
-    trimesh = pytest.importorskip("trimesh")
-    pytest.importorskip("embreex")
-    from sarsplat.geometry import ImageGrid
-    from sarsplat.scenes import ScatteringLaw, simulate_raycast
-
-    grid = ImageGrid(20, 26, (0.1, 0.3), (0.2, 0.4))
-    box = trimesh.creation.box((1.5, 1.0, 0.7))
-    views = [View.bistatic(View(k, 35).direction, View(k + 40, 25).direction) for k in AZIMUTHS]
-    law = {"law": ScatteringLaw(0.5, 0.5, 2.0), "ray_spacing": 0.02}
-    power = np.stack([simulate_raycast(box, view, grid, **law) for view in views])
-    rows = [[f"{k}.npy", *two_ways(view)] for k, view in enumerate(views)]
-    made = import_pictures(write_pictures(tmp_path / "in", power + np.float32(1e-9), rows, WAYS), ground=False)
-    assert [view.unusual for view in made.views] == [", bistatic by 35.8°"] * 4
-    again = np.stack([simulate_raycast(box, view, made.grid, **law) for view in made.views])
-    np.testing.assert_allclose(made.power, again, atol=1e-4 * power.max())
 
 
 def scaled_pictures(folder: Path, scale: tuple[float, float]) -> Path:

@@ -12,11 +12,11 @@ from PIL import Image
 
 from chip_files import COLUMNS, phoenix_bytes
 from sarsplat.cli import main
-from sarsplat.cli.info_split import SplitSource, rows_of_all
+from sarsplat.cli.info_dataset import SplitSource, rows_of_all
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers import import_mstar
-from sarsplat.importers.mstar_splits import SPLITS, in_words, splits_in
+from sarsplat.importers.mstar_splits import SPLITS, in_words
 from sarsplat.samples import write_measured_chips
 from sarsplat.samples.encoding import Encoding
 
@@ -296,19 +296,6 @@ def test_what_a_header_says_of_a_split_is_not_trusted() -> None:
         assert SplitSource.of("D7", {"split": {"name": "soc", "parts": [part | wrong]}}) is None
     for split in (None, 3, "soc", [], {"name": [], "parts": []}, {"name": "soc", "parts": ["a"]}, {"name": "own"}):
         assert SplitSource.of("D7", {"split": split}) is None
-
-
-def test_which_splits_chips_are_of() -> None:
-    def kinds(*names: str) -> list[tuple[str, str, int]]:
-        return [(part.target, part.serial, part.depressions[0]) for name in names for part in SPLITS[name].train]  # type: ignore[index]
-
-    soc = [(target, "", depression) for target, _, _ in kinds("soc") for depression in (17, 15)]
-    assert splits_in(soc) == {"soc": 10}
-    assert splits_in(soc[2:]) == {"soc": 9}
-    assert splits_in(soc[:4]) == {}
-    assert splits_in([one for one in soc if one[2] == 17]) == {}  # nothing to test on
-    assert splits_in([*kinds("eoc-version"), ("T-72", "SN_812", 17)]) == {"eoc-version": 4}
-    assert splits_in([*kinds("eoc-depression"), ("t72_tank", "A64", 30)]) == {"eoc-depression": 4}
 
 
 def test_the_plan_is_one(tmp_path: Path) -> None:

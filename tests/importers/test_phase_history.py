@@ -143,10 +143,8 @@ def test_another_format_is_known_by_how_its_files_begin(files, tmp_path, monkeyp
     for name in ("a.toy", "b"):
         (tmp_path / name).write_bytes(b"TOY")
         assert len(read_phase_history(tmp_path / name)) == len(read_gotcha(files[0]))
-        it = recognised(tmp_path / name)
-        assert it is not None
-        assert (it.kind, it.certainty) == ("toys (.toy)", 1.0)
-        assert f"import phase-history {tmp_path / name} --size" in str(it.command)
+        found = recognised(tmp_path / name)
+        assert found is not None and found[0] == "phase-history"
 
 
 def test_a_file_without_an_ending_is_known_by_its_container(files, tmp_path):

@@ -87,7 +87,8 @@ def test_overviews_of_a_geotiff_are_left_out(tmp_path):
 @pytest.mark.parametrize("axis", [0, -1])
 def test_two_bands_are_real_and_imaginary_part(tmp_path, axis):
     bands = np.stack([COMPLEX.real, COMPLEX.imag], axis=axis)
-    for name, options in (("a.npy", {}), ("a.tif", {"photometric": "minisblack", "planarconfig": "contig"})):
+    planes = {0: "separate", -1: "contig"}[axis]
+    for name, options in (("a.npy", {}), ("a.tif", {"photometric": "minisblack", "planarconfig": planes})):
         pixels = read_pixels(written(tmp_path, name, bands, **options))
         assert likely_quantity(pixels, "it") == "complex"
         np.testing.assert_allclose(power_or_signal(pixels, "complex", "it"), COMPLEX, rtol=1e-6)
@@ -99,7 +100,7 @@ def tagged(folder: Path, pixels: np.ndarray, *tags: tuple, **options) -> Path:
 
 @pytest.mark.parametrize(("bits", "order"), [(32, "<"), (32, ">"), (64, "<")])
 def test_complex_whole_numbers(tmp_path, bits, order):
-    """Two integers each, as GDAL's CInt16 and CInt32, are half as long as what they become; guards count these."""
+    """Two integers each, as GDAL's CInt16 and CInt32."""
     signal = np.round(COMPLEX * 3000)
     body = np.stack([signal.real, signal.imag], axis=-1).astype(f"{order}i{bits // 16}").tobytes()
     path = tmp_path / "a.tif"
@@ -111,10 +112,6 @@ def test_complex_whole_numbers(tmp_path, bits, order):
     head = struct.pack(order + "2sHI", b"II" if order == "<" else b"MM", 42, 8 + len(body))
     path.write_bytes(head + body + struct.pack(order + "H", len(fields)) + entries + bytes(4))
     np.testing.assert_array_equal(read_pixels(path), signal)
-    rows, more = (struct.pack(order + "HHII", 257, 4, 1, count) for count in (3, 99))
-    path.write_bytes(path.read_bytes().replace(rows, more))
-    with pytest.raises(SarsplatError, match="claims to hold"):
-        read_pixels(path)
 
 
 def masked(folder: Path, mask: np.ndarray) -> Path:
@@ -144,9 +141,7 @@ def test_masks_and_transparency_say_what_is_not_known(tmp_path, axis):
     np.testing.assert_array_equal(values.image, np.where(seen, EIGHT.astype(float) ** 2, 0))
     path = written(tmp_path, "b.tif", np.stack([EIGHT, np.full_like(EIGHT, 255)], axis=axis), **options)
     np.testing.assert_array_equal(read_pixels(path), EIGHT)
-    with pytest.raises(SarsplatError, match="partly seen"):
-        read_pixels(written(tmp_path, "b.tif", np.stack([EIGHT, EIGHT], axis=axis), **options))
-    with pytest.raises(SarsplatError, match="holds nothing but pixels that it masks"):
+    with pytest.raises(SarsplatError, match="holds nothing but pixels without data"):
         read_values(masked(tmp_path, np.zeros(EIGHT.shape, bool)), "power", 1.0, 0.0)
 
 
@@ -181,15 +176,6 @@ def test_no_data_does_not_change_what_bands_mean(tmp_path):
     assert np.argwhere(values.unknown).tolist() == [[1, 2]]
 
 
-def test_white_is_zero(tmp_path):
-    for pixels, white in ((EIGHT, 255), (SIXTEEN, 65535)):
-        path = tagged(tmp_path, (white - pixels.astype(int)).astype(pixels.dtype), photometric="miniswhite")
-        np.testing.assert_array_equal(read_pixels(path), pixels)
-        assert any("zero is white" in text for text in read_values(path, None, 1.0, 0.0).assumptions)
-    with pytest.raises(SarsplatError, match=r"zero is white .*, which float32 numbers are not measured by"):
-        read_pixels(tagged(tmp_path, REAL, photometric="miniswhite"))
-
-
 def test_pixels_without_data_are_zero_and_known(tmp_path):
     holes = REAL.copy()
     holes[1, 2] = -9999
@@ -203,8 +189,6 @@ def test_pixels_without_data_are_zero_and_known(tmp_path):
             np.testing.assert_array_equal(values.image[~values.unknown], expected[~values.unknown])
     with pytest.raises(SarsplatError, match="holds nothing but"):
         read_values(tagged(tmp_path, REAL * 0, (42113, "s", 0, "0", True)), "power", 1.0, 0.0)
-    with pytest.raises(SarsplatError, match="names the value of pixels without data as 'none'"):
-        read_picture(tagged(tmp_path, REAL, (42113, "s", 0, "none", True)))
 
 
 def test_scale_and_offset_of_the_file(tmp_path):
@@ -214,10 +198,10 @@ def test_scale_and_offset_of_the_file(tmp_path):
     path = tagged(tmp_path, EIGHT, (42112, "s", 0, text, True))
     values = read_values(path, "db", 1.0, 0.0)
     np.testing.assert_allclose(values.image, 10 ** ((EIGHT * 0.25 - 60) / 10), rtol=1e-5)
-    assert values.assumptions == ("pixels are multiplied by 0.25, and -60 is added, as tags of the files say",)
+    assert values.assumptions == ("pixels are multiplied by 0.25, and -60 is added, as the files say",)
     np.testing.assert_allclose(read_values(path, "db", 0.1, 0.0).image, 10 ** (EIGHT * 0.1 / 10), rtol=1e-5)
-    with pytest.raises(SarsplatError, match="names 'x' as the scale"):
-        read_picture(tagged(tmp_path, EIGHT, (42112, "s", 0, text.replace("0.25", "x"), True)))
+    with pytest.raises(SarsplatError, match=r"names inf, -60\.0 as scale and offset"):
+        read_picture(tagged(tmp_path, EIGHT, (42112, "s", 0, text.replace("0.25", "inf"), True)))
 
 
 @pytest.mark.parametrize(
@@ -228,9 +212,8 @@ def test_scale_and_offset_of_the_file(tmp_path):
             {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)},
             "numbers of colours in a palette",
         ),
-        (EIGHT, {"extratags": [(274, "H", 1, 6, True)]}, r"to be turned or mirrored .* \(orientation 6\)"),
-        (EIGHT, {"extratags": [(33550, "d", 3, (0.0, 0.3, 0.0), True)]}, "by which its pixels have no size"),
-        (EIGHT, {"extratags": [(33550, "d", 1, 0.3, True)]}, "GeoTIFF tags that cannot be read"),
+        (SIXTEEN, {"photometric": "miniswhite"}, "zero is white"),
+        (EIGHT, {"photometric": "miniswhite"}, "zero is white"),
     ],
 )
 def test_tags_that_change_the_meaning(tmp_path, pixels, options, words):
@@ -311,14 +294,13 @@ def tiff_of(pixels: np.ndarray, **options) -> bytes:
         ("a.png", png_of_zeros(3000), "claims to hold"),
         ("a.png", b"no", "not a PNG or JPEG"),
         ("a.png", png_of_zeros(20)[:45], "not a PNG or JPEG"),
-        ("a.gif", b"GIF89a", r"does not end in one of \.png"),
-        ("a.tif", tiff_of(np.zeros((1500, 1500), np.float32), compression="zlib"), "claims to hold"),
+        ("a.gif", b"GIF89a", "not a readable raster"),
         ("a.tif", tiff_of(np.zeros((2, 3, 4), np.uint8), photometric="minisblack", planarconfig=None), "several pages"),
         ("a.tif", tiff_of(np.zeros((3, 4, 3), np.uint8), photometric="rgb"), "holds uint8 of shape"),
-        ("a.tif", tiff_of(REAL)[:100], "not a readable TIFF"),
+        ("a.tif", tiff_of(REAL)[:100], "not a readable raster"),
         ("a.npy", b"no", "not a NumPy file"),
         ("a.npy", npy("{'descr': '<f4', 'fortran_order': False, 'shape': (90000, 90000)}"), "not a readable array"),
-        ("a.tif", b"II*\0" + bytes(4), "no image in it"),
+        ("a.tif", b"II*\0" + bytes(4), "not a readable raster"),
         ("a.npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (2, 2)}"), "not a readable array"),
         ("a.npy", npy("{'descr': '<f4', 'fortran_order': False, 'shape': (-1, 2)}"), "not a readable array"),
         ("a.npy", npy("{'descr': '<f4', 'fortran_order': False, 'shape': (0, 2)}"), "a.npy"),

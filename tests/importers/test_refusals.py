@@ -63,12 +63,6 @@ def two_tables(at: Path) -> object:
     return import_pictures(at / "in")
 
 
-def ways(*cells: Any, also: str = "", columns: str = "txaz,txgraz,rxaz,rxgraz", **options: Any) -> Do:
-    """A table of transmitters and receivers, all rows of which have these cells."""
-    rows = [[f"{k}.npy", *cells] for k in range(4)]
-    return lambda at: import_pictures(write_pictures(at / "in", POWER, rows, f"file,{columns}{also}"), **options)
-
-
 PLAIN = "file,azimuth,grazing"
 FOLDER: Refusals = [
     (table("file,heading,grazing"), r"no column that looks like the azimuth; name it .* \(there are file, heading"),
@@ -99,35 +93,6 @@ FOLDER: Refusals = [
     (lambda at: import_pictures(at / "none"), "is not a folder"),
     (classes(), r"2 classes \(tank, car\), and a dataset shows one; .* --class NAME"),
     (classes(target_class="Tank"), "no picture of the class 'Tank'; choose one of tank, car"),
-    (
-        ways(0, 30, 20, columns="txaz,txgraz,rxaz"),
-        r"no column that looks like the receive-grazing; name it with --columns receive-grazing=NAME \(there are",
-    ),
-    (
-        ways(0, 30, columns="azimuth,transmit_grazing", grazing_deg=3),
-        "transmit-azimuth or the receive-azimuth or the r",
-    ),
-    (
-        ways(0, 30, "", 30),
-        "line 2 says where the transmitter and the receiver are, but not receive-azimuth; fill all four of",
-    ),
-    (ways("", "", "", ""), "line 2 says nothing of its angles; fill all four of transmit-azimuth"),
-    (ways("", "", "", "", "", also=",azimuth"), "line 2: azimuth is ''; it must be a number"),
-    (ways("", "", "", "", 0, also=",azimuth"), "does not say from what grazing angle 0.npy is"),
-    (
-        ways(0, 30, 60, 30, 0, also=",azimuth"),
-        "0.npy has the azimuth 0°, but halfway between its transmitter and its receiver is 30°; leave its cell empty",
-    ),
-    (ways(0, 30, 60, 30, 30, also=",grazing"), r"the grazing angle 30°, but halfway .* is 33.69°"),
-    (ways(0, 30, 0, 30, 10, also=",azimuth"), r"the azimuth 10°, but halfway .* is 0°"),
-    (ways(0, 30, 60, -2), "0.npy, receiver: grazing angle -2.0° is outside"),
-    (ways(0, 30, "east", 30), "line 2: rxaz is 'east'; it must be a number"),
-    (ways(0, 1, 180, 1), "0.npy: transmitter and receiver are 178° apart, more than 170°"),
-    (ways(0, 30, 60, 30, "starboard", also=",side"), "the look side is 'starboard'; it must be left or right"),
-    (
-        ways(0, 30, 60, 30, "v", 0.0, also=",view,baseline", wavelength_m=0.03),
-        "holds power, but a stack needs phases",
-    ),
     (table(PLAIN, target_class="tank"), "has no column of classes to choose 'tank' from; name it with --columns"),
 ]
 
@@ -262,7 +227,7 @@ MSTAR: Refusals = [
             relabelled(lambda rows, name=name, cell=cell: [[*rows[0], name], [*rows[1], cell], *rows[2:]]),
             rf"line 2: {name} is '{cell}', but MSTAR's radar is one, flies level .* `sarsplat import folder`",
         )
-        for name, cell in (("tilt_deg", "-3"), ("look", "left"), ("side", "L"), ("receive_azimuth_deg", "0"))
+        for name, cell in (("tilt_deg", "-3"), ("look", "left"), ("side", "L"))
     ),
     (chips(azimuth_std_deg=11), r"azimuth_std_deg 11 of the image .* is not a number between 0 and 10"),
     (scaled(""), "line 4: dn_per_magnitude of 'T72/chip002.jpeg' is empty, so this chip is not comparable with the"),

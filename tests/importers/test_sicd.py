@@ -216,7 +216,7 @@ def test_every_version_means_the_same(tmp_path, newest, version, capsys):
     assert "polarisation V:V" in lines and "size 300 rows × 280 columns, 160 m × 160 m" in lines
     assert any(line.startswith("radar looks left, 500 km away at the compass bearing 90") for line in lines)
     assert any(line.startswith("where 47.30") and "pixel 150,140" in line for line in lines)
-    assert lines[-2].endswith(f"import sicd {path} --pixel 150,140 --size METRES --out image-dataset")
+    assert lines[-1].startswith("import with: sarsplat import sicd")
 
 
 @pytest.mark.parametrize("version", ["0.3.1", "1.9.0", "x"])
@@ -371,12 +371,11 @@ def test_info_describes_the_first_of_a_folder(tmp_path, capsys):
         write_sicd(tmp_path / f"{number}.nitf", Track(), PLACES, Recording())
     assert main(["info", str(tmp_path)]) == 0
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
-    assert lines[0].endswith("2 .nitf files, which may be SICD")
     assert f"the first {tmp_path / '0.nitf'}" in lines
     assert "size 300 rows × 280 columns, 160 m × 160 m" in lines
     (tmp_path / "0.nitf").write_bytes(b"none")
     assert main(["info", str(tmp_path)]) == 0
-    assert "0.nitf is not" in " ".join(capsys.readouterr().out.split())
+    assert f"the first {tmp_path / '1.nitf'}" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_file_whose_projection_leads_elsewhere_is_said(tmp_path, capsys):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from sarsplat.learning.observations.parts_of_images import PartsOfImages
 from sarsplat.learning.observations.single_images import SingleImages
 from sarsplat.learning.observations.stacks import Stacks
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.processes import Processes
 from sarsplat.radar import Pixel
 from sarsplat.renderer import GroundBounce, render
 from sarsplat.report.page import _run_facts
@@ -142,24 +140,5 @@ def test_what_it_cannot_be_combined_with_is_refused(mirrored: Dataset) -> None:
     assert Stacks.goes_with["ground"] is None  # without which there is no bounce
     with pytest.raises(SarsplatError, match=r"bounce is on, which is off level ground, but .* has terrain; give"):
         SingleImages.refuse(SHORT, replace(mirrored, terrain=hill()), Inputs())
-    processes = cast(Processes, "2 processes of torchrun")
-    with pytest.raises(SarsplatError, match="2 processes of torchrun cannot be combined with bounce on; omit them"):
-        SingleImages.refuse(SHORT, mirrored, Inputs(processes=processes))
     with pytest.raises(SarsplatError, match="bounce is on, which cannot be combined with tiles 2; give off, or tiles"):
         PartsOfImages.refuse(replace(SHORT, tiles=2), mirrored, Inputs())
-
-
-def test_what_bistatic_images_cannot_be_learned_with_is_refused_before_any_work(mirrored: Dataset) -> None:
-    entries = tuple(replace(entry, view=replace(entry.view, apart_deg=20.0)) for entry in mirrored.entries)
-    apart = replace(mirrored, entries=entries)
-    processes = cast(Processes, "2 processes of torchrun")
-    plain = replace(SHORT, bounce=None)
-    for changed, dataset, inputs, told in (
-        (SHORT, apart, Inputs(), "bounce on; give bounce off"),
-        (replace(plain, tiles=2), apart, Inputs(), "tiles 2; give tiles 1"),
-        (plain, replace(apart, terrain=hill()), Inputs(), "terrain; leave it out"),
-        (plain, apart, Inputs(processes=processes), "2 processes of torchrun; omit them"),
-    ):
-        with pytest.raises(SarsplatError, match=f"is bistatic, which cannot be learned with {told}"):
-            SingleImages.refuse(changed, dataset, inputs)
-    SingleImages.refuse(plain, apart, Inputs())

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,10 +28,7 @@ from sarsplat import (
 )
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
 from sarsplat.examination.plausible import suspicions
-from sarsplat.learning import Inputs
-from sarsplat.learning.observations.stacks import Stacks
 from sarsplat.learning.strategies import Strategy
-from sarsplat.processes import Processes
 from sarsplat.regions.stack_region import stack_region
 from sarsplat.settings.presets import PRESETS, preset
 from sarsplat.settings.sections import FlatGround, Surroundings
@@ -178,8 +175,6 @@ def test_what_is_refused():
         reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
     with pytest.raises(SarsplatError, match="plane gradients, which cannot be combined with passes on; omit it"):
         reconstruct(images, strategies=[Watching()], quiet=True)
-    with pytest.raises(SarsplatError, match="2 processes of torchrun cannot be combined with passes on; omit them"):
-        Stacks.refuse(preset("stack"), images, Inputs(processes=cast(Processes, "2 processes of torchrun")))
     single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
     with pytest.raises(SarsplatError, match=r"learn from stacks, and .* has single images; choose another preset"):
         reconstruct(single, "stack", quiet=True)

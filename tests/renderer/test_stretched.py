@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from named_scenes import GRID, cloud
+from named_scenes import GRID, UNUSUAL, cloud
+from test_cpu_engine import relative
 from test_reference_gradients import check_gradients
 from torch import Tensor
 
@@ -16,8 +17,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.radar.iso_range import Pixel, contributions, iso_range_line
 from sarsplat.renderer import project, render
-from sarsplat.renderer.bistatic import render_by_steps
 from sarsplat.renderer.one_by_one import Steps
+from sarsplat.renderer.stretched import render_stretched
 from sarsplat.tiles import render_tiled
 
 PLAIN = (View(25.0, -40.0, 10.0, aloft=True), View(200.0, 60.0, -70.0, "left", aloft=True))
@@ -50,9 +51,45 @@ def test_gradients_are_finite_differences() -> None:
 
     def outputs(*values: Tensor) -> list[Tensor]:
         own = scene.with_tensors(**dict(zip(leaves, values, strict=True)))
-        return [render_by_steps(Steps(None, cuts=False), own, VIEWS, grid, rays=rays).images]
+        return [render_stretched(Steps(None, cuts=False), own, VIEWS, grid, rays=rays).images]
 
     check_gradients(outputs, tuple(leaves.values()))
+
+
+def test_without_a_stretch_it_is_what_render_shows() -> None:
+    scene, rays = cloud(60, 41, kappa=(4.0, 12.0)), RayGrid.for_image(GRID)
+    expected = render(scene, UNUSUAL, GRID, engine="reference")
+    found = render_stretched(Steps(None, cuts=True), scene, UNUSUAL, GRID, rays=rays)
+    torch.testing.assert_close(found.images, expected.images, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(found.cross_sections, expected.cross_sections, rtol=1e-4, atol=1e-6)
+
+
+def test_the_cpu_engine_agrees_with_the_reference() -> None:
+    def everything(dtype: torch.dtype, engine: str) -> list[Tensor]:
+        scene = cloud(60, 41, kappa=(4.0, 12.0)).to(dtype)
+        leaves = {name: tensor.clone().requires_grad_() for name, tensor in scene.tensors().items()}
+        how = {
+            "shift": torch.tensor([[0.1, -0.2], [0.05, 0.1]], dtype=dtype, requires_grad=True),
+            "gain": torch.tensor([0.7, 1.4], dtype=dtype, requires_grad=True),
+        }
+        image = render(scene.with_tensors(**leaves), VIEWS, GRID, engine=engine, **how).images
+        cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+        every = [*leaves.values(), *how.values()]
+        return [image.detach(), *torch.autograd.grad((image * cotangent.to(dtype)).sum(), every)]
+
+    for found, expected in zip(everything(torch.float32, "cpu"), everything(torch.float64, "reference"), strict=True):
+        assert relative(found, expected) <= 1e-4
+
+
+def test_plane_gradients_are_those_of_centres() -> None:
+    scene = cloud(20, 3)
+    means = scene.means.clone().requires_grad_()
+    rendering = render(replace(scene, means=means), VIEWS, GRID, plane_gradients=True)
+    rendering.images.square().sum().backward()
+    planes = rendering.plane_gradients
+    assert planes is not None
+    assert planes.shape == (2, 20, 4)
+    assert (planes.abs().sum((0, 1)) > 0).all()
 
 
 def test_what_needs_plain_images_refuses_them() -> None:
@@ -65,7 +102,7 @@ def test_what_needs_plain_images_refuses_them() -> None:
         with pytest.raises(SarsplatError, match="stretched"):
             refused()
     trimesh = pytest.importorskip("trimesh")
-    with pytest.raises(SarsplatError, match="a view is stretched; cast rays for the same view on a grid"):
+    with pytest.raises(SarsplatError, match="a view is stretched"):
         simulate_raycast(trimesh.creation.box((1, 1, 1)), VIEWS[0], GRID, ScatteringLaw())
 
 

@@ -175,6 +175,7 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset, change: 
         {"iteration": -1},
         {"iteration": 1.5},
         {"iteration": None},
+        {"views": [{"azimuth_deg": 1.0, "grazing_deg": 30.0, "apart_deg": 20.0}]},
     ],
 )
 def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from sarsplat.runs import thread_choice
-from sarsplat.runs.thread_choice import ThreadChoice
+from sarsplat.runs import training_loop
+from sarsplat.runs.training_loop import ThreadChoice
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def test_steps_have_the_threads_that_are_quickest(
         now += slow[torch.get_num_threads()]
         return next(clock)
 
-    monkeypatch.setattr(thread_choice.time, "perf_counter", lambda: now)
+    monkeypatch.setattr(training_loop.time, "perf_counter", lambda: now)
     with ThreadChoice("cpu") as choice:
         made = [choice.step(step) for _ in range(20)]
         assert torch.get_num_threads() == quickest

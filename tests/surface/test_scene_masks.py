@@ -66,14 +66,6 @@ def test_what_stands_on_tilted_ground_is_seen(tilt: float, side: Literal["right"
     assert (true == TARGET).sum() > 0.75 * (level == TARGET).sum()
 
 
-def test_masks_of_bistatic_views_know_both_shadows() -> None:
-    view = View.bistatic(View(0, 30).direction, View(50, 30).direction)
-    (both,) = scene_masks(scene(box()), GROUND, [view], GRID, RAYS)
-    (one,) = scene_masks(scene(box()), GROUND, [View.towards(view.direction)], GRID, RAYS)
-    assert (both == SHADOW).sum() > 1.1 * (one == SHADOW).sum()
-    assert overlap(both, one, TARGET) > 0.8
-
-
 def test_without_ground_there_is_no_shadow() -> None:
     with_ground = scene_masks(scene(box()), GROUND, VIEWS, GRID, RAYS)
     alone = scene_masks(scene(box()), None, VIEWS, GRID, RAYS)

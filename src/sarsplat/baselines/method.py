@@ -18,7 +18,7 @@ from sarsplat.baselines.trainer import BaselineTrainer, saved_scene, scene_of
 from sarsplat.data import Dataset, read_masks, write_mesh
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.geometry.view import check_monostatic
+from sarsplat.geometry.view import check_unstretched
 from sarsplat.learning.method import Inputs, Method, Reconstruction
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.runs.run_folder import MESH
@@ -70,7 +70,7 @@ class BaselineMethod(Method):
         begun: Callable[[], Reconstruction] | None,
     ) -> BaselineTrainer:
         """A training at its beginning; a resumed one keeps its masks."""
-        check_monostatic(dataset.views, f"{self.title} knows one radar only; leave out the method")
+        check_unstretched(dataset.views)
         if begun is None:
             masks = None if inputs.masks is None else read_masks(inputs.masks, dataset, ("train",))
             scene = scene_of(dataset, None if masks is None else np.stack([*masks.values()]))
@@ -166,7 +166,7 @@ def _first_hits(mesh: trimesh.Trimesh, views: Sequence[View], spacing_m: float) 
         for position, face in first_hits(facets, (-np.inf, np.inf), spacing_m, (0.5, 0.5)):
             hit = np.column_stack([position, facets.depth(face, position)]) @ frame
             normal = mesh.face_normals[face]
-            normal = normal * np.sign(normal @ view.look.way_in)[:, None]
+            normal = normal * np.sign(normal @ view.look.facing)[:, None]
             points = np.concatenate([points, hit.astype(np.float32)])
             normals = np.concatenate([normals, normal.astype(np.float32)])
         first = np.unique(np.floor(points / spacing_m).astype(np.int64), axis=0, return_index=True)[1]

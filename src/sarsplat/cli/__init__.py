@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Sequence
 
-from sarsplat.cli.ending import SIGNALLED, follow, follows, terminate
+from sarsplat.cli.ending import SIGNALLED, terminate
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,10 +24,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit code: 0, or 2 after a mistake in the input, 130 after Ctrl-C, 143 after being terminated. Options that do
         not parse end the process with code 2.
     """
-    return follow(lambda: _main(arguments)) if follows() else _main(arguments)
-
-
-def _main(arguments: Sequence[str] | None) -> int:
     main_thread = threading.current_thread() is threading.main_thread()  # the only one that receives signals
     before = signal.signal(signal.SIGTERM, terminate) if main_thread else None
     try:

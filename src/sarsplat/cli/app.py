@@ -9,8 +9,7 @@ import warnings
 
 from sarsplat import extras
 from sarsplat.cli import console
-from sarsplat.cli.ending import ABANDONED
-from sarsplat.errors import Abandoned, AssumptionWarning, SarsplatError, SarsplatWarning
+from sarsplat.errors import AssumptionWarning, SarsplatError, SarsplatWarning
 from sarsplat.version import installed_version
 
 _MISUSED = 2
@@ -21,7 +20,7 @@ def run(words: list[str]) -> int:
     """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input.
 
     `sarsplat check` and `sarsplat import` end with 1 if images contradict what is said of them, `sarsplat sweep` if
-    a run has failed, and with 75 if another process of the same training has ended.
+    a run has failed.
     """
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -42,7 +41,7 @@ def run(words: list[str]) -> int:
         except SarsplatError as error:
             text = str(error).replace("overwrite=True", "--overwrite").replace("resume=True", "--resume")
             console.complain(text)  # as it is called here
-            return ABANDONED if isinstance(error, Abandoned) else _MISUSED
+            return _MISUSED
         except ModuleNotFoundError as error:
             extra = extras.extra_with(error.name or "")
             if extra is None:

@@ -170,13 +170,8 @@ def views_from(
 
 
 def is_gaussians(path: Path) -> bool:
-    """Whether a path is that of Gaussians in a file, not of a run; refused if their format is not read."""
-    from sarsplat.data.foreign_splats import refuse_foreign
-
-    if path.is_dir():
-        return False
-    refuse_foreign(path)
-    return path.suffix.lower() in (".ply", ".splat")
+    """Return whether a path is that of Gaussians in a file, not of a run."""
+    return not path.is_dir() and path.suffix.lower() in (".ply", ".splat")
 
 
 def run_at(path: Path, *, strays: bool = True) -> Run:

@@ -7,9 +7,10 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -111,3 +112,17 @@ def _typed(text: str) -> str:
 def _print(console: Console, markup: str) -> None:
     # soft_wrap: paths and commands stay whole, to be copied
     console.print(markup, soft_wrap=True, highlight=False)
+
+
+def warn_if_beaten(metrics: Mapping[str, Any] | None) -> None:
+    """Warn of every test set on which a baseline is better; scores of another version are passed over."""
+    if metrics is None:
+        return
+    from sarsplat.evaluation import beaten_by_baselines
+
+    try:
+        sentences = beaten_by_baselines(metrics)
+    except (KeyError, TypeError, AttributeError, ValueError):
+        return
+    for sentence in sentences:
+        warn(sentence)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile, OptionalFolder, RunOrFile, is_gaussians
-from sarsplat.cli.beaten import warn_if_beaten
 from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
@@ -106,7 +105,7 @@ def _show(metrics: Mapping[str, Any], run: Run) -> None:
     console.show(metrics_table(comparison(metrics, paper), yardstick, NOT_THE_SAME_EXPERIMENT if paper else None))
     if (capon := metrics.get("capon")) is not None:
         console.say(_beside(metrics["points"]["visible"], capon["visible"]))
-    warn_if_beaten(metrics)
+    console.warn_if_beaten(metrics)
 
 
 def _beside(own: dict[str, float | None], capon: dict[str, float | None]) -> str:

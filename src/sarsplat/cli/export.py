@@ -9,7 +9,6 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, Metres, one_of, refuse_existing, run_at, views_from
-from sarsplat.cli.beaten import warn_if_beaten
 from sarsplat.errors import SarsplatError
 from sarsplat.names import Colour, Content
 
@@ -41,9 +40,8 @@ def export(
         GeoTIFF of heights.
     file
         File to write. Its ending decides the format: .ply (Gaussians, unless --format says otherwise); .splat
-        (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz, .pcd, .xyz (points); .tif (a map of the surface from above:
-        dsm.tif, gamma0.tif or layover-shadow.tif, or by any name with --format); .geojson (the outline of points on
-        a map); .npz (all arrays, for numpy).
+        (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz (points); .tif (a map of the surface from above: dsm.tif,
+        gamma0.tif or layover-shadow.tif, or by any name with --format); .geojson (the outline of points on a map).
     format
         What a .ply or .tif file holds. gaussians: in the layout of 3D Gaussian splatting; points: of the surface,
         metres, with normals and γ⁰; mesh: triangles through the points, with normals and γ⁰ at the vertices; dsm:
@@ -82,8 +80,8 @@ def export(
             written = exports.export_terrain(run, file, view)
     else:
         # of points, meshes and maps: nothing is as fine as the rest, and as wide as strays
-        done = run_at(run, strays=holds in ("gaussians", "everything"))
-        warn_if_beaten(done.metrics)
+        done = run_at(run, strays=holds == "gaussians")
+        console.warn_if_beaten(done.metrics)
         refuse_other_kinds(file, run, kind.recognises)
         with console.busy(f"writing {file}"):
             written = exports.export(done, file, format, colour=colour, crs=crs, pixel_m=pixel, view=view)

@@ -7,7 +7,6 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +16,7 @@ import tyro
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, angles, refuse_existing
 from sarsplat.cli.from_signature import Option, assumed_once, command_of
-from sarsplat.cli.importers import Contents, Recognised, training_half, typed_import, unusable
+from sarsplat.cli.importers import Contents, Recognised
 from sarsplat.cli.info_run import PLAN
 from sarsplat.errors import SarsplatError
 
@@ -30,18 +29,6 @@ datasets = ["*"]
 preset = "measured"
 seeds = [0]
 """
-
-
-@dataclass(frozen=True)
-class _Planned:
-    """What is known of a chip before it is read."""
-
-    target: str
-    serial: str
-    depression_deg: float
-    """NaN if unknown."""
-    placed: bool
-    """Whether its azimuth is known."""
 
 
 _MOST_READ = 500
@@ -184,125 +171,39 @@ def _all_of_split(given: dict[str, Any]) -> int:
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """JPEGs that a table of labels describes, which may lie up to two folders above; or Phoenix files."""
-    from sarsplat.importers.mstar_chips import has_label_columns
+    """Recognise JPEGs that a table of labels describes, or Phoenix files."""
+    from sarsplat.data.csv_table import column_names, parsed
+    from sarsplat.importers import read_phoenix
+    from sarsplat.importers.mstar_chips import LABEL_COLUMNS, read_labels
     from sarsplat.importers.phoenix import is_phoenix
     from sarsplat.importers.pictures import PICTURE_ENDINGS
 
-    if contents.path.is_dir() and contents.ending_in(".jpg", ".jpeg"):
-        above = (path for parent in contents.path.absolute().parents[:2] for path in sorted(parent.glob("*.csv")))
-        for table in (*contents.ending_in(".csv"), *above):
-            if has_label_columns(table) and (labelled := _labelled(contents.path, table)) is not None:
-                return labelled
-    phoenix = [path for path in contents.files if path.suffix.lower() not in PICTURE_ENDINGS and is_phoenix(path)]
-    if contents.path.is_file() and phoenix:
-        return _one_phoenix(contents.path)
-    return _phoenix(contents.path, phoenix) if phoenix else None
-
-
-def _labelled(folder: Path, table: Path) -> Recognised | None:
-    """The chips in a folder that a table describes; None if it describes none of them."""
-    from sarsplat.data.csv_table import parsed
-    from sarsplat.importers.mstar_chips import read_labels
-
-    rows = [row for _, row in read_labels(table).rows]
-    for root in dict.fromkeys((folder, table.parent)):
-        inside = [row for row in rows if (root / row["path"]).absolute().is_relative_to(folder.absolute())]
-        if present := [row for row in inside if (root / row["path"]).is_file()]:
-            break
-    else:
+    if contents.ending_in(".jpg", ".jpeg"):
+        for table in contents.ending_in(".csv"):
+            if set(LABEL_COLUMNS) <= set(column_names(table)):
+                rows = [row for _, row in read_labels(table).rows]
+                labelled = [(row["class"], parsed(row["desired_depression_deg"])) for row in rows]
+                return Recognised("MSTAR chips as JPEGs", {"labels": str(table), **_by_class(labelled)})
+    files = [path for path in contents.files if path.suffix.lower() not in PICTURE_ENDINGS and is_phoenix(path)]
+    if not files:
         return None
-    missing = f" ({len(inside) - len(present)} more in the table are not there)" if len(present) < len(inside) else ""
-    return _chips(
-        "MSTAR chips as JPEGs, with a table of labels",
-        {"chips": f"{len(present)}{missing}", "labels": str(table)},
-        [
-            _Planned(row["class"], row["serial"], parsed(row["desired_depression_deg"]), bool(row["target_az_deg"]))
-            for row in present
-        ],
-        [str(root), "--labels", str(table)],
-    )
-
-
-def _phoenix(folder: Path, files: list[Path]) -> Recognised:
-    from sarsplat.importers import read_phoenix
-
-    chips, planned, refused = [], [], list[str]()
-    for path in files[:_MOST_READ]:
-        try:
-            chip = read_phoenix(path)
-            planned.append(_Planned(chip.target_type, chip.serial, chip.desired_depression_deg, placed=True))
-            chips.append(chip)
-        except SarsplatError as error:
-            refused.append(str(error))
-    if not chips:
-        raise SarsplatError(refused[0])
+    chips = [read_phoenix(path) for path in files[:_MOST_READ]]
     (rows, columns), spacing = chips[0].magnitude.shape, chips[0].spacing_m
     pixels = f"{rows} × {columns} pixels of {spacing[1]:g} m in range, {spacing[0]:g} m across"
-    return _chips(
-        "original MSTAR chips (Phoenix files)",
-        {"chips": str(len(files) - len(refused)), "the first": pixels, **unusable(refused)},
-        planned,
-        [str(folder)],
+    classes = _by_class([(chip.target_type, chip.desired_depression_deg) for chip in chips])
+    return Recognised(
+        "original MSTAR chips (Phoenix files)", {"chips": str(len(files)), "the first": pixels, **classes}
     )
 
 
-def _one_phoenix(path: Path) -> Recognised:
-    from sarsplat.importers import read_phoenix
-
-    chip = read_phoenix(path)
-    rows = {
-        "vehicle": f"{chip.target_type}, serial {chip.serial}",
-        "depression": f"{chip.measured_depression_deg:g}° (planned {chip.desired_depression_deg:g}°)",
-        "TargetAz": f"{chip.target_az_deg:g}°; azimuth here {-chip.target_az_deg % 360:g}°",
-        "pixels": f"{chip.magnitude.shape[0]} × {chip.magnitude.shape[1]}, linear magnitude and phase",
-        "spacing": f"{chip.spacing_m[0]:g} m in cross-range, {chip.spacing_m[1]:g} m in slant range",
-        "resolution": f"{chip.resolution_m[0]:g} m, {chip.resolution_m[1]:g} m (3 dB)",
-        "radar at the": chip.radar_position,
-    }
-    return Recognised("a Phoenix chip (MSTAR)", rows)
-
-
-def _chips(kind: str, facts: dict[str, str], planned: Sequence[_Planned], where: list[str]) -> Recognised:
-    """How many there are of each class, and the commands for the largest class and for standard splits."""
-    by_class: dict[str, Counter[int | None]] = {name: Counter() for name in sorted({one.target for one in planned})}
-    usable: dict[str, Counter[int]] = {name: Counter() for name in by_class}
-    for one in planned:
-        angle = round(one.depression_deg) if math.isfinite(one.depression_deg) else None
-        by_class[one.target][angle] += 1
-        if angle is not None and one.placed:
-            usable[one.target][angle] += 1
-    for name, depressions in by_class.items():
-        said = ", ".join(
-            f"{number} at {'an unknown depression' if angle is None else f'{angle}°'}"
-            for angle, number in sorted(depressions.items(), key=lambda item: -(item[0] or 0))
+def _by_class(chips: Sequence[tuple[str, float]]) -> dict[str, str]:
+    """Numbers of chips (class, depression angle) of each class by whole degrees."""
+    facts = {}
+    for name in sorted({target for target, _ in chips}):
+        angles = Counter(
+            f"{angle:.0f}°" if math.isfinite(angle) else "an unknown depression"
+            for target, angle in chips
+            if target == name
         )
-        unplaced = sum(not one.placed for one in planned if one.target == name)
-        facts[f"class {name}"] = said + (f" ({unplaced} without azimuth)" if unplaced else "")
-    name = max(usable, key=lambda its: usable[its].total())
-    if not usable[name]:
-        return Recognised(kind, facts)
-    angle = _USUAL_DEPRESSION if _USUAL_DEPRESSION in usable[name] else max(usable[name], key=usable[name].__getitem__)
-    words = [*where, "--class", name, "--train-views", training_half(usable[name][angle])]
-    if angle != _USUAL_DEPRESSION:
-        words += ["--train-depression", str(angle)]
-    plain = "".join(c for c in name.lower().split("_")[0] if c.isalnum()) or "chips"
-    command = typed_import("mstar", *words, out=f"mstar-{plain}")
-    return Recognised(kind, facts, command, also=_split_commands(planned, where))
-
-
-def _split_commands(planned: Sequence[_Planned], where: list[str]) -> dict[str, str]:
-    """The commands for standard splits that chips are of."""
-    from sarsplat.importers.mstar_splits import SPLITS, splits_in
-
-    known = [
-        (one.target, one.serial, round(one.depression_deg)) for one in planned if math.isfinite(one.depression_deg)
-    ]
-    commands = {}
-    for split, number in splits_in(known).items():
-        classes = f"{split}, {number} of its {len(SPLITS[split].classes)} classes are here"
-        words = [*where, "--split", split, "--train-views", "all"]
-        commands[f"or a dataset of each class of a standard split ({classes})"] = typed_import(
-            "mstar", *words, out=f"mstar-{split}"
-        )
-    return commands
+        facts[f"class {name}"] = ", ".join(f"{number} at {angle}" for angle, number in angles.items())
+    return facts

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from sarsplat.cli.from_signature import comma_separated, command_of
-from sarsplat.cli.importers import Contents, Recognised, by_ending, first_readable, typed_import
+from sarsplat.cli.importers import Contents, Recognised, first_described
 
 _ENDINGS = (".nitf", ".ntf", ".sicd")
 _NAMES = {"start": "date", "polarization": "polarisation"}
@@ -21,17 +20,12 @@ command = command_of(
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """NITF files; one alone, or the first of several that can be read, is described."""
+    """Recognise NITF files; of several, the first that can be read is described."""
     from sarsplat.importers.nitf import is_nitf
 
     if contents.path.is_file() and (is_nitf(contents.path) or contents.path.suffix.lower() in _ENDINGS):
         return _described(contents.path)  # or say what else it is
-    several = by_ending(contents, _ENDINGS, "sicd", "SICD")
-    if several is None or not contents.path.is_dir():
-        return several
-    (first, described), damaged = first_readable(contents.ending_in(*_ENDINGS), _described)
-    facts = {} if described is None else {"the first": str(first), **described.facts}
-    return replace(several, facts=facts | damaged)
+    return first_described(contents.ending_in(*_ENDINGS), _described) if contents.path.is_dir() else None
 
 
 def _described(path: Path) -> Recognised:
@@ -59,5 +53,4 @@ def _described(path: Path) -> Recognised:
     }
     if (astray := said_of_place(sicd)) is not None:
         facts["beware"] = astray
-    words = ["sicd", str(path), "--pixel", f"{middle[0]},{middle[1]}", "--size", "METRES"]
-    return Recognised("a SICD (complex SAR image)", facts, typed_import(*words, out=f"{path.stem}-dataset"))
+    return Recognised("a SICD (complex SAR image)", facts)

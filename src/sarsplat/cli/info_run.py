@@ -16,8 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from sarsplat.cli import console
-from sarsplat.cli.beaten import warn_if_beaten
-from sarsplat.cli.info_split import SplitSource, rows_of_all
+from sarsplat.cli.info_dataset import SplitSource, rows_of_all
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ def describe_run(path: Path) -> None:
         console.facts(f"{path}: a tile of the run {whole}, which goes on with it", rows)
         return
     console.facts(f"{path}: a run", rows)
-    warn_if_beaten(files.metrics)
+    console.warn_if_beaten(files.metrics)
     if not state.finished and (state.done or not state.has_results) and header.config.get("preset") != OWN_LOOP:
         dataset = "DATASET" if where is None or not where.exists() else shlex.quote(str(where))
         console.say(f"go on with: sarsplat reconstruct {dataset} --out {shlex.quote(str(path))} --resume")

@@ -1,15 +1,16 @@
-"""Parsing of the command line; only the module of the command that is named is imported."""
+"""Parsing of the command line, and its error sentences; only the module of the command that is named is imported."""
 
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import redirect_stderr
+from difflib import get_close_matches
 from functools import partial, wraps
 from typing import Any
 
 from sarsplat.cli.commands import COMMANDS, IMPORT_SUMMARY, Command, command, first_paragraph, show_overview, summary
-from sarsplat.cli.mistakes import no_command, plain
 from sarsplat.errors import SarsplatError
 
 _DESCRIPTION = (
@@ -51,7 +52,7 @@ def _chosen(
     plain_names = {name.replace("_", "-"): name for name in names}
     name = plain_names.get(words[0].replace("_", "-")) if words else None
     if name is None:
-        raise SarsplatError(no_command(program, words, plain_names.values()))
+        raise SarsplatError(_no_command(program, words, plain_names.values()))
     return name, words[1:]
 
 
@@ -69,7 +70,7 @@ def _read(program: str, command: Command, words: Sequence[str]) -> Callable[[], 
     except SystemExit as end:
         if not end.code:
             raise
-        raise SarsplatError(plain(program, box.getvalue())) from None
+        raise SarsplatError(_plain(program, box.getvalue())) from None
 
 
 def _later(command: Command, words: Sequence[str]) -> Callable[..., Callable[[], int | None]]:
@@ -82,3 +83,66 @@ def _later(command: Command, words: Sequence[str]) -> Callable[..., Callable[[],
         return partial(command, *arguments, **options)
 
     return bound
+
+
+def _no_command(program: str, words: Sequence[str], commands: Iterable[str]) -> str:
+    """What to say if the first of the words, if there is one, is none of a program's commands."""
+    if not words:
+        return f"{program} needs a command; choose one of {', '.join(commands)}"
+    meant = _meant(words[0], commands) or f"choose one of {', '.join(commands)}"
+    return f"{words[0]!r} is not a command of {program}; {meant}"
+
+
+def _meant(word: str, names: Iterable[str]) -> str:
+    """The name that was meant, ignoring capitals and hyphens: `T-72` is t72."""
+    bare = {re.sub(r"[\W_]", "", name).lower(): name for name in names}
+    near = get_close_matches(re.sub(r"[\W_]", "", word).lower(), bare, 1)
+    return f"did you mean {bare[near[0]]}?" if near else ""
+
+
+def _plain(program: str, box: str) -> str:
+    """The error sentence for wrong arguments of a command, in place of tyro's box.
+
+    It is what stands between title and last rule; where letters are few, the frame is of spaces and hyphens.
+    """
+    inside = (line.strip("│| ") for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()[1:])  # colours
+    words = " ".join(line for line in inside if not re.fullmatch(r"[─╰╯+-]{3,}", line)).split()
+    text = " ".join(words).partition(" For full helptext")[0]
+    see = f"see {program} --help"
+    if unread := re.search(r"Unrecognized options: (.*?)(?= Perhaps you meant:(.*)|$)", text):
+        unknown = re.findall(r"[^\s,]+", unread[1])
+        flag = next((word.partition("=")[0] for word in unknown if word.startswith("--")), None)
+        if flag is None:
+            if program == "sarsplat reconstruct":
+                return f"{program} does one target at a time, and {unread[1]!r} is another; see `sarsplat sweep`"
+            return f"{unread[1]!r} is one argument too many for {program}; remove it"
+        others = {word for word in re.findall(r"--[\w.-]+", text) if word != flag}
+        meant = _meant(flag, others) or f"{program} --help lists them"
+        return f"{flag.replace('_', '-')} is not an option of {program}; {meant}"
+    if choice := re.match(r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of \((.*?)\)", text):
+        choices = [name for name in re.findall(r"'(.*?)'", choice[3]) if name != "None"]
+        meant = _meant(choice[1], choices) or f"choose one of {', '.join(sorted(choices))}"
+        return f"{choice[2]} {choice[1]!r} is unknown; {meant}"
+    if missing := re.match(r"Missing from .*?: (\S+)( \S+)?", text):
+        return f"{missing[1]} is missing; {see}"
+    if wrong := re.match(r"Error parsing (\S+): .*?(string to float|for int\(\)).*?: ('[^']*')", text):
+        return f"{wrong[1]} {wrong[3]} is not a {'number' if 'float' in wrong[2] else 'whole number'}; give one"
+    if wrong := re.match(r"Error parsing (\S+): .*(?:arguments:?|instantiated from) \[(.*?)\]( into|\.|$| )", text):
+        given = re.findall(r"'(.*?)'", wrong[2])
+        counts = sorted({len(form.split()) for form in re.findall(r"\{(FLOAT(?: FLOAT)*)\}", text)})
+        if counts and (words := [word for word in given if not _is_number(word)]):
+            return f"{wrong[1]} {words[0]!r} is not a number; {see}"
+        if counts:
+            return f"{wrong[1]} takes {' or '.join(map(str, counts))} numbers, not {len(given)}; {see}"
+        return f"{wrong[1]} does not accept {wrong[2]}; {see}"
+    if short := re.match(r"Missing value for argument '(.*?)'\. Expected (\d+) values", text):
+        return f"{short[1]} needs {'a value' if short[2] == '1' else 'more values'}; give {short[2]}, or {see}"
+    return f"{text or 'the arguments cannot be read'}; {see}"
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -27,7 +27,7 @@ from sarsplat.cli.arguments import (
     refuse_existing,
 )
 from sarsplat.cli.commands import unwrapped
-from sarsplat.cli.watch import following, watched
+from sarsplat.cli.watch import watched
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.executors import EXECUTORS, Means
 from sarsplat.names import SCATTERINGS
@@ -181,7 +181,6 @@ def reconstruct(
         _announce(dataset)
     from sarsplat.data import read_dataset
     from sarsplat.examination.plausible import weakest_direction
-    from sarsplat.processes import Processes
     from sarsplat.runs import reconstruct as train
     from sarsplat.runs.run_folder import HEADER, read_header
 
@@ -209,11 +208,6 @@ def reconstruct(
         "resume": options.resume,
         "overwrite": options.overwrite,
     }
-    processes = Processes.started()
-    if processes is not None and not processes.leads:
-        with following():
-            train(images, config, out, **choices)
-        return
     port, begun_at = options.port if options.view else None, time.monotonic()
     with watched(options.dataset, options.out, images, tensorboard=options.tensorboard, port=port) as on_step:
         run = train(images, config, out, on_step=on_step, **choices)

@@ -68,9 +68,8 @@ def render(
         Azimuths: degrees or start:stop:step (stop excluded), e.g. 30 or 0:360:15; each is combined with every grazing
         angle.
     grazing
-        Grazing angles, degrees, between 0 and 90; of a target aloft from −90. Images are tilted, look to the side and
-        are bistatic as all those of the training; if these differ, they are level, look to the right and are of one
-        radar.
+        Grazing angles, degrees, between 0 and 90; of a target aloft from −90. Images are tilted and look to the side as
+        all those of the training; if these differ, they are level and look to the right.
     incidence
         Incidence angles (90° − grazing), instead of grazing angles.
     sweep
@@ -141,7 +140,7 @@ def render(
     if unusual := views[0].unusual.removeprefix(", "):
         like = f"; views are {unusual}, as those of the training"
     elif any(view.unusual for view in done.snapshot.views):
-        like = "; views are level, to the right and of one radar, for those of the training differ in that"
+        like = "; views are level and to the right, for those of the training differ in that"
     console.say(
         f"pictures: {ends[0]} from −{look.range_db:g} dB ({ends[1]}) to 0 dB ({ends[2]}), where 0 dB is the "
         f"{brightest}, {level}; row 0 is near range{like}"

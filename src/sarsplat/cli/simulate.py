@@ -26,7 +26,6 @@ from sarsplat.cli.arguments import (
 )
 from sarsplat.cli.simulated import (
     asked_stack,
-    bistatic_views,
     isar_views,
     refuse_with_stacks,
     simulated_signals,
@@ -69,7 +68,6 @@ def simulate(
     test_incidence: Angles = (),
     tilt: float = 0.0,
     side: RadarSide = "right",
-    bistatic: OptionalNumber = None,
     isar: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X Y Z …", help_behavior_hint="(optional)")] = (),
     line_of_sight: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X Y Z")] = (1.0, 0.0, 0.5),
     frames: int = 24,
@@ -138,9 +136,6 @@ def simulate(
         climbs or dives.
     side
         On which side of its flight the radar looks.
-    bistatic
-        Bistatic images: degrees of azimuth by which a receiver is turned from the transmitter, which the azimuths and
-        grazing angles are those of.
     isar
         Inverse SAR of a target in free space instead: axes about which it turns, in its own frame, three numbers each.
         Of each axis, frames are spread over a whole turn, and test frames lie between them (docs/how-to/isar.md).
@@ -229,14 +224,7 @@ def simulate(
     theirs = paper_views() if protocol == "paper" else mstar_views()
     own, test = (azimuth, grazing, incidence), (test_azimuth, test_grazing, test_incidence)
     views = simulated_views(theirs, own, random_views, seed, test, test_protocol)
-    if bistatic is None:
-        views = [(replace(view, tilt_deg=tilt, side=side), split) for view, split in views]
-    else:
-        no_bistatic = {"terrain": relief is not None, "masks": masks, "bounces 2": bounces == 2}
-        no_bistatic |= {"passes": passes is not None, "polarimetric": polarimetric, "isar": bool(isar)}
-        if given := [name for name, there in no_bistatic.items() if there]:
-            raise SarsplatError(f"--{given[0]} is for one radar; leave it out, or --bistatic")
-        views = bistatic_views(views, bistatic, tilt, side)
+    views = [(replace(view, tilt_deg=tilt, side=side), split) for view, split in views]
     if isar:
         others = {"azimuth": any(own), "test-azimuth": any(test), "test-protocol": test_protocol}
         others |= {"random-views": random_views is not None, "tilt": tilt != 0, "side": side != "right"}
@@ -338,13 +326,9 @@ def simulate(
         place=None if relief is None else relief.place,
         **about,
         protocol=protocol if views == theirs and grid == _grid(protocol) else None,
-        source={**record, **_apart(bistatic), "reflectivity_db": reflectivity, "scale": scale, **_moved(moved)},
+        source={**record, "reflectivity_db": reflectivity, "scale": scale, **_moved(moved)},
     )
     _finish(out, dataset, surface, true_masks, overwrite)
-
-
-def _apart(bistatic_deg: float | None) -> dict[str, float]:
-    return {} if bistatic_deg is None else {"bistatic_deg": bistatic_deg}
 
 
 def _moved(moved_m: tuple[float, float, float] | None) -> dict[str, list[float]]:

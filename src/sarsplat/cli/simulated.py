@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     import trimesh
 
     from sarsplat.geometry import ImageGrid, Stack, View
-    from sarsplat.names import RadarSide
     from sarsplat.scenes import ScatteringLaw
 
 X_BAND_M = 0.031
@@ -109,28 +108,6 @@ def isar_views(axes: tuple[float, ...], sight: tuple[float, ...], frames: int) -
             turned = Rotation.from_rotvec(-np.pi * k / count * unit).apply(sight)  # the target turns the other way
             views.append((View.isar(turned, axis), "test" if k % 2 else "train"))
     return views
-
-
-def bistatic_views(
-    views: list[tuple[View, str]], apart_deg: float, tilt_deg: float, side: RadarSide
-) -> list[tuple[View, str]]:
-    """The same of a transmitter there, and a receiver so many degrees of azimuth further, at the same grazing angle."""
-    from sarsplat.geometry import View
-
-    if not 0 < abs(apart_deg) <= 180:
-        raise SarsplatError(f"--bistatic {apart_deg:g} must be degrees of azimuth, at most ±180, and not 0")
-    return [
-        (
-            View.bistatic(
-                view.direction,
-                View(view.azimuth_deg + apart_deg, view.grazing_deg).direction,
-                tilt_deg=tilt_deg,
-                side=side,
-            ),
-            split,
-        )
-        for view, split in views
-    ]
 
 
 def asked_stack(

@@ -10,7 +10,6 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import DEFAULT_PORT, gaussians_around_origin, is_gaussians
-from sarsplat.cli.beaten import warn_if_beaten
 
 _LOOK_AGAIN_S = 0.5
 
@@ -37,7 +36,7 @@ def view(
             gaussians_around_origin(path, strays=False)[0] if is_gaussians(path) else subject_at(path), port
         )
     if not is_gaussians(path):
-        warn_if_beaten(RunFolder(path).metrics)
+        console.warn_if_beaten(RunFolder(path).metrics)
     try:
         console.say(f"open {viewer.address} in a browser on this machine; Ctrl-C ends it")
         while True:

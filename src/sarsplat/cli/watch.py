@@ -6,7 +6,6 @@ import os
 import shlex
 import signal
 import threading
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -15,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from sarsplat.cli import console
 from sarsplat.cli.ending import Stopped, keeping
-from sarsplat.errors import SarsplatWarning
 
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
@@ -60,14 +58,6 @@ def watched(
 
 
 @contextmanager
-def following() -> Iterator[None]:
-    """A training in a torchrun process that is not the first: silent, and ended by the first rather than by Ctrl-C."""
-    with _handled(signal.SIG_IGN), warnings.catch_warnings():
-        warnings.simplefilter("ignore", SarsplatWarning)
-        yield
-
-
-@contextmanager
 def _interrupts() -> Iterator[Callable[[bool], int]]:
     """Raise `Stopped` at Ctrl-C (and a polite kill) inside the block, at first at once.
 
@@ -91,16 +81,9 @@ def _interrupts() -> Iterator[Callable[[bool], int]]:
         holding = held
         return asked
 
-    with _handled(hold):
-        yield hold_back
-
-
-@contextmanager
-def _handled(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> Iterator[None]:
-    """Ctrl-C and a polite kill are left to a handler inside the block."""
-    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, hold) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield hold_back
     finally:
         for number, usual in before.items():
             signal.signal(number, usual)

@@ -182,8 +182,6 @@ class Dataset:
             raise SarsplatError(f"{aloft} of {len(self)} views are of a target aloft; give all or none")
         if aloft and self.ground:
             raise SarsplatError("the views are of a target aloft, where there is no ground, but ground is True")
-        if any(entry.stack is not None and entry.view.apart_deg for entry in self.entries):
-            raise SarsplatError("a view is bistatic, but stacks are those of one radar; give single images")
         if self.terrain is not None and not self.ground:
             raise SarsplatError("terrain is the ground that images show, but ground is False; give both or neither")
         box = self.target_box_m

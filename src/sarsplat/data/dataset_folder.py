@@ -250,8 +250,9 @@ def _turn(index: int, item: ViewHeader) -> Turn | None:
 
 def _view(index: int, item: ViewHeader) -> View:
     with _blamed_on(f"views[{index}]"):
-        angles = item.azimuth_deg, item.grazing_deg, item.tilt_deg
-        return View(*angles, item.side, item.aloft, item.apart_deg, item.apart_towards_deg, item.stretch)
+        if item.apart_deg or item.apart_towards_deg:
+            raise SarsplatError("the view is bistatic, which is not supported; give images of one radar")
+        return View(item.azimuth_deg, item.grazing_deg, item.tilt_deg, item.side, item.aloft, item.stretch)
 
 
 def _stack(index: int, item: ViewHeader) -> Stack | None:

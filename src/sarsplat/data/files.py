@@ -1,4 +1,4 @@
-"""Files that are whole or absent (a temporary name, synced, then renamed), and JSON read with care."""
+"""Files that are whole or absent (written under a temporary name, then renamed), and JSON read with care."""
 
 from __future__ import annotations
 
@@ -36,10 +36,9 @@ _REASONS = {
     errno.EFBIG: "it grows larger than the system allows; free some space or raise the limit",
 }
 
-# Parsed JSON takes far more memory than its text: "[]," is three bytes there and a list here. Files of ours are sparse.
-_BYTES_PER_VALUE = 130
-_FREE_BYTES = 48 << 20
-_LARGEST_JSON = 1 << 28  # bytes
+_LARGEST_JSON = 1 << 26  # bytes
+BUILT = ".tmpdir"
+"""Suffix of a folder that is being built."""
 
 
 @contextmanager
@@ -67,30 +66,16 @@ def refuse_unwritable(path: Path) -> None:
             pass
 
 
-def sync(path: Path) -> None:
-    """Flush one file or folder to the disk; not on Windows, which opens no folders."""
-    if os.name != "posix":
-        return
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
     """Lock a file or folder for writing while the block runs, by the file `.NAME.lock` beside it.
 
-    Refused if another process or thread holds it, or something other than a lock has that name. Whoever holds it may
-    lock it again. The system releases it when the process ends, however it ends: what is left then is an empty file,
-    which the next one removes.
+    Refused if another process or thread holds it. Whoever holds it may lock it again. The system releases it when the
+    process ends, however it ends: what is left then is an empty file, which the next one removes.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     place = path.with_name(f".{path.name}.lock")
     place.parent.stat()  # the lock would make missing folders
-    if os.path.lexists(place) and (not stat.S_ISREG(place.lstat().st_mode) or place.stat().st_size > 0):
-        raise SarsplatError(f"{place} is not a sarsplat lock file; remove it or choose a name other than {path.name}")
     lock = FileLock(place, is_singleton=True)
     try:
         lock.acquire(blocking=False)
@@ -105,28 +90,12 @@ def locked(path: Path) -> Iterator[None]:
         lock.release()
 
 
-_GROWING: set[Path] = set()
-"""Folders that are being built by this process under a temporary name, by their real paths."""
-
-
-@contextmanager
-def growing(folder: Path) -> Iterator[None]:
-    """Files that are written in a folder while the block runs are neither locked nor flushed one by one.
-
-    Nobody else writes there, and the folder counts only once it is whole and flushed.
-    """
-    _GROWING.add(folder)
-    try:
-        yield
-    finally:
-        _GROWING.discard(folder)
-
-
 @contextmanager
 def new_file(path: Path) -> Iterator[BinaryIO]:
     """Write a file in parts, whole or not at all; an existing one is replaced only once the new one is on the disk.
 
-    What a killed process left under the temporary name, `.NAME.tmp`, is written over by the next one.
+    What a killed process left under the temporary name, `.NAME.tmp`, is written over by the next one. In a folder that
+    is being built, files are neither locked nor flushed to the disk.
 
     Parameters
     ----------
@@ -146,7 +115,7 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
         if os.path.lexists(path) and not path.is_file():
             raise SarsplatError(f"cannot write {path}: it is a device, a pipe or a broken link; give another path")
         temporary = path.with_name(f".{path.name}.tmp")
-        kept = not any(folder in _GROWING for folder in path.parents)
+        kept = all(folder.suffix != BUILT for folder in path.parents)
         with locked(path) if kept else nullcontext():
             temporary.unlink(missing_ok=True)
             try:
@@ -159,8 +128,6 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
             except BaseException:
                 temporary.unlink(missing_ok=True)
                 raise
-        if kept:
-            sync(path.parent)
 
 
 def write_bytes(path: Path, data: bytes | memoryview) -> None:
@@ -248,8 +215,8 @@ def read_json(path: Path, type: type[T]) -> T:
     Raises
     ------
     SarsplatError
-        If the file is missing, is not UTF-8 JSON, holds NaN or an infinity, is nested too deeply or too densely, or a
-        field is missing, unknown or of another type.
+        If the file is missing, is not UTF-8 JSON, holds NaN or an infinity, is nested too deeply, or a field
+        is missing, unknown or of another type.
     """
     return decode_json(_read_text(path), Path(path), type)
 
@@ -290,11 +257,6 @@ def _read_text(path: Path) -> bytes:
 
 def decode_json(data: bytes, path: Path, type: type[T]) -> T:
     """The value of JSON text, read as `read_json` does; `path` is what an error names."""
-    values = sum(data.count(mark) for mark in (b",", b"[", b"{"))
-    if values * _BYTES_PER_VALUE > 4 * len(data) + _FREE_BYTES:
-        raise SarsplatError(
-            f"{path} packs {values} values into {len(data)} bytes, more than sarsplat ever writes; create it again"
-        )
     try:
         return decode(data, type)
     except msgspec.ValidationError as error:

@@ -1,101 +1,96 @@
-"""Terrain as a GeoTIFF: one band of heights, in a projected system in metres."""
+"""Rasters on maps: heights and pictures by GDAL (rasterio), maps of runs, and the terrain of datasets."""
 
 from __future__ import annotations
 
 import io
+import logging
 import math
-from contextlib import suppress
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tifffile
-from jaxtyping import Float64
+from jaxtyping import Float64, Shaped
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.files import write_bytes
-from sarsplat.data.foreign_tiff import (
-    DOUBLES,
-    GDAL_METADATA,
-    KEYS,
-    NO_DATA,
-    PIXEL_SCALE,
-    TEXTS,
-    TIEPOINT,
-    TRANSFORMATION,
-    PageTags,
-    gdal_items,
-    opened_tiff,
-    tags_of,
-)
-from sarsplat.data.georeference import (
-    AREA,
-    DEFINED_ELSEWHERE,
-    GEOGRAPHIC,
-    LENGTH,
-    METRE,
-    MODEL,
-    POINT,
-    RASTER,
-    Georeference,
-    georeference_of,
-    keys_of,
-)
+from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.known_part import known_part
-from sarsplat.data.map_place import MapPlace, height_above_of, place_on_map, refuse_vertical
-from sarsplat.data.packed_tiff import masked_out, pixels_of
-from sarsplat.data.raster import HEIGHTS_ABOVE, LEVELS, Raster, RasterSystem
+from sarsplat.data.map_place import place_on_map
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.extras import install_command
 from sarsplat.geometry import Place, Terrain
 from sarsplat.geometry.place import HeightAbove
 
-_UNITS = {LENGTH: "lengths", 4099: "heights"}
-_VERTICAL = 4096
-_IN_FEET = (5702, 5754, 6130, 6131, 6132, 6360, 8050, 8052, 8228)
-"""Numbers of EPSG's systems of heights in feet, for which GDAL writes no unit."""
-_LENGTH_SIZE = 3077
+HEIGHTS_ABOVE = "HEIGHTS_ABOVE"
+"""Metadata item that names the zero level of heights: with a vertical system GDAL loses the horizontal one's number."""
+LEVELS: dict[HeightAbove, str] = {
+    "ellipsoid": "the WGS 84 ellipsoid",
+    "sea level": "sea level",
+    "unknown": "an unknown level",
+}
+"""Names of the zero levels of heights."""
+_PIXEL_SCALE = 33550
+_LOCAL = 'LOCAL_CS["scene",UNIT["metre",1]]'
 _HIGHEST_M, _USUAL_HOLE = 12_000.0, -9999.0
-"""No height of the earth's surface, above or below the sea, is beyond the first; the second marks holes everywhere."""
-_TIMES, _HARMLESS = 64, 1 << 30
-"""Heights that unpack to more than this many times the file's size, and to more bytes than that, are no heights."""
+"""Bound of the heights of the earth's surface, and the usual sentinel of holes."""
+_HARMLESS, _MOST_PACKED = 1 << 27, 64
+"""Pixels of any raster, and pixels per byte of its file; a raster of more than both is rejected."""
+_EQUATOR_M = 6378137.0
+"""Semi-major axis of the ellipsoids of WGS 84 and GRS 1980."""
+_ELSEWHERE = {
+    "VRT",
+    "WMS",
+    "WCS",
+    "WMTS",
+    "GTI",
+    "STACIT",
+    "STACTA",
+    "MRF",
+    "DAAS",
+    "EEDA",
+    "EEDAI",
+    "PLMOSAIC",
+    "HTTP",
+}
+"""Drivers of GDAL that read what a file points to, also from the net."""
+
+logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
 
 
-@checks_arguments
-def read_terrain(path: str | Path) -> Terrain:
-    """Heights of a GeoTIFF of one band: its middle at the origin, columns (east) along +x, rows upwards along +y.
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """Numbers or classes over a map.
 
     Parameters
     ----------
-    path : str or Path
-        In a projected system in metres. Nothing in it is trusted.
-
-    Returns
-    -------
-    Terrain
-        Heights as they are stored; `Terrain.centred` measures them from the origin. If its system has a number in
-        EPSG's list, its `place` is that of the middle, x axis along the columns, and its pitch in metres on the ground,
-        not in those of the map.
-
-    Raises
-    ------
-    SarsplatError
-        If it cannot be read, has several bands, is in degrees or feet, is turned, says nowhere how far its pixels are
-        apart, has fewer than 2 × 2 heights, or there are some that are not known inside of it.
-
-    Warns
-    -----
-    SarsplatWarning
-        If its system has a number, but where that is cannot be found out, for instance without pyproj; or heights at
-        its edges are not known, where it is cut, with the same middle.
+    values : numpy.ndarray, float or uint8 [rows, columns]
+        Row 0 has the largest y (north); NaN of floats means unknown.
+    corner_m : (float, float)
+        Least x and largest y of the map: the outer corner of its first pixel.
+    pitch_m : (float, float)
+        Size of a pixel along x and y.
+    crs : pyproj.CRS or None
+        System of x and y; None: the scene's own axes, in metres.
+    height_above : {"ellipsoid", "sea level", "unknown"} or None
+        Zero level of heights; None: the file says nothing, or heights are z of the scene.
     """
-    path, found = Path(path), read_heights(path)
-    heights, pitch = known_part(path, found.raster.values), found.raster.pitch_m
-    on_ground = pitch[0] * found.metres[0], pitch[1] * found.metres[1]
-    try:
-        return Terrain(np.ascontiguousarray(heights[::-1]), on_ground, found.place)
-    except SarsplatError as error:
-        raise SarsplatError(f"{path}: {error}") from error
+
+    values: Shaped[np.ndarray, "rows columns"]
+    corner_m: tuple[float, float]
+    pitch_m: tuple[float, float]
+    crs: Any = None
+    height_above: HeightAbove | None = None
+
+    @property
+    def centres(self) -> tuple[Float64[np.ndarray, "rows columns"], Float64[np.ndarray, "rows columns"]]:
+        """X and y of the middle of each pixel, m."""
+        (rows, columns), (left, top), (dx, dy) = self.values.shape, self.corner_m, self.pitch_m
+        x, y = np.meshgrid(left + (np.arange(columns) + 0.5) * dx, top - (np.arange(rows) + 0.5) * dy)
+        return x, y
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,43 +112,208 @@ class MapHeights:
     metres: tuple[float, float]
 
 
-def read_heights(path: str | Path) -> MapHeights:
-    """Heights of a GeoTIFF of one band as they are; refused as in `read_terrain`, but if some are not known."""
-    path = Path(path)
-    with opened_tiff(path, " with gdal_translate -co COMPRESS=NONE") as (tiff, data):
-        page: Any = tiff.pages.first
-        tags = tags_of(page)
-        bands, shape = page.samplesperpixel, page.shape
-        size = max(math.prod(shape), math.prod(page.chunks)) * np.dtype(page.dtype).itemsize
-        allowed = max(_TIMES * len(data), _HARMLESS)
-        heights = pixels_of(page, data, str(path)) if bands == 1 and size <= allowed else None
-        absent = None if heights is None else masked_out(tiff, page, data, path)
-    if bands != 1:
-        raise SarsplatError(f"{path} has {bands} bands; give one of heights, as by gdal_translate -b 1")
-    if heights is None or heights.ndim != 2 or heights.dtype.kind not in "iuf":
+@dataclass(frozen=True, eq=False)
+class Georeference:
+    """Map coordinates of pixels.
+
+    Parameters
+    ----------
+    affine : numpy.ndarray, float64 [2, 3]
+        (x, y) of the middle of the pixel in a column and a row: `affine @ (column, row, 1)`, in the map's unit.
+    crs : pyproj.CRS or None
+        Horizontal system of x and y; None if the file names none, so that its pixels need not lie on a map at all.
+    """
+
+    affine: Float64[np.ndarray, "2 3"]
+    crs: Any = None
+
+    @property
+    def geographic(self) -> bool:
+        """True for longitude and latitude."""
+        return self.crs is not None and self.crs.is_geographic
+
+    @property
+    def epsg(self) -> int | None:
+        """Number of the system in EPSG's list."""
+        number: int | None = None if self.crs is None else self.crs.to_epsg()
+        return number
+
+    @property
+    def pitch(self) -> tuple[float, float]:
+        """Distance of columns and of rows, in the map's unit."""
+        (a, b, _), (d, e, _) = self.affine
+        return math.hypot(a, d), math.hypot(b, e)
+
+    @property
+    def pixel(self) -> str:
+        """Size of a pixel, columns × rows, with its unit."""
+        unit = "" if self.crs is None else "°" if self.geographic else f" {self.crs.axis_info[0].unit_name}"
+        return " × ".join(f"{length:.5g}{unit}" for length in self.pitch)
+
+    @property
+    def system(self) -> str:
+        """Name of the map's system."""
+        if self.crs is None or (number := self.epsg) is not None:
+            return "no system" if self.crs is None else f"EPSG:{number}"
+        return f"a {'geographic' if self.geographic else 'projected'} system without a number"
+
+
+@contextmanager
+def opened_raster(path: Path) -> Iterator[Any]:
+    """A raster of any format as rasterio reads it; whatever fails raises one `SarsplatError`."""
+    try:
+        import pyproj  # noqa: F401 (for what is read)
+        import rasterio
+        from rasterio.errors import NotGeoreferencedWarning
+        from rasterio.io import DatasetReader
+    except ImportError as error:
         raise SarsplatError(
-            f"{path} holds {shown(page.dtype)} of shape {shown(shape)}; give heights in rows and columns"
+            f"{path} needs rasterio and pyproj, which are not installed; {install_command('gis')}"
+        ) from error
+    with open_file(path) as file:
+        size = file.seek(0, 2)
+    try:
+        with (
+            warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning),
+            rasterio.Env(GTIFF_REPORT_COMPD_CS=True) as env,
+            DatasetReader(str(path), driver=[*env.drivers().keys() - _ELSEWHERE]) as raster,
+        ):
+            block = max((math.prod(shape) for shape in raster.block_shapes), default=0)
+            pixels = max(raster.width * raster.height * raster.count, block)
+            if pixels > max(_HARMLESS, _MOST_PACKED * size):
+                raise SarsplatError(f"{path} has {size} bytes but claims to hold {pixels} pixels; get it again")
+            yield raster
+    except SarsplatError:
+        raise
+    except Exception as error:  # of a garbled file GDAL's errors are of many types
+        raise SarsplatError(f"{path} is not a readable raster ({shown(str(error))}); get or write it again") from error
+
+
+def georeference_of(raster: Any) -> Georeference | None:
+    """Map coordinates of a raster that is open; None if it has none."""
+    matrix = np.array(raster.transform, np.float64).reshape(3, 3)[:2]
+    if raster.transform.is_identity or not np.linalg.det(matrix[:, :2]):
+        return None
+    matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5)
+    return Georeference(matrix, _horizontal(_system(raster)))
+
+
+def _system(raster: Any) -> Any:
+    """System of a raster that is open, as pyproj's CRS, heights included; None if there is none."""
+    from pyproj import CRS
+
+    return CRS.from_wkt(raster.crs.to_wkt(version="WKT2_2019")) if raster.crs else None
+
+
+def _horizontal(crs: Any) -> Any:
+    """The system without heights, by its number in EPSG's list if it has one, which tells where it is for."""
+    if crs is None:
+        return None
+    number = crs.to_2d().to_epsg()
+    return crs.to_2d() if number is None else type(crs).from_epsg(number)
+
+
+@checks_arguments
+def read_terrain(path: str | Path) -> Terrain:
+    """Heights of a raster of one band: its middle at the origin, columns (east) along +x, rows upwards along +y.
+
+    Parameters
+    ----------
+    path : str or Path
+        GeoTIFF, or any raster that GDAL reads, in a projected system in metres. Nothing in it is trusted.
+
+    Returns
+    -------
+    Terrain
+        Heights as they are stored; `Terrain.centred` measures them from the origin. If its system has a number in
+        EPSG's list, its `place` is that of the middle, x axis along the columns, and its pitch in metres on the ground,
+        not in those of the map.
+
+    Raises
+    ------
+    SarsplatError
+        If it cannot be read, has several bands, is in degrees or feet, is turned, says nowhere how far its pixels are
+        apart, has fewer than 2 × 2 heights, or there are some that are not known inside of it; or rasterio is missing,
+        which only terrain by `write_terrain` does without.
+
+    Warns
+    -----
+    SarsplatWarning
+        If its system has a number, but where that is cannot be found out; or heights at its edges are not known, where
+        it is cut, with the same middle.
+    """
+    path = Path(path)
+    heights, pitch, place = _own_terrain(path) or _terrain_of_others(path)
+    try:
+        return Terrain(np.ascontiguousarray(heights[::-1]), pitch, place)
+    except SarsplatError as error:
+        raise SarsplatError(f"{path}: {error}") from error
+
+
+_Stored = tuple[Float64[np.ndarray, "rows columns"], tuple[float, float], Place | None]
+"""Heights with row 0 in the north, pitch and place."""
+
+
+def _terrain_of_others(path: Path) -> _Stored:
+    found = read_heights(path)
+    (x, y), (on_x, on_y) = found.raster.pitch_m, found.metres
+    return known_part(path, found.raster.values), (x * on_x, y * on_y), found.place
+
+
+def _own_terrain(path: Path) -> _Stored | None:
+    """Heights and pitch by `write_terrain`; None if the file is another's, or damaged."""
+    with open_file(path) as file:
+        data = file.read()
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+            page: Any = tiff.pages.first
+            uncompressed = page.compression == tifffile.COMPRESSION.NONE and page.size * 8 <= len(data)
+            if page.software != "sarsplat" or page.dtype != np.float64 or page.ndim != 2 or not uncompressed:
+                return None
+            dx, dy, _ = map(float, page.tags[_PIXEL_SCALE].value)
+            return page.asarray(), (dx, dy), None
+    except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+        return None
+
+
+def read_heights(path: str | Path) -> MapHeights:
+    """Heights of a raster of one band as they are; refused as in `read_terrain`, but if some are not known."""
+    path = Path(path)
+    with opened_raster(path) as file:
+        if file.count != 1:
+            raise SarsplatError(f"{path} has {file.count} bands; give one of heights, as by gdal_translate -b 1")
+        if np.dtype(file.dtypes[0]).kind not in "iuf":
+            raise SarsplatError(f"{path} holds {file.dtypes[0]} numbers; give heights")
+        crs, transform = _system(file), file.transform
+        _refuse_units(path, crs, file.units[0])
+        _refuse_turned(path, transform)
+        values = file.read(1, masked=True).astype(np.float64).filled(np.nan) * file.scales[0] + file.offsets[0]
+        level = file.tags().get(HEIGHTS_ABOVE)
+    values[~np.isfinite(values)] = np.nan
+    odd = values[(np.abs(values) > _HIGHEST_M) | (values == _USUAL_HOLE)]
+    if len(odd):
+        raise SarsplatError(
+            f"{path} has {counted(len(odd), 'height')} that the earth does not have, such as {odd[0]:.9g} m; if that "
+            f"means unknown, say so, as by gdal_translate -a_nodata {odd[0]:.9g}"
         )
-    _refuse_scaled(path, tags)
-    pitch, upwards = _pitch(path, tags)
-    lies = georeference_of(tags, str(path))
-    where = _where(path, tags, lies, (heights.shape[0], heights.shape[1]))
-    table = np.where(np.isfinite(heights), heights, np.nan).astype(np.float64)
-    with suppress(TypeError, ValueError):  # it names none
-        table[heights == float(tags.get(NO_DATA, "nan"))] = np.nan
-    if absent is not None:
-        table[absent] = np.nan
-    _refuse_holes(path, table)
-    first = -0.5, len(table) - 0.5 if upwards else -0.5  # the outer corner, column and row
-    corner = (0.0, 0.0) if lies is None else tuple(map(float, lies.affine @ (*first, 1.0)))
-    raster = Raster(table[::-1] if upwards else table, (corner[0], corner[1]), pitch, _system(tags))
+    top = transform.f
+    if transform.e > 0:  # rows go upwards (north)
+        values, top = values[::-1], top + len(values) * transform.e
+    pitch = transform.a, abs(transform.e)
+    above = next((name for name, said in LEVELS.items() if said == level), None) or _height_above(crs)
+    horizontal = None if crs is None or crs.is_engineering else _horizontal(crs)
+    raster = Raster(values, (transform.c, top), pitch, horizontal, above)
+    if horizontal is None or horizontal.to_epsg() is None:
+        return MapHeights(raster, None, (1.0, 1.0))
+    middle = transform.c + values.shape[1] / 2 * pitch[0], top - values.shape[0] / 2 * pitch[1]
+    where = place_on_map(horizontal, middle, str(path), above or "unknown")
     return MapHeights(raster, where.place if where else None, where.metres if where else (1.0, 1.0))
 
 
 def terrain_bytes(terrain: Terrain) -> bytes:
     """A GeoTIFF that `read_terrain` reads to the same bits; the origin of its system is that of the scene."""
     (dx, dy), (half_x, half_y) = terrain.pitch_m, terrain.half_m
-    keys = RasterSystem.local(POINT).keys
+    keys = (1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 2, 3072, 0, 1, 32767, 3076, 0, 1, 9001)  # metres, of no known system
     buffer = io.BytesIO()
     tifffile.imwrite(
         buffer,
@@ -163,9 +323,9 @@ def terrain_bytes(terrain: Terrain) -> bytes:
         description="height of the ground, m; columns along x, rows from +y to -y",
         software="sarsplat",
         extratags=[
-            (PIXEL_SCALE, "d", 3, (dx, dy, 0.0), True),
-            (TIEPOINT, "d", 6, (0.0, 0.0, 0.0, -half_x, half_y, 0.0), True),
-            (KEYS, "H", len(keys), keys, True),
+            (_PIXEL_SCALE, "d", 3, (dx, dy, 0.0), True),
+            (33922, "d", 6, (0.0, 0.0, 0.0, -half_x, half_y, 0.0), True),
+            (34735, "H", len(keys), keys, True),
         ],
     )
     return buffer.getvalue()
@@ -177,101 +337,93 @@ def write_terrain(path: str | Path, terrain: Terrain) -> None:
     write_bytes(Path(path), terrain_bytes(terrain))
 
 
-def _refuse_scaled(path: Path, tags: PageTags) -> None:
-    """Refuse numbers that are heights only with the scale, the offset or the unit of GDAL's metadata."""
-    for role, usual in (("scale", 1.0), ("offset", 0.0)):
-        for text in gdal_items(tags, role):
-            with suppress(ValueError):
-                if float(text) == usual:
-                    continue
-            raise SarsplatError(
-                f"{path} holds numbers that become heights by their {role} of {shown(text)}, which is not applied; "
-                "write the heights themselves, as by gdal_translate -unscale -ot Float32"
-            )
-    for text in gdal_items(tags, "unittype"):
-        if text.strip().lower() not in ("", "m", "metre", "meter", "metres", "meters"):
-            raise SarsplatError(f"{path} has heights in {shown(text)}; convert them to metres")
+def write_raster(
+    path: Path,
+    raster: Raster,
+    description: str,
+    *,
+    unit: str = "",
+    colours: Mapping[int, tuple[int, int, int]] | None = None,
+) -> None:
+    """Write a raster as a tiled, compressed GeoTIFF, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    raster : Raster
+        What is in it. Floats become float32, with NaN as "no data"; of classes "no data" is 255.
+    description : str
+        What the numbers are, with their unit (the ImageDescription tag, and the name of the band).
+    unit : str, optional
+        Of the band, for programs; none unless given.
+    colours : mapping of int to (red, green, blue), optional
+        Colours of classes, 0 to 255, in which programs show them.
+    """
+    try:
+        import rasterio
+    except ImportError as error:
+        raise SarsplatError(f"{path} needs rasterio, which is not installed; {install_command('gis')}") from error
+    (rows, columns), (left, top), (dx, dy) = raster.values.shape, raster.corner_m, raster.pitch_m
+    kind, no_data = ("float32", math.nan) if colours is None else ("uint8", 255)
+    packed = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate"}
+    with rasterio.MemoryFile() as memory:
+        with memory.open(
+            driver="GTiff",
+            width=columns,
+            height=rows,
+            count=1,
+            dtype=kind,
+            nodata=no_data,
+            crs=_LOCAL if raster.crs is None else raster.crs.to_wkt(),
+            transform=rasterio.Affine(dx, 0, left, 0, -dy, top),
+            **packed,
+        ) as file:
+            file.write(raster.values.astype(kind), 1)
+            file.set_band_description(1, description)
+            file.update_tags(TIFFTAG_SOFTWARE="sarsplat", TIFFTAG_IMAGEDESCRIPTION=description)
+            if unit:
+                file.set_band_unit(1, unit)
+            if raster.height_above is not None:
+                file.update_tags(**{HEIGHTS_ABOVE: LEVELS[raster.height_above]})
+            if colours is not None:
+                file.write_colormap(1, dict(colours))
+        write_bytes(path, memory.getbuffer())
 
 
-def _refuse_holes(path: Path, heights: Float64[np.ndarray, "rows columns"]) -> None:
-    """Refuse numbers that mark holes, but are not said to."""
-    with np.errstate(invalid="ignore"):
-        odd = heights[(abs(heights) > _HIGHEST_M) | (heights == _USUAL_HOLE)]
-    if len(odd):
-        raise SarsplatError(
-            f"{path} has {counted(len(odd), 'height')} that the earth does not have, such as {odd[0]:.9g} m; if that "
-            f"means unknown, say so, as by gdal_translate -a_nodata {odd[0]:.9g}"
-        )
-
-
-def _pitch(path: Path, tags: PageTags) -> tuple[tuple[float, float], bool]:
-    """Distances of pixels along x and y, m, and whether rows go upwards (north)."""
-    keys = keys_of(tags)
-    if keys.get(MODEL) == GEOGRAPHIC:
+def _refuse_units(path: Path, crs: Any, unit: str | None) -> None:
+    """Refuse coordinates or heights that are not in metres, and depths."""
+    if unit and unit.lower() not in ("m", "metre", "meter", "metres", "meters"):
+        raise SarsplatError(f"{path} has heights in {shown(unit)}; convert them to metres")
+    if crs is None:
+        return
+    if crs.is_geographic:
         raise SarsplatError(
             f"{path} is in degrees of latitude and longitude; bring it into metres, as by "
             "gdalwarp -t_srs EPSG:326xx (the UTM zone)"
         )
-    for key, what in _UNITS.items():
-        if keys.get(key, METRE) not in (METRE, DEFINED_ELSEWHERE):
+    for axis in crs.axis_info:
+        if axis.unit_conversion_factor != 1 or axis.direction == "down":
             raise SarsplatError(
-                f"{path} has {what} in another unit than metres (EPSG {keys[key]}); convert it to metres"
+                f"{path} is measured {axis.direction} in units called {axis.unit_name}; make metres (upwards) of it"
             )
-    if keys.get(_VERTICAL) in _IN_FEET:
-        raise SarsplatError(f"{path} has heights in feet (EPSG:{keys[_VERTICAL]}); convert them to metres")
-    if _VERTICAL in keys:
-        refuse_vertical(keys[_VERTICAL], str(path))
-    if keys.get(LENGTH) == DEFINED_ELSEWHERE and (size := _length_m(tags)) not in (None, 1.0):
-        raise SarsplatError(f"{path} has lengths in a unit of {size:g} m; convert it to metres")
-    if TRANSFORMATION in tags:
-        a, b, _, _, d, e, *_ = map(float, tags[TRANSFORMATION])
-        if b or d:
-            raise SarsplatError(f"{path} is turned against its system's axes; straighten it, as by gdalwarp")
-        if a < 0:
-            raise SarsplatError(f"{path} has columns that run west; straighten it, as by gdalwarp")
-        pitch, upwards = (abs(a), abs(e)), e > 0
-    elif PIXEL_SCALE in tags:
-        scale = [float(number) for number in tags[PIXEL_SCALE]]
-        if scale[0] < 0:
-            raise SarsplatError(f"{path} has columns that run west; straighten it, as by gdalwarp")
-        pitch, upwards = (scale[0], scale[1]), False
-    else:
+
+
+def _refuse_turned(path: Path, transform: Any) -> None:
+    if transform.is_identity:
         raise SarsplatError(
             f"{path} does not say how far its pixels are apart; write it as a GeoTIFF in metres, as by "
             "gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT BOTTOM"
         )
-    if not all(math.isfinite(length) and length > 0 for length in pitch):
-        raise SarsplatError(f"{path}: its pitch_m is {pitch}; give two positive, finite numbers of metres (x, y)")
-    return pitch, upwards
+    if transform.b or transform.d or transform.a < 0:
+        raise SarsplatError(f"{path} is turned against its system's axes; straighten it, as by gdalwarp")
 
 
-def _where(path: Path, tags: PageTags, lies: Georeference | None, shape: tuple[int, int]) -> MapPlace | None:
-    """Where its middle is on earth, if its system has a number."""
-    if lies is None or lies.kind != "projected" or lies.epsg is None:
+def _height_above(crs: Any) -> HeightAbove | None:
+    """Zero level of heights by a system's third axis; None if it has none."""
+    if crs is None or len(crs.axis_info) < 3:
         return None
-    x, y = lies.affine @ ((shape[1] - 1) / 2, (shape[0] - 1) / 2, 1.0)
-    return place_on_map(lies.epsg, (float(x), float(y)), str(path), _height_above(tags) or "unknown")
-
-
-def _height_above(tags: PageTags) -> HeightAbove | None:
-    """What the file says that heights are measured from: by a vertical system, or as our own maps say it."""
-    if (code := keys_of(tags).get(_VERTICAL)) is not None:
-        return height_above_of(code)
-    said = str(tags.get(GDAL_METADATA, ""))
-    return next((name for name, level in LEVELS.items() if f'"{HEIGHTS_ABOVE}">{level}<' in said), None)
-
-
-def _system(tags: PageTags) -> RasterSystem:
-    """What the file says of its coordinates, as it says it, but for pixels, which are areas in rasters of ours."""
-    numbers = [int(number) for number in tags.get(KEYS, ())]
-    for k in range(4, len(numbers) - 3, 4):
-        if numbers[k] == RASTER:
-            numbers[k + 3] = AREA
-    doubles = tuple(map(float, np.atleast_1d(tags.get(DOUBLES, ()))))
-    return RasterSystem(tuple(numbers), doubles, str(tags.get(TEXTS, "")), height_above=_height_above(tags))
-
-
-def _length_m(tags: PageTags) -> float | None:
-    """Length of a unit that the file itself defines, m, if it does."""
-    index, doubles = keys_of(tags, DOUBLES).get(_LENGTH_SIZE), np.atleast_1d(tags.get(DOUBLES, ()))
-    return None if index is None or index >= len(doubles) else float(doubles[index])
+    datum = next((part.datum for part in crs.sub_crs_list if part.is_vertical), None)
+    if datum is not None:
+        return "unknown" if not datum.name or "unknown" in datum.name or "ellipsoid" in datum.name else "sea level"
+    return "ellipsoid" if crs.ellipsoid.semi_major_metre == _EQUATOR_M else "unknown"

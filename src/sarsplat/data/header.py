@@ -30,6 +30,9 @@ class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A JSON object: every field there, none unknown, each of its type."""
 
 
+_RETIRED = about("0 or absent: older versions wrote it, and bistatic views are rejected", const=0)
+
+
 class GridHeader(Strict, frozen=True, omit_defaults=True):
     """The pixel grid of all images; pairs are (azimuth, slant range)."""
 
@@ -119,19 +122,8 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
     aloft: Annotated[
         bool, about("whether the target is in free space: no ground at z = 0, and the radar may be below")
     ] = False
-    apart_deg: Annotated[
-        float,
-        about("angle between transmitter and receiver, halfway between which the radar is", minimum=0, maximum=170),
-    ] = 0.0
-    apart_towards_deg: Annotated[
-        float,
-        about(
-            "where the transmitter is from halfway, degrees: 0 along the level azimuth axis of a radar that looks to "
-            "the right, 90 above",
-            minimum=-180,
-            maximum=180,
-        ),
-    ] = 0.0
+    apart_deg: Annotated[float | msgspec.UnsetType, _RETIRED] = msgspec.UNSET
+    apart_towards_deg: Annotated[float | msgspec.UnsetType, _RETIRED] = msgspec.UNSET
     stretch: Annotated[
         float,
         about("length along azimuth in the image for each metre of a target aloft", minimum=0.5, maximum=2),

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.extras import install_command
+from sarsplat.errors import SarsplatWarning
 from sarsplat.geometry import Place
 from sarsplat.geometry.place import HeightAbove, geodetic_of_ecef
 
@@ -39,38 +38,26 @@ class MapPlace:
 
 
 def place_on_map(
-    epsg: int, at: tuple[float, float], name: str, height_above: HeightAbove = "unknown"
+    crs: Any, at: tuple[float, float], name: str, height_above: HeightAbove = "unknown"
 ) -> MapPlace | None:
-    """Where a point (x, y) of a projected system is; None, with a warning, if that cannot be said of `name`.
+    """Where a point (x, y) of a projected system of EPSG is; None, with a warning, if that cannot be said of `name`."""
+    from pyproj import Transformer
 
-    Refused if the system is not in metres.
-    """
-    system = f"{name} lies on a map (EPSG:{epsg}), but where on earth that is stays unknown:"
-    try:
-        from pyproj import Transformer
-        from pyproj.exceptions import ProjError
-    except ImportError:
-        _warn(f"{system} pyproj is not installed; {install_command('gis')}")
-        return None
+    system = f"{name} lies on a map (EPSG:{crs.to_epsg()}), but where on earth that is stays unknown:"
     steps = _STEP_M * np.array([[0.0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
-    try:
-        transformer: Any = Transformer.from_crs(f"EPSG:{epsg}", "EPSG:4978", always_xy=True)
-        corners = np.transpose(transformer.transform(*(np.asarray(at) + steps).T, np.zeros(len(steps))))
-    except ProjError as error:
-        _warn(f"{system} pyproj does not know that system ({error})")
-        return None
-    refuse_other_unit(epsg, 1.0, name)
+    transformer: Any = Transformer.from_crs(crs, "EPSG:4978", always_xy=True)
+    corners = np.transpose(transformer.transform(*(np.asarray(at) + steps).T, np.zeros(len(steps))))
     if (exact_m := exactness_m(transformer)) is None:
         _warn(f"{system} {NOT_RELATED}")
         return None
     if exact_m > INEXACT_M:
-        _warn(f"{name} lies on a map (EPSG:{epsg}), from where WGS 84 is reached to {exact_m:g} m")
+        _warn(f"{name} lies on a map (EPSG:{crs.to_epsg()}), from where WGS 84 is reached to {exact_m:g} m")
     if not np.isfinite(corners).all():
         _warn(f"{system} ({at[0]:.10g}, {at[1]:.10g}) is nowhere in that system")
         return None
     found = _seen_around(corners, system, height_above)
-    if found is not None and (outside := far_outside(epsg, found.place)) is not None:
-        _warn(f"{name} lies on a map (EPSG:{epsg}), {outside}")
+    if found is not None and (outside := far_outside(crs, found.place)) is not None:
+        _warn(f"{name} lies on a map (EPSG:{crs.to_epsg()}), {outside}")
     return found
 
 
@@ -102,23 +89,9 @@ def exactness_m(transformer: Any) -> float | None:
     return None if "ballpark" in used.description.lower() else float(max(used.accuracy, 0.0))
 
 
-def refuse_other_unit(epsg: int, unit: float | None, name: str) -> None:
-    """Refuse a system whose unit (m, or rad of degrees) is not the one that a file states, if it states one."""
-    from pyproj import CRS
-
-    axis = CRS.from_epsg(epsg).axis_info[0]
-    if unit is not None and not math.isclose(axis.unit_conversion_factor, unit, rel_tol=1e-7):
-        raise SarsplatError(
-            f"{name} lies on a map (EPSG:{epsg}) in another unit ({axis.unit_name}) than its coordinates are; bring it "
-            "into metres, as by gdalwarp -t_srs EPSG:326xx (the UTM zone)"
-        )
-
-
-def far_outside(epsg: int, place: Place) -> str | None:
+def far_outside(crs: Any, place: Place) -> str | None:
     """Where a system is for, if a place is so far from there that its number or its coordinates may be others'."""
-    from pyproj import CRS
-
-    area = CRS.from_epsg(epsg).area_of_use
+    area = crs.area_of_use
     if area is None or is_within(area.bounds, place, _BEYOND_DEG):
         return None
     west, south, east, north = area.bounds
@@ -141,58 +114,8 @@ def _warn(text: str) -> None:
     warnings.warn(text, SarsplatWarning, stacklevel=4)
 
 
-_OTHER_ELLIPSOIDS = range(5001, 5034)
-"""Codes of the first GeoTIFFs for heights above an ellipsoid."""
-_EQUATOR_M = 6378137.0
-"""Of the ellipsoids of WGS 84 and GRS 1980, which are within .1 mm of each other."""
-ELLIPSOIDAL = (4979, 4937, 5019, 5030)
-"""Codes of vertical systems whose heights are above the ellipsoid: WGS 84, ETRS89 or GRS 1980."""
-
-
 UNCONVERTED = (
     "heights are not converted: from one level to another they can be up to about 100 m apart, and gdalwarp -s_srs "
     "EPSG:326xx+5773 (of EGM96; +3855 of EGM2008, +5703 of NAVD88) -t_srs EPSG:4979, and then -s_srs EPSG:4326 -t_srs "
     "EPSG:326xx, makes ellipsoidal ones of them"
 )
-
-
-def refuse_vertical(code: int, name: str) -> None:
-    """Refuse a vertical system whose numbers are no heights in metres, if pyproj is there to tell."""
-    try:
-        from pyproj import CRS
-        from pyproj.exceptions import CRSError
-    except ImportError:
-        return
-    try:
-        system = CRS.from_epsg(code)
-    except CRSError:  # unknown, or an old way to say it
-        return
-    axis = system.axis_info[-1]
-    if system.is_vertical and (axis.direction != "up" or axis.unit_conversion_factor != 1):
-        raise SarsplatError(
-            f"{name} is measured {axis.direction} in units called {axis.unit_name} (EPSG:{code}, {system.name}); make "
-            "metres upwards of it"
-        )
-
-
-def height_above_of(code: Any) -> HeightAbove:
-    """What heights are measured from, by the code of a GeoTIFF's vertical system, or None."""
-    if not isinstance(code, int) or not 0 < code < 32767:
-        return "unknown"
-    if code in ELLIPSOIDAL:
-        return "ellipsoid"
-    if code in _OTHER_ELLIPSOIDS:
-        return "unknown"
-    try:
-        from pyproj import CRS
-        from pyproj.exceptions import CRSError
-    except ImportError:
-        return "sea level"
-    try:
-        system = CRS.from_epsg(code)
-    except CRSError:
-        return "sea level"
-    if system.is_vertical:
-        return "sea level"
-    alike = system.ellipsoid is not None and system.ellipsoid.semi_major_metre == _EQUATOR_M
-    return "ellipsoid" if system.is_geographic and len(system.axis_info) == 3 and alike else "unknown"

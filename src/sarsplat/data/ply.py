@@ -27,11 +27,9 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json
-from sarsplat.data.foreign_splats import refuse_foreign
 from sarsplat.data.ply_points import named, read_ply, stacked, write_ply
-from sarsplat.data.splat_files import PACKED, splat_columns, unpacked
+from sarsplat.data.splat_files import splat_columns
 from sarsplat.data.strays import strays
-from sarsplat.data.upright import upright
 from sarsplat.data.viewer_colours import ODD, viewer_colours
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.gaussians import (
@@ -106,8 +104,7 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
     """Read Gaussians: our own files exactly, those of other 3DGS programs as well as they translate.
 
     Of a foreign file, κ = −ln(1 − opacity) and the harmonics are the mean over the three colours; p_min is 0. Those may
-    be PLY, also as SuperSplat compresses it, or `.splat`, which has no more than a colour: of our own exports, that is
-    a shade of grey for decibels.
+    be PLY or `.splat`, which has no more than a colour: of our own exports, that is a shade of grey for decibels.
 
     Returns
     -------
@@ -122,8 +119,7 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
     Warns
     -----
     SarsplatWarning
-        If Gaussians were left out that hold NaN or an infinity or have no orientation, or if the header states a
-        vertical axis other than z: such Gaussians are turned upright.
+        If Gaussians were left out that hold NaN or an infinity or have no orientation.
     """
     return _read(Path(path), ())[0]
 
@@ -139,15 +135,12 @@ def read_centred_gaussians(path: Path) -> tuple[Gaussians, Float64[np.ndarray, "
 
 def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
     """Gaussians, and how far they were moved: not at all unless coordinates are read `exact`."""
-    refuse_foreign(path)
     if path.suffix.lower() == ".splat":
         columns, comments = splat_columns(path), list[str]()
     else:
         columns, comments = read_ply(
             path, lambda name, of: _VERSION not in of or not name.startswith(_FOR_VIEWERS), exact
         )
-    if PACKED in columns:
-        columns = unpacked(path)
     ours = _VERSION in comments
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
@@ -159,8 +152,6 @@ def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.nda
         **(_our_own(path, columns) if ours else _of_3dgs(path, columns)),
     }
     del columns
-    if not ours:
-        values = upright(values, path, comments)
     _check_gaussians(values, str(path))
     moved = far_from_origin(values["means"], values["scales"]) if exact else np.zeros(3)
     values["means"] = values["means"] - moved

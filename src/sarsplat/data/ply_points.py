@@ -56,14 +56,11 @@ def read_ply(
     path: Path,
     wanted: Callable[[str, list[str]], bool] | None = None,
     exact: Collection[str] = (),
-    *,
-    element: str = "vertex",
-    missing: bool = False,
 ) -> tuple[dict[str, Float[np.ndarray, " n"]], list[str]]:
     """Read the properties of vertices, by name, as float32 or those named `exact` as float64, and the comments.
 
     `wanted` says, of a name and the comments, what to read; vertices are read some at a time, for a file can be several
-    times as large as what is wanted of it. Another `element` may be read, which may be `missing`: then nothing is.
+    times as large as what is wanted of it.
     """
     with open_file(path) as file:
         data = file.read(_LONGEST_HEADER)
@@ -77,9 +74,7 @@ def read_ply(
         if not all(re.fullmatch(rb"[\t -~]*", line) for line in lines):
             raise SarsplatError(f"{path} has a PLY header that is not plain ASCII text; create it again")
         header = [line.decode("ascii") for line in lines[1:]]
-        if missing and not any(line.split()[:2] == ["element", element] for line in header):
-            return {}, []
-        offset, count, dtype = _vertices(path, header, len(head) + len(end), size, element)
+        offset, count, dtype = _vertices(path, header, len(head) + len(end), size)
         file.seek(offset)
         comments = [line.removeprefix("comment").strip() for line in header if line.split()[:1] == ["comment"]]
         names = [name for name in dtype.names or () if wanted is None or wanted(name, comments)]
@@ -112,20 +107,19 @@ def stacked(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Flo
     return np.stack([columns[name] for name in names], axis=1) if names else np.empty((rows, 0), np.float32)
 
 
-def _vertices(path: Path, header: list[str], offset: int, size: int, element: str) -> tuple[int, int, np.dtype]:
-    """Offset, number and type of an element in a file of `size` bytes, in which the data begin at `offset`."""
+def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[int, int, np.dtype]:
+    """Offset, number and type of the vertices in a file of `size` bytes, in which the data begin at `offset`."""
     elements = _elements(path, header)
     names = [name for name, _, _ in elements]
-    if names.count(element) != 1:
-        what = "vertices" if element == "vertex" else f"the kind {element!r}"
-        raise SarsplatError(f"{path} has the elements {shown(names)} in its PLY header, not one of {what}")
+    if names.count("vertex") != 1:
+        raise SarsplatError(f"{path} has the elements {shown(names)} in its PLY header, not one of vertices")
     sizes = [count * sum(np.dtype(kind).itemsize for _, kind in properties) for _, count, properties in elements]
     if size != offset + sum(sizes):
         state = "is truncated" if size < offset + sum(sizes) else "is too long"
         raise SarsplatError(
             f"{path} {state}: {size} bytes where its header asks for {offset + sum(sizes)}; create it again"
         )
-    place = names.index(element)
+    place = names.index("vertex")
     _, count, properties = elements[place]
     if len({name for name, _ in properties}) < len(properties):
         raise SarsplatError(f"{path} has two vertex properties with the same name in its PLY header; create it again")

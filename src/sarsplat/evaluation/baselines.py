@@ -27,7 +27,7 @@ def nearest_chip(
 ) -> Float[np.ndarray, "v rows columns"]:
     """The training chip nearest in azimuth, among those of like looks, smoothed by a 5×5 mean.
 
-    Looks are alike if tilted alike, from the same side, and bistatic by as much.
+    Looks are alike if tilted alike and from the same side.
 
     Parameters
     ----------
@@ -41,10 +41,7 @@ def nearest_chip(
     numpy.ndarray, float [V, rows, columns]
         Predicted mean power.
     """
-    other = [
-        [(a.side != b.side) * 360 + abs(a.tilt_deg - b.tilt_deg) + abs(a.apart_deg - b.apart_deg) for a in train_views]
-        for b in views
-    ]
+    other = [[(a.side != b.side) * 360 + abs(a.tilt_deg - b.tilt_deg) for a in train_views] for b in views]
     return smoothed(train, 5, 5)[(np.abs(_turn_deg(train_views, views)) + other).argmin(axis=1)]
 
 

@@ -1,7 +1,7 @@
 """Objects that the training images show and the points lack.
 
-The scene is rendered without the Gaussians that are far from all points. Images that are twice as bright as that, in
-the mean over the views at a place in space, show an object there that no point stands for.
+The images are compared with a rendering that omits Gaussians farther than 1.5 cells from every point. A place shows a
+missing object if the excess, averaged over the views in dB, exceeds 3 dB and 6 standard deviations of its noise.
 """
 
 from __future__ import annotations
@@ -11,21 +11,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from jaxtyping import Float32, Float64
-from scipy.ndimage import label, map_coordinates, maximum_position
+from scipy.ndimage import label, maximum_position
 from scipy.spatial import cKDTree
 
 from sarsplat.evaluation.images import UndefinedScore
-from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.geometry.terrain import heights_of
+from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.radiometry import to_db, usual_peak
-from sarsplat.regions.target_box import seen_by_all, smoothed, typical
+from sarsplat.regions.image_levels import seen_by_all, smoothed, typical, values_at
 from sarsplat.renderer import channel_of
 
 if TYPE_CHECKING:
     from sarsplat.runs import Run
 
 _REACH = 1.5
-"""Distance up to which a point stands for a Gaussian, resolution cells."""
+"""Maximum distance of a Gaussian from the nearest point that represents it, resolution cells."""
 
 _EXCESS_DB = 3.0
 """Minimum mean excess of the images, dB."""
@@ -34,7 +33,7 @@ _SURE = 6.0
 """Minimum mean excess of the images, standard deviations of its noise over all places."""
 
 _FAINT = 1e-3
-"""Power below which pixels are dark, relative to the usual peak of the images."""
+"""Minimum power added to both images before their ratio, relative to the usual peak."""
 
 _PLACES = 96
 """Maximum number of places along a side of the scene."""
@@ -43,6 +42,7 @@ _VIEWS = 24
 """Maximum number of views compared."""
 
 _RAYS_PER_PIXEL = 2.0
+"""Rays per pixel of the renderings, along each axis."""
 
 
 def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
@@ -51,18 +51,22 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     Raises
     ------
     UndefinedScore
-        If the run has no Gaussians, or its training images are not the dataset's.
+        If the run has no Gaussians; if its training images are stacks, have changed, or do not show the origin.
     """
     model = run.model
     if model is None:
-        raise UndefinedScore("only scenes of Gaussians can be rendered without what has no points")
+        raise UndefinedScore("missing objects can be found for scenes of Gaussians only")
     if "train" not in run.dataset.splits():
         raise UndefinedScore("there are no training images")
     train = run.dataset.select("train")
     if train.interferometric or len(model.frame.views) != len(train.views):
-        raise UndefinedScore("images are stacks, or others than the dataset's")
+        raise UndefinedScore(
+            "the training images are interferometric stacks, or the dataset has changed since the training"
+        )
     grid = model.frame.grid
     half = seen_by_all(model.frame.views, grid)
+    if half <= 0:
+        raise UndefinedScore("not all training images show the world's origin")
     some = np.unique(np.linspace(0, len(train.views) - 1, min(len(train.views), _VIEWS)).round().astype(int))
     views = [model.frame.views[k] for k in some]
     excess_db = _excess_db(train.power[some], _without_far(run, some), grid)
@@ -70,8 +74,10 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     side = np.linspace(-half, half, min(_PLACES, 2 * int(half / grid.cell_m) + 1))
     heights = np.arange(region.low[2], region.high[2], max(2 * grid.cell_m, np.ptp(side) / _PLACES))
     places = np.stack(np.meshgrid(heights, side, side, indexing="ij"), axis=-1)[..., ::-1].copy()
-    places[..., 2] -= heights_of(places.reshape(-1, 3) * (1, 1, 0), terrain).reshape(places.shape[:-1])
-    mean_db = np.mean([_at(image, view, grid, places) for image, view in zip(excess_db, views, strict=True)], axis=0)
+    if terrain is not None:
+        places[..., 2] += terrain.height_m(places[..., 0], places[..., 1])
+    levels_db = [values_at(image, view, grid, places) for image, view in zip(excess_db, views, strict=True)]
+    mean_db = np.nan_to_num(levels_db).mean(axis=0)
     least_db = max(_EXCESS_DB, _SURE * typical(mean_db)[1])
     parts, count = label(mean_db > least_db)
     found = [places[index] for index in maximum_position(mean_db, parts, range(1, count + 1))]
@@ -80,7 +86,7 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
 
 
 def _without_far(run: Run, numbers: np.ndarray) -> Float32[np.ndarray, "v rows columns"]:
-    """Training images as rendered without the Gaussians that are far from all points, β⁰."""
+    """Render training images without the Gaussians that are far from all points, β⁰."""
     assert run.model is not None
     model = run.model.copy()
     grid, views = model.frame.grid, model.frame.views
@@ -103,16 +109,7 @@ def _without_far(run: Run, numbers: np.ndarray) -> Float32[np.ndarray, "v rows c
 def _excess_db(
     power: Float32[np.ndarray, "v rows columns"], expected: Float32[np.ndarray, "v rows columns"], grid: ImageGrid
 ) -> Float64[np.ndarray, "v rows columns"]:
-    """Images above expected ones, smoothed over a resolution cell, dB; 0 where both are dark."""
+    """Ratio of smoothed images to smoothed renderings, dB; near 0 where both are dark."""
     shown, ours = smoothed(power, grid), smoothed(expected, grid)
     dark = np.maximum(np.median(shown, axis=(1, 2), keepdims=True), _FAINT * usual_peak(power))
     return to_db(shown + dark, ours + dark)
-
-
-def _at(
-    image: Float64[np.ndarray, "rows columns"], view: View, grid: ImageGrid, places: Float64[np.ndarray, "h n n 3"]
-) -> Float64[np.ndarray, "h n n"]:
-    """Values of an image at the pixels of places in space."""
-    first, spacing = np.array([grid.range_m[0], grid.azimuth_m[0]]), np.array(grid.spacing_m[::-1])
-    pixels = (places @ view.look.gradients[[1, 0]].T - first) / spacing
-    return map_coordinates(image, np.moveaxis(pixels, -1, 0), order=1, mode="constant", cval=0.0)

@@ -140,7 +140,7 @@ def visible_surface(
     scene = _scene(mesh)
     visible = np.zeros(len(mesh.faces), dtype=bool)
     with ThreadPoolExecutor(_THREADS) as threads:
-        hits = threads.map(lambda view: _first_hits(scene, mesh, view.legs[-1], ray_spacing), views)
+        hits = threads.map(lambda view: _first_hits(scene, mesh, view, ray_spacing), views)
         for number, hit in enumerate(hits, 1):
             visible |= hit
             advanced(number / len(views) / 2)
@@ -183,7 +183,7 @@ def _first_hits(scene: EmbreeScene, mesh: trimesh.Trimesh, view: View, spacing: 
     """Indices of the triangles that the rays of a view hit first."""
     hit = np.zeros(len(mesh.faces), dtype=bool)
     for origins in _lattice(np.asarray(mesh.vertices), view, spacing):
-        numbers = scene.run(origins, _towards(-view.look.way_in))
+        numbers = scene.run(origins, _towards(-view.look.facing))
         hit[numbers[numbers >= 0]] = True
     return hit
 
@@ -220,11 +220,8 @@ def _seen(
 ) -> Bool[np.ndarray, " p"]:
     hidden = np.arange(len(points))
     for view in views:
-        blocked = np.zeros(len(hidden), dtype=bool)
-        for way in view.look.ways:
-            origins = (points[hidden] + lift * way).astype(np.float32)
-            blocked |= scene.run(origins, _towards(way), query="OCCLUDED") >= 0
-        hidden = hidden[blocked]
+        origins = (points[hidden] + lift * view.look.facing).astype(np.float32)
+        hidden = hidden[scene.run(origins, _towards(view.look.facing), query="OCCLUDED") >= 0]
         if len(hidden) == 0:
             break
     return np.bincount(hidden, minlength=len(points)) == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -13,14 +12,10 @@ from sarsplat.data import Dataset
 from sarsplat.data.image import power_of
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.errors import counted
-from sarsplat.examination.copied import copied_images
 from sarsplat.examination.on_map import OnMap, on_map
 from sarsplat.examination.orientation import Orientation, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
-from sarsplat.examination.places import examine_places
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
-from sarsplat.examination.repeated import repeated_images
-from sarsplat.examination.running_numbers import Counting, counting
 from sarsplat.examination.scaling import MUCH, examine_cut_off, examine_scaling
 from sarsplat.examination.single_values import examine_single_values
 from sarsplat.examination.units import examine_units
@@ -53,11 +48,6 @@ TWINS = (
 )
 """What the table of orientations does not show."""
 
-_SWAPPED = (
-    "cannot be told apart: transmitter and receiver in each other's place give the same images, and how far apart they "
-    "are is not examined"
-)
-
 _TABLE = ("import with", "shadow beyond", "bright edge", "layover", "neighbours match", "")
 
 
@@ -69,16 +59,15 @@ def examine(dataset: Dataset) -> Examination:
     ----------
     dataset : Dataset
         At most 120 images, evenly chosen, are looked at, of stacks their first channel; for images that are the same,
-        constant, out of place or of another unit, all.
+        constant or of another unit, all.
 
     Returns
     -------
     Examination
         Contradictions: angles that look like radians; images that are constant or the same; pixels and lines that are
         too bright to be echoes, or were cut off; images that are not on one scale; images that lie on a map; near range
-        that is not row 0; azimuths that only count the images; single images that belong to another azimuth, or are
-        mirrored; azimuths in the opposite sense, or mirrored images; grazing angles that are incidence angles; ground
-        in images that are said to show none; values that are not power; speckle of another number of looks; a
+        that is not row 0; azimuths in the opposite sense, or mirrored images; grazing angles that are incidence angles;
+        ground in images that are said to show none; values that are not power; speckle of another number of looks; a
         resolution that the images do not have. The zero of the azimuth cannot be determined from images.
     """
     examined = Examination()
@@ -92,18 +81,9 @@ def examine(dataset: Dataset) -> Examination:
     hot = examine_single_values(dataset, examined)
     cut_off = 0.0 if hot else examine_cut_off(dataset, examined)  # a line of hot pixels is not what is bright
     count = min(len(dataset), _MOST_IMAGES)
-    places = [k * len(dataset) // count for k in range(count)]
-    chosen = _of_one_channel(dataset.take(places))
+    chosen = _of_one_channel(dataset.take([k * len(dataset) // count for k in range(count)]))
     if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
-        counts = counting(dataset.views)
-        spread = None if counts is None else [counts.spread[k] for k in places]
-        before = len(examined.contradictions)
-        upright = _upright(chosen, examined, counts, spread)
-        if "azimuths" in examined.checks and len(examined.contradictions) == before:
-            examine_places(_of_one_channel(dataset), upright.ground, examined)
-        speckled = cut_off < MUCH and examine_units(upright, examined)
-        if speckled and not repeated_images(dataset) and (copies := copied_images(dataset)):
-            examined.conclude("images", copies, differ)
+        speckled = cut_off < MUCH and examine_units(_upright(chosen, examined), examined)
         if not hot:
             examine_scaling(dataset, examined, speckled, cut_off)
     return examined
@@ -117,23 +97,19 @@ def _of_one_channel(dataset: Dataset) -> Dataset:
     return replace(dataset, entries=entries, power=power_of(dataset.signal[:, 0]), signal=None)
 
 
-def _upright(
-    dataset: Dataset, examined: Examination, counts: Counting | None, spread: Sequence[View] | None
-) -> Dataset:
+def _upright(dataset: Dataset, examined: Examination) -> Dataset:
     """The dataset with near range on top, and with ground if images show it; notes what contradicts that."""
     if dataset.views[0].aloft:
         examined.checks["orientation"] = "cannot be determined: what is aloft turns about any axis and has no shadow"
         return dataset
-    apart = any(view.apart_deg for view in dataset.views)
-    if apart:
-        examined.checks["two ways"] = _SWAPPED
     if not all(_shaded_below(view, dataset.grid) for view in dataset.views):
-        why = "the two ways are too far apart" if apart else "the azimuth axes are tilted too much"
-        examined.checks["orientation"] = f"not examined: shadows fall to the sides of the images, for {why}"
+        examined.checks["orientation"] = (
+            "not examined: shadows fall to the sides of the images, for the azimuth axes are tilted too much"
+        )
         return dataset
     ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
     centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
-    look = partial(orientation, dataset.power, dataset.views, dataset.grid, centred=centred, spread=spread)
+    look = partial(orientation, dataset.power, dataset.views, dataset.grid, centred=centred)
     seen = look(ground=ground)
     if ground and not dataset.ground:
         if seen.by_shadow:
@@ -145,9 +121,6 @@ def _upright(
             ground = False
             seen = look(ground=False)
     layout = Layout.of(dataset.source)
-    if counts is not None and (seen.counted or (layout and counts.from_one and seen.opposite is not False)):
-        examined.conclude("azimuths", [_counts(counts, seen)], "")
-        return dataset  # of wrong azimuths nothing else follows
     if not seen.by_shadow:
         mapped = on_map(dataset.power, dataset.views, dataset.grid, seen, ground=ground)
         if mapped.certain:
@@ -174,21 +147,8 @@ def _upright(
 
 def _shaded_below(view: View, grid: ImageGrid) -> bool:
     """Whether an image shows shadows where they are looked for: rather below what casts them than beside it."""
-    for way in view.look.ways:
-        across, away = view.look.gradients[:, :2] @ -way[:2] / grid.spacing_m
-        if not abs(across) < away:
-            return False
-    return True
-
-
-def _counts(counts: Counting, seen: Orientation) -> str:
-    neither = "images of neighbouring azimuths match no better as given than in the other sense"
-    spread = f"images match better if these are spread all round (correlation higher by {seen.spread.mean:.2f})"
-    return (
-        f"the azimuths seem to be numbers of images, for they count from {counts.first_deg:g} to {counts.last_deg:g}, "
-        f"and {spread if seen.counted else neither}; give the angles, by the table's column of them "
-        "(--columns azimuth=NAME)"
-    )
+    across, away = view.look.gradients[:, :2] @ -view.direction[:2] / grid.spacing_m
+    return bool(abs(across) < away)
 
 
 def _edges(power: np.ndarray) -> np.ndarray:

@@ -99,17 +99,17 @@ def match(
     coarse = [max(1, round(pitch / spacing)) for spacing in reversed(grid.spacing_m)]  # no pixel is left out
     used = sorted({k for pair in pairs for k in pair})
     ground = {
-        k: shown_at(uniform_filter(bright[k], coarse), grid, *views[k].look.to_image(across, along)) for k in used
+        k: _shown_at(uniform_filter(bright[k], coarse), grid, *views[k].look.to_image(across, along)) for k in used
     }
     padded = (next_fast_len(2 * _PLACES),) * 2
-    first = {k: rfft2(normalised(ground[k], inside), padded).conj() for k, _ in pairs}
+    first = {k: rfft2(_normalised(ground[k], inside), padded).conj() for k, _ in pairs}
     correlations, turns = [], []
     for i, j in pairs:
         angle = math.radians(sense * (views[i].azimuth_deg - views[j].azimuth_deg))
         turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
         x, y = np.tensordot(turn, np.stack([across, along]), 1)
         other = _at(ground[j], (x + half) / pitch, (y + half) / pitch)
-        correlations.append(irfft2(first[i] * rfft2(normalised(other, inside), padded), padded))
+        correlations.append(irfft2(first[i] * rfft2(_normalised(other, inside), padded), padded))
         turns.append(turn)
     return Matches(np.array(correlations).reshape(-1, *padded), np.array(turns).reshape(-1, 2, 2), half, float(pitch))
 
@@ -199,7 +199,7 @@ def _at(
     return map_coordinates(image, [row, column], order=1, mode="constant", cval=0.0)
 
 
-def shown_at(
+def _shown_at(
     image: Real[np.ndarray, "rows columns"],
     grid: ImageGrid,
     azimuth_m: Float64[np.ndarray, "places places"],
@@ -210,7 +210,7 @@ def shown_at(
     return _at(image, column, (range_m - grid.range_m[0]) / grid.spacing_m[1])
 
 
-def normalised(image: Real[np.ndarray, "places places"], inside: np.ndarray) -> Real[np.ndarray, "places places"]:
+def _normalised(image: Real[np.ndarray, "places places"], inside: np.ndarray) -> Real[np.ndarray, "places places"]:
     """Normalise to mean 0 and norm 1 inside the mask, 0 outside; 0 everywhere if nothing varies."""
     rest = np.where(inside, image - image[inside].mean(), 0.0)
     norm = math.sqrt(float((rest**2).sum()))

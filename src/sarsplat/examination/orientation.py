@@ -69,9 +69,6 @@ class Orientation:
     """The same, and what lengths that are less stretched are ahead by anyway."""
     stays: Evidence
     """By how much neighbouring images match better without being turned by their azimuths than in either sense."""
-    spread: Evidence
-    """By how much it is higher, in either sense, if azimuths that only count images are spread all round; of no images
-    if they do not."""
 
     @property
     def by_shadow(self) -> bool:
@@ -90,11 +87,6 @@ class Orientation:
         """Whether grazing angles seem to be incidence angles."""
         return self.near is not None and self.steeper.against(_LEAST_GRAZING)
 
-    @property
-    def counted(self) -> bool:
-        """Whether azimuths only count images that were taken all round."""
-        return self.spread.supports(LEAST_SENSE)
-
 
 def orientation(
     power: Real[np.ndarray, "v rows columns"],
@@ -103,12 +95,11 @@ def orientation(
     *,
     ground: bool,
     centred: bool = False,
-    spread: Sequence[View] | None = None,
 ) -> Orientation:
     """What images (β⁰, linear power) say of their orientation.
 
     `centred` is whether the world's origin surely lies where the grid says, so that layover alone tells which side is
-    near; `spread` is where they may be taken from instead of `views`, if their azimuths only count them.
+    near.
     """
     levels = levels_db(power, grid, ground)
     shadow = shadow_sides(levels if ground else levels[:0], views)
@@ -136,26 +127,7 @@ def orientation(
         Evidence(given - swapped),
         Evidence(given - swapped + less_stretched_anyway(views, more, np.maximum(given, swapped))),
         Evidence(match(bright[0], views, grid, pairs, sense=0).best() - _highest([*best[0], *best[1]])),
-        Evidence(_by_spread(frames, bright, pairs, best, spread) if spread and pairs else np.empty(0)),
     )
-
-
-def _by_spread(
-    frames: Sequence[tuple[np.ndarray, ImageGrid]],
-    bright: Sequence[np.ndarray],
-    pairs: Sequence[tuple[int, int]],
-    best: Sequence[Sequence[np.ndarray]],
-    spread: Sequence[View],
-) -> Float64[np.ndarray, " n"]:
-    """Gain in correlation with the neighbour if azimuths are spread all round instead of as given, for each image.
-
-    Of each, the axis of range and the sense in which all images together match best.
-    """
-    theirs = neighbours(spread)
-    matched = [match(bright[k], spread, frames[k][1], theirs, sense=sense).best() for k in (0, 1) for sense in (1, -1)]
-    given = dict(zip((k for k, _ in pairs), _highest([*best[0], *best[1]]), strict=True))
-    other = dict(zip((k for k, _ in theirs), _highest(matched), strict=True))
-    return np.array([other[k] - given[k] for k in given.keys() & other.keys()])
 
 
 def _highest(correlations: Sequence[Float64[np.ndarray, " n"]]) -> Float64[np.ndarray, " n"]:

@@ -1,3 +1,2 @@
 # ruff: isort: skip_file
-from .job import Job as Job, Work as Work
-from .executor import EXECUTORS as EXECUTORS, Executor as Executor, Means as Means
+from .executor import EXECUTORS as EXECUTORS, Executor as Executor, Job as Job, Means as Means, Work as Work

@@ -1,15 +1,55 @@
-"""Executors, which do jobs somewhere: modules `executor_NAME.py` here, and entry points."""
+"""Jobs, the kinds of work that they are, and executors of them: modules `executor_NAME.py` here, and entry points."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from sarsplat.errors import SarsplatError, advised, shown
-from sarsplat.executors.job import Job
 from sarsplat.plugins import discover
+
+
+class Job(Protocol):
+    """A piece of work that does not need the others: a `msgspec.Struct`, sent as JSON to whoever does it."""
+
+    work: ClassVar[str]
+    """Its kind, `module:NAME` of a `Work`."""
+
+    @property
+    def address(self) -> str:
+        """By which it is known among the others."""
+
+    @property
+    def device(self) -> str:
+        """Where it is done: cpu or cuda."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """A kind of work.
+
+    Parameters
+    ----------
+    job, result : type
+        Of its jobs and their results: both a `msgspec.Struct`.
+    do : callable
+        Do a job: given it, the folder that all of them write to, and whether what failed is tried again. Its result;
+        None if another process is doing it. It raises nothing.
+    lost : callable
+        The result of a job whose process has ended, given it, the folder and the reason; None likewise.
+    go_on : str
+        How to go on with what was lost, for errors: the end of a sentence.
+    """
+
+    job: type[Any]
+    result: type[Any]
+    do: Callable[[Any, Path, bool], Any]
+    lost: Callable[[Any, Path, str], Any]
+    go_on: str
+
 
 J = TypeVar("J", bound=Job)
 
@@ -71,3 +111,10 @@ def executor_named(name: str) -> Executor:
         raise SarsplatError(f"executor {shown(name)} is unknown; {advised(name, EXECUTORS)}")
     executor: Executor = EXECUTORS[name]
     return executor
+
+
+def work_named(name: str) -> Work:
+    """The work of a `Job.work`."""
+    module, _, attribute = name.partition(":")
+    work: Work = getattr(import_module(module), attribute)
+    return work

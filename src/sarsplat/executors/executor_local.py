@@ -11,8 +11,7 @@ from typing import Any
 
 import torch
 
-from sarsplat.executors.executor import J, Means
-from sarsplat.executors.job import Job
+from sarsplat.executors.executor import J, Job, Means
 from sarsplat.executors.worker import Worker
 
 _PER_DEVICE = 4

@@ -11,8 +11,7 @@ from typing import Any
 import msgspec
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.executors.executor import J, Means
-from sarsplat.executors.job import Job, work_named
+from sarsplat.executors.executor import J, Job, Means, work_named
 from sarsplat.typed import convert
 
 _AHEAD = 4

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import msgspec
 import torch
 
-from sarsplat.executors.job import Job, Work, work_named
+from sarsplat.executors.executor import Job, Work, work_named
 from sarsplat.typed import decode
 
 _SIGNALS = {one.value: one.name for one in signal.Signals}

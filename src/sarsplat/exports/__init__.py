@@ -9,13 +9,13 @@ from typing import Any, get_args
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.exports.format import Content, Format, Points, content_of
+from sarsplat.exports.format import Format, Points, content_of
 from sarsplat.exports.map_system import MapSystem
 from sarsplat.exports.maps import Coordinates, map_of, of_terrain, require_fit
 from sarsplat.exports.place_file import refuse_elsewhere, remove_place, write_place
 from sarsplat.geometry import View
 from sarsplat.geometry.place import DATUM
-from sarsplat.names import Colour, Map
+from sarsplat.names import Colour, Content, Map
 from sarsplat.plugins import discover
 from sarsplat.runs import Run
 
@@ -80,7 +80,7 @@ def export(
         What was reconstructed.
     path : str or Path
         File to write; its ending decides the format (`FORMATS`). An existing file is replaced.
-    content : "gaussians", "points", "mesh", "dsm", "gamma0", "layover-shadow" or "everything", optional
+    content : "gaussians", "points", "mesh", "dsm", "gamma0" or "layover-shadow", optional
         What it holds, where a format can hold several; a map whose name is, or ends with, one of them holds that.
     colour : "db" or "height", optional
         What viewers show of Gaussians: γ⁰ in decibels (the default) or the height.
@@ -139,8 +139,7 @@ def export_terrain(terrain: str | Path, path: str | Path, view: View) -> Written
     Raises
     ------
     SarsplatError
-        If the terrain cannot be read, the path has another ending, the view is tilted or bistatic, or the file cannot
-        be written.
+        If the terrain cannot be read, the path has another ending, the view is tilted, or the file cannot be written.
     """
     path = Path(path)
     format, holds = format_of(path, "layover-shadow")

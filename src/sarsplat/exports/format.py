@@ -15,18 +15,14 @@ from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.map_system import MapSystem
 from sarsplat.geometry import Place
-from sarsplat.names import Colour
-from sarsplat.names import Content as Names
+from sarsplat.names import Colour, Content
 from sarsplat.runs import Run
-
-Content = Names | Literal["everything"]
-"""The part of a run that a file holds."""
 
 Coordinates = Literal["scene", "map", "degrees"]
 """What the coordinates in a file are."""
 
 Write = Callable[[Any, Path, Colour], object]
-"""Writes `Gaussians`, `Points`, a trimesh, the `Run` or a `Raster` to a file, whole or not at all; the colour is of
+"""Writes `Gaussians`, `Points`, a trimesh or a `Raster` to a file, whole or not at all; the colour is of
 Gaussians."""
 
 
@@ -95,7 +91,7 @@ class Points:
 
 
 def content_of(run: Run, content: Content) -> tuple[Any, str]:
-    """A run's Gaussians, `Points`, mesh, or the run ("everything"), and what it is in words; refused if empty."""
+    """Return a run's Gaussians, `Points` or mesh, and their description; refused if empty."""
     name = "the run in memory" if run.path is None else str(run.path)
     longer = "train it longer, or look at its report"
     if run.path is None:
@@ -121,9 +117,5 @@ def content_of(run: Run, content: Content) -> tuple[Any, str]:
             if len(mesh.faces) == 0:
                 raise SarsplatError(f"{name} has too few points of a surface for a mesh; {longer}")
             return mesh, f"{counted(len(mesh.faces), 'triangle')}, metres"
-        case "everything":
-            if len(run.points if run.gaussians is None else run.gaussians) == 0:
-                raise SarsplatError(f"{name} has no surface yet; {longer}")
-            return run, "all that was learned, as arrays"
         case _:
             raise AssertionError(f"{content} is a map")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sarsplat.data import new_file
-from sarsplat.data.raster import LEVELS
+from sarsplat.data.geotiff import LEVELS
 from sarsplat.errors import SarsplatError
 from sarsplat.exports.format import Format, Points
 from sarsplat.extras import install_command

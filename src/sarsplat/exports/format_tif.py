@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sarsplat.data.raster import LEVELS, Raster, write_raster
+from sarsplat.data.geotiff import LEVELS, Raster, write_raster
 from sarsplat.exports.format import Format
 from sarsplat.radar.layover_shadow import BOTH, FREE, LAYOVER, LEGEND, SHADOW, UNKNOWN
 
@@ -19,7 +19,7 @@ _CLASSES = "; ".join(f"{value} {what}" for value, what in LEGEND.items())
 
 
 def _write_heights(raster: Raster, path: Path) -> None:
-    above = raster.system.height_above
+    above = raster.height_above
     level = "z of the scene" if above is None else f"above {LEVELS[above]}"
     write_raster(path, raster, f"height of the surface, {level}, m", unit="m")
 

@@ -11,8 +11,8 @@ from typing import Any, Self
 import numpy as np
 from jaxtyping import Float64, Real
 
+from sarsplat.data.geotiff import LEVELS
 from sarsplat.data.map_place import is_within
-from sarsplat.data.raster import LEVELS
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.extras import install_command
 from sarsplat.geometry import Place

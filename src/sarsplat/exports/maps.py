@@ -12,10 +12,9 @@ from typing import get_args
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from sarsplat.data.geotiff import read_heights
-from sarsplat.data.raster import Raster, RasterSystem
+from sarsplat.data.geotiff import Raster, read_heights
 from sarsplat.errors import SarsplatError
-from sarsplat.exports.map_system import MapSystem, usual_system
+from sarsplat.exports.map_system import MapSystem
 from sarsplat.geometry import Terrain, View
 from sarsplat.memory import free_bytes, required
 from sarsplat.names import Map
@@ -77,18 +76,6 @@ class Coordinates:
     def bearing_deg(self, view: View) -> float:
         """Direction of the radar on the map, degrees clockwise from its top."""
         return (self.view(view).azimuth_deg + 90) % 360
-
-    @property
-    def raster_system(self) -> RasterSystem:
-        """What a GeoTIFF says of them; refused if it cannot, because they have no number."""
-        if self.system is None:
-            return RasterSystem.local()
-        if self.system.epsg is None:
-            raise SarsplatError(
-                f"--crs {self.system.crs.name} has no EPSG number, by which a GeoTIFF names it; give another, such as "
-                f"{usual_system(self.system.place)}"
-            )
-        return RasterSystem.epsg(self.system.epsg, self.system.place.height_above)
 
 
 def require_fit(path: Path, holds: str, pixel_m: float | None, view: View | None) -> None:
@@ -172,7 +159,7 @@ def _classes_in_words(
 
 def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, brightness: bool = False) -> Raster:
     """Height or γ⁰ of the run's surface, and of learned ground, from above."""
-    points, cell, system = np.asarray(run.points, np.float64), run.grid.cell_m, coordinates.raster_system
+    points, cell, system = np.asarray(run.points, np.float64), run.grid.cell_m, coordinates.system
     if not len(points):
         raise SarsplatError(f"{_name(run)} has no points of a surface yet; train it longer, or look at its report")
     pixel, apart = cell if pixel_m is None else pixel_m, spacing_m(points)
@@ -192,7 +179,9 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
     at = np.stack([last[1] - np.floor(places[:, 1] / pixel), np.floor(places[:, 0] / pixel) - first[0]], axis=1)
     shown = uppermost(at.astype(np.int64), (rows, columns), places[:, 2], upward, gamma0 if brightness else None, cell)
     values = without_holes(shown, max(cell, _APART * apart) / (pixel * least)).astype(np.float32)
-    return Raster(values, (float(first[0] * pixel), float((last[1] + 1) * pixel)), (pixel, pixel), system)
+    corner = float(first[0] * pixel), float((last[1] + 1) * pixel)
+    crs, above = (None, None) if system is None else (system.crs, system.place.height_above)
+    return Raster(values, corner, (pixel, pixel), crs, above)
 
 
 def _layover_shadow(

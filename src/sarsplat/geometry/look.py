@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -25,8 +25,7 @@ class Look:
 
     A place is x_r = R_r x_w in the radar frame: its azimuth and range are where the image shows it, its azimuth and
     elevation are on which ray it lies. Ground is level, at z = 0 unless a height is given; θ is the grazing angle, and
-    τ the tilt. If transmitter and receiver are apart, the radar is halfway between them: rays are along either way, and
-    the slant range in the image, −½(u_t + u_r)·x, grows less than the range away from halfway.
+    τ the tilt.
 
     Parameters
     ----------
@@ -38,10 +37,6 @@ class Look:
         tan θ / cos τ: elevation for each metre of slant range on the ground, and so β⁰ over γ⁰ of the ground.
     lean : float
         tan τ: how much the azimuth axis rises for each metre of elevation that the elevation axis does.
-    aside : numpy.ndarray, float64 [3]
-        ½(u_t − u_r), perpendicular to the line of sight: 0 unless transmitter and receiver are apart.
-    shortening : float
-        Slant range in the image for each metre of range in the frame: cosine of half the angle between the two ways.
     stretch : float
         Azimuth in the image for each metre of azimuth in the frame: 1 unless its cross-range is scaled otherwise, which
         is only of a target aloft.
@@ -50,8 +45,6 @@ class Look:
     frame: Float64[np.ndarray, "3 3"]
     slope: float
     lean: float
-    aside: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
-    shortening: float = 1.0
     stretch: float = 1.0
 
     @classmethod
@@ -61,62 +54,38 @@ class Look:
         grazing_deg: float,
         tilt_deg: float = 0.0,
         left: bool = False,
-        apart_deg: float = 0.0,
-        apart_towards_deg: float = 0.0,
         stretch: float = 1.0,
     ) -> Self:
         """From the angles of a view; source: SAR-GS, eq. (5), for a level azimuth axis and a radar that looks right."""
         phi, theta, tau = math.radians(azimuth_deg), math.radians(grazing_deg), math.radians(tilt_deg)
         sp, cp, st, ct = math.sin(phi), math.cos(phi), math.sin(theta), math.cos(theta)
         frame = np.array([[-sp, -cp, 0.0], [-st * cp, st * sp, ct], [-ct * cp, ct * sp, -st]])
-        half, psi = math.radians(apart_deg / 2), math.radians(apart_towards_deg)
-        aside = math.sin(half) * (math.cos(psi) * frame[0] + math.sin(psi) * frame[1])
         if left:
             frame[0] = -frame[0]
         if tau:
             cos, sin = math.cos(tau), math.sin(tau)
             frame[:2] = np.array([[cos, sin], [-sin, cos]]) @ frame[:2]
-        return cls(frame, math.tan(theta) / math.cos(tau), math.tan(tau), aside, math.cos(half), stretch)
+        return cls(frame, math.tan(theta) / math.cos(tau), math.tan(tau), stretch)
 
-    # ---- ways and images ---------------------------------------------------------------------------------------------
+    # ---- images ------------------------------------------------------------------------------------------------------
     @property
     def facing(self) -> Float64[np.ndarray, " 3"]:
-        """Unit vector from the scene to the radar, world frame: to halfway, if transmitter and receiver are apart."""
+        """Unit vector from the scene to the radar, world frame."""
         return -self.frame[2]
-
-    @property
-    def way_in(self) -> Float64[np.ndarray, " 3"]:
-        """Unit vector u_t from the scene to the transmitter, world frame."""
-        return self.facing * self.shortening + self.aside if self.bistatic else self.facing
-
-    @property
-    def way_out(self) -> Float64[np.ndarray, " 3"]:
-        """Unit vector u_r from the scene to the receiver, world frame: the way in, backwards, unless they are apart."""
-        return self.facing * self.shortening - self.aside if self.bistatic else self.facing
-
-    @property
-    def ways(self) -> tuple[Float64[np.ndarray, " 3"], ...]:
-        """Directions in all of which nothing may lie before a place that is in sight: in and out, once if the same."""
-        return (self.way_in, self.way_out) if self.bistatic else (self.facing,)
-
-    @property
-    def bistatic(self) -> bool:
-        """Whether transmitter and receiver are apart."""
-        return self.shortening < 1
 
     @property
     def gradients(self) -> Float64[np.ndarray, "2 3"]:
         """How a place's azimuth and slant range in the image grow along x, y and z: one row each."""
-        return self.frame[[0, 2]] * np.array([[self.stretch], [self.shortening]])
+        return self.frame[[0, 2]] * np.array([[self.stretch], [1.0]])
 
     def in_frame(self, azimuth: Lengths, slant_range: Lengths) -> tuple[Lengths, Lengths]:
         """Azimuth and range in the frame of what the image shows there, m: the place's, but for its elevation."""
-        return azimuth / self.stretch, slant_range / self.shortening
+        return azimuth / self.stretch, slant_range
 
     @property
     def sine(self) -> float:
-        """Slant range by which each metre of height is nearer; of one radar, cosine of the ground's incidence."""
-        return self._sine * self.shortening
+        """Slant range by which each metre of height is nearer, and cosine of the ground's incidence: sin θ."""
+        return float(-self.frame[2, 2])
 
     @property
     def height_per_elevation(self) -> float:
@@ -142,12 +111,10 @@ class Look:
     @property
     def onto_ground(self) -> Float64[np.ndarray, "2 2"]:
         """(x, y) on the ground for each metre of azimuth, and for each of slant range."""
-        across, away = self._across, self.frame[2, :2] / self._cosine**2 / self.shortening
+        across, away = self._across, self.frame[2, :2] / self._cosine**2
         if self.level:
             return np.stack([across, away])
-        return np.stack(
-            [across / self._cos_tilt, away - self.lean * self._sine / self._cosine / self.shortening * across]
-        )
+        return np.stack([across / self._cos_tilt, away - self.lean * self.sine / self._cosine * across])
 
     @property
     def displaced(self) -> Float64[np.ndarray, " 2"]:
@@ -162,23 +129,23 @@ class Look:
 
     def ground_range(self, slant_range: Lengths, height: Any = 0.0) -> Lengths:
         """How far `ahead` of the origin what is imaged at a slant range lies, m."""
-        return (slant_range / self.shortening + height * self._sine) / self._cosine
+        return (slant_range + height * self.sine) / self._cosine
 
     def slant_range(self, ground_range: Lengths, height: Any = 0.0) -> Lengths:
         """Where in the image what lies so far `ahead` is, m."""
-        return (ground_range * self._cosine - height * self._sine) * self.shortening
+        return ground_range * self._cosine - height * self.sine
 
     def to_ground(self, azimuth: Lengths, slant_range: Lengths) -> tuple[Lengths, Lengths]:
         """Where on the ground the image shows a place: across, as a level flight looking right goes, and `ahead`, m."""
         ahead = self.ground_range(slant_range)
-        level = azimuth if self.level else azimuth / self._cos_tilt - ahead * (self.lean * self._sine)
+        level = azimuth if self.level else azimuth / self._cos_tilt - ahead * (self.lean * self.sine)
         return (level if self._along_right > 0 else -level), ahead
 
     def to_image(self, across: Lengths, ahead: Lengths) -> tuple[Lengths, Lengths]:
         """Azimuth and slant range at which the image shows such a place, m."""
         level = across if self._along_right > 0 else -across
         if not self.level:
-            level = self._cos_tilt * (level + ahead * (self.lean * self._sine))
+            level = self._cos_tilt * (level + ahead * (self.lean * self.sine))
         return level, self.slant_range(ahead)
 
     def shadow_m(self, height: Lengths) -> Lengths:
@@ -196,7 +163,7 @@ class Look:
     def elevation_on_ground(self, azimuth: Any, slant_range: Lengths) -> Lengths:
         """Elevation of the ground that the image shows at a place, m; the same at every azimuth of a level axis."""
         # `elevation_at` of height 0, but for the last bit: images depend on either
-        level = slant_range / self.shortening * self.slope
+        level = slant_range * self.slope
         return level if self.level else level - azimuth * self.lean
 
     def range_on_ground(self, azimuth: Any, elevation: Lengths) -> Lengths:
@@ -206,7 +173,7 @@ class Look:
 
     def elevation_at(self, azimuth: Any, slant_range: Lengths, height: Any) -> Lengths:
         """Elevation of what is so high, where the image shows it, m; the same at every azimuth if the axis is level."""
-        level = (slant_range / self.shortening * self._sine + height) / self.height_per_elevation
+        level = (slant_range * self.sine + height) / self.height_per_elevation
         return level if self.level else level - azimuth * self.lean
 
     def rays_to_ground(self, azimuths: Ends, ranges: Ends, heights: Ends) -> tuple[Ends, Ends]:
@@ -220,16 +187,16 @@ class Look:
 
         Rays of all columns end there: only under a level azimuth axis are rays and pixels on the ground both in rows.
         """
-        return (first * self._cosine - height) / self._sine, step / self.slope
+        return (first * self._cosine - height) / self.sine, step / self.slope
 
     # ---- the vertical plane in which all rays of a column lie, if the azimuth axis is level --------------------------
     def in_section(self, ground_range: Lengths, height: Any) -> tuple[Lengths, Lengths]:
         """Elevation and slant range of places, m."""
-        return ground_range * self._sine + height * self._cosine, self.slant_range(ground_range, height)
+        return ground_range * self.sine + height * self._cosine, self.slant_range(ground_range, height)
 
     def along_ray(self, elevation: Lengths, height: Any) -> Lengths:
         """Ground range at which a ray at an elevation is so high, m."""
-        return (elevation - height * self._cosine) / self._sine
+        return (elevation - height * self._cosine) / self.sine
 
     # ---- power of the ground ----------------------------------------------------------------------------------------
     def beta0_of_gamma0(self, gamma0: Power) -> Power:
@@ -239,11 +206,6 @@ class Look:
     def gamma0_of_beta0(self, beta0: Power) -> Power:
         """γ⁰ of ground with this β⁰."""
         return beta0 / self.slope
-
-    @property
-    def _sine(self) -> float:
-        """Range away from the radar by which each metre of height is nearer: sin θ."""
-        return float(-self.frame[2, 2])
 
     @property
     def _cosine(self) -> float:

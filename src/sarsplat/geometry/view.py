@@ -26,15 +26,7 @@ _LEAST_TURN = 1e-3  # sine of the angle between a line of sight and an axis: alo
 
 _MOST_STRETCHED = 2.0
 
-_MOST_APART = 170.0  # degrees between transmitter and receiver: beyond, slant range tells next to nothing
-
-_ANGLES = {
-    "azimuth_deg": "azimuth",
-    "grazing_deg": "grazing angle",
-    "tilt_deg": "tilt",
-    "apart_deg": "angle between transmitter and receiver",
-    "apart_towards_deg": "direction of the transmitter",
-}
+_ANGLES = {"azimuth_deg": "azimuth", "grazing_deg": "grazing angle", "tilt_deg": "tilt"}
 _NUMBERS = {**_ANGLES, "stretch": "stretch"}
 
 _TURNED = (
@@ -47,8 +39,6 @@ _TURNED = (
 @dataclass(frozen=True)
 class View:
     """Direction to a far-away radar, and how its image lies around it.
-
-    If transmitter and receiver are apart (bistatic, see `bistatic`), it is the direction halfway between them.
 
     Parameters
     ----------
@@ -66,11 +56,6 @@ class View:
     aloft : bool
         The target is in free space: there is no ground at z = 0, and the radar may be below, at a grazing angle down to
         −90°, and the tilt be 90°. See `isar`.
-    apart_deg : float
-        Angle between transmitter and receiver seen from the scene, degrees, at most 170: 0 if they are one radar.
-    apart_towards_deg : float
-        Where the transmitter is from halfway, degrees: 0 along the level azimuth axis of a radar that looks to the
-        right, 90 above; the receiver is opposite. 0 if they are one radar.
     stretch : float
         Length along azimuth in the image for each metre of a target aloft, ½ to 2: 1 unless its cross-range was scaled
         by a rate of rotation, or an axis, that was not the true one, as trainings find out (`sarsplat.Turn`).
@@ -79,8 +64,7 @@ class View:
     ------
     SarsplatError
         If an angle is not a number, the azimuth exceeds ten turns, the grazing angle lies outside (0°, 90°), the tilt
-        exceeds 89°, there is no such side, transmitter and receiver are too far apart, or one is below the horizon, or
-        the image is stretched by too much, or the target is on the ground.
+        exceeds 89°, there is no such side, or the image is stretched by too much or of a target on the ground.
     """
 
     azimuth_deg: float
@@ -88,8 +72,6 @@ class View:
     tilt_deg: float = 0.0
     side: RadarSide = "right"
     aloft: bool = False
-    apart_deg: float = 0.0
-    apart_towards_deg: float = 0.0
     stretch: float = 1.0
 
     def __post_init__(self) -> None:
@@ -121,28 +103,10 @@ class View:
             )
         if self.side not in get_args(RadarSide):
             raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(RadarSide))}")
-        self._check_apart()
         if not 1 / _MOST_STRETCHED <= self.stretch <= _MOST_STRETCHED:
             raise SarsplatError(f"stretch {self.stretch} is not a number between 0.5 and {_MOST_STRETCHED:g}; give 1")
-        if self.stretch != 1 and (self.apart_deg or not self.aloft):
-            raise SarsplatError("only images that one radar takes of a target aloft can be stretched; give stretch 1")
-
-    def _check_apart(self) -> None:
-        if not 0 <= self.apart_deg <= _MOST_APART:
-            raise SarsplatError(
-                f"transmitter and receiver are {self.apart_deg}° apart, which is not between 0° and {_MOST_APART:g}°; "
-                "give the angle between them, 0 if they are one radar"
-            )
-        if not abs(self.apart_towards_deg) <= 180 or (self.apart_towards_deg and not self.apart_deg):
-            raise SarsplatError(
-                f"direction of the transmitter {self.apart_towards_deg}° is not between ±180°, or it is not apart from "
-                "the receiver; give 0, or apart_deg too"
-            )
-        if self.apart_deg and not self.aloft and not min(way[2] for way in self.look.ways) > 0:
-            raise SarsplatError(
-                f"{self!r} has its transmitter or its receiver below the horizon; give both grazing angles above 0°, "
-                "or aloft=True where there is no ground"
-            )
+        if self.stretch != 1 and not self.aloft:
+            raise SarsplatError("only images of a target aloft can be stretched; give stretch 1")
 
     def __repr__(self) -> str:
         """As it is called: what is as usual is left out."""
@@ -157,8 +121,7 @@ class View:
         """What follows its angles where they are said: ", tilted by 5°, looking left"; empty for most views."""
         tilt = f", tilted by {tenths:g}°" if (tenths := round(self.tilt_deg, 1)) else ""
         side = ", looking left" if self.side == "left" else ""
-        bistatic = f", bistatic by {round(self.apart_deg, 1):g}°" if self.apart_deg else ""
-        return tilt + side + bistatic + ("" if self.stretch == 1 else f", stretched by {self.stretch:.3f}")
+        return tilt + side + ("" if self.stretch == 1 else f", stretched by {self.stretch:.3f}")
 
     @property
     def open_beta0(self) -> float:
@@ -217,66 +180,6 @@ class View:
             tilt = 0.0
         return replace(level, tilt_deg=tilt, side="left" if across < 0 else "right")
 
-    @classmethod
-    @checks_arguments
-    def bistatic(
-        cls,
-        transmit: Float64[np.ndarray, " 3"] | Sequence[float | int],
-        receive: Float64[np.ndarray, " 3"] | Sequence[float | int],
-        *,
-        tilt_deg: float = 0.0,
-        side: RadarSide = "right",
-        aloft: bool = False,
-    ) -> Self:
-        """The view of a transmitter and a receiver in different directions (bistatic).
-
-        Azimuth is perpendicular to the direction halfway between them, and level unless tilted, as if one radar were
-        there; slant range is −½(u_t + u_r)·x. Of equal directions it is `towards`.
-
-        Parameters
-        ----------
-        transmit, receive : (x, y, z)
-            From the scene to the transmitter, and to the receiver, of any length.
-        tilt_deg, side, aloft
-            As for `View`: of the image's azimuth axis, as one radar halfway would have it.
-
-        Raises
-        ------
-        SarsplatError
-            If a direction is none, they are more than 170° apart, or one is below the horizon and not aloft.
-        """
-        ways = []
-        for name, given in (("transmitter", transmit), ("receiver", receive)):
-            vector = direction_of(given, f"way to the {name}")
-            ways.append(vector / np.linalg.norm(vector))
-        u_t, u_r = ways
-        if (u_t == u_r).all():
-            return replace(cls.towards(np.asarray(transmit, float), aloft=aloft), tilt_deg=tilt_deg, side=side)
-        apart = 2 * math.degrees(math.atan2(np.linalg.norm(u_t - u_r), np.linalg.norm(u_t + u_r)))
-        if apart > _MOST_APART:
-            raise SarsplatError(
-                f"transmitter and receiver are {apart:.4g}° apart, more than {_MOST_APART:g}°, where slant range tells "
-                "next to nothing; give nearer ones"
-            )
-        view = cls.towards(u_t + u_r, aloft=aloft)
-        across, up = view.look.frame[:2] @ (u_t - u_r)
-        towards = math.degrees(math.atan2(up, across))
-        return replace(view, tilt_deg=tilt_deg, side=side, apart_deg=apart, apart_towards_deg=towards)
-
-    @property
-    def legs(self) -> tuple[Self, ...]:
-        """Views along each way: from the transmitter and from the receiver, itself alone if they are one radar."""
-        if self.plain:
-            return (self,)
-        if not self.apart_deg:
-            return (replace(self, stretch=1.0),)
-        return tuple(self.towards(way, aloft=self.aloft) for way in self.look.ways)
-
-    @property
-    def plain(self) -> bool:
-        """Whether images show azimuth and range of its frame as they are: of one radar, and not stretched."""
-        return not self.apart_deg and self.stretch == 1
-
     @property
     def incidence_deg(self) -> float:
         """Incidence angle against the vertical, degrees."""
@@ -285,47 +188,36 @@ class View:
     @property
     def look(self) -> Look:
         """How the radar sees places from there."""
-        left = self.side == "left"
-        angles = self.azimuth_deg, self.grazing_deg, self.tilt_deg
-        return Look.of(*angles, left, self.apart_deg, self.apart_towards_deg, self.stretch)
+        return Look.of(self.azimuth_deg, self.grazing_deg, self.tilt_deg, self.side == "left", self.stretch)
 
     @property
     def direction(self) -> Float64[np.ndarray, " 3"]:
-        """Unit vector u from the scene to the radar, or to halfway if it is bistatic, world frame, float64 [3]."""
+        """Unit vector u from the scene to the radar, world frame, float64 [3]."""
         return self.look.facing
 
 
-def along_ways(views: Sequence[View]) -> list[View]:
-    """Views along each way of all views, as of one radar: `View.legs`."""
-    return [leg for view in views for leg in view.legs]
+def unstretched(views: Sequence[View]) -> list[View]:
+    """Return the views without their stretch."""
+    return [replace(view, stretch=1.0) for view in views]
 
 
-def check_monostatic(views: Sequence[View], remedy: str) -> None:
-    """Refuse views of a transmitter and a receiver apart, and stretched ones, where plain images are meant."""
-    if any(view.apart_deg for view in views):
-        raise SarsplatError(f"a view is bistatic; {remedy}")
+def check_unstretched(views: Sequence[View]) -> None:
+    """Raise if a view is stretched."""
     if any(view.stretch != 1 for view in views):
-        raise SarsplatError(f"a view is stretched; {remedy}")
+        raise SarsplatError("a view is stretched, which only render supports; give stretch 1")
 
 
 def seen_alike(views: Sequence[View], azimuth_deg: float, grazing_deg: float) -> View:
     """The view from a direction by a radar like that of known views, of which there must be one.
 
-    It is tilted, looks to the side and is bistatic as all of them are: by the median of angles that differ by a degree
-    at most. Where they differ by more, it is level and looks to the right, or is of one radar. Both ends of bistatic
-    ones are at the same height, so that none is below the horizon.
+    It is tilted and looks to the side as all of them do: by the median of tilts that differ by a degree at most. Where
+    they differ by more, it is level and looks to the right.
     """
-
-    def common(angles: list[float]) -> float | None:
-        angles = sorted(angles)
-        return angles[len(angles) // 2] if angles[-1] - angles[0] <= _ALIKE_DEG else None
-
-    tilt, apart = (common([getattr(view, name) for view in views]) for name in ("tilt_deg", "apart_deg"))
+    tilts = sorted(view.tilt_deg for view in views)
     usual = View(azimuth_deg, grazing_deg, aloft=views[0].aloft)
-    usual = replace(usual, apart_deg=apart or 0.0)
-    if tilt is None or len({view.side for view in views}) > 1:
+    if tilts[-1] - tilts[0] > _ALIKE_DEG or len({view.side for view in views}) > 1:
         return usual
-    return replace(usual, tilt_deg=tilt, side=views[0].side)
+    return replace(usual, tilt_deg=tilts[len(tilts) // 2], side=views[0].side)
 
 
 @checks_arguments

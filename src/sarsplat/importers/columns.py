@@ -27,10 +27,6 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "class": (),
     "look": ("lookside", "lookdirection", "side", "radarside"),
     "tilt": (),
-    "transmit-azimuth": ("transmitterazimuth", "txazimuth", "txaz"),
-    "transmit-grazing": ("transmittergrazing", "txgrazing", "txgraz", "transmitelevation", "txelevation", "txel"),
-    "receive-azimuth": ("receiverazimuth", "rxazimuth", "rxaz"),
-    "receive-grazing": ("receivergrazing", "rxgrazing", "rxgraz", "receiveelevation", "rxelevation", "rxel"),
     "scale": (),
     "offset": (),
     "dn-per-magnitude": (),
@@ -62,9 +58,6 @@ _INSTEAD = {"azimuth": {"heading"}, "heading": {"azimuth"}}
 
 PER_UNIT: dict[str, tuple[Quantity, ...]] = {"dn-per-magnitude": ("amplitude", "complex"), "dn-per-power": ("power",)}
 """Meaning → what the pixels are then: numbers per unit of magnitude, or of power."""
-
-WAYS = ("transmit-azimuth", "transmit-grazing", "receive-azimuth", "receive-grazing")
-"""Of a transmitter and a receiver apart, all four or none."""
 
 Columns = dict[str, str]
 """Meaning → name of the column."""
@@ -103,10 +96,10 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
 
 
 def unusual_look(table: CsvTable, row: Row) -> str | None:
-    """The column in which a row says that its radar is tilted, looks to its left or is bistatic; None if none does."""
+    """The column in which a row says that its radar is tilted or looks to its left; None if none does."""
     for column in table.columns:
         cell, name = row[1][column].lower(), _plain(column)
-        meanings = [one for one in ("look", "tilt", *WAYS) if name in (one.replace("-", ""), *MEANINGS[one])]
+        meanings = [one for one in ("look", "tilt") if name in (one.replace("-", ""), *MEANINGS[one])]
         usual = {"look": LOOKS.get(cell) is False, "tilt": parsed(cell, table.decimal_comma) == 0}
         if cell and meanings and not usual.get(meanings[0]):
             return column
@@ -132,8 +125,7 @@ def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, loo
 
     Headings serve as azimuths if it is known to which side the radar looks: `looking`, or by a column.
     """
-    apart = any(way in columns for way in WAYS)
-    lacking = [meaning for meaning in ("file", *(WAYS if apart else ("azimuth",))) if meaning not in columns]
+    lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
     also = []
     if "heading" in columns and "azimuth" in lacking:
         if looking or "look" in columns:
@@ -142,7 +134,7 @@ def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, loo
             also.append(
                 f"the side to which the radar looks with --look, if {shown(columns['heading'])} is its flight's"
             )
-    if grazing and not apart and not columns.keys() & {"grazing", "incidence"}:
+    if grazing and not columns.keys() & {"grazing", "incidence"}:
         lacking.append("grazing")
         also.append("one grazing angle for all with --grazing")
     if spacing and not columns.keys() & {"spacing", "azimuth-spacing", "range-spacing"}:
@@ -161,14 +153,14 @@ def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, loo
 
 def require_degrees(table: CsvTable, columns: Columns, compass: bool) -> None:
     """Refuse columns whose names say that they do not hold degrees, or unless they may (`compass`), that 0 is north."""
-    for meaning in (*_ANGLES, *WAYS):
+    for meaning in _ANGLES:
         words = set(_words(columns.get(meaning, "")))
         if words & _OTHER_ANGLES:
             raise SarsplatError(
                 f"{table.path} has {shown(columns[meaning])} for the {meaning}, which is not in degrees by its name; "
                 "write degrees"
             )
-        if words & _COMPASS and meaning.endswith("azimuth") and not compass:
+        if words & _COMPASS and meaning == "azimuth" and not compass:
             raise SarsplatError(
                 f"{table.path} has {shown(columns[meaning])} for the {meaning}, which counts from north by its name, "
                 "but azimuths count from the target's nose; say where north is with --azimuth-offset (0 if the nose "

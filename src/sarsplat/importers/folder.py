@@ -24,8 +24,8 @@ from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.own_lengths import lengths, refuse_map, spacing_beside, warn_of_world_files
 from sarsplat.importers.passes import Recording, lists_stacks, stacks_of
 from sarsplat.importers.picture_views import Angles, view_of_picture
+from sarsplat.importers.rasters import first_georeference
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
-from sarsplat.importers.tiffs import first_georeference
 from sarsplat.importers.values import read_values
 from sarsplat.names import Backscatter, Projection, Quantity, RadarSide, Side, Transmit
 from sarsplat.radiometry import beta0_of_gamma0, beta0_of_sigma0
@@ -82,8 +82,8 @@ def import_folder(
         What the table calls its columns, e.g. az=aspect,graz=elev; meanings are file, azimuth or heading (of the
         flight, degrees clockwise from north), grazing or incidence,
         spacing, resolution (or azimuth-spacing, range-spacing …), split, azimuth-std, class, look (left or right),
-        near-side, tilt, scale and offset, of bistatic images transmit-azimuth, transmit-grazing, receive-azimuth and
-        receive-grazing, and of stacks view, baseline and polarisation. Usual names are recognised without it.
+        near-side, tilt, scale and offset, and of stacks view, baseline and polarisation. Usual names are recognised
+        without it.
         What the table says of a picture precedes what is said of all.
     target_class : str, optional
         Take only the pictures of this class, if the table has a column of classes.
@@ -190,11 +190,6 @@ def import_folder(
         values = read_values(picture.path, taken_for, *factors, listed.real)
         _refuse_other_unit(listed, values.quantity)
         view = view_of_picture(listed, picture, angles, mirrored if picture.looks_left is None else picture.looks_left)
-        if view.apart_deg and (geocoded or backscatter != "beta0"):
-            raise SarsplatError(
-                f"{listed.path}: {picture.name} has a transmitter and a receiver apart; --geocoded and --backscatter "
-                "are for images of one radar"
-            )
         values = replace(values, image=_beta0(values.image, view, backscatter))
         seen.append(Seen(picture, values, view, ground_range))
     found = seen[-1].values.quantity
@@ -221,7 +216,7 @@ def import_folder(
         told.append(f"the radar is at the {at} of the pictures, which are {'' if mirrored else 'not '}mirrored")
     if recording is not None:
         images = stacks_of(listed, images, recording)
-    told += _said_of_angles(listed, angles, apart=any(image.view.apart_deg for image in images))
+    told += _said_of_angles(listed, angles)
     if backscatter != "beta0":
         told.append(f"the power is {backscatter}, and became β⁰ as on level ground")
     if resolution_m is None and not any("resolution" in meaning for meaning in listed.columns):
@@ -286,16 +281,14 @@ def _layout(
     return {"layout": asdict(Layout(side, mirrored, counter_clockwise, looks.pop()))}
 
 
-def _said_of_angles(listed: PictureTable, angles: Angles, *, apart: bool) -> list[str]:
+def _said_of_angles(listed: PictureTable, angles: Angles) -> list[str]:
     said = []
-    if "heading" in listed.columns and "azimuth" not in listed.columns and not apart:
+    if "heading" in listed.columns and "azimuth" not in listed.columns:
         said.append("azimuths are 90° to the left of headings, or to the right where the radar looks left")
     said.append(
         f"azimuths are directions to the radar, {'counter-' if angles.counter_clockwise else ''}clockwise; 0 is "
         f"{angles.offset_deg:g}° from the target's nose"
     )
-    if apart:
-        said.append("slant ranges are half of the way from the transmitter to the receiver")
     return said
 
 
@@ -369,7 +362,7 @@ def _in_range(table: Path, one: Seen, near: Side, mirrored: bool) -> MeasuredIma
     picture, georeference = one.picture, one.values.tags.georeference
     stated = picture.spacing_m
     if georeference is not None:
-        if georeference.on_map:
+        if georeference.crs is not None:
             refuse_map(str(picture.path), georeference)
         stated = spacing_beside(str(picture.path), georeference, near, stated)
     spacing = lengths(table, picture, "spacing", stated, one.slant)

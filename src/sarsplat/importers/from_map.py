@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.data.georeference import Georeference
+from sarsplat.data.geotiff import Georeference
 from sarsplat.data.image import power_of
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Terrain, View
@@ -120,7 +120,7 @@ def from_map(
 
 def _on_map(one: Seen) -> Georeference | None:
     georeference = one.values.tags.georeference
-    return georeference if georeference is not None and georeference.on_map else None
+    return georeference if georeference is not None and georeference.crs is not None else None
 
 
 def _around_middle(
@@ -132,14 +132,14 @@ def _around_middle(
         stated = spacing_beside(str(one.picture.path), tags, "top", stated)
     east, north = lengths(table, one.picture, "spacing", stated, 1.0)
     columns, rows = (shape[1] - 1) / 2, (shape[0] - 1) / 2
-    system = Georeference(np.array([[east, 0, -east * columns], [0, -north, north * rows]]), "projected", None, 1.0)
+    system = Georeference(np.array([[east, 0, -east * columns], [0, -north, north * rows]]))
     return on_ground([shape], [system], -azimuth_offset_deg, [str(one.picture.path)])[0][0]
 
 
 def _told_of_map(system: Georeference) -> str:
-    known = system.epsg is not None or system.kind == "geographic"
+    known = system.epsg is not None or system.geographic
     north = "true north" if known else "the north of the map, whose lengths are taken for true ones"
-    taken = ", taken for WGS 84" if system.kind == "geographic" and system.epsg is None else ""
+    taken = ", taken for WGS 84" if system.geographic and system.epsg is None else ""
     return (
         f"the pictures lie on a map in {system.system}{taken}; the scene's origin is the middle of what all of them "
         f"show, and azimuths are counted from {north}"

@@ -16,11 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 from scipy.ndimage import distance_transform_edt, map_coordinates, minimum_filter, spline_filter
 
-from sarsplat.data.georeference import Georeference
+from sarsplat.data.geotiff import Georeference
 from sarsplat.data.known_part import holes_of
-from sarsplat.data.map_place import INEXACT_M, NOT_RELATED, exactness_m, far_outside, refuse_other_unit
+from sarsplat.data.map_place import INEXACT_M, NOT_RELATED, exactness_m, far_outside
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
-from sarsplat.extras import install_command
 from sarsplat.geometry import ImageGrid, Place, Terrain, View
 from sarsplat.importers.measured_image import MeasuredImage
 
@@ -32,7 +31,6 @@ _BENT = 0.1
 
 _SPLINE = 3
 
-_DEGREE = math.pi / 180
 _WGS_84 = 4326
 """Number of longitude and latitude in EPSG's list."""
 
@@ -105,12 +103,12 @@ def on_ground(
     """
     first = georeferences[0]
     for other, name in zip(georeferences, names, strict=True):
-        if (other.kind, other.epsg, other.unit_m) != (first.kind, first.epsg, first.unit_m):
+        if other.crs != first.crs:
             raise SarsplatError(
                 f"{names[0]} lies in {first.system} and {name} in {other.system}; bring all into one, as by "
                 "gdalwarp -t_srs"
             )
-    if first.kind == "geographic":  # the same longitudes may be 360° apart, as beside the date line
+    if first.geographic:  # the same longitudes may be 360° apart, as beside the date line
         turns = [round((first.affine[0, 2] - one.affine[0, 2]) / 360.0) for one in georeferences]
         georeferences = [
             replace(one, affine=one.affine + np.array([[0.0, 0.0, 360.0 * turn], [0.0, 0.0, 0.0]]))
@@ -122,15 +120,10 @@ def on_ground(
     if (low >= high).any():
         raise SarsplatError("the pictures have no place on the map in common; give pictures of one spot")
     middle = (low + high) / 2
-    if first.epsg is None and first.kind == "projected":  # neither scale nor convergence are known
-        if first.unit_m is None:
-            raise SarsplatError(
-                f"{names[0]} lies in {first.system}, whose unit of length is not known; bring it into metres, as by "
-                "gdalwarp -t_srs EPSG:326xx (the UTM zone)"
-            )
+    if first.epsg is None and not first.geographic:  # neither scale nor convergence are known
         bearing, place = math.radians(x_towards_deg), None
         turn = np.array([[math.sin(bearing), math.cos(bearing)], [-math.cos(bearing), math.sin(bearing)]])
-        axes = first.unit_m * turn
+        axes = turn if first.crs is None else first.crs.axis_info[0].unit_conversion_factor * turn
     else:
         finest = min(min(one.pitch) for one in georeferences)
         axes, place = _axes_on_earth(first, middle, (high - low) / 2, finest, x_towards_deg, names[0])
@@ -157,7 +150,7 @@ def _axes_on_earth(
             f"{name} lies at {middle[0]:g}, {middle[1]:g} in {georeference.system}, which is nowhere; correct its tags"
         )
     place = Place(float(degrees[1, 0]), float(degrees[0, 0]), 0.0, x_towards_deg, "unknown")
-    if georeference.epsg not in (None, _WGS_84) and (outside := far_outside(georeference.epsg, place)) is not None:
+    if georeference.epsg not in (None, _WGS_84) and (outside := far_outside(georeference.crs, place)) is not None:
         warnings.warn(f"{name} lies in {georeference.system}, {outside}", SarsplatWarning, stacklevel=4)
     x, y, _ = place.from_geodetic(np.stack([degrees[1], degrees[0], np.zeros(degrees.shape[1])], axis=-1)).T
     places = np.stack([x, y])
@@ -180,20 +173,10 @@ def _axes_on_earth(
 def _geodetic(georeference: Georeference, places: Float64[np.ndarray, "2 n"], name: str) -> Float64[np.ndarray, "2 n"]:
     """Longitude and latitude of places on a map, degrees, WGS 84."""
     if georeference.epsg in (None, _WGS_84):
-        if georeference.stated not in (None, _DEGREE):
-            raise SarsplatError(f"{name} lies in {georeference.system}, but not in degrees; write it again in degrees")
         return places
-    try:
-        import pyproj
-    except ImportError as error:
-        raise SarsplatError(
-            f"{name} lies in {georeference.system}, which needs pyproj; {install_command('gis')}"
-        ) from error
-    try:
-        across = pyproj.Transformer.from_crs(georeference.epsg, _WGS_84, always_xy=True)
-    except pyproj.exceptions.ProjError as error:
-        raise SarsplatError(f"{name} lies in {georeference.system}, which pyproj does not know; use another") from error
-    refuse_other_unit(georeference.epsg, georeference.stated, name)
+    from pyproj import Transformer
+
+    across = Transformer.from_crs(georeference.crs, _WGS_84, always_xy=True)
     found = np.stack(across.transform(*places))
     if (exact_m := exactness_m(across)) is None:
         raise SarsplatError(f"{name} lies in {georeference.system}; {NOT_RELATED}")

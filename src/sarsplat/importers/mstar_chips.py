@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from sarsplat.data.csv_table import CsvTable, Row, column_names, parsed, read_table, relative_path
+from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table, relative_path
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import TAYLOR, Response
 from sarsplat.importers.columns import unusual_look
@@ -267,11 +267,6 @@ def _once(labels: Path, rows: Sequence[Row]) -> list[Row]:
     if repeated := len(rows) - len(first):
         warn_caller(f"{labels} repeats {counted(repeated, 'label')}; each chip is taken once")
     return list(first.values())
-
-
-def has_label_columns(path: Path) -> bool:
-    """Whether a file begins as a table of labels does."""
-    return {"path", "class"} <= set(column_names(path))
 
 
 def read_labels(path: Path) -> CsvTable:

@@ -7,7 +7,7 @@ Classification Using the Deep Convolutional Networks for SAR Images", IEEE TGRS 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from sarsplat.errors import SarsplatError, counted
@@ -174,30 +174,6 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
         said = ", ".join(f"{number} of {kind}" for kind, number in sorted(kinds.items()))
         warn_caller(f"{target}: left out {counted(len(others), 'chip')} that the split {split} has not ({said})")
     return Divided(found["train"], found["test"], counts)
-
-
-def splits_in(chips: Collection[tuple[str, str, int]]) -> dict[MstarSplit, int]:
-    """Splits of which some vehicle that tests is among chips (class, serial, depression angle), with the number of
-    their classes that have chips to train on; those of which less than half have are left out.
-    """
-    kinds = set(chips)
-    found: dict[MstarSplit, int] = {}
-    for name, split in SPLITS.items():
-        trained = {part.target for part in split.train if _has(part, split.train, split, kinds)}
-        if 2 * len(trained) >= len(split.classes) and any(_has(part, split.test, split, kinds) for part in split.test):
-            found[name] = len(trained)
-    return found
-
-
-def _has(part: Part, parts: Sequence[Part], split: Split, kinds: Collection[tuple[str, str, int]]) -> bool:
-    """Whether a part has chips; those of a vehicle without serial may be of any, if there are several."""
-    alone = sum(one.target == part.target for one in parts) == 1
-    return any(
-        same_class(split.names_of(part.target), target)
-        and part.holds(serial, depression)
-        and (alone or plain_name(serial))
-        for target, serial, depression in kinds
-    )
 
 
 def _nothing(chips: Sequence[Chip], split: Split, target: str) -> str:

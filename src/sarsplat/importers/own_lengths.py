@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from sarsplat.data.georeference import Georeference
+from sarsplat.data.geotiff import Georeference
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError
 from sarsplat.importers.files import warn_caller

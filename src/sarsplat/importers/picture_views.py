@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import View
@@ -12,9 +12,6 @@ from sarsplat.importers.table import ListedPicture, PictureTable
 
 _AGREE_DEG, _LEAST_DEG = 5.0, 1.0
 """By how much an azimuth may miss what a heading says: maps' norths, small squints. The second is a grazing angle."""
-
-_HALFWAY_DEG = 0.1
-"""Angles of one radar that are said beside those of two may be rounded."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +35,6 @@ def view_of_picture(listed: PictureTable, picture: ListedPicture, angles: Angles
     name = f"{listed.path}: {picture.name}"
     tilt = picture.tilt_deg or 0.0
     tilt = -tilt if left else tilt
-    if picture.ways_deg is not None:
-        return _of_two_ways(name, picture, picture.ways_deg, angles, tilt)
     grazing = angles.grazing_deg if picture.grazing_deg is None else picture.grazing_deg
     if grazing is None:
         raise SarsplatError(
@@ -91,38 +86,3 @@ def _refuse_other_heading(listed: PictureTable, picture: ListedPicture, azimuth:
             f"{picture.heading_deg:g}° that looks to its {side} is in the direction {across % 360:g}°; say which holds "
             "with --columns azimuth=NAME or --columns heading=NAME, or mend the table"
         )
-
-
-def _of_two_ways(
-    name: str,
-    picture: ListedPicture,
-    ways_deg: tuple[float, float, float, float],
-    angles: Angles,
-    tilt_deg: float,
-) -> View:
-    """The view of a picture whose transmitter and receiver the table names; that of one radar if they are the same.
-
-    Refused if the row also says where one radar would be, and that is not halfway between them.
-    """
-    ends = [
-        view_of(f"{name}, {whose}", angles.offset_deg + angles.clockwise(azimuth), grazing)
-        for whose, azimuth, grazing in zip(("transmitter", "receiver"), ways_deg[::2], ways_deg[1::2], strict=True)
-    ]
-    if ends[0] == ends[1]:
-        view = replace(ends[0], tilt_deg=tilt_deg)
-    else:
-        try:
-            view = View.bistatic(ends[0].direction, ends[1].direction, tilt_deg=tilt_deg)
-        except SarsplatError as error:
-            raise SarsplatError(f"{name}: {error}") from error
-    stated = None if picture.azimuth_deg is None else angles.offset_deg + angles.clockwise(picture.azimuth_deg)
-    for what, said, halfway in (
-        ("azimuth", stated, view.azimuth_deg),
-        ("grazing angle", picture.grazing_deg, view.grazing_deg),
-    ):
-        if said is not None and abs((said - halfway + 180) % 360 - 180) > _HALFWAY_DEG:
-            raise SarsplatError(
-                f"{name} has the {what} {said:g}°, but halfway between its transmitter and its receiver is "
-                f"{halfway:.5g}°; leave its cell empty, or correct one of them"
-            )
-    return view

@@ -1,4 +1,4 @@
-"""Pixels of PNG, JPEG, TIFF, NPY and MATLAB files, and what they stand for: amplitude, power, decibels, complex.
+"""Pixels of PNG, JPEG, NPY, MATLAB and raster files, and what they stand for: amplitude, power, decibels, complex.
 
 Pixels are those that are stored; a header is believed only if it fits.
 """
@@ -17,12 +17,14 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.extras import install_command
 from sarsplat.importers.bands import joined
 from sarsplat.importers.mat import read_mat
-from sarsplat.importers.tiffs import TIFF, Tags, read_tiff_of_others, refuse_bomb
+from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster
 from sarsplat.names import Quantity
 from sarsplat.radiometry import from_db
 
-PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy", ".mat")
-"""Files that `read_pixels` reads."""
+PICTURE_ENDINGS = (*OTHERS, *TIFF)
+"""Usual endings of pictures; others are read by GDAL."""
+_FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
+"""Measured images do not compress much: what unpacks to more than this, and so many times its size, is a bomb."""
 
 _MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError)
 
@@ -41,22 +43,15 @@ def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
 def read_picture(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     """The pixels of one image: [rows, columns], or with a third dimension of 2 on either side of these: two bands.
 
-    Grey pictures that are stored in colour are grey here; of a GeoTIFF, reduced copies (overviews) are not looked at,
-    and its tags are handed back. Numbers are as they are stored,
-    but larger ones are brighter. Refused if it cannot be read, is damaged or of another format, in colour, of several
-    pages or matrices, holds Python objects, or unpacks to far more than its size.
+    Grey pictures that are stored in colour are grey here. What is neither PNG, JPEG, NPY nor MATLAB is read by GDAL,
+    and what it says of its pixels is handed back. Refused if it cannot be read, is damaged or of another format, in
+    colour, of several pages or matrices, holds Python objects, or unpacks to far more than its size.
     """
-    ending = path.suffix.lower()
-    if ending not in PICTURE_ENDINGS:
-        raise SarsplatError(
-            f"{path} does not end in one of {', '.join(PICTURE_ENDINGS)}; save it as one of these, of rasters as by "
-            "gdal_translate"
-        )
-    tags = Tags()
-    if ending in TIFF:
-        pixels, tags = read_tiff_of_others(path)
-    else:
+    ending, tags = path.suffix.lower(), Tags()
+    if ending in OTHERS:
         pixels = {".npy": _npy, ".mat": _mat}.get(ending, _picture)(path)
+    else:
+        pixels, tags = read_raster(path)
     if pixels.ndim == 3 and 1 in pixels.shape[::2]:
         pixels = pixels[0] if pixels.shape[0] == 1 else pixels[..., 0]
     bands = pixels.ndim == 3 and 2 in pixels.shape[::2]
@@ -102,7 +97,10 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
         data = file.read()
     try:
         image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
-        refuse_bomb(path, math.prod(image.size) * len(image.getbands()) * 2, len(data), True)
+        if (unpacked := math.prod(image.size) * len(image.getbands()) * 2) > max(
+            _FREE_BYTES, _BYTES_PER_BYTE * len(data)
+        ):
+            raise SarsplatError(f"{path} has {len(data)} bytes but claims to hold {unpacked}; save it again")
         if (image.mode == "L" and "transparency" not in image.info) or image.mode[0] in "IF":
             return np.asarray(image)
         coloured = np.asarray(image.convert("RGBA"))

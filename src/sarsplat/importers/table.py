@@ -13,7 +13,6 @@ from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.columns import (
     LOOKS,
     PER_UNIT,
-    WAYS,
     Columns,
     chosen_columns,
     recognised,
@@ -36,12 +35,10 @@ class ListedPicture:
     """As the table names it."""
     path: Path
     azimuth_deg: float | None
-    """As it stands in the table; None if a heading or two ways stand there instead."""
+    """As it stands in the table; None if a heading stands there instead."""
     heading_deg: float | None
     """Of the radar's flight, as it stands in the table; also beside an azimuth, with which it must agree."""
     grazing_deg: float | None
-    ways_deg: tuple[float, float, float, float] | None
-    """Azimuth and grazing angle of the transmitter, then of the receiver, as they stand in the table."""
     spacing_m: tuple[float | None, float | None]
     """Azimuth, range."""
     resolution_m: tuple[float | None, float | None]
@@ -127,7 +124,7 @@ def read_picture_table(
 
 def _placed(table: CsvTable, columns: Columns, rows: dict[Path, Row]) -> dict[Path, Row]:
     """The rows that say where the radar was: those whose azimuth is empty are left out, unless that is so of all."""
-    if "azimuth" not in columns or columns.keys() & {"heading", *WAYS}:
+    if "azimuth" not in columns or "heading" in columns:
         return rows
     placed = {at: row for at, row in rows.items() if row[1][columns["azimuth"]]}
     if not placed or len(placed) == len(rows):
@@ -185,30 +182,19 @@ def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, pa
     def number(meaning: str) -> float | None:
         return table.number(row, columns[meaning]) if text(meaning) else None
 
-    def direction(meaning: str) -> float | None:
-        return table.direction(row, columns[meaning]) if text(meaning) else None
-
     def pair(meaning: str) -> tuple[float | None, float | None]:
         both = number(meaning)
         azimuth, slant = number(f"azimuth-{meaning}"), number(f"range-{meaning}")
         return (both if azimuth is None else azimuth), (both if slant is None else slant)
 
-    ways = _ways(table, row, {way: direction(way) for way in WAYS})
-    if ways is None and not columns.keys() & {"azimuth", "heading"}:
-        raise SarsplatError(
-            f"{table.path}, line {row[0]} says nothing of its angles; fill all four of {', '.join(WAYS)}"
-        )
     _refuse_other_sum(table, row, columns)
     grazing, incidence = number("grazing"), number("incidence")
     return ListedPicture(
         name=text("file"),
         path=path,
-        azimuth_deg=direction("azimuth")
-        if ways is not None or "azimuth" not in columns
-        else table.direction(row, columns["azimuth"]),
+        azimuth_deg=table.direction(row, columns["azimuth"]) if "azimuth" in columns else None,
         heading_deg=_heading_deg(table, row, columns, heading),
         grazing_deg=90 - incidence if grazing is None and incidence is not None else grazing,
-        ways_deg=ways,
         spacing_m=pair("spacing"),
         resolution_m=pair("resolution"),
         azimuth_std_deg=number("azimuth-std"),
@@ -228,18 +214,6 @@ def _heading_deg(table: CsvTable, row: Row, columns: Columns, heading: str | Non
     if heading is None or ("azimuth" in columns and not math.isfinite(parsed(row[1][heading], table.decimal_comma))):
         return None
     return table.direction(row, heading)
-
-
-def _ways(table: CsvTable, row: Row, angles: Mapping[str, float | None]) -> tuple[float, float, float, float] | None:
-    """Angles of transmitter and receiver in the order of `WAYS`; None if the row says nothing of them."""
-    given = [angle for angle in angles.values() if angle is not None]
-    if 0 < len(given) < len(WAYS):
-        empty = " and ".join(way for way, angle in angles.items() if angle is None)
-        raise SarsplatError(
-            f"{table.path}, line {row[0]} says where the transmitter and the receiver are, but not {empty}; fill all "
-            f"four of {', '.join(WAYS)}, or none if one radar is both"
-        )
-    return (given[0], given[1], given[2], given[3]) if given else None
 
 
 def _refuse_other_sum(table: CsvTable, row: Row, columns: Columns) -> None:

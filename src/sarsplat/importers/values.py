@@ -11,7 +11,7 @@ from jaxtyping import Bool, Shaped
 from sarsplat.errors import SarsplatError
 from sarsplat.importers.bands import meaning_of
 from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_picture
-from sarsplat.importers.tiffs import Tags, unknown
+from sarsplat.importers.rasters import Tags
 from sarsplat.names import Quantity
 
 
@@ -51,20 +51,15 @@ def read_values(
     pixels, tags = read_picture(path)
     name, said = str(path), []
     found = quantity or likely_quantity(pixels, name, real)
-    missing = unknown(pixels, tags)
-    if missing.all():
-        what = "pixels that it masks" if tags.no_data is None else f"{tags.no_data}, which it says is no data"
-        raise SarsplatError(f"{name} holds nothing but {what}; leave out its row")
-    if missing.any():  # what is there instead is refused nowhere, and changes no meaning
-        pixels = np.where(missing, pixels[~missing][0] if pixels.ndim == 2 else pixels.dtype.type(0), pixels)
+    if (gone := tags.absent) is not None:  # what is there instead is refused nowhere, and changes no meaning
+        if gone.all():
+            raise SarsplatError(f"{name} holds nothing but pixels without data; leave out its row")
+        pixels = np.where(gone, pixels[~gone][0] if pixels.ndim == 2 else pixels.dtype.type(0), pixels)
     if found == "complex" and (bands := meaning_of(pixels, name)):
         said.append(f"the two bands of complex pictures are {bands}")
-    if tags.white_is_zero:
-        said.append("zero is white in the files, as their tags say, and numbers were turned round")
-    if (scale, offset) == (1.0, 0.0) and (tags.scale, tags.offset) != (None, None):
-        scale, offset = 1.0 if tags.scale is None else tags.scale, tags.offset or 0.0
-        said.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as tags of the files say")
+    if (scale, offset) == (1.0, 0.0) != (tags.scale, tags.offset):
+        scale, offset = tags.scale, tags.offset
+        said.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as the files say")
     image = power_or_signal(pixels, found, name, scale, offset)
-    gone = missing.any(axis=0 if pixels.shape[0] == 2 else 2) if pixels.ndim == 3 else missing
-    image = np.where(gone, image.dtype.type(0), image)
-    return Values(image, np.asarray(gone), tags, found, tuple(said))
+    gone = np.zeros(image.shape, bool) if gone is None else gone
+    return Values(np.where(gone, image.dtype.type(0), image), gone, tags, found, tuple(said))

@@ -1,8 +1,8 @@
 """Settings chosen by evidence: a short training shows whether images differ in gain and position, as measured ones do.
 
-Images of a scene that has one scale and one place differ from a rendering in nothing that target and ground have in
-common. A gain per image is needed where the brightness of the target varies from image to image as that of the ground
-does; a shift where most images fit better at another place, by each half of their rows.
+A scene explains no factor that target and ground of one image have in common. Each image gets a gain if the log gains
+of target and ground covary over the images, and a shift if most images fit better at a displaced position on which
+their even and odd rows agree.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ _PIXELS = 256
 """Side of the images of the trial at most: larger ones are multilooked."""
 
 _SMOOTHED_DROPOUT = 0.4
-"""Dropout in scenes of many cells, whose surfaces are smoothed: less of their speckle is left to be averaged."""
+"""Dropout where there are coarser levels, at which smoothed surfaces average speckle already."""
 
 _FEWEST = 4
-"""Minimum number of training images for a trial: fewer do not separate gains from the law of the ground."""
+"""Minimum number of images, and of gains: fewer do not separate gains from the ground's power law in sin θ."""
 
 _GROUND_DB = 1.5
-"""Distance from the median of a rendering within which pixels are ground, dB."""
+"""Maximum distance of ground pixels from the rendering's median, dB."""
 
 _TARGET_DB = 6.0
-"""Level above that median from which on they are target, dB."""
+"""Minimum level of target pixels above that median, dB."""
 
 
 @dataclass(frozen=True)
@@ -53,37 +53,38 @@ class Differences:
     displaced: int
     """Number of images that fit better at another place, the same by even and by odd rows."""
     nats: float
-    """Expected gain of likelihood by the shifts and gains that are worth their number, nats per pixel, ≤ 0."""
+    """Change of the loss by those of shifts and gains that are worth their parameters, nats per pixel, ≤ 0."""
 
 
 def chosen(dataset: Dataset) -> Config:
     """Return settings for images with speckle on ground; their `evidence` has the measurements that chose them.
 
-    Where images have gains or places of their own, they are measured ones: a chip, which is looked at pixel by pixel
-    from the first step on, is learned as by the preset `measured`; larger scenes by `scene` with all nuisances.
+    Images with gains or shifts are measured ones: targets that are learned at full resolution only (one level) get the
+    preset `measured`, larger scenes `scene` with all nuisances. The trial runs on the CPU.
     """
     scene = PRESETS["scene"]
-    if len(dataset.select("train")) < _FEWEST:
+    train = dataset.select("train")
+    if len(train) < _FEWEST:
         return replace(scene, evidence=f"scene, as fewer than {_FEWEST} images allow no trial")
     factor = -(-max(dataset.grid.rows, dataset.grid.columns) // _PIXELS)
-    looked = dataset.select("train").multilooked(factor)
-    trainer = _trial(looked, scene)
-    found = differences(looked, trainer)
-    large = Levels.of(scene, replace(trainer.model.frame, grid=dataset.grid)).coarsest > 1
-    if large:
+    train = train.multilooked(factor)
+    trainer = _trial(train, scene)
+    found = differences(train, trainer)
+    multilevel = Levels.of(scene, replace(trainer.model.frame, grid=dataset.grid)).coarsest > 1
+    if multilevel:
         scene = replace(scene, dropout=_SMOOTHED_DROPOUT)
-    said = (
+    summary = (
         f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {counted(found.images, 'image')} "
         f"displaced ({found.nats:.4f} nats per pixel)"
     )
     if found.nats >= 0:
-        return replace(scene, evidence=f"scene: {said}")
-    if not large:
-        return replace(PRESETS["measured"], evidence=f"measured: {said}")
+        return replace(scene, evidence=f"scene: {summary}")
+    if not multilevel:
+        return replace(PRESETS["measured"], evidence=f"measured: {summary}")
     assert scene.surroundings is not None
     nuisances = Surroundings(noise_floor=scene.surroundings.noise_floor)
     return replace(
-        scene, surroundings=nuisances, scattering_penalty=0.0, evidence=f"scene with nuisances of each image: {said}"
+        scene, surroundings=nuisances, scattering_penalty=0.0, evidence=f"scene with nuisances of each image: {summary}"
     )
 
 
@@ -95,7 +96,7 @@ def _trial(dataset: Dataset, scene: Config) -> Trainer:
         relocation=replace(scene.relocation, rounds=round(_SHARE * scene.relocation.rounds)),
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they come again with the training itself
+        warnings.simplefilter("ignore")  # the training itself repeats them
         trainer = Trainer(dataset, config, device="cpu")
         for _ in range(config.iterations):
             trainer.step()
@@ -121,7 +122,7 @@ def differences(train: Dataset, trainer: Trainer) -> Differences:
 
 
 def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows columns"]]) -> float:
-    """Covariance of the logarithmic gains of target and ground, besides a power law of sin θ; at least 0."""
+    """Return the covariance of the log gains of target and ground, after regression on log sin θ; at least 0."""
     gains = []
     for one, image in zip(expected, train.power, strict=True):
         level_db = to_db(one, np.median(one))
@@ -141,7 +142,7 @@ def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows co
 def _move(
     expected: Float64[np.ndarray, "rows columns"], image: Float[np.ndarray, "rows columns"], grid: ImageGrid
 ) -> tuple[bool, float]:
-    """Find a displacement within a cell that fits better, and its gain, nats per pixel, cross-validated by rows."""
+    """Return whether even and odd rows agree on a displacement, and its cross-validated loss relative to none, nats."""
     reach = [math.ceil(length / spacing) for length, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)]
     steps = [np.unique(np.linspace(-far, far, 5).round().astype(int)) for far in reach]
     inside = np.s_[reach[1] : -reach[1], reach[0] : -reach[0]]

@@ -20,7 +20,7 @@ from torch.nn.functional import pad
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.geometry.view import check_monostatic
+from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer import Rendering, render
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
 
@@ -50,7 +50,7 @@ class Windows:
         cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, margin_m: float, multiple: int
     ) -> Self:
         """Windows around Gaussians that may yet move by a margin, in whole blocks of multiple × multiple pixels."""
-        check_monostatic(views, "only images that one radar takes are learned by tiles; leave out the tiles")
+        check_unstretched(views)
         sides = [_pixels(gaussians, view, grid, margin_m, multiple) for view in views]
         columns, rows = zip(*sides, strict=True)
         return cls(rows, columns, tuple(grid.part(r, c) for r, c in zip(rows, columns, strict=True)))

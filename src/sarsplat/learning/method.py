@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from sarsplat.learning.losses import Loss
     from sarsplat.learning.model import SceneModel
     from sarsplat.learning.snapshot import Snapshot
-    from sarsplat.processes import Processes
 
 
 @dataclass(frozen=True)
@@ -41,8 +40,6 @@ class Inputs:
     """Loss to be trained with."""
     strategies: Sequence[Any] = ()
     """What else happens between steps."""
-    processes: Processes | None = None
-    """Who shares the views of every step."""
 
 
 class Trainable(Protocol):

@@ -62,7 +62,7 @@ class SarGs(Method):
     name = DEFAULT_METHOD
     title = "sarsplat"
     settings = Config
-    takes = frozenset({"scattering", "loss", "strategies", "processes"})
+    takes = frozenset({"scattering", "loss", "strategies"})
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
@@ -99,7 +99,7 @@ class SarGs(Method):
             )
         for observation in observations_of(config):
             observation.refuse(config, dataset, inputs)
-        return Trainer(dataset, config, inputs.loss, device, inputs.strategies, inputs.processes)
+        return Trainer(dataset, config, inputs.loss, device, inputs.strategies)
 
     def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
         return GaussianReconstruction(snapshot, config, device)

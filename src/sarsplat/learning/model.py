@@ -26,7 +26,6 @@ from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.windowed_likelihood import ExpectedStacks
-from sarsplat.processes import Processes
 from sarsplat.regions.flattened import levelled
 from sarsplat.regions.target_region import cut_off
 from sarsplat.renderer import Bounds, Rendering, render
@@ -201,14 +200,12 @@ class SceneModel:
         amplitudes: Float[Tensor, "v n c"] | None = None,
         dropped: Bool[Tensor, " n"] | None = None,
         estimated: bool = True,
-        processes: Processes | None = None,
     ) -> tuple[Float[Tensor, "v c {grid.rows} {grid.columns}"], Rendering]:
         """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
 
         `numbers` are those of training images, whose own window, shift and gain then apply; without them, images are as
         expected of unseen views (`Shot`). `bounds` and `amplitudes` are those of `render`; Gaussians that are
-        `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture;
-        `processes` share the views.
+        `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture.
         """
         shot = self.shot(views, grid, numbers)
         how: dict[str, Any] = {
@@ -219,7 +216,6 @@ class SceneModel:
             "plane_gradients": plane_gradients,
             "bounds": bounds,
             "amplitudes": amplitudes,
-            "processes": processes,
         }
         scene = self.scene(degree, dropped)
         if self.windows is None or numbers is None:

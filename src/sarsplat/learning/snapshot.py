@@ -90,6 +90,8 @@ class Snapshot:
         tensors, state = load_checkpoint(path)
         try:
             fields = msgspec.structs.asdict(convert(state, _State))
+            if any("apart_deg" in view for view in state["views"]):
+                raise SarsplatError("its views are bistatic, which is not supported")
             fields["grid"] = ImageGrid.of(**msgspec.structs.asdict(fields["grid"]))
             return cls(**fields, tensors=tensors)
         except (msgspec.ValidationError, SarsplatError) as error:

@@ -31,7 +31,6 @@ from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, Strategy, strategies_of
 from sarsplat.learning.strategies.strategy import Configured, of_rows
 from sarsplat.learning.training_images import ViewQueue
-from sarsplat.processes import Processes
 from sarsplat.renderer import Rendering
 from sarsplat.renderer.engines.choice import recorder_for
 from sarsplat.renderer.engines.on_device import NotRecordable
@@ -55,8 +54,6 @@ class Trainer:
         Where everything is computed and stays; a seed starts the same on every device.
     strategies : sequence of Strategy
         What else changes the model, after the configuration's own; each of another name.
-    processes : Processes, optional
-        Who shares the views: all have the same trainer, and make the same steps.
     observation : Observation, optional
         What is learned from, instead of what the configuration says.
 
@@ -74,10 +71,9 @@ class Trainer:
         loss: Loss | None = None,
         device: torch.device | str = "cpu",
         strategies: Sequence[Strategy] = (),
-        processes: Processes | None = None,
         observation: Observation | None = None,
     ) -> None:
-        self.config, self._processes = config, processes
+        self.config = config
         self.device = usable_device(device)
         self._observation = observation or observations_of(config)[0](dataset, config, self.device)
         self._finest = self._observation.images
@@ -175,7 +171,6 @@ class Trainer:
             self._bounds,
             dropped=dropped(len(self.model), share, self.config.seed, now, self.device) if share else None,
             plane_gradients=self._wants_plane_gradients(step),
-            processes=self._processes,
         )
         loss, rendering = self._observation.compared(self.model, self.images, batch)
         if not isinstance(loss, Tensor) or loss.ndim != 0 or not loss.requires_grad or loss.is_complex():
@@ -213,7 +208,7 @@ class Trainer:
         """What records steps that are ours alone, where the device can and all that changes can be told."""
         recorder = recorder_for(next(iter(self.model.parameters.values())))
         law = scattering_named(self.config.scattering)
-        ours = loss is None and law.__module__.startswith("sarsplat.") and self._processes is None
+        ours = loss is None and law.__module__.startswith("sarsplat.")
         ours = ours and all(isinstance(one, Configured) and not one.acts_before() for one in self.strategies)
         views, rates = self._queue.size, len(self.model.parameters) + 2
         if recorder is None or not RecordedSteps.has_room(views, rates):
@@ -241,7 +236,6 @@ class Trainer:
             self._rays,
             self._bounds,
             self._generator,
-            self._processes,
         )
         for strategy, state in zip(self.strategies, self._states, strict=True):
             getattr(strategy, method)(self.model.parameters, self.optimiser, state, step, info)

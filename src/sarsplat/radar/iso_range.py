@@ -14,8 +14,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import GroundBounce, attenuate, project, render
-from sarsplat.renderer.bistatic import imaged
 from sarsplat.renderer.constants import IMAGE_CUT
+from sarsplat.renderer.stretched import imaged
 
 _PARALLEL = 1e-12
 
@@ -132,7 +132,7 @@ def contributions(
     if len(gaussians) == 0:
         return np.zeros(0, np.float32)
     gaussians = gaussians.detach()
-    if bounce is None and not view.plain:
+    if bounce is None and view.stretch != 1:
         rendering = render(gaussians, [view], grid, rays=rays)
         sections = rendering.cross_sections[0, :, gaussians.scattering.power_channel]
         footprints = imaged(gaussians, [view], grid, None)

@@ -56,7 +56,7 @@ def layover_shadow(
     pitch_m : (float, float)
         Distance of the places along x and y, m.
     view : View
-        From where: level, monostatic.
+        From where: level.
 
     Returns
     -------
@@ -66,11 +66,11 @@ def layover_shadow(
     Raises
     ------
     SarsplatError
-        If the view is tilted, bistatic or from below, or the map is too large.
+        If the view is tilted or from below, or the map is too large.
     """
-    if view.tilt_deg or view.look.bistatic or view.grazing_deg <= 0:
+    if view.tilt_deg or view.grazing_deg <= 0:
         raise SarsplatError(
-            f"layover and shadow on a map need a level, monostatic view from above, which {view} is not; give another"
+            f"layover and shadow on a map need a level view from above, which {view} is not; give another"
         )
     rows, columns = heights_m.shape
     step, ahead = _STEP * min(pitch_m), view.look.ahead

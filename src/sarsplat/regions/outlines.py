@@ -1,18 +1,17 @@
-"""Outlines of target and shadow, and levels of places on the ground, from images' decibels alone."""
+"""Outlines of target and shadow in an image, from its decibels alone, whichever side is near range."""
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Real
-from scipy.ndimage import label, map_coordinates
+from scipy.ndimage import label
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid
 from sarsplat.radiometry import to_db
-from sarsplat.regions.target_box import above_ground_db, smoothed
+from sarsplat.regions.image_levels import above_ground_db, smoothed
 
 _BRIGHT_DB, _DARK_DB = 3.0, -4.5
 """Limits of speckle above and below the ground, smoothed over a resolution cell, dB."""
@@ -25,9 +24,6 @@ _RANGE_DB = 30.0
 
 _REACH = 1.0
 """Maximum distance of shadow from the target, in the target's extent along range."""
-
-_SURE_DB = 3.0
-"""Level above the ground that speckle does not reach, dB."""
 
 
 @dataclass(frozen=True)
@@ -81,21 +77,3 @@ def _large_parts(
     weight = np.bincount(part.ravel(), (mask * by_db).ravel(), count + 1)
     weight[0] = 0
     return (weight >= _LARGE_PART * weight.max())[part] & mask
-
-
-def ground_levels_db(
-    train: Dataset, x: Float64[np.ndarray, "rows columns"], y: Float64[np.ndarray, "rows columns"]
-) -> Float64[np.ndarray, "rows columns"]:
-    """Median level over the images at places on level ground, dB above the usual ground; 0 if uncertain.
-
-    The median ignores objects on the ground, which each image shows elsewhere, except at their foot.
-    """
-    grid, levels = train.grid, []
-    for level_db, view in zip(above_ground_db(train.power, train.grid), train.views, strict=True):
-        azimuth, slant_range = np.tensordot(view.look.gradients[:, :2], np.stack([x, y]), 1)
-        pixel = (slant_range - grid.range_m[0]) / grid.spacing_m[1], (azimuth - grid.azimuth_m[0]) / grid.spacing_m[0]
-        levels.append(map_coordinates(level_db, pixel, order=1, mode="constant", cval=np.nan).astype(np.float32))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a place that no image shows
-        middle = np.nanmedian(levels, axis=0)
-    return np.where(middle > _SURE_DB, middle, 0.0).astype(np.float64)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
-from scipy.ndimage import affine_transform, gaussian_filter, label, maximum
+from scipy.ndimage import affine_transform, label, maximum
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.radiometry import to_db
+from sarsplat.regions.image_levels import above_ground_db, seen_by_all, typical
 
 _SURE_DB = 3.0
 """Level above the ground that speckle does not reach, dB."""
@@ -65,22 +65,19 @@ _PLACES = 128
 _VIEWS = 48
 """Maximum number of images in the search for shadow, evenly chosen."""
 
-_QUARTER = 0.6373
-"""Width of the narrowest interval that holds a quarter of normal noise, in standard deviations."""
-
 
 def target_box(
     power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
-    """Find the corners of the target's box (world frame, m) from mean decibels over the images at places on the ground.
+    """Return the corners of the target's box, from the mean level over the images at each place of the ground.
 
-    Layover displaces an object towards the radar, but never across: the extent along an axis comes mostly from the
-    views across it, and includes every object (`StandingOut`). The height is the greatest whose shadow is dark in all
-    views that nothing bright hides it from. Images are β⁰, linear power, and show the ground around the target and the
-    world's origin; their gains may differ.
+    Objects are displaced in range, never across: views across an axis weigh most for the extent along it. The box holds
+    every object that stands out (`StandingOut`). Its height is the greatest at which the shadow of some place is dark
+    on average over the views that show it and in which nothing bright hides it. Images are β⁰, linear power, and show
+    the ground around the target; their gains may differ. One that does not show the world's origin is refused.
 
-    The box is a cell larger than the target on all sides but the bottom, z = 0. Without shadow, its height is two
-    thirds of its narrower side; without target, it is the middle half of the scene.
+    The box (m, world frame) is a cell wider and higher than the target; z from 0, to two thirds of the narrower side if
+    there is no shadow. Where nothing stands out, it is the middle half of the scene.
     """
     level_db, grid, axis = _levels(power, views, grid)
     half = float(axis[-1])
@@ -221,30 +218,6 @@ def _height(
     return _TIP * max(min(top, narrow), top - narrow / 2 * float(tangents.min())) + max(grid.cell_m, 2 * step)
 
 
-def seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:
-    """Radius of the largest disc of ground around the origin that every image shows, m; ≤ 0 without any."""
-    across, along = (
-        count * spacing / 2 - abs(middle)
-        for count, spacing, middle in zip((grid.columns, grid.rows), grid.spacing_m, grid.center_m, strict=True)
-    )
-    return min(view.look.disc_m(across, along) for view in views)
-
-
-def above_ground_db(
-    power: Float[np.ndarray, "v rows columns"], grid: ImageGrid
-) -> Float64[np.ndarray, "v rows columns"]:
-    """Decibels above each image's ground, smoothed over a resolution cell; `power` is linear."""
-    smooth = smoothed(power, grid)
-    level_db = to_db(smooth, np.maximum(np.median(smooth, axis=(1, 2), keepdims=True), np.finfo(float).tiny))
-    return level_db - np.array([typical(image)[0] for image in level_db])[:, None, None]
-
-
-def smoothed(power: Float[np.ndarray, "v rows columns"], grid: ImageGrid) -> Float64[np.ndarray, "v rows columns"]:
-    """Images smoothed by a Gaussian over a resolution cell, to reduce speckle; `power` is linear."""
-    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
-    return gaussian_filter(power.astype(np.float64), width, mode="nearest")
-
-
 def _on_the_ground(
     level_db: Float64[np.ndarray, "v rows columns"],
     views: Sequence[View],
@@ -291,17 +264,3 @@ def _mean(
         weight_seen += weight * shown
         seen += shown / len(views)
     return np.divide(total, weight_seen, out=np.zeros_like(total), where=weight_seen > 0), seen
-
-
-def typical(values: Float64[np.ndarray, ...]) -> tuple[float, float]:
-    """Middle and standard deviation of normal noise among values, by the narrowest interval with a quarter of them.
-
-    NaN, and values equal to the extremes (which were clipped), do not count.
-    """
-    known = np.sort(values[np.isfinite(values)])
-    between = known[(known > known[0]) & (known < known[-1])]
-    known = between if len(between) else known
-    count = len(known) // 4
-    width = known[count:] - known[: len(known) - count]
-    first = int(width.argmin())
-    return float(known[first] + width[first] / 2), float(width[first]) / _QUARTER

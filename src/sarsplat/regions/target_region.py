@@ -13,6 +13,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import Region, bounded_region
 from sarsplat.geometry.terrain import heights_of
 from sarsplat.regions.flattened import levelled
+from sarsplat.regions.image_levels import seen_by_all
 from sarsplat.regions.target_box import StandingOut, standing_out, target_box
 from sarsplat.scenes.meshes import read_mesh
 
@@ -52,9 +53,10 @@ def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
         if (least >= low).all() and (most <= high).all():
             return []
         return [f"the target ({spans(least, most)} m) is not all inside of {box} and will be cut off; {remedy}"]
-    if not dataset.ground:
+    train = dataset.select("train")
+    if not dataset.ground or seen_by_all(train.views, train.grid) <= 0:
         return []
-    train = levelled(dataset.select("train"))
+    train = levelled(train)
     found = standing_out(train.power, train.views, train.grid)
     inside = np.outer(*((low[i] <= found.axis) & (found.axis <= high[i]) for i in (1, 0)))
     share = float(found.above_db[~inside].sum() / found.above_db.sum()) if found.above_db.any() else 0.0

@@ -14,9 +14,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.processes import Processes
-from sarsplat.renderer.bistatic import render_by_steps
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances
 from sarsplat.renderer.echoes import Echo, GroundEcho
@@ -32,6 +30,7 @@ from sarsplat.renderer.operations import render_with
 from sarsplat.renderer.reference import render_reference
 from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
 from sarsplat.renderer.steps import attenuate, project, splat
+from sarsplat.renderer.stretched import render_stretched
 
 __all__ = [
     "Attenuation",
@@ -67,7 +66,6 @@ def render(
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
-    processes: Processes | None = None,
     engine: str = "auto",
     instruction_set: str = "auto",
 ) -> Rendering:
@@ -83,8 +81,8 @@ def render(
     gaussians : Gaussians
         The scene, N Gaussians.
     views : sequence of View
-        V views, at least one. Bistatic and stretched ones are rendered step by step, and have no terrain, other echoes,
-        ray maps or processes, and stretched ones no ground; `bounds` are of no use to them.
+        V views, at least one. Stretched ones are rendered step by step, and have no ground, other echoes or ray maps;
+        `bounds` are of no use to them.
     grid : ImageGrid
         Pixels and system response, the same for all views.
     rays : RayGrid, optional
@@ -111,8 +109,6 @@ def render(
         and a Gaussian that breaks them, not here but in `bounds.check()`; its arrays are as large as the limits ask
         for, so narrow ones are faster. The other engines need none, and check as ever; so does it with
         `GroundBounce`, whose mirror image is beyond them.
-    processes : Processes, optional
-        Who shares the views, on the CPU engine: all call this with the same arguments, and get the same as one alone.
     engine : {"auto", "cpu", "cuda", "reference"}
         "auto" is the CPU engine for float32 on the CPU, the CUDA engine for float32 on a GPU where a small scene with
         gradients agrees with the CPU's, and the reference otherwise; the first time, the logger "sarsplat" says which
@@ -154,27 +150,19 @@ def render(
     check_echoes(echoes, gaussians, views, channels, imaging_weight)
     gaussians = all_visible(echoes, gaussians)
     engine = chosen_engine(engine, gaussians.means)
-    alone = engine != "cpu" or first_return_depth is not None or not all(echo.shareable for echo in echoes)
-    if processes is not None and alone:
-        raise SarsplatError(
-            "processes share the views of images, without ray maps or echoes of one's own, on the CPU engine; omit them"
-        )
     by_view = {"amplitudes": amplitudes, "shift": shift, "gain": gain}
     tensors = {**gaussians.tensors(), **by_view}
     options: dict[str, Any] = {**by_view, "rays": rays, "imaging_weight": imaging_weight}
-    by_steps = not all(view.plain for view in candidates(views)[0])
-    if by_steps:
-        options["ground"] = _only_ground(views, echoes, first_return_depth, processes)
-    else:
+    stretched = any(view.stretch != 1 for view in candidates(views)[0])
+    if stretched and (echoes or first_return_depth is not None):
+        raise SarsplatError("a view is stretched, which has no ground, echoes or ray maps; leave these out")
+    if not stretched:
         options |= {"echoes": echoes, "first_return_depth": first_return_depth}
     if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
-        if by_steps:
-            for values in (by_view, *(echo.values() for echo in echoes)):  # the rest is checked on the way in
-                check_values(values)
-            rendering = render_by_steps(
-                Steps(new_pass, cuts=True), gaussians, views, grid, **options, plane_gradients=plane_gradients
-            )
-            return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
+        if stretched:
+            check_values(by_view)  # the rest is checked on the way in
+            steps = Steps(new_pass, cuts=True)
+            return render_stretched(steps, gaussians, views, grid, **options, plane_gradients=plane_gradients)
         holding = all(echo.within_bounds for echo in echoes)
         if not holding and isinstance(views, ChosenViews):
             raise NotRecordable("has an echo from beyond its bounds")
@@ -188,7 +176,7 @@ def render(
             bounds = bounds if capacity else None
         else:
             bounds = None
-        options |= {"plane_gradients": plane_gradients, "bounds": bounds, "processes": processes}
+        options |= {"plane_gradients": plane_gradients, "bounds": bounds}
         rendering = render_with(new_pass, gaussians, views, grid, **options)
         return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
     if plane_gradients:
@@ -198,25 +186,7 @@ def render(
     check_for_reference("means", gaussians.means.dtype)
     for values in (tensors, *(echo.values() for echo in echoes)):
         check_values(values)
-    if by_steps:
-        rendering = render_by_steps(Steps(None, cuts=True), gaussians, views, grid, **options)
-    else:
-        rendering = render_reference(gaussians, views, grid, **options)
+    if stretched:
+        return render_stretched(Steps(None, cuts=True), gaussians, views, grid, **options)
+    rendering = render_reference(gaussians, views, grid, **options)
     return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
-
-
-def _only_ground(
-    views: Sequence[View], echoes: Sequence[Echo], first_return_depth: float | None, processes: Processes | None
-) -> GroundEcho | None:
-    """The level ground of images that are rendered step by step; refused is what they cannot have."""
-    plane = [echo for echo in echoes if isinstance(echo, GroundEcho) and not isinstance(echo.ground.height_m, Terrain)]
-    given = {
-        "echoes but level ground, neither terrain nor bounces; leave them out": len(echoes) > len(plane[:1]),
-        "ray maps; ask for those of the views along each way, view.legs": first_return_depth is not None,
-        "processes that share them; omit these": processes is not None,
-    }
-    if wrong := next((what for what, there in given.items() if there), None):
-        raise SarsplatError(f"a view is bistatic or stretched, and such images have no {wrong}")
-    if plane and any(view.stretch != 1 for view in candidates(views)[0]):
-        raise SarsplatError("a view is stretched, and such images have no ground; leave it out")
-    return plane[0] if plane else None

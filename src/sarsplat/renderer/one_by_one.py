@@ -10,7 +10,7 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.engines.passes import NewPass
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection
+from sarsplat.renderer.footprints import Footprints, Projection
 from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
 from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
 
@@ -27,12 +27,9 @@ class Steps:
         return project_with(self.new_pass, gaussians, views, grid, rays=rays, shift=None)
 
     def lit_area(self, projection: Projection, rays: RayGrid) -> Float[Tensor, "v n"]:
-        return self.attenuate(projection, rays, None).lit_area
-
-    def attenuate(self, projection: Projection, rays: RayGrid, first_return_depth: float | None) -> Attenuation:
         if self.new_pass is None:
-            return attenuate_reference(projection, rays, first_return_depth=first_return_depth, cuts=self._cuts)
-        return attenuate_with(self.new_pass, projection, rays, first_return_depth=first_return_depth)
+            return attenuate_reference(projection, rays, first_return_depth=None, cuts=self._cuts).lit_area
+        return attenuate_with(self.new_pass, projection, rays, first_return_depth=None).lit_area
 
     def splat(
         self,

@@ -10,23 +10,17 @@ from torch import Tensor
 
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.processes import Processes
 from sarsplat.renderer.checks import check_values
 from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting, added, left_in_sight
 from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.chosen_views import by_view
-from sarsplat.renderer.engines.operation import Tensors
 from sarsplat.renderer.engines.passes import NewPass, Pass
-from sarsplat.renderer.engines.problem import ARRAYS, foot_shift
+from sarsplat.renderer.engines.problem import foot_shift
 from sarsplat.renderer.engines.stages import Attenuate, Bounce, PressedFlat, Project, Render, Splat
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.lobes import amplitudes_towards
 from sarsplat.renderer.rendering import RayMap, Rendering
-from sarsplat.renderer.shared import Branch, shared
-
-_BY_VIEW = ("amplitudes", "shift")
-"""Arrays of a problem with a row for each view."""
 
 
 # ---- what the renderer calls -----------------------------------------------------------------------------------------
@@ -45,7 +39,6 @@ def render_with(
     first_return_depth: float | None = None,
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
-    processes: Processes | None = None,
 ) -> Rendering:
     """`sarsplat.render` on an engine's passes; arguments are documented there. With bounds, no value is looked at."""
     if gain is not None and bounds is not None:
@@ -63,44 +56,23 @@ def render_with(
         harmonics = g.scattering.parameters  # kernels evaluate these themselves
     elif amplitudes is None:
         amplitudes = amplitudes_towards(new_pass, g, views)
-    ray_maps: tuple[RayMap, ...] | None = None
-
-    def some(branch: Branch, arrays: Tensors) -> tuple[Tensor, ...]:
-        """Images, cross-sections, lit areas and what is seen of each echo in some of the views."""
-        nonlocal ray_maps
-        few, of_problem, of_echoes = views[slice(*branch)], arrays[: len(ARRAYS)], arrays[len(ARRAYS) :]
-        part = Render(new_pass(), few, grid, rays, g.scattering.p_min)
-        part.peak, part.depth, part.of_views = imaging_weight == "peak", first_return_depth, len(views)
-        part.planes, part.ends = None if planes is None else planes[slice(*branch)], wants_ends
-        moved = None if shift is None else of_problem[-1]
-        part.in_sight = left_in_sight(echoes, g.means, few, grid, rays, moved)
-        images, cross_sections, lit_area, *traced = part.of(*of_problem)
-        ray_maps = _ray_maps(part, traced)
-        ends = _ray_ends(part, traced[0]) if wants_ends else None
-        sighting = Sighting(g, few, grid, rays, moved, lit_area, ends, new_pass)
-        seen = [echo.seen(sighting, own) for echo, own in zip(echoes, of_echoes, strict=True)]
-        return images, cross_sections, lit_area, *seen
-
     wants_ends = any(echo.wants_ray_ends for echo in echoes)
-    of_echoes = [echo.by_view(len(views)) for echo in echoes]
-    problem = (g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, _shift(g, views, shift))
-    arrays = (*problem, *of_echoes)
-    if processes is None:
-        seen = some((0, len(views)), arrays)
-    else:
-        channels = len(g.scattering.channels) if amplitudes is None else amplitudes.shape[2]
-        size = grid.rows, grid.columns
-        shapes = [(channels, *size), (len(g), channels), (len(g),), *(size for _ in echoes)]
-        cut = [*(name in _BY_VIEW for name in ARRAYS), *(True for _ in echoes)]
-        seen = shared(processes, some, arrays, cut, len(views), shapes, planes)
-    images, cross_sections, lit_area, *shown = seen
-    returns = [echo.returned(one, views, grid, shift) for echo, one in zip(echoes, shown, strict=True)]
+    step = Render(new_pass(), views, grid, rays, g.scattering.p_min)
+    step.peak, step.depth, step.planes, step.ends = imaging_weight == "peak", first_return_depth, planes, wants_ends
+    step.in_sight = left_in_sight(echoes, g.means, views, grid, rays, shift)
+    images, cross_sections, lit_area, *traced = step.of(
+        g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, _shift(g, views, shift)
+    )
+    ends = _ray_ends(step, traced[0]) if wants_ends else None
+    sighting = Sighting(g, views, grid, rays, shift, lit_area, ends, new_pass)
+    seen = [echo.seen(sighting) for echo in echoes]
+    returns = [echo.returned(one, views, grid, shift) for echo, one in zip(echoes, seen, strict=True)]
     for one in returns:
         images = added(images, one, g.scattering.power_channel)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area.detach(), ray_maps, planes, tuple(returns))
+    return Rendering(images, cross_sections, lit_area.detach(), _ray_maps(step, traced), planes, tuple(returns))
 
 
 def project_with(

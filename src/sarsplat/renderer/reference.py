@@ -65,7 +65,7 @@ def render_reference(
     sighting = Sighting(gaussians, views, grid, rays, shift, attenuation.lit_area, ends, None, cuts)
     returns = []
     for echo in echoes:
-        returns.append(echo.returned(echo.seen(sighting, echo.by_view(len(views))), views, grid, shift))
+        returns.append(echo.returned(echo.seen(sighting), views, grid, shift))
         images = added(images, returns[-1], gaussians.scattering.power_channel)
     return Rendering(
         images if gain is None else images * gain[:, None, None, None],

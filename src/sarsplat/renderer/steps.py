@@ -12,7 +12,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.geometry.view import check_monostatic
+from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer.checks import (
     check_for_reference,
     check_options,
@@ -77,7 +77,7 @@ def project(
     rays = rays or RayGrid.for_image(grid)
     views = tuple(views)
     check_shapes(gaussians, views, None, shift, None)
-    check_monostatic(views, "give those along each way, view.legs, or use render")
+    check_unstretched(views)
     tensors = {**gaussians.tensors(), "shift": shift}
     if (new_pass := passes_for(engine, tensors, grid)) is not None:
         return project_with(new_pass, gaussians, views, grid, rays=rays, shift=shift)

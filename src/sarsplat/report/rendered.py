@@ -103,15 +103,14 @@ def _description(view: View) -> str:
 
 
 def _name(view: View) -> str:
-    """E.g. az030_gr17.5: sorts by azimuth; what is unusual about the view follows, as _tilt-5_apart30_left."""
+    """File name that sorts by azimuth, e.g. az030_gr17.5, with tilt and side if unusual, e.g. _tilt-5_left."""
 
     def digits(angle: float, width: int = 0) -> str:
         return f"{angle:0{width}.6f}".rstrip("0").rstrip(".")
 
-    name = f"az{digits(view.azimuth_deg, 10)}_gr{digits(view.grazing_deg, 9)}"
-    for word, angle in (("tilt", view.tilt_deg), ("apart", view.apart_deg), ("towards", view.apart_towards_deg)):
-        name += f"_{word}{digits(angle)}" if angle else ""
-    return name + ("_left" if view.side == "left" else "")
+    tilt = f"_tilt{digits(view.tilt_deg)}" if view.tilt_deg else ""
+    left = "_left" if view.side == "left" else ""
+    return f"az{digits(view.azimuth_deg, 10)}_gr{digits(view.grazing_deg, 9)}{tilt}{left}"
 
 
 def asked_grid(

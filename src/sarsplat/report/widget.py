@@ -111,7 +111,7 @@ def widget(run: Run) -> dict[str, Any] | None:
         f"the nearest {name} image, and the error at its view ({difference.label}; {DIFFERENCE_IN_WORDS})."
     )
     if raster and raster[0].unusual not in {view.unusual for view in views}:
-        text += " Directions that no image has are level, to the right and of one radar, for the images differ in that."
+        text += " Directions that no image has are level and to the right, for the images differ in that."
     heights = colour_bar("height z, m", HEIGHT, float(low[2]), float(high[2]))
     bars = {"heights": heights, "powers": power_bar(), "errors": difference_bar(difference)}
     return {"panels": panels, **bars, "text": text, "climbs": highest - lowest >= _FINEST_DEG, "data": data}

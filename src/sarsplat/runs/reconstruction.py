@@ -16,7 +16,6 @@ from sarsplat.learning.losses import Loss
 from sarsplat.learning.method import Inputs
 from sarsplat.learning.quicker import quicker
 from sarsplat.learning.trainer import Trainer
-from sarsplat.processes import Processes
 from sarsplat.progress import progress
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run import Run
@@ -57,9 +56,6 @@ def reconstruct(
 ) -> Run:
     """Reconstruct a target from the training images of a dataset.
 
-    In a program that torchrun has started, its processes share the views of every step, with the same result; the first
-    one writes `out` and calls `on_step`, and the others get the run in memory.
-
     Parameters
     ----------
     dataset : Dataset, str or Path
@@ -94,7 +90,7 @@ def reconstruct(
     means : Means, optional
         What the executor may use.
     on_step : callable, optional
-        Called after every step (`Step`), by the first process. If it returns True, the training ends there, and the run
+        Called after every step (`Step`). If it returns True, the training ends there, and the run
         is what has been learned so far. An exception ends it too; what has been learned is then kept in `out`.
     quiet : bool
         Show no progress.
@@ -119,12 +115,9 @@ def reconstruct(
         started with.
     """
     chosen = method_named(method)
-    processes = Processes.started()
-    inputs = Inputs(None if masks is None else Path(masks), scattering, loss, tuple(strategies), processes)
+    inputs = Inputs(None if masks is None else Path(masks), scattering, loss, tuple(strategies))
     chosen.refuse_others(inputs)
     on = device_named(device)
-    if processes is not None and on.type != "cpu":
-        raise SarsplatError(f"the processes of torchrun share views on the CPU only, not on {on.type}; give device cpu")
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
     begun = Run.load(out) if resume and out is not None else None
     if begun is not None and begun.method != method:
@@ -142,12 +135,11 @@ def reconstruct(
     if device == "auto" and on.type == "cuda" and begun is None and not (loss or strategies):
         on, note = quicker(lambda where: chosen.trainer(dataset, config, inputs, where, None), on, config.iterations)
     trainer = chosen.trainer(dataset, config, inputs, on, learned)
-    follows = processes is not None and not processes.leads
     heading, about = chosen.about(trainer.config, dataset.grid)
     by_tiles = chosen.by_tiles(config)
     others = None if executor is None else _others(executor, means or Means(), by_tiles, dataset, out, inputs)
     steps = steps_of(cast(Trainer, trainer)) if by_tiles else config.iterations
-    with progress(f"reconstruct ({heading})", steps, quiet or follows) as shown:
+    with progress(f"reconstruct ({heading})", steps, quiet) as shown:
         for said in filter(None, (about, note)):
             shown.note(said)
         where = None if dataset.path is None else dataset.path.resolve()
@@ -158,7 +150,7 @@ def reconstruct(
         if by_tiles:
             training = TiledTraining(cast(Trainer, trainer), on_step, shown, dataset, inputs, others)
         else:
-            training = Training(trainer, None if follows else on_step, shown, processes)
+            training = Training(trainer, on_step, shown)
         return train(training, new, dataset, folder, resume=resume, overwrite=overwrite)
 
 

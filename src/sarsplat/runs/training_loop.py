@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,11 +18,9 @@ from sarsplat.data.files import plain_os_errors
 from sarsplat.data.folders import only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.method import Trainable
-from sarsplat.processes import Processes
 from sarsplat.progress import Reporter
 from sarsplat.runs.run import InMemory, Run
 from sarsplat.runs.run_folder import ABOUT, HEADER, LogLine, RunFolder, log_text, require_replaceable
-from sarsplat.runs.thread_choice import ThreadChoice
 from sarsplat.settings.config import AnyConfig, refuse_other_settings
 
 _LINES_PER_RUN = 200
@@ -30,6 +29,16 @@ _LINES_PER_RUN = 200
 _SECONDS_UNSEEN = 5.0
 """The progress is shown at least this often, if steps are not longer."""
 
+_TRIAL_EVERY = 100
+"""Steps between trials: the load of the machine and the size of the images change."""
+
+_TRIAL_STEPS = 2
+"""Steps of a trial with each number of threads, of which the quicker one counts."""
+
+_HOPELESS = 1.5
+"""Time of a step, relative to the quickest, after which more threads are not tried."""
+
+M = TypeVar("M")
 T = TypeVar("T", bound=Trainable)
 
 
@@ -56,7 +65,7 @@ class Training(Generic[T]):
     """A trainer at work: counts the time, calls `on_step`, and keeps the log.
 
     `run` is the one whose folder gets the log and the checkpoints; None in memory. `ended` is whether `on_step` asked
-    for the end. Of `processes` that share the work, only the first has a run and `on_step`.
+    for the end.
     """
 
     def __init__(
@@ -64,9 +73,8 @@ class Training(Generic[T]):
         trainer: T,
         on_step: Callable[[Step[T]], object] | None,
         shown: Reporter,
-        processes: Processes | None = None,
     ) -> None:
-        self.trainer, self.shown, self._on_step, self._processes = trainer, shown, on_step, processes
+        self.trainer, self.shown, self._on_step = trainer, shown, on_step
         self.history: list[LogLine] = []
         self.run: Run | None = None
         self.ended = False
@@ -83,17 +91,6 @@ class Training(Generic[T]):
     def last(self) -> bool:
         """Whether the step that was just made is the last one of this process."""
         return self.trainer.iteration >= self.trainer.config.iterations
-
-    @property
-    def follows(self) -> bool:
-        """Whether another process writes and says what is done."""
-        return self._processes is not None and not self._processes.leads
-
-    def follow(self) -> None:
-        """Begin where the first process does, which resumes."""
-        assert self._processes is not None
-        if (snapshot := self._processes.shared(None)) is not None:
-            self.trainer.restore(snapshot)
 
     def resume(self, dataset: Dataset) -> None:
         """Bring the trainer, the log and the folder to the newest checkpoint of `run`."""
@@ -114,10 +111,8 @@ class Training(Generic[T]):
         other_results = any(name not in AnyConfig.may_change for name, _, _ in run.config.changes(config))
         where = None if dataset.path is None else dataset.path.resolve()
         self.run = resumed = replace(run, dataset_path=where, config=config)
-        snapshot = run.snapshot if begun else None
-        if self._processes is not None:
-            self._processes.shared(snapshot)
-        if snapshot is not None:
+        if begun:
+            snapshot = run.snapshot
             try:
                 self.trainer.restore(snapshot)
             except (LookupError, TypeError, ValueError, RuntimeError, OverflowError) as error:
@@ -171,17 +166,8 @@ class Training(Generic[T]):
                 self._show(loss.item())
             if saves:
                 self._save()
-            self.ended = self._ends(Step(trainer.iteration, loss, trainer, line, self.folder_to_come, self.last))
-
-    def _ends(self, step: Step[T]) -> bool:
-        """Whether this was the last step, as `on_step` says; an exception of it ends those that follow, too."""
-        ended = True
-        try:
-            ended = self._on_step is not None and self._on_step(step) is True
-        finally:
-            if self._processes is not None:
-                ended = self._processes.said(ended)
-        return ended
+            step = Step(trainer.iteration, loss, trainer, line, self.folder_to_come, self.last)
+            self.ended = self._on_step is not None and self._on_step(step) is True
 
     def _line(self, losses: list[Tensor]) -> LogLine:
         loss = sum(self._require_finite(losses)) / len(losses)
@@ -219,6 +205,50 @@ class Training(Generic[T]):
         RunFolder(self.run.folder).save(self.trainer.snapshot(self.seconds))
 
 
+class ThreadChoice:
+    """Runs steps with the quickest of 1, 2, 4, … threads, found anew every 100 steps.
+
+    The context restores torch's number of threads at its end. Inactive on GPUs and outside of the main thread.
+    """
+
+    def __init__(self, device: str) -> None:
+        self._most = torch.get_num_threads()
+        self._active = device == "cpu" and self._most > 1 and threading.current_thread() is threading.main_thread()
+        self._until_trial = 0
+        self._untried: list[int] = []
+        self._seconds: dict[int, float] = {}
+
+    def __enter__(self) -> ThreadChoice:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._active:
+            torch.set_num_threads(self._most)
+
+    def step(self, make: Callable[[], M]) -> M:
+        """Run one step and return its result."""
+        if not self._active:
+            return make()
+        if self._until_trial == 0:
+            counts = [*(2**k for k in range(self._most.bit_length()) if 2**k < self._most), self._most]
+            self._until_trial, self._seconds = _TRIAL_EVERY, {}
+            self._untried = [n for n in counts for _ in range(_TRIAL_STEPS)]
+        self._until_trial -= 1
+        if not self._untried:
+            return make()
+        count = self._untried.pop(0)
+        torch.set_num_threads(count)
+        begun = time.perf_counter()
+        made = make()
+        took = time.perf_counter() - begun
+        self._seconds[count] = min(took, self._seconds.get(count, took))
+        if count not in self._untried and self._seconds[count] > _HOPELESS * min(self._seconds.values()):
+            self._untried = []
+        if not self._untried:
+            torch.set_num_threads(min(self._seconds, key=lambda threads: self._seconds[threads]))
+        return made
+
+
 def train(
     training: Training[Any], new: Run, dataset: Dataset, out: Path | None, *, resume: bool, overwrite: bool
 ) -> Run:
@@ -233,9 +263,7 @@ def train(
         raise SarsplatError("a run is either resumed or overwritten; give only one of resume and overwrite")
     if out is None and (resume or overwrite):
         raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
-    if out is None or training.follows:
-        if resume:
-            training.follow()
+    if out is None:
         training.advance_to(config.iterations)
         held = InMemory(training.trainer.snapshot(training.seconds), tuple(training.history))
         return replace(new, memory=held, images=dataset)

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import new_folder
+from sarsplat.data import new_folder, write_bytes
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import View
@@ -43,13 +43,8 @@ _COLUMNS = (
     "near_side",
 )
 
-_TILTED = ("tilt_deg", "look")
-"""More columns, if the radar of a run squints, climbs, dives or looks to its left, or is bistatic."""
-
-_APART = ("transmit_azimuth_deg", "transmit_grazing_deg", "receive_azimuth_deg", "receive_grazing_deg")
-"""And if a run's is bistatic; clockwise, as `azimuth_deg`."""
-
-UNUSUAL_COLUMNS = (*_TILTED, *_APART)
+UNUSUAL_COLUMNS = ("tilt_deg", "look")
+"""Additional columns if the radar of a run squints, climbs, dives or looks to its left."""
 
 _SCALES = "scales.npy"
 """Temporary file of the scales of finished chips, which the table takes in the end."""
@@ -110,12 +105,12 @@ def write_chips(
         return started == made
 
     with new_folder(out, overwrite, marker=MARKER, goes_on=goes_on) as folder:
-        _put(folder / MARKER, made)
+        write_bytes(folder / MARKER, made)
         total, scales = len(chips), _scales(folder / _SCALES, len(chips))
         with progress(f"chips to {out}", total, quiet) as reporter:
             for done in _files(chips, folder, scales) if shard is None else _shards(chips, folder, scales, shard):
                 reporter.update(done)
-        _put(folder / LABELS, _table(chips, shard, scales))
+        write_bytes(folder / LABELS, _table(chips, shard, scales))
         del scales  # some systems remove no file that is open
         (folder / _SCALES).unlink()
 
@@ -137,7 +132,7 @@ def _files(chips: Chips, folder: Path, scales: Float64[np.ndarray, " n"]) -> Ite
 
     def write(index: int) -> None:
         content, scales[index] = _encoded(chips, index)
-        _put(folder / _file(chips, index), content)
+        write_bytes(folder / _file(chips, index), content)
 
     missing = [n for n in range(len(chips)) if not (scales[n] and _is_written(folder / _file(chips, n)))]
     for done, _ in enumerate(parallel_map(write, missing), len(chips) - len(missing) + 1):
@@ -153,7 +148,7 @@ def _shards(chips: Chips, folder: Path, scales: Float64[np.ndarray, " n"], size:
     for number, indices in missing.items():
         encoded = dict(zip(indices, files, strict=False))
         scales[indices] = [scale for _, scale in encoded.values()]
-        _put(folder / _shard(number), _packed(chips, number, encoded))
+        write_bytes(folder / _shard(number), _packed(chips, number, encoded))
         yield (done := done + len(indices))
 
 
@@ -209,16 +204,13 @@ def _columns(chips: Chips) -> tuple[str, ...]:
 
 
 def unusual_columns(views: Iterable[View]) -> tuple[str, ...]:
-    """Columns that say what is unusual about some of the views; none if nothing is."""
-    views = list(views)
-    tilted, apart = any(view.unusual for view in views), any(view.apart_deg for view in views)
-    return (*(_TILTED * tilted), *(_APART * apart))
+    """Additional columns of unusual views: `UNUSUAL_COLUMNS` if any view is unusual, else none."""
+    return UNUSUAL_COLUMNS if any(view.unusual for view in views) else ()
 
 
 def unusual_values(view: View) -> tuple[float | str, ...]:
-    """What is in these columns, whether they are there or not."""
-    ways = [angle for leg in view.legs for angle in (leg.azimuth_deg, leg.grazing_deg)] if view.apart_deg else [""] * 4
-    return (view.tilt_deg, view.side, *ways)
+    """Values of `UNUSUAL_COLUMNS`."""
+    return view.tilt_deg, view.side
 
 
 def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:
@@ -235,13 +227,6 @@ def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:
 def _is_written(path: Path) -> bool:
     """True if a file exists and is not empty, as after a power cut."""
     return path.is_file() and path.stat().st_size > 0
-
-
-def _put(path: Path, data: bytes) -> None:
-    """Write a file, whole or not at all; the folder is synced at its end."""
-    unfinished = path.with_name(f".{path.name}.tmp")
-    unfinished.write_bytes(data)
-    unfinished.replace(path)
 
 
 class MadeRun(msgspec.Struct, forbid_unknown_fields=True):

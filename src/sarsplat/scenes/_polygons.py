@@ -1,154 +1,103 @@
-"""Triangles of polygons, concave ones too: ears are cut off one by one.
-
-A fan from the first corner, which most readers make, covers a concave polygon wrongly, and a warped one differently by
-where its outline begins. What is a fan whatever its first corner, flat and convex, stays one.
-"""
+"""Triangles of mesh files with concave or warped polygons, by earcut: trimesh makes fans of all polygons."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
 from sarsplat.errors import SarsplatError
 
-_FLAT = 1e-6  # of its size: how far a corner may be from the plane of a flat polygon
-_ROUNDINGS = 1e-9  # of its size squared: areas that are none
-_TIE = 1e-7  # of its size: diagonals of equal length differ by that, along a direction that no outline prefers
-_ASIDE = np.array([0.36, 0.48, 0.8])
-_MOST_CORNERS = 2_000  # of a polygon that is no fan: the time grows with their square
-_MOST_WORK = 200_000_000  # squares of corners in all: half a minute
-_AT_ONCE = 1_000_000  # places before edges
+_FLAT = 1e-6
+"""Tolerance of a flat polygon: distance of a corner from its plane, relative to its size."""
+_ROUNDING = 1e-9
+"""Tolerance of an area, relative to the square of a polygon's size."""
+_TIE = 1e-7
+"""Difference between diagonals of equal length, relative to a polygon's size, by their place along `_TIE_AXIS`."""
+_TIE_AXIS = np.array([0.36, 0.48, 0.8])
+_MAX_CORNERS = 2_000
+_MAX_WORK = 200_000_000
+"""Maximum sum of squared numbers of corners over the concave polygons of a file."""
+
+_PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+_PLY_TYPES |= {"float": "f4", "double": "f8"}
+_PLY_TYPES |= {np.dtype(code).name: code for code in _PLY_TYPES.values()}
+_PLY_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+
+Polygons = tuple[Float64[np.ndarray, "v 3"], Any, bool]
+"""Vertices, the corners of each polygon, and True if trimesh reads such a file."""
+Properties = list[tuple[str, str, str]]
+"""Type of a list's length or "", type of the values, and name."""
 
 
-@dataclass(frozen=True)
-class Triangulation:
-    """Triangles of M polygons with N corners each.
+def polygon_mesh(kind: str, data: bytes) -> tuple[Float64[np.ndarray, "v 3"], Int[np.ndarray, "f 3"], int] | None:
+    """Return vertices, triangles and the number of self-crossing outlines of an .obj, .off or .ply file.
 
-    Attributes
-    ----------
-    triangles : numpy.ndarray, int64 [M, N − 2, 3]
-        Corners of the triangles, as numbers from 0 to N − 1.
-    crossed : int
-        Polygons whose outline crosses itself, so that no triangles cover what it encloses.
+    None if trimesh reads the file correctly, or if it is damaged. The surface does not depend on where an outline
+    begins. Raises `SarsplatError` if there are far too many corners.
     """
-
-    triangles: Int[np.ndarray, "m t 3"]
-    crossed: int
+    try:
+        vertices, polygons, readable = {".obj": _obj, ".off": _off, ".ply": _ply}[kind](data)
+        counts = np.array([len(polygon) for polygon in polygons])
+        cut: dict[int, Any] = {}
+        crossed = 0
+        for count in np.unique(counts[counts > 3]):
+            numbers = np.flatnonzero(counts == count)
+            corners = vertices[np.array([polygons[number] for number in numbers])]
+            odd = np.isfinite(corners).all(axis=(1, 2))
+            odd[odd] = ~are_fans(corners[odd])
+            if odd.any():
+                triangles, some = triangulated(corners[odd])
+                cut |= zip(numbers[odd].tolist(), triangles, strict=True)
+                crossed += some
+        if readable and not cut:
+            return None
+        faces = [
+            [polygon[k] for k in triangle]
+            for number, polygon in enumerate(polygons)
+            for triangle in cut.get(number) or [(0, k, k + 1) for k in range(1, len(polygon) - 1)]
+        ]
+        return vertices, np.array(faces, np.int64).reshape(-1, 3), crossed
+    except (ValueError, LookupError, TypeError, OverflowError, MemoryError, StopIteration):  # for trimesh to report
+        return None
 
 
 def are_fans(corners: Float64[np.ndarray, "m n 3"]) -> Bool[np.ndarray, " m"]:
-    """Which polygons are flat and convex, so that triangles from any of their corners to all others cover them."""
-    flat, plane, size = _in_its_plane(corners)
-    ahead, back = np.roll(flat, -1, axis=1), np.roll(flat, 1, axis=1)
-    least = -_ROUNDINGS * size[:, None] ** 2
-    turns = _area(back, flat, ahead) >= least
+    """Mask of the polygons that are flat and convex, so that a fan from any corner covers them."""
+    flat, heights, size = _in_its_plane(corners)
+    least = -_ROUNDING * size[:, None] ** 2
+    turns = _area(np.roll(flat, 1, axis=1), flat, np.roll(flat, -1, axis=1)) >= least
     fan = _area(flat[:, :1], flat[:, 1:-1], flat[:, 2:]) >= least
-    level = np.abs(plane) <= _FLAT * size[:, None]
-    same: Bool[np.ndarray, " m"] = turns.all(1) & fan.all(1) & level.all(1)
-    return same
+    level = np.abs(heights) <= _FLAT * size[:, None]
+    fans: Bool[np.ndarray, " m"] = turns.all(1) & fan.all(1) & level.all(1)
+    return fans
 
 
-def triangulated(corners: Float64[np.ndarray, "m n 3"]) -> Triangulation:
-    """Triangles of polygons with equally many corners, the same ones wherever an outline begins.
+def triangulated(corners: Float64[np.ndarray, "m n 3"]) -> tuple[list[list[list[int]]], int]:
+    """Return triangles of each polygon, as numbers of its corners, and how many outlines cross themselves."""
+    from mapbox_earcut import triangulate_float64
 
-    Ears with the shortest diagonal come first. Raises `SarsplatError` if there are far too many corners.
-    """
     count, number, _ = corners.shape
-    if number > _MOST_CORNERS or count * number**2 > _MOST_WORK:
+    if number > _MAX_CORNERS or count * number**2 > _MAX_WORK:
         raise SarsplatError(f"{count:,} of its faces are concave with {number:,} corners; triangulate it beforehand")
-    triangles = np.empty((count, number - 2, 3), np.int64)
-    crossed, step = 0, max(_AT_ONCE // number**2, 1)
-    for first in range(0, count, step):
-        part = slice(first, first + step)
-        triangles[part], some = _cut(corners[part])
-        crossed += some
-    return Triangulation(triangles, crossed)
-
-
-def _cut(corners: Float64[np.ndarray, "m n 3"]) -> tuple[Int[np.ndarray, "m t 3"], int]:
-    """Triangles, and how many of the outlines cross themselves."""
-    count, number, _ = corners.shape
-    rows = np.arange(count)
     flat, _, size = _in_its_plane(corners)
-    centred = (corners - corners.mean(axis=1, keepdims=True)) / np.where(size > 0, size, 1)[:, None, None]
-    outline = _Outline(flat, centred, _ROUNDINGS * size**2)
-    left = np.tile(np.arange(number), (count, 1))
-    cost = outline.cost(left, left.copy(), strictly=True)
-    triangles, crossed = [], np.zeros(count, bool)
-    for many in range(number, 3, -1):
-        ear = cost.argmin(axis=1)
-        stuck = np.flatnonzero(np.isinf(cost[rows, ear]))
-        if len(stuck):  # corners that touch edges, then outlines that cross themselves
-            loosely = outline.of(stuck).cost(left[stuck], left[stuck], strictly=False)
-            ear[stuck] = loosely.argmin(axis=1)
-            none = np.isinf(loosely.min(axis=1))
-            area = np.abs(outline.of(stuck).area(left[stuck]))
-            ear[stuck[none]] = area[none].argmin(axis=1)
-            crossed[stuck[none]] |= area[none].min(axis=1) > outline.least[stuck[none]]
-        before, after = (ear - 1) % many, (ear + 1) % many
-        triangles.append(np.stack([left[rows, before], left[rows, ear], left[rows, after]], axis=1))
-        kept = np.ones_like(left, dtype=bool)
-        kept[rows, ear] = False
-        left, cost = (table[kept].reshape(count, many - 1) for table in (left, cost))
-        for place in ((ear - 1) % (many - 1), ear % (many - 1)):  # the others' neighbours are the same as before
-            cost[rows, place] = outline.cost(left, left[rows, place][:, None], strictly=True, places=place)[:, 0]
-    triangles.append(left)
-    crossed |= outline.area(left)[:, 0] < -outline.least  # what remains is turned over
-    return np.stack(triangles, axis=1), int(crossed.sum())
-
-
-@dataclass(frozen=True)
-class _Outline:
-    """Corners in the plane of each polygon, and around its middle in units of its size; areas that are none."""
-
-    flat: Float64[np.ndarray, "m n 2"]
-    centred: Float64[np.ndarray, "m n 3"]
-    least: Float64[np.ndarray, " m"]
-
-    def of(self, rows: Int[np.ndarray, " k"]) -> _Outline:
-        return _Outline(self.flat[rows], self.centred[rows], self.least[rows])
-
-    def area(self, left: Int[np.ndarray, "m k"]) -> Float64[np.ndarray, "m k"]:
-        """Twice the area of the triangle at each of the corners that are left; negative where it lies outside."""
-        here, before, after = (np.roll(left, by, axis=1) for by in (0, 1, -1))
-        return _area(*(np.take_along_axis(self.flat, which[:, :, None], 1) for which in (before, here, after)))
-
-    def cost(
-        self,
-        left: Int[np.ndarray, "m k"],
-        asked: Int[np.ndarray, "m j"],
-        *,
-        strictly: bool,
-        places: Int[np.ndarray, " m"] | None = None,
-    ) -> Float64[np.ndarray, "m j"]:
-        """Length of the diagonal that cuts off each corner `asked` for; infinite where it is no ear.
-
-        `places` is where the corners asked for are among those that are left, of one for each polygon; otherwise all
-        are asked for. `strictly`: nor is it one if another corner lies on its edge.
-        """
-        where = np.arange(left.shape[1])[None] if places is None else places[:, None]
-        before, after = (
-            np.take_along_axis(left, np.broadcast_to((where + by) % left.shape[1], asked.shape), 1) for by in (-1, 1)
-        )
-        a, b, c = (np.take_along_axis(self.flat, which[:, :, None], 1) for which in (before, asked, after))
-        others = np.take_along_axis(self.flat, left[:, :, None], 1)[:, None]  # [M, 1, K, 2]
-        least = self.least[:, None, None]
-        A, B, C = a[:, :, None], b[:, :, None], c[:, :, None]
-        sides = np.stack([_area(A, B, others), _area(B, C, others), _area(C, A, others)])
-        inside = (sides >= -least).all(axis=0) if strictly else (sides > least).all(axis=0)
-        for corner in (A, B, C):
-            inside &= ~(others == corner).all(axis=-1)
-        following = np.roll(others, -1, axis=2)
-        from_a, from_c = _area(others, following, A), _area(others, following, C)
-        one, other = sides[2], np.roll(sides[2], -1, axis=2)
-        crosses = (np.abs(one) > least) & (np.abs(other) > least) & ((one > 0) != (other > 0))
-        crosses &= (np.abs(from_a) > least) & (np.abs(from_c) > least) & ((from_a > 0) != (from_c > 0))
-        ear = (_area(a, b, c) > self.least[:, None]) & ~inside.any(axis=-1) & ~crosses.any(axis=-1)
-        start, end = (np.take_along_axis(self.centred, which[:, :, None], 1) for which in (before, after))
-        length = np.linalg.norm(end - start, axis=2) + _TIE * ((start + end) @ _ASIDE)
-        return np.where(ear, length, np.inf)
+    scaled = (corners - corners.mean(axis=1, keepdims=True)) / size[:, None, None]
+    before, after = np.roll(scaled, 1, axis=1), np.roll(scaled, -1, axis=1)
+    diagonals = np.linalg.norm(after - before, axis=2) + _TIE * ((before + after) @ _TIE_AXIS)
+    # earcut begins at the last corner: let that have the shortest diagonal
+    order = (diagonals.argmin(axis=1)[:, None] + np.arange(1, number + 1)) % number
+    outlines = np.take_along_axis(flat, order[:, :, None], axis=1)
+    ring = np.array([number])
+    triangles = [triangulate_float64(outline, ring).reshape(-1, 3) for outline in outlines]
+    owners = np.repeat(np.arange(count), [len(own) for own in triangles])
+    a, b, c = (outlines[owners, np.concatenate(triangles)[:, k]] for k in range(3))
+    covered = np.bincount(owners, np.abs(_area(a, b, c)), count)
+    enclosed = np.abs(_area(outlines[:, :1], outlines, np.roll(outlines, -1, axis=1)).sum(axis=1))
+    crossed = int((np.abs(covered - enclosed) > _ROUNDING * size**2).sum())
+    return [first[own].tolist() for first, own in zip(order, triangles, strict=True)], crossed
 
 
 def _in_its_plane(
@@ -175,3 +124,82 @@ def _area(
     area: Float64[np.ndarray, "*#t"]
     area = (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
     return area
+
+
+def _vertices(lines: Iterable[bytes]) -> Float64[np.ndarray, "v 3"]:
+    return np.array([[float(word) for word in line.split()[:3]] for line in lines], np.float64).reshape(-1, 3)
+
+
+def _obj(data: bytes) -> Polygons:
+    if not re.search(rb"^f(?:[ \t]+[^\s]+){4}", data, flags=re.MULTILINE):
+        return np.empty((0, 3)), [], True
+    vertices = _vertices(re.findall(rb"^v[ \t]([^\n]*)", data, flags=re.MULTILINE))
+    faces = re.findall(rb"^f[ \t]([^\n]*)", data, flags=re.MULTILINE)
+    return vertices, [[int(word.split(b"/")[0]) - 1 for word in face.split()] for face in faces], True
+
+
+def _off(data: bytes) -> Polygons:
+    lines = [line for line in data.partition(b"OFF")[2].splitlines() if line.strip()]
+    vertices, faces = (int(word) for word in lines[0].split()[:2])
+    rows = [[int(word) for word in line.split()[: int(line.split()[0]) + 1]] for line in lines[vertices + 1 :][:faces]]
+    return _vertices(lines[1 : vertices + 1]), [row[1:] for row in rows], True
+
+
+def _ply(data: bytes) -> Polygons:
+    header, _, body = re.split(rb"[\r\n](end_header)(?:\r\n|\n|\r)", data, maxsplit=1)
+    order, place, elements = "", 0, list[tuple[str, int, Properties]]()
+    for line in header.decode("latin-1").splitlines():
+        match [_PLY_TYPES.get(word, word) for word in line.split()]:
+            case ["format", kind, *_]:
+                order = _PLY_ORDERS[kind]
+            case ["element", name, number]:
+                elements.append((name, int(number), []))
+            case ["property", "list", length, kind, name]:
+                elements[-1][2].append((length, kind, name))
+            case ["property", kind, name]:
+                elements[-1][2].append(("", kind, name))
+    lines = iter(body.splitlines())
+    words: Iterator[bytes] = iter(())
+
+    def read(kind: str, count: int) -> list[Any]:
+        nonlocal place
+        if not order:
+            return [(float if kind.startswith("f") else int)(next(words)) for _ in range(count)]
+        values = np.frombuffer(body, order + kind, count, place)
+        place += values.nbytes
+        return values.tolist()
+
+    tables: dict[str, Any] = {}
+    readable = True
+    for element, number, properties in elements:
+        rows = _uniform_rows(body, order, place, number, properties) if order else None
+        if rows is not None:
+            tables[element], place = {name: rows[name] for _, _, name in properties}, place + rows.nbytes
+            continue
+        readable = not order
+        table = tables[element] = {name: [] for _, _, name in properties}
+        for _ in range(number if properties else 0):
+            words = words if order else iter(next(lines).split())
+            for length, kind, name in properties:
+                values = read(kind, read(length, 1)[0] if length else 1)
+                table[name].append(values if length else values[0])
+    vertices = np.stack([np.asarray(tables["vertex"][axis], np.float64) for axis in "xyz"], axis=1)
+    faces = tables["face"]
+    return vertices, faces.get("vertex_indices", faces.get("vertex_index")), readable
+
+
+def _uniform_rows(body: bytes, order: str, place: int, number: int, properties: Properties) -> np.ndarray | None:
+    """Rows of an element of a binary PLY file, or None if its lists differ in length."""
+    fields, end = list[Any](), place
+    for length, kind, name in properties:
+        fields.append((name, order + kind))
+        if length:
+            count = int(np.frombuffer(body, order + length, 1, end)[0])
+            fields[-1:] = [(f"number of {name}", order + length), (name, order + kind, (count,))]
+        end = place + np.dtype(fields).itemsize
+    if place + number * (end - place) > len(body):
+        return None
+    rows = np.frombuffer(body, fields, number, place)
+    lists = [name for length, _, name in properties if length]
+    same = all((rows[f"number of {name}"] == rows[name].shape[1]).all() for name in lists)
+    return rows if same else None

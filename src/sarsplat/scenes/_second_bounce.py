@@ -22,7 +22,6 @@ from jaxtyping import Bool, Float64, Int32
 from sarsplat.errors import SarsplatError
 from sarsplat.extras import install_command
 from sarsplat.geometry import View
-from sarsplat.geometry.view import check_monostatic
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, sparse_hits
@@ -99,7 +98,6 @@ class SecondBounce:
         self, view: View, facets: Facets, trace: Trace, nodes: NodeGrid, progress: Callable[[float], object]
     ) -> dict[str, Float64[np.ndarray, "rows columns"]]:
         """β⁰ by kind; `facets` and `trace` are of the rays that come straight from the radar."""
-        check_monostatic([view], "second bounces are those of one radar")
         kinds = {BY_GROUND: self.by_ground} if self._reflectivity else {}
         kinds |= {BETWEEN_FACETS: self.between_facets}
         images = {}
@@ -119,7 +117,7 @@ class SecondBounce:
         progress: Callable[[float], object] = lambda share: None,
     ) -> None:
         """Facet–ground and ground–facet: every place is imaged at its foot, whatever its height."""
-        u = view.look.way_in
+        u = view.look.facing
         mirrored, legs = u * (1.0, 1.0, -1.0), _Legs(self._mesh)
         bisector = np.array([u[0], u[1], 0.0]) / math.hypot(u[0], u[1])
         look = view.look
@@ -163,7 +161,7 @@ class SecondBounce:
     ) -> None:
         """From one rough facet to another, in directions spread evenly over the half space of the first."""
         look, legs, count = view.look, _Legs(self._mesh), 0
-        u = look.way_in
+        u = look.facing
         for points in self._found(facets, trace, view, u, progress):
             several = np.maximum(np.rint(_DIRECTIONS * points.area / self._spacing**2), 1).astype(np.int64)
             points = points[np.repeat(np.arange(len(several)), several)]

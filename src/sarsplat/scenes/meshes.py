@@ -22,8 +22,7 @@ from jaxtyping import Bool, Float, Int
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid
-from sarsplat.scenes._obj_text import plain_obj
-from sarsplat.scenes._polygon_files import of_triangles
+from sarsplat.scenes._polygons import polygon_mesh
 
 if TYPE_CHECKING:
     import trimesh
@@ -43,6 +42,13 @@ _LONGEST_SCENE = 1 << 20  # bytes of JSON in a .glb file
 _MAX_PARTS = 2_000  # nodes and primitives of a glTF scene: trimesh takes about a tenth of a millisecond for each
 _MAX_SOLIDS = 1_000  # in an ASCII .stl file: half a millisecond for each
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+
+_MISSING = "has faces that refer to missing vertices; repair the mesh"
+_COMMENT = re.compile(rb"#[^\n]*")
+_INDENTED = re.compile(rb"\n[ \t]+")
+_RELATIVE = re.compile(rb"^f[^\n]*[ \t/]-", re.MULTILINE)
+_ZERO = re.compile(rb"^f[^\n]*[ \t]0+(?![0-9])", re.MULTILINE)
+_BACK = re.compile(rb"-[0-9]{1,12}")
 
 logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # our own errors report what is wrong with a file
 
@@ -168,16 +174,30 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     elif not _is_binary(kind, data):
         data = _plain_text(path, kind, data)
     try:
-        data, crossed = of_triangles(kind, data)
+        cut = polygon_mesh(kind, data)
     except SarsplatError as error:
         raise SarsplatError(f"'{path}': {error}") from error
-    if crossed:
+    mesh = _read_with_trimesh(path, kind, data) if cut is None else trimesh.Trimesh(*cut[:2], process=False)
+    if cut is not None and cut[2]:
         warnings.warn(
-            f"'{path}': the outlines of {counted(crossed, 'face')} cross themselves, so that their surface is a guess; "
+            f"'{path}': the outlines of {counted(cut[2], 'face')} cross themselves, so that their surface is a guess; "
             "repair the mesh",
             SarsplatWarning,
             stacklevel=2,
         )
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if len(faces) == 0:
+        raise SarsplatError(f"'{path}' holds no faces, only {len(vertices)} vertices; give a triangle mesh")
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
+        raise SarsplatError(f"'{path}' has faces that refer to missing vertices; repair the mesh")
+    if (far := np.abs(vertices[np.isfinite(vertices)])).size and far.max() > _FARTHEST:
+        raise SarsplatError(f"'{path}' has a vertex {far.max():.3g} m from the origin; repair it or scale it to metres")
+    return mesh
+
+
+def _read_with_trimesh(path: Path, kind: str, data: bytes) -> trimesh.Trimesh:
+    import trimesh
+
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -186,18 +206,11 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
             # Unprocessed: merging vertices would move them. A stream without resolver: no other file can be named.
             scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True)
             mesh = scene.to_mesh()
-            if kind == ".glb":  # y is up there
-                mesh.vertices = mesh.vertices[:, [0, 2, 1]] * (1, -1, 1)
     except Exception as error:  # the readers behind trimesh raise whatever their parsers raise
         reason = repr(str(error) or type(error).__name__)[:200]
         raise SarsplatError(f"'{path}' cannot be read as a mesh ({reason}); repair it or give another file") from error
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    if len(faces) == 0:
-        raise SarsplatError(f"'{path}' holds no faces, only {len(vertices)} vertices; give a triangle mesh")
-    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
-        raise SarsplatError(f"'{path}' has faces that refer to missing vertices; repair the mesh")
-    if (far := np.abs(vertices[np.isfinite(vertices)])).size and far.max() > _FARTHEST:
-        raise SarsplatError(f"'{path}' has a vertex {far.max():.3g} m from the origin; repair it or scale it to metres")
+    if kind == ".glb":  # y is up there
+        mesh.vertices = mesh.vertices[:, [0, 2, 1]] * (1, -1, 1)
     return mesh
 
 
@@ -225,13 +238,48 @@ def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
         raise SarsplatError(f"'{path}' holds {solids} solids, each a mesh; export it as one plain mesh")
     if kind == ".obj":
         try:
-            data = plain_obj(data)
+            data = _plain_obj(data)
         except SarsplatError as error:
             raise SarsplatError(f"'{path}' {error}") from error
         return data.replace(b"usemtl", b"#")  # each change of material would be a mesh, for milliseconds
     if kind == ".off":
         return re.sub(rb"(?:[\n-\r\x1c-\x1e]|#[^\n]*)(?:[\s\x1c-\x1e]+|#[^\n]*)*+", b"\n", data)
     return re.sub(rb"[\n-\r\x1c-\x1e][\s\x1c-\x1e]*", b"\n", data)
+
+
+def _plain_obj(data: bytes) -> bytes:
+    """The same OBJ file without comments, continued lines and indentation; refused if a face refers to no vertex.
+
+    A comment may end with a backslash, as a folder of Windows does, without going on in the next line.
+    """
+    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    data = _COMMENT.sub(b"", data).replace(b"\\\n", b" ")
+    data = _INDENTED.sub(b"\n", data).lstrip()
+    if _ZERO.search(data):  # for trimesh this is the last vertex
+        raise SarsplatError(_MISSING)
+    if not _RELATIVE.search(data):
+        return data
+    seen = {b"v": 0, b"vt": 0, b"vn": 0}
+    lines = []
+    for line in data.split(b"\n"):
+        words = line.split()
+        if words and words[0] in seen:
+            seen[words[0]] += 1
+        elif words and words[0] == b"f":
+            line = b" ".join([b"f", *(_corner(word, [*seen.values()]) for word in words[1:])])
+        lines.append(line)
+    return b"\n".join(lines)
+
+
+def _corner(word: bytes, seen: list[int]) -> bytes:
+    """A corner of a face, vertex/texture/normal, of which so many came before it: −1 is the last of them."""
+    numbers = word.split(b"/")
+    for place, (number, count) in enumerate(zip(numbers, seen, strict=False)):
+        if _BACK.fullmatch(number):
+            if not -count <= int(number) < 0:
+                raise SarsplatError(_MISSING)
+            numbers[place] = b"%d" % (count + 1 + int(number))
+    return b"/".join(numbers)
 
 
 def _check_glb(path: Path, data: bytes) -> None:

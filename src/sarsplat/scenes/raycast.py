@@ -18,14 +18,13 @@ from jaxtyping import Float, Float64, Int32, Real, UInt8
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, Look, Terrain, View
-from sarsplat.geometry.view import check_monostatic
+from sarsplat.geometry.view import check_unstretched
 from sarsplat.radiometry import to_db
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, first_hits, sparse_hits, tracer
 from sarsplat.scenes._second_bounce import SecondBounce
-from sarsplat.scenes._two_ways import image_two_ways, lit_level, shadows_two_ways
 from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.scattering import (
     ScatteringLaw,
@@ -165,9 +164,7 @@ class RayCaster:
         self, view: View, progress: Callable[[float], object] = lambda share: None
     ) -> Float[np.ndarray, "rows columns"]:
         """The image of a view; `progress` is called with the share that is done, several times a second."""
-        if view.apart_deg:
-            return self._two_ways(view, progress)
-        check_monostatic([view], "cast rays for the same view on a grid of pixels of that width instead")
+        check_unstretched([view])
         facets = Facets.of(self._mesh, view)
         gamma0 = self._reflectivity * self._law.gamma0(facets.cos_incidence)
         gamma0[len(gamma0) - len(self._terrain_gamma0) :] = self._terrain_gamma0
@@ -209,20 +206,6 @@ class RayCaster:
             self.power_by_echo[view] = {kind: float(one.sum()) for kind, one in (echoes | second).items()}
             image = sum(second.values(), image)
         return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
-
-    def _two_ways(self, view: View, progress: Callable[[float], object]) -> Float[np.ndarray, "rows columns"]:
-        """The image of a bistatic view."""
-        if len(self._terrain_gamma0) or self._second is not None:
-            raise SarsplatError(
-                "a view is bistatic, of which neither terrain nor second bounces are simulated; leave them out"
-            )
-        scene, ground = (self._mesh, view, self._law, self._reflectivity), self._ground_gamma0
-        if view.aloft and ground is not None:
-            raise SarsplatError("the view is of a target aloft, where there is no ground; leave out the ground")
-        image = image_two_ways(*scene, self._nodes, self._spacing, self._offset, progress, stands=ground is not None)
-        if ground is not None:
-            image += ground * (lit_level(view.look) + shadows_two_ways(self._mesh, view, self._nodes, self._spacing))
-        return np.maximum(image, 0.0).astype(np.float32)
 
     def second_bounces(
         self, view: View, progress: Callable[[float], object] = lambda share: None
@@ -349,7 +332,7 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     """
     spacing = min(grid.spacing_m) / _PARTS / _RAYS
     check_rays(mesh, None, spacing, _OFFSET)
-    check_monostatic([view], "masks are of what one radar sees and shades; leave them out")
+    check_unstretched([view])
     look = view.look
     slope_of_ground = 1 / view.open_beta0
     width, depth = grid.spacing_m

@@ -19,7 +19,7 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.geometry.responses import Response
 from sarsplat.geometry.stack import LOUDEST
-from sarsplat.geometry.view import check_monostatic
+from sarsplat.geometry.view import check_unstretched
 from sarsplat.scenes._random import generator
 from sarsplat.scenes._rays import Facets, Region, tracer
 from sarsplat.scenes.mechanisms import Mechanisms
@@ -92,7 +92,7 @@ def simulate_stack(
     SarsplatWarning
         If a good part of the mesh is below the ground.
     """
-    check_monostatic([view], "stacks are those of one radar; leave out the passes or the second direction")
+    check_unstretched([view])
     roots = _roots(mechanisms, stack, len(mesh.faces))
     spacing = min(grid.resolution_m) / _PER_CELL if spacing_m is None else spacing_m
     check_rays(mesh, ground_gamma0, spacing, (0.5, 0.5))

@@ -108,9 +108,7 @@ def _bisected(
 def law_scattering(
     normals: Float[np.ndarray, "n 3"] | Sequence[Sequence[float]], views: Sequence[View], law: ScatteringLaw
 ) -> Float64[np.ndarray, "v n"]:
-    """γ⁰ of surface points in every view, two-sided; in bistatic ones, of the direction halfway.
-
-    A point with the transmitter on one side and the receiver on the other returns nothing.
+    """γ⁰ of surface points in every view, two-sided.
 
     Parameters
     ----------
@@ -127,12 +125,8 @@ def law_scattering(
         γ⁰, linear: the amplitudes to pass to the renderer.
     """
     normals = np.asarray(normals, dtype=np.float64)
-    facing, way_in, way_out = (
-        np.array([getattr(view.look, name) for view in views]).reshape(-1, 3)
-        for name in ("facing", "way_in", "way_out")
-    )
-    gamma0 = law.gamma0(facing @ normals.T)
-    return gamma0 * ((way_in @ normals.T) * (way_out @ normals.T) >= 0)
+    facing = np.array([view.look.facing for view in views]).reshape(-1, 3)
+    return law.gamma0(facing @ normals.T)
 
 
 @checks_arguments
@@ -145,7 +139,7 @@ def law_by_ground(
     Arguments are those of `law_scattering`.
     """
     normals = np.asarray(normals, dtype=np.float64)
-    u = np.array([view.look.way_out for view in views]).reshape(-1, 3)
+    u = np.array([view.look.facing for view in views]).reshape(-1, 3)
     level, mirrored = u * (1.0, 1.0, 0.0), u * (1.0, 1.0, -1.0)
     middle = level / np.linalg.norm(level, axis=1, keepdims=True)
     return law.gamma0(middle @ normals.T) * ((u @ normals.T) * (mirrored @ normals.T) > 0)

@@ -171,6 +171,8 @@ PRESETS: dict[str, Config] = {
         passes=Passes(),
     ),
 }
+"""Known presets by name."""
+
 # several polarisations: a matrix for each Gaussian. Materials differ, and sparsity and dropout keep faint Gaussians
 # from mixing those that share pixels.
 PRESETS["polarimetric"] = replace(
@@ -181,7 +183,6 @@ PRESETS["polarimetric"] = replace(
     sparsity=0.2,
     dropout=0.2,
 )
-"""Known presets by name."""
 
 
 @checks_arguments

@@ -177,7 +177,7 @@ class PointExtraction(Record):
         "largest": keep only the largest cluster (DBSCAN); "bright": keep every cluster that is higher than a resolution
         cell and returns more than the brightest speckle of a cell of ground.
     cluster_radius : float or None
-        Maximum distance of neighbours in a cluster, in resolution cells; None: keep all points.
+        Radius of neighbours ("largest") or side of cubes ("bright"), in resolution cells; None: keep all points.
     cluster_size : int
         Minimum number of neighbours of a point inside the largest cluster.
     """

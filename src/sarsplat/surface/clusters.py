@@ -1,9 +1,9 @@
-"""Clusters of points: objects are kept, remains of speckle are dropped."""
+"""Clusters of points: separate objects from speckle and ground."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import torch
@@ -14,31 +14,31 @@ from scipy.spatial import cKDTree
 
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.extras import install_command
-from sarsplat.geometry import ImageGrid
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.surface.cells import numbered
 
 _CUBES = 4
-"""Cubes per radius of a cluster (DBSCAN)."""
+"""Cubes per DBSCAN radius."""
 
 _TOUCHING = 1.8
-"""Maximum distance of cubes that touch at a side, an edge or a corner, in sides."""
+"""Maximum distance of adjacent cubes (a corner is √3), in sides."""
 
 _QUARTILE = 0.75
-"""Quantile over the views at which a cluster's power is tested: many objects are lit from one side only."""
+"""Quantile over the views of a cluster's power that must reach the threshold: many are bright from one side only."""
 
 _NAMED = 3
 """Maximum number of clusters whose places a note names."""
 
 
 def largest(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Bool[np.ndarray, " p"]:
-    """Mask of the largest DBSCAN cluster, which drops points that float apart from the target."""
+    """Return the mask of the largest DBSCAN cluster; all False without clusters."""
     try:
         from sklearn.cluster import DBSCAN
     except ImportError as error:
         raise SarsplatError(f"cleaning the point cloud needs scikit-learn; {install_command('evaluate')}") from error
     if len(points) == 0:
         return np.zeros(0, bool)
-    # one weighted point per cube: points of a dense cloud have hundreds of neighbours
+    # DBSCAN on weighted centroids of cubes: a dense cloud has hundreds of neighbours per point
     cubes, owner = _cubes(points, radius / _CUBES)
     count = np.bincount(owner)
     centres = np.stack([np.bincount(owner, axis, len(cubes)) for axis in points.T], axis=1) / count[:, None]
@@ -46,25 +46,27 @@ def largest(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Boo
     return labels == np.bincount(labels + 1, minlength=2)[1:].argmax()
 
 
-def brightest_speckle_m2(gamma0: float, grid: ImageGrid) -> float:
-    """Expected cross-section of the brightest resolution cell of ground in a single-look image, m²."""
-    return gamma0 * math.prod(grid.resolution_m) * math.log(max(grid.independent_samples, math.e))
+def brightest_speckle_m2(gamma0: float, views: Sequence[View], grid: ImageGrid) -> Float64[np.ndarray, " v"]:
+    """Return the expected cross-section of the brightest cell of ground in a single-look image of each view, m²."""
+    sides_m = np.maximum(grid.resolution_m, grid.spacing_m)
+    mean_m2 = np.array([view.look.beta0_of_gamma0(gamma0) for view in views]) * sides_m.prod()
+    return mean_m2 * (math.log(max(grid.independent_samples, 1.0)) + np.euler_gamma)  # of exponential samples
 
 
 def bright(
     points: Float64[np.ndarray, "p 3"],
     high: Bool[np.ndarray, " p"],
     radius: float,
-    least_m2: float,
+    threshold_m2: Float64[np.ndarray, " v"],
     means: Float64[np.ndarray, "n 3"],
-    cross_sections: Iterable[Float32[np.ndarray, "v n"]],
+    cross_sections: Iterable[Float32[np.ndarray, "_ n"]],
     say: Callable[[str], object],
 ) -> Bool[np.ndarray, " p"]:
-    """Mask of the clusters whose Gaussians return at least `least_m2` in a quarter of the views; reports the others.
+    """Return the mask of clusters that are objects, and report the others.
 
-    A cluster without `high` points is ground: heights of less than a cell and differences of its brightness look alike.
-    Clusters are connected cubes with sides of the radius, m. `means` (m) and `cross_sections` (m², batches of views)
-    are those of all Gaussians; each belongs to the nearest cluster within two cubes.
+    Objects have `high` points (more than a cell above the ground: lower relief and texture look alike) and return at
+    least `threshold_m2` (by view) in a quarter of the views. Clusters are connected cubes with sides of `radius`, m.
+    Gaussians of `means`, m, belong to the nearest cluster, within two cubes; `cross_sections`, m², come in batches.
     """
     if len(points) == 0:
         return np.zeros(0, bool)
@@ -75,21 +77,25 @@ def bright(
     count, cluster = connected_components(links, directed=False)
     distance, nearest = tree.query(np.floor(means / radius), distance_upper_bound=2.0)
     near = np.isfinite(distance)
-    of_gaussian = cluster[nearest[near]]
-    power = np.array([np.bincount(of_gaussian, section[near], count) for batch in cross_sections for section in batch])
-    keep = (np.quantile(power, _QUARTILE, axis=0) >= least_m2) & (np.bincount(cluster[owner], high, count) > 0)
-    if not keep.all():
-        share = power[:, ~keep].sum() / max(power.sum(), np.finfo(float).tiny)
-        first = [points[cluster[owner] == k].mean(axis=0) for k in np.flatnonzero(~keep)[:_NAMED]]
+    cluster_of = cluster[nearest[near]]
+    sections_m2 = np.concatenate(list(cross_sections))
+    power_m2 = np.array([np.bincount(cluster_of, view[near], count) for view in sections_m2])
+    enough = np.quantile(power_m2 / threshold_m2[:, None], _QUARTILE, axis=0) >= 1
+    is_object = enough & (np.bincount(cluster[owner], high, count) > 0)
+    if not is_object.all():
+        omitted = np.flatnonzero(~is_object)
+        omitted = omitted[np.argsort(-power_m2[:, omitted].sum(axis=0), kind="stable")]
+        share = power_m2[:, omitted].sum() / max(sections_m2.sum(dtype=float), np.finfo(float).tiny)
+        first = [points[cluster[owner] == k].mean(axis=0) for k in omitted[:_NAMED]]
         where = "; ".join(", ".join(f"{value:.2f}" for value in place) for place in first)
-        more = ", …" if (~keep).sum() > _NAMED else ""
-        left_out = counted(int((~keep).sum()), "cluster")
+        more = ", …" if len(omitted) > _NAMED else ""
+        left_out = counted(len(omitted), "cluster")
         say(f"points: left out {left_out} like speckle or ground, {share:.2g} of the power, at ({where}{more}) m")
-    return keep[cluster[owner]]
+    return is_object[cluster[owner]]
 
 
 def _cubes(points: Float64[np.ndarray, "p 3"], side: float) -> tuple[Int[np.ndarray, "c 3"], Int[np.ndarray, " p"]]:
-    """Cubes that hold points, in units of their side, and the index of each point's cube."""
+    """Return cubes that hold points, in units of their side, and the index of each point's cube."""
     places = np.floor(points / side).astype(np.int64)
     numbers = numbered(torch.from_numpy(places)).numpy()
     _, first, owner = np.unique(numbers, return_index=True, return_inverse=True)

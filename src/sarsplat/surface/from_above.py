@@ -12,7 +12,6 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.geometry.view import along_ways
 from sarsplat.progress import stage
 from sarsplat.renderer import attenuate, project
 from sarsplat.surface.points import imaged, spread
@@ -80,7 +79,7 @@ def ground_seen(
     At most 96 views are used, evenly chosen.
     """
     seen, rays = np.zeros(len(places), bool), RayGrid.for_image(grid)
-    chosen = along_ways(spread(views, _MOST_VIEWS))
+    chosen = spread(views, _MOST_VIEWS)
     with stage("surface: ground", len(chosen)) as shown:
         for view in chosen:
             index = np.flatnonzero(~seen & imaged(places, view, grid))

@@ -20,7 +20,7 @@ from sarsplat.errors import SarsplatError, counted
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
-from sarsplat.geometry.view import along_ways
+from sarsplat.geometry.view import unstretched
 from sarsplat.memory import required
 from sarsplat.progress import stage
 from sarsplat.radiometry import usual_peak
@@ -68,7 +68,7 @@ def extract_points(
     gaussians : Gaussians
         The target alone, on any device.
     views : sequence of View
-        The training views; of bistatic ones, rays are traced along both ways.
+        The training views.
     grid : ImageGrid
         Grid whose pixels set the spacing of rays, and whose resolution cell is the unit of `how`.
     how : PointExtraction
@@ -102,8 +102,7 @@ def extract_points(
         voxels.add(torch.from_numpy(points[heights_of(points, terrain) >= how.min_height * cell]))
         points = voxels.means().numpy()
     else:
-        ways = along_ways(views)
-        points = _seen_points(gaussians, [*ways, *between(ways)], grid, how, terrain)
+        points = _seen_points(gaussians, [*unstretched(views), *between(views)], grid, how, terrain)
     if how.cluster_radius is None:
         return points
     if how.clusters == "largest":
@@ -118,10 +117,10 @@ def extract_points(
     chosen = spread(views, _MOST_VIEWS)
     with stage("points: power of clusters", len(chosen)) as shown:
         sections = (found.cpu().numpy() for _, found in _cross_sections(gaussians, chosen, grid, shown.advance))
-        least_m2 = brightest_speckle_m2(ground_gamma0, grid)
+        threshold_m2 = brightest_speckle_m2(ground_gamma0, chosen, grid)
         means = gaussians.means.double().cpu().numpy()
         high = heights_of(points, terrain) > cell
-        return points[bright(points, high, how.cluster_radius * cell, least_m2, means, sections, shown.note)]
+        return points[bright(points, high, how.cluster_radius * cell, threshold_m2, means, sections, shown.note)]
 
 
 def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, share: float) -> Bool[Tensor, " n"]:

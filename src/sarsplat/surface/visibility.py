@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.geometry.view import along_ways
+from sarsplat.geometry.view import unstretched
 from sarsplat.progress import stage
 from sarsplat.renderer import Rendering, render
 from sarsplat.surface.bricks import Scene, ray_count
@@ -56,7 +56,7 @@ def _rendered(
 
 @dataclass(frozen=True)
 class Seen:
-    """Visibility of each of N Gaussians, summed over views; bistatic ones count as two, along each way."""
+    """Visibility of each of N Gaussians, summed over views."""
 
     means: Float64[Tensor, "n 3"]
     """Centres, world frame, m."""
@@ -71,13 +71,13 @@ class Seen:
 
     @classmethod
     def of(cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid) -> Seen:
-        views = along_ways(views)
+        views = unstretched(views)
         gaussians, rays = gaussians.detach(), RayGrid.for_image(grid, _RAYS_PER_PIXEL)
         means, channel = gaussians.means.double(), gaussians.scattering.power_channel
         sums = means.new_zeros(len(means), 5)  # cross-section, lit area, towards
         pixel = replace(grid, rows=1, columns=1)  # images would take their time
         for some, done, index in _rendered(gaussians, views, pixel, rays):
-            outs = torch.from_numpy(np.stack([view.look.way_out for view in some])).to(means.device)
+            outs = torch.from_numpy(np.stack([view.look.facing for view in some])).to(means.device)
             for area, section, out in zip(done.lit_area.double(), done.cross_sections, outs, strict=True):
                 found = torch.cat([section[:, channel, None].double(), area[:, None], area[:, None] * out], dim=1)
                 if index is None:

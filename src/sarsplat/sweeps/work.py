@@ -19,7 +19,7 @@ from sarsplat.data.files import locked
 from sarsplat.data.folders import temporary_folder
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation import evaluate_run
-from sarsplat.executors.job import Work
+from sarsplat.executors.executor import Work
 from sarsplat.runs import Run, reconstruct
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run_folder import HEADER

@@ -14,7 +14,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.geometry.view import check_monostatic
+from sarsplat.geometry.view import check_unstretched
 from sarsplat.progress import stage
 from sarsplat.renderer import Footprints, attenuate, project, splat
 from sarsplat.renderer.echoes import Echo, GroundEcho
@@ -72,7 +72,7 @@ def render_tiled(
     """
     if not 0 < memory_gib < float("inf"):
         raise SarsplatError(f"memory_gib {memory_gib} must be positive and finite, such as {USUAL_GIB}")
-    check_monostatic([view], "images are rendered by tiles only if one radar takes them; use render")
+    check_unstretched([view])
     rays = rays or RayGrid.for_image(grid)
     cache = TileCache(gaussians, view, grid.as_dict(), rays, shift, memory_gib, *_identity(ground))
     with torch.no_grad():
@@ -150,7 +150,7 @@ def tile_image(
     new_pass = passes_for("auto", {"transmittance": ends.transmittance})
     sighting = Sighting(members, [view], pixels, rays, shift, attenuation.lit_area, ends, new_pass)
     for echo in echoes:
-        returned = echo.returned(echo.seen(sighting, echo.by_view(1)), [view], pixels, shift)
+        returned = echo.returned(echo.seen(sighting), [view], pixels, shift)
         images = added(images, returned, gaussians.scattering.power_channel)
     return images[0]
 

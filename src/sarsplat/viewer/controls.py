@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import UInt8
 
 from sarsplat.colours import DARK, LIGHT, POWER_RAMPS, Page, rgb
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB
 from sarsplat.viewer.pictures import MAPS, PHASES
@@ -125,11 +124,7 @@ class Controls:
         def slid(event: Any) -> None:
             if event.client is None:  # set by `follow`
                 return
-            try:
-                aimed = replace(self._view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value)
-            except SarsplatError:  # the transmitter or the receiver would be below the horizon
-                return
-            self._on_aim(aimed)
+            self._on_aim(replace(self._view, azimuth_deg=self._azimuth.value, grazing_deg=self._grazing.value))
 
         self._azimuth.on_update(slid)
         self._grazing.on_update(slid)

@@ -164,8 +164,8 @@ class Subject:
         return self.grid
 
     def maps(self, view: View) -> RadarMaps | None:
-        """Radar maps of any view of one radar, if the target's shape is known."""
-        return None if self.surface is None or not view.plain else radar_maps(self.surface, view, self.maps_grid)
+        """Radar maps of a view that is not stretched, if the target's shape is known."""
+        return None if self.surface is None or view.stretch != 1 else radar_maps(self.surface, view, self.maps_grid)
 
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
         """Contributors to a pixel, by area alone, and by way of the ground if that was simulated."""
@@ -174,7 +174,7 @@ class Subject:
             return None
         bounce, reflectivity = None, self.dataset.source.get("ground_reflectivity") if self.dataset else None
         if reflectivity:
-            towards = torch.from_numpy(view.look.way_out).float()[None]
+            towards = torch.from_numpy(view.look.facing).float()[None]
             sides = torch.from_numpy(law_by_ground(surface.normals, [view], ScatteringLaw(1.0, 0.0))).float()
             sent_on = surface.gaussians.gamma0(towards) * sides
             bounce = GroundBounce(Ground(torch.tensor(0.0)), torch.tensor(float(reflectivity)), sent_on)

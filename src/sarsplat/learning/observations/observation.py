@@ -18,7 +18,6 @@ from sarsplat.learning.losses import Loss
 from sarsplat.learning.method import Inputs
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.training_images import TrainingImages
-from sarsplat.processes import Processes
 from sarsplat.renderer import Bounds, Rendering
 from sarsplat.settings.config import Config
 
@@ -38,8 +37,6 @@ class Batch:
     """Gaussians that are left out."""
     plane_gradients: bool = False
     """Whether the rendering gets the gradients in the planes, for strategies."""
-    processes: Processes | None = None
-    """Who shares the views."""
 
 
 class Observation(ABC):
@@ -66,8 +63,8 @@ class Observation(ABC):
     goes_with: ClassVar[Mapping[str, object]] = {}
     """Settings that it can only be combined with at this value; None is off. All others suit every observation."""
 
-    takes: ClassVar[frozenset[str]] = frozenset({"strategies", "processes"})
-    """Which of these fields of `Inputs` it can be combined with."""
+    takes_strategies: ClassVar[bool] = True
+    """Whether it can be combined with strategies of the user's own."""
 
     recordable: ClassVar[bool] = False
     """Whether `compared` takes a batch that the device chooses."""
@@ -99,12 +96,11 @@ class Observation(ABC):
                     f"{name} is {said}, which cannot be combined with {_asked(config, cls.switch)}; give {remedy}, or "
                     f"{cls.switch}"
                 )
-        for name, given in (("strategies", inputs.strategies), ("processes", inputs.processes)):
-            if given and name not in cls.takes:
-                what = "strategies of one's own" if name == "strategies" else str(given)
-                raise SarsplatError(
-                    f"{what} cannot be combined with {_asked(config, cls.switch)}; omit them, or give {cls.switch}"
-                )
+        if inputs.strategies and not cls.takes_strategies:
+            raise SarsplatError(
+                f"strategies of one's own cannot be combined with {_asked(config, cls.switch)}; omit them, or give "
+                f"{cls.switch}"
+            )
 
     def first_model(self, generator: torch.Generator) -> SceneModel:
         """What is learned, as it is before the first step."""

@@ -45,7 +45,7 @@ class PartsOfImages(SingleImages):
     order = 3
     switch = "tiles 1"
     goes_with: ClassVar = {"bounce": None, "surroundings": None, "densification": None}
-    takes = frozenset()
+    takes_strategies = False
     recordable = False  # images have windows of their own
 
     def __init__(self, dataset: Dataset, config: Config, device: torch.device, whole: Snapshot, tile: Tile) -> None:

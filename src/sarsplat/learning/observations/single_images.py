@@ -44,17 +44,6 @@ class SingleImages(Observation):
             )
         if config.bounce is not None and dataset.terrain is not None:
             raise SarsplatError(f"bounce is on, which is off level ground, but {dataset} has terrain; give bounce off")
-        if config.bounce is not None and inputs.processes is not None:
-            raise SarsplatError(f"{inputs.processes} cannot be combined with bounce on; omit them, or give bounce off")
-        if any(view.apart_deg for view in dataset.views):
-            asked = {
-                "bounce on; give bounce off": config.bounce is not None,
-                f"tiles {config.tiles}; give tiles 1": config.tiles > 1,
-                "terrain; leave it out": dataset.terrain is not None,
-                f"{inputs.processes}; omit them": inputs.processes is not None,
-            }
-            for what in (what for what, there in asked.items() if there):
-                raise SarsplatError(f"{dataset} is bistatic, which cannot be learned with {what}")
         super().refuse(config, dataset, inputs)
 
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
@@ -66,7 +55,7 @@ class SingleImages(Observation):
 
     def compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:
         chosen = batch.chosen
-        if isinstance(chosen, Tensor) or batch.processes is not None or not self._mean_over_views:
+        if isinstance(chosen, Tensor) or not self._mean_over_views:
             return self._compared(model, images, batch)
         groups = in_groups(len(chosen), len(chosen), model.parameters, images.grid, batch.rays, model.scenes_rendered)
         return compared_in_groups(
@@ -86,7 +75,6 @@ class SingleImages(Observation):
             plane_gradients=batch.plane_gradients,
             bounds=batch.bounds,
             dropped=batch.dropped,
-            processes=batch.processes,
         )
         return self._loss(channel_of(rendered, model.power_channel), truth), rendering
 

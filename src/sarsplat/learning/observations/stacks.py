@@ -73,7 +73,6 @@ class Stacks(Observation):
         "ssim_weight": 0.0,
         "total_power": 0.0,
     }
-    takes = frozenset({"strategies"})
 
     images: StackImages
 

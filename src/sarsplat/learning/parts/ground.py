@@ -17,7 +17,7 @@ from sarsplat.geometry import Terrain
 from sarsplat.geometry.shown import ground_radius_m
 from sarsplat.learning.parts.part import Learned, Parameters, Part, normal_nats
 from sarsplat.radiometry import from_db
-from sarsplat.regions.outlines import ground_levels_db
+from sarsplat.regions.image_levels import ground_levels_db
 
 _FAINTEST = 0.01
 """Its level at the start at least, of the images' mean: where most of an image is black, a logarithm could not rise."""

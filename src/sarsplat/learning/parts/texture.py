@@ -73,7 +73,6 @@ class Maps:
     The tensors are, of the K training images, `ratio`, float32 [K, rows, columns]: measured over rendered power,
     smoothed; `shift_m`, float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth
     and grazing, or [K, 4]: tilt as well, and 1 where the radar looks to the left, else 0;
-    or [K, 6]: the angle between transmitter and receiver, too, and the direction of the former.
     """
 
     def __init__(self, tensors: dict[str, Tensor], grid: ImageGrid, settings: Surroundings) -> None:
@@ -105,8 +104,7 @@ class Maps:
         sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
-        usual = not any(view.tilt_deg or view.side == "left" for view in views)
-        given = 6 if any(view.apart_deg for view in views) else 2 if usual else 4
+        given = 4 if any(view.tilt_deg or view.side == "left" for view in views) else 2
         view_deg = torch.tensor([_numbers(view)[:given] for view in views], dtype=torch.float32).double()
         return cls(
             {"ratio": torch.from_numpy(smooth).to(ratio), "shift_m": shift_m.clone(), "view_deg": view_deg},
@@ -157,8 +155,7 @@ class Maps:
 
 def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
     count = len(tensors["view_deg"])
-    given = tensors["view_deg"].shape
-    known = given[-1] if given[-1:] in ((4,), (6,)) else 2
+    known = 4 if tensors["view_deg"].shape[-1:] == (4,) else 2
     expected = {
         "ratio": (torch.float32, (count, grid.rows, grid.columns)),
         "shift_m": (torch.float32, (count, 2)),
@@ -170,14 +167,13 @@ def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
             raise ValueError(f"the texture's {name} is {tensor.dtype} {list(tensor.shape)}, or not finite")
 
 
-def _numbers(view: View) -> tuple[float, float, float, float, float, float]:
-    side = float(view.side == "left")
-    return view.azimuth_deg, view.grazing_deg, view.tilt_deg, side, view.apart_deg, view.apart_towards_deg
+def _numbers(view: View) -> tuple[float, float, float, float]:
+    return view.azimuth_deg, view.grazing_deg, view.tilt_deg, float(view.side == "left")
 
 
-def _view(azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: float = 0.0, *apart: float) -> View:
+def _view(azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: float = 0.0) -> View:
     """Undo `_numbers`."""
-    return View(azimuth_deg, grazing_deg, tilt_deg, "left" if left else "right", False, *apart)
+    return View(azimuth_deg, grazing_deg, tilt_deg, "left" if left else "right")
 
 
 def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:

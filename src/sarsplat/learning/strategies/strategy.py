@@ -18,7 +18,6 @@ from sarsplat.learning.few_at_once import in_groups
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.optimiser import Optimiser, followed
 from sarsplat.learning.training_images import TrainingImages
-from sarsplat.processes import Processes
 from sarsplat.renderer import Bounds, Rendering, channel_of
 from sarsplat.settings.config import Config
 
@@ -76,8 +75,6 @@ class Info:
     """What the Gaussians keep."""
     generator: torch.Generator
     """The only source of random numbers, on the CPU."""
-    processes: Processes | None = None
-    """Who shares the views of renderings: all act alike."""
 
     def check(self) -> None:
         """Wait for the device, and raise what went wrong there: before anything is read from it."""
@@ -158,7 +155,6 @@ class Info:
             bounds=self.bounds,
             amplitudes=amplitudes,
             estimated=False,
-            processes=self.processes,
         )
 
 

@@ -11,7 +11,6 @@ extern "C" {
 struct sg_problem {
   int32_t peak;           // 1: imaging weight without the norm (ablation)
   int32_t views;          // V
-  int32_t of_views;       // of so many, which others may have: tasks are cut as if all were here
   int32_t gaussians;      // N
   int32_t coefficients;   // K harmonics per Gaussian; 0 when amplitudes are given
   int32_t channels;       // C; 1 with harmonics

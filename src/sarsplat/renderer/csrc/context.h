@@ -37,7 +37,7 @@ template <class Visit> void by_width(int64_t n, Visit visit) {
   });
 }
 int tasks_of(int count, int each) { return (count + each - 1) / each; }
-int parts_of(const sg_problem& p) { return larger(1, smaller(kMaxParts, kTasks / larger(p.of_views, 1))); }
+int parts_of(const sg_problem& p) { return larger(1, smaller(kMaxParts, kTasks / larger(p.views, 1))); }
 
 // Below, one thread is done before another has come: about 1.3 times as fast with 300 to 1,800 Gaussians.
 bool worth_waking(const sg_problem& p) { return (int64_t)p.views * (p.gaussians + (int64_t)p.rows * p.columns / 16) > 2048; }

@@ -66,7 +66,7 @@ SG_FN void write_gradients(const sg_problem& p, const F* total, const sg_gradien
 }
 
 // The gradients of views, one after the other, to their sum over a tree: n views are the first p of them, p the largest power of
-// two below n, and the rest. So whoever has the views of a branch has its sum to the bit, and views can be shared out.
+// two below n, and the rest.
 class ViewSum {
  public:
   explicit ViewSum(int count) : count_(count) {}

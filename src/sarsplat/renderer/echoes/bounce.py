@@ -7,7 +7,7 @@ the ground. The amplitudes of both orders add: four times the power of one.
 What returns is lit both ways. Along M u the scene is seen as its mirror image is along u: rays go on through the image
 with what is left of them behind the scene, for all of that is before the ground. The CPU engine does so in one call; to
 the steps of a rendering the scene and its image are one scene of 2 N Gaussians. The area of both ways is
-√(lit(u)·lit(M u)) (`both_ways.py`).
+√(lit(u)·lit(M u)).
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.geometry.view import check_monostatic
-from sarsplat.renderer.both_ways import both_ways
+from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.chosen_views import by_view
@@ -95,16 +94,13 @@ class GroundBounce(Echo):
         hidden = gaussians.means[:, 2] < self._height
         return replace(gaussians, optical_depth=gaussians.optical_depth.masked_fill(hidden, 0.0))
 
-    def by_view(self, views: int) -> Float[Tensor, "v n"] | None:
-        if self.amplitudes is not None and len(self.amplitudes) != views:
-            raise SarsplatError(f"the bounce's amplitudes are of {len(self.amplitudes)} views, not of {views}")
-        return self.amplitudes
-
-    def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
+    def seen(self, sighting: Sighting) -> Float[Tensor, "v rows columns"]:
         """As if the ground reflected everything."""
         s = sighting
+        if self.amplitudes is not None and len(self.amplitudes) != len(s.views):
+            raise SarsplatError(f"the bounce's amplitudes are of {len(self.amplitudes)} views, not of {len(s.views)}")
         if s.new_pass is not None and (kernel := s.new_pass()).has("bounce", {}):
-            _check_views(s.views)
+            check_unstretched(s.views)
             assert s.ends is not None  # asked for
             return bounced_with(
                 kernel,
@@ -112,7 +108,7 @@ class GroundBounce(Echo):
                 s.views,
                 s.grid,
                 rays=s.rays,
-                amplitudes=self._amplitudes(s, by_view),
+                amplitudes=self._amplitudes(s),
                 shift=s.shift,
                 lit_area=s.lit_area,
                 ends=s.ends,
@@ -120,7 +116,7 @@ class GroundBounce(Echo):
                 factor=_COHERENT,
             )
         steps = _Steps(s.new_pass, s.cuts)
-        sections, places = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift, by_view)
+        sections, places = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift)
         return steps.splat(places, sections[..., None], s.grid)[:, 0]
 
     def returned(
@@ -138,7 +134,7 @@ class GroundBounce(Echo):
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
         """What each Gaussian returns by way of a ground that reflects everything, m², and where images show it."""
         steps = _Steps(passes_for("auto", gaussians.tensors(), grid), cuts=True)
-        return self._parts(steps, gaussians, views, grid, rays, None, self.amplitudes)
+        return self._parts(steps, gaussians, views, grid, rays, None)
 
     def _parts(
         self,
@@ -148,19 +144,20 @@ class GroundBounce(Echo):
         grid: ImageGrid,
         rays: RayGrid,
         shift: Float[Tensor, "v 2"] | None,
-        amplitudes: Float[Tensor, "v n"] | None,
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
-        _check_views(views)
-        if amplitudes is None:
-            amplitudes = _gamma0(steps.new_pass, gaussians, views)
-        lit = both_ways(*lit_both_ways(steps, gaussians, views, grid, rays, self._height))
+        check_unstretched(views)
+        amplitudes = _gamma0(steps.new_pass, gaussians, views) if self.amplitudes is None else self.amplitudes
+        direct, by_ground = lit_both_ways(steps, gaussians, views, grid, rays, self._height)
+        both = direct * by_ground
+        some = both > 0
+        lit = both.where(some, 1.0).sqrt() * some  # the root's slope at 0 is infinite, and taken as 0
         return lit * amplitudes * _COHERENT, steps.feet(gaussians, views, grid, self._height, shift)
 
-    def _amplitudes(self, s: Sighting, by_view: Tensor | None) -> Float[Tensor, "v n 1"] | None:
+    def _amplitudes(self, s: Sighting) -> Float[Tensor, "v n 1"] | None:
         """None for harmonics, which engines evaluate themselves."""
-        if by_view is None and isinstance(s.gaussians.scattering, Harmonics):
+        if self.amplitudes is None and isinstance(s.gaussians.scattering, Harmonics):
             return None
-        return (_gamma0(s.new_pass, s.gaussians, s.views) if by_view is None else by_view)[..., None]
+        return (_gamma0(s.new_pass, s.gaussians, s.views) if self.amplitudes is None else self.amplitudes)[..., None]
 
     @property
     def _height(self) -> float:
@@ -230,10 +227,6 @@ def _with_mirror_image(gaussians: Gaussians, height_m: float) -> Gaussians:
         g.optical_depth.repeat(2),
         Harmonics(g.means.new_zeros(2 * len(g), 1)),  # nobody asks
     )
-
-
-def _check_views(views: Sequence[View]) -> None:
-    check_monostatic(views, "the bounce off the ground is that of one radar")
 
 
 def _gamma0(new_pass: NewPass | None, gaussians: Gaussians, views: Sequence[View]) -> Float[Tensor, "v n"]:

@@ -101,9 +101,6 @@ class Echo(ABC):
     within_bounds: ClassVar[bool] = True
     """Whether it renders nothing beyond the scene's `Bounds`."""
 
-    shareable: ClassVar[bool] = False
-    """Whether its tensors enter by `by_view` and `returned` alone, so that processes can share the views."""
-
     def check(self, gaussians: Gaussians) -> None:
         """Raise a SarsplatError if it does not fit the scene."""
         return
@@ -127,13 +124,9 @@ class Echo(ABC):
         """1 for Gaussians that it leaves in sight of a view, 0 for those that it hides; None if it hides none."""
         return None
 
-    def by_view(self, views: int) -> Float[Tensor, "v ..."] | None:
-        """A tensor of its own with a row for each view, which `seen` is given; None if it needs none."""
-        return None
-
     @abstractmethod
-    def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
-        """What some of the views show of it."""
+    def seen(self, sighting: Sighting) -> Float[Tensor, "v rows columns"]:
+        """What the views show of it."""
 
     def returned(
         self,
@@ -142,7 +135,7 @@ class Echo(ABC):
         grid: ImageGrid,
         shift: Float[Tensor, "v 2"] | None,
     ) -> Float[Tensor, "v rows columns"]:
-        """β⁰ of what all views show of it, linear power."""
+        """β⁰ of what the views show of it, linear power."""
         return seen
 
 

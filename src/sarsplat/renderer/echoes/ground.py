@@ -31,7 +31,6 @@ class GroundEcho(Echo):
     ground: Ground
 
     wants_ray_ends: ClassVar[bool] = True
-    shareable: ClassVar[bool] = True
 
     @property
     def _terrain(self) -> Terrain | None:
@@ -71,20 +70,13 @@ class GroundEcho(Echo):
             return None
         return before_terrain(means, terrain, cells_of(terrain, views, grid, rays, shift), views, rays)
 
-    def by_view(self, views: int) -> Float[Tensor, "v ny nx"] | None:
-        """γ⁰ of terrain: views that are shared out have its gradients of their own."""
-        if self._terrain is None:
-            return None
-        table = self.ground.gamma0
-        return (table if table.ndim else table[None, None]).expand(views, -1, -1)
-
-    def seen(self, sighting: Sighting, by_view: Tensor | None) -> Float[Tensor, "v rows columns"]:
+    def seen(self, sighting: Sighting) -> Float[Tensor, "v rows columns"]:
         """Of a plane, the share of it that a pixel sees; of terrain, γ⁰ and area as well."""
         s, ground = sighting, self.ground
         assert s.ends is not None  # wanted
         if isinstance(ground.height_m, Terrain):
-            assert by_view is not None  # of terrain
-            how = ground.height_m, by_view, ground.pitch_m, s.shift, s.new_pass
+            table = ground.gamma0 if ground.gamma0.ndim else ground.gamma0[None, None]
+            how = ground.height_m, table.expand(len(s.views), -1, -1), ground.pitch_m, s.shift, s.new_pass
             return lit_terrain(s.ends, s.views, s.grid, s.rays, *how)
         if all(view.look.level for view in candidates(s.views)[0]):
             return lit_ground(s.ends, s.views, s.grid, s.rays, ground.height_m, s.shift, s.new_pass)

@@ -90,7 +90,7 @@ def level_basis(view: View, degree: int, device: torch.device) -> Float[Tensor, 
 
 
 def _level(view: View) -> Float[np.ndarray, " 3"]:
-    flat = view.look.way_out * (1.0, 1.0, 0.0)
+    flat = view.look.facing * (1.0, 1.0, 0.0)
     return flat / np.linalg.norm(flat)
 
 
@@ -145,7 +145,6 @@ def new_problem(
     """The kernel's view of a call, without its arrays; a step alone needs the grid of its plane only."""
     problem = api.problem.from_buffer_copy(_LIMITS)
     problem.peak, problem.views, problem.gaussians = peak, views, gaussians
-    problem.of_views = views
     if grid is not None:
         problem.rows, problem.columns = grid.rows, grid.columns
         problem.pixel, problem.center = grid.spacing_m, grid.center_m

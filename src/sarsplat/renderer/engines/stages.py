@@ -46,8 +46,6 @@ class _OfGaussians(Stage):
 
     names: ClassVar[tuple[str, ...]] = ARRAYS
     peak = False
-    of_views: int | None = None
-    """Of so many views these are a part; None: they are all."""
 
     def __init__(self, kernel: Pass, views: Sequence[View], grid: ImageGrid, rays: RayGrid, p_min: float) -> None:
         super().__init__(kernel)
@@ -56,7 +54,6 @@ class _OfGaussians(Stage):
     def pose(self, inputs: Tensors) -> Any:
         """The problem of these inputs."""
         self.problem, self.constants = problem_of(inputs, self.views, self.grid, self.rays, self.p_min, self.peak)
-        self.problem.of_views = self.of_views or len(self.views)
         return self.problem
 
     def new_gradients(self, saved: list[Any]) -> list[Tensor | None]:

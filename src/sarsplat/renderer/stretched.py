@@ -1,13 +1,11 @@
-"""Images of a transmitter and a receiver apart, or stretched, put together from the steps of a rendering.
+"""Images of views with a stretched azimuth, put together from the steps of a rendering.
 
-The way in is u_t and the way out u_r. A Gaussian is imaged where the look's gradients say, in slant range
-−½(u_t + u_r)·x, and lit both ways: over √(lit(u_t)·lit(u_r)). What it returns per lit area is what its law says of the
-direction halfway.
+Gaussians are lit as in the view that is not stretched, and imaged where the look's gradients say.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +16,7 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.covariance import rotation_matrix
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer.both_ways import both_ways
-from sarsplat.renderer.echoes.echo import Sighting, added
-from sarsplat.renderer.echoes.ground import GroundEcho
-from sarsplat.renderer.echoes.ground_two_ways import ground_two_ways
+from sarsplat.geometry.view import unstretched
 from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.engines.on_device import NotRecordable
 from sarsplat.renderer.footprints import Footprints, footprints_of
@@ -29,11 +24,8 @@ from sarsplat.renderer.lobes import amplitudes_towards
 from sarsplat.renderer.one_by_one import Steps
 from sarsplat.renderer.rendering import Rendering
 
-_ANY_DEPTH = 1.0
-"""Of first returns, which come with what is left of rays, and are not used."""
 
-
-def render_by_steps(
+def render_stretched(
     steps: Steps,
     gaussians: Gaussians,
     views: Sequence[View],
@@ -45,23 +37,14 @@ def render_by_steps(
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
     plane_gradients: bool = False,
-    ground: GroundEcho | None = None,
 ) -> Rendering:
-    """`sarsplat.render` of views some or all of which are not plain; arguments are documented there.
-
-    `ground` is a plane, which has hidden what is below it already.
-    """
+    """`sarsplat.render` of views some or all of which are stretched; arguments are documented there."""
     if isinstance(views, ChosenViews):
-        raise NotRecordable("has a transmitter and a receiver apart, or is stretched")
+        raise NotRecordable("is stretched")
     g = gaussians
-    ends = (0, -1) if ground is not None or any(view.apart_deg for view in views) else (0,)
-    ways = [view.legs[end] for end in ends for view in views]
-    unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # nobody asks what returns along either way
-    projection = steps.project(unlit, ways, grid, rays)
-    attenuation = steps.attenuate(projection, rays, None if ground is None else _ANY_DEPTH)
-    lit_area, *back = attenuation.lit_area.split(len(views))
-    if back:
-        lit_area = both_ways(lit_area, back[0])
+    unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # nobody asks what returns along the rays
+    projection = steps.project(unlit, unstretched(views), grid, rays)
+    lit_area = steps.lit_area(projection, rays)
     if amplitudes is None:
         amplitudes = amplitudes_towards(steps.new_pass, g, views)
     cross_sections = amplitudes * lit_area[..., None]
@@ -71,16 +54,10 @@ def render_by_steps(
         planes = g.means.new_zeros(len(views), len(g), 4)
         _filled_later(planes, projection.rays.centers, places.centers)
     images = steps.splat(places, cross_sections, grid, imaging_weight)
-    returns: tuple[Tensor, ...] = ()
-    if ground is not None:
-        assert attenuation.ray_maps is not None  # asked for
-        sighting = Sighting(g, views, grid, rays, shift, lit_area, None, steps.new_pass)
-        returns = (ground_two_ways(ground, attenuation.ray_maps, sighting),)
-        images = added(images, returns[0], g.scattering.power_channel)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area.detach(), plane_gradients=planes, echoes=returns)
+    return Rendering(images, cross_sections, lit_area.detach(), plane_gradients=planes)
 
 
 def imaged(
@@ -101,16 +78,16 @@ def imaged(
 
 
 def _filled_later(
-    planes: Float[Tensor, "v n 4"], of_rays: Float[Tensor, "w n 2"], of_pixels: Float[Tensor, "v n 2"]
+    planes: Float[Tensor, "v n 4"], of_rays: Float[Tensor, "v n 2"], of_pixels: Float[Tensor, "v n 2"]
 ) -> None:
-    """Gradients on the planes once they are there; on the computation plane, of both ways together."""
+    """Gradients on the planes once they are there."""
 
-    def on_rays(slope: Tensor) -> None:
-        planes[..., :2] = slope.detach().unflatten(0, (-1, len(planes))).sum(0)
+    def fill(columns: slice) -> Callable[[Tensor], None]:
+        def filled(slope: Tensor) -> None:
+            planes[..., columns] = slope.detach()
 
-    def on_pixels(slope: Tensor) -> None:
-        planes[..., 2:] = slope.detach()
+        return filled
 
-    for centers, fill in ((of_rays, on_rays), (of_pixels, on_pixels)):
+    for centers, columns in ((of_rays, slice(0, 2)), (of_pixels, slice(2, 4))):
         if centers.requires_grad:
-            centers.register_hook(fill)
+            centers.register_hook(fill(columns))

@@ -1,0 +1,109 @@
+"""Pictures in TIFFs and in other rasters that GDAL reads, with what their files say of the pixels."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from jaxtyping import Bool, Shaped
+
+from sarsplat.data.files import open_file
+from sarsplat.data.geotiff import Georeference, georeference_of, opened_raster
+from sarsplat.errors import SarsplatError
+
+TIFF = (".tif", ".tiff")
+OTHERS = (".png", ".jpg", ".jpeg", ".npy", ".mat")
+"""Endings of pictures that are read without GDAL."""
+_GEO_KEYS = 34735
+_MEANINGS = {33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
+"""Tags of places, scales and "no data"."""
+_CHANNEL = re.compile(r"(?<![a-z])[hv][hv](?![a-z])", re.IGNORECASE)
+"""A polarisation in the name of a band, such as Sigma0_VV."""
+
+
+@dataclass(frozen=True)
+class Tags:
+    """What a file says of its pixels beside their values; usually nothing.
+
+    Parameters
+    ----------
+    georeference : Georeference or None
+        Where they lie.
+    scale, offset : float
+        What they are multiplied by, and what is then added, to be what they stand for.
+    absent : numpy.ndarray, bool [rows, columns], or None
+        Pixels that hold the value of "no data", or that a mask or a band for transparency leaves out; None if none do.
+    """
+
+    georeference: Georeference | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+    absent: Bool[np.ndarray, "rows columns"] | None = field(default=None, compare=False)
+
+
+def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
+    """The pixels of the one image in a file, as [rows, columns] or [bands, rows, columns], and what it says of them."""
+    if path.suffix.lower() in TIFF and (pixels := _plain_tiff(path)) is not None:
+        return pixels, Tags()
+    with opened_raster(path) as file:
+        _refuse_meanings(path, file)
+        bands = [k for k, kind in zip(file.indexes, file.colorinterp, strict=True) if kind.name != "alpha"]
+        absent = (file.read_masks(bands) == 0).any(axis=0)
+        pixels = file.read(bands)
+        tags = Tags(georeference_of(file), file.scales[0], file.offsets[0], absent if absent.any() else None)
+    if not np.isfinite([tags.scale, tags.offset]).all():
+        raise SarsplatError(f"{path} names {tags.scale}, {tags.offset} as scale and offset; give finite ones")
+    return pixels[0] if len(pixels) == 1 else pixels, tags
+
+
+def first_georeference(paths: Iterable[Path]) -> Georeference | None:
+    """Where the pixels of the first raster among files lie; what cannot be read says nothing."""
+    for path in paths:
+        if path.suffix.lower() not in (*OTHERS, ".csv") and path.is_file():
+            try:
+                with opened_raster(path) as file:
+                    return georeference_of(file)
+            except SarsplatError:
+                continue
+    return None
+
+
+def _plain_tiff(path: Path) -> Shaped[np.ndarray, "rows columns"] | None:
+    """The one uncompressed band of a TIFF whose tags say nothing of it; None if GDAL has to read it."""
+    if any(path.with_name(path.name + ending).exists() for ending in (".msk", ".aux.xml")):
+        return None
+    with open_file(path) as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        try:
+            with tifffile.TiffFile(file) as tiff:
+                page: Any = tiff.pages.first
+                bits = 8 * np.dtype(page.dtype).itemsize
+                plain = (page.compression, page.photometric, page.samplesperpixel) == (1, 1, 1)
+                if len(tiff.pages) > 1 or not plain or page.bitspersample != bits or page.size * bits > 8 * size:
+                    return None
+                return None if _MEANINGS & {tag.code for tag in page.tags.values()} else page.asarray()
+        except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
+            return None
+
+
+def _refuse_meanings(path: Path, file: Any) -> None:
+    """Refuse what would be read as something else than it is."""
+    if file.subdatasets:
+        raise SarsplatError(f"{path} has several pages; give one image for each file")
+    channels = [_CHANNEL.search(name or "") for name in file.descriptions]
+    polarisations = [*dict.fromkeys(channel[0].upper() for channel in channels if channel)]
+    if len(polarisations) > 1:
+        raise SarsplatError(
+            f"{path} has bands of several polarisations ({', '.join(polarisations)}); give one in each file, as by "
+            "gdal_translate -b 1"
+        )
+    if file.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES":
+        raise SarsplatError(f"{path} says that zero is white; write it again with black as zero")
+    if any(kind.name == "palette" for kind in file.colorinterp):
+        raise SarsplatError(f"{path} holds numbers of colours in a palette; give the measured values, in grey")
