@@ -62,7 +62,7 @@ def test_azimuths_and_shards(runs: str, said: Command, tmp_path: Path) -> None:
         ("--grazing 20:10", "grazing 20:10 goes down"),
         ("--grazing low", "--grazing 'low' is no range of angles; give two, such as 14.5:17.5"),
         ("--grazing 1:2:3", "--grazing '1:2:3' is no range"),
-        ("--crop 64", "crop is 64, but the runs' images have 32 × 36 pixels"),
+        ("--crop 64", "crop is 64, but the images of the runs have 32 × 36 pixels"),
         ("--scale calibrated", "choose npy"),
         ("--ground nowhere.png", "nowhere.png"),
         ("--speckle grey", "--speckle 'grey' is unknown"),

@@ -18,7 +18,7 @@ SETS: list[tuple[dict[str, Any], str]] = [
     ({"seed": -1}, "seed -1 must be at least 0"),
     ({"grazing_deg": (20.0, 10.0)}, "grazing 20:10 goes down; give the lower"),
     ({"grazing_deg": (0.0, 10.0)}, "grazing angle 0.0° is outside"),
-    ({"crop": 33}, "crop is 33, but the runs' images have 32 × 36 pixels; give at most 32"),
+    ({"crop": 33}, "crop is 33, but the images of the runs have 32 × 36 pixels; give at most 32"),
     ({"crop": 0}, "crop is 0; give at least one"),
     ({"quantity": "phase"}, "quantity is 'phase'; give one of magnitude, power, complex"),
     ({"quantity": "complex"}, "quantity is 'complex', which the 8 bits of jpeg cannot hold; choose npy"),

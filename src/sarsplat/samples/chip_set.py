@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -120,7 +120,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         self.runs, self.count, self.seed, self.encoding = tuple(runs), count, seed, encoding
         self.ground, self.speckle, self.scatterers = ground, speckle, scatterers
         for run in self.runs:
-            encoding.require_room(run.grid)
+            encoding.require_room(run.grid, "the runs")
             _require_equal_pixels(run, self.runs[0], cut=encoding.crop is not None)
         seed_of(seed, 0)  # refuses negative ones
         self.azimuths_deg = tuple(View(azimuth, 45.0).azimuth_deg % 360 for azimuth in azimuths_deg)
@@ -138,13 +138,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         """Names of the classes, by class number."""
         self.serials = tuple(_serial_of(run) for run in self.runs)
         """Serial number of the vehicle that each run shows; "" if unknown or several."""
-        first: dict[str, str] = {}
-        for run, target in zip(self.runs, self.targets, strict=True):
-            if (one := first.setdefault(target, _shows(run))) != (other := _shows(run)):
-                raise SarsplatError(
-                    f"{shown(one)} and {shown(other)} are two classes whose folders would both be called {target}; "
-                    "make a set of each"
-                )
+        require_distinct_folders(map(_shows, self.runs))
         _ = self._draw  # raises if a run cannot draw such samples
 
     def __getstate__(self) -> dict[str, Any]:
@@ -274,7 +268,23 @@ def chips(
 
 def target_of(run: Run) -> str:
     """Class of a run, as a valid folder name."""
-    return re.sub(r"[^\w+-]", "_", _shows(run))
+    return folder_name(_shows(run))
+
+
+def folder_name(target: str) -> str:
+    """Class as a valid folder name."""
+    return re.sub(r"[^\w+-]", "_", target)
+
+
+def require_distinct_folders(targets: Iterable[str]) -> None:
+    """Raise if two classes would share a folder."""
+    first: dict[str, str] = {}
+    for target in targets:
+        if (other := first.setdefault(folder_name(target), target)) != target:
+            raise SarsplatError(
+                f"{shown(other)} and {shown(target)} are two classes whose folders would both be called "
+                f"{folder_name(target)}; make a set of each"
+            )
 
 
 def one_serial(source: Mapping[str, Any]) -> str:

@@ -79,12 +79,13 @@ class Encoding:
         """True if pixels are whole numbers from 0 to 255."""
         return self.format != "npy"
 
-    def require_room(self, grid: ImageGrid) -> None:
-        """Raise if the crop is larger than the images."""
-        if self.crop is not None and self.crop > min(grid.rows, grid.columns):
+    def require_room(self, grid: ImageGrid, source: str) -> None:
+        """Raise if the crop is larger than the images of a source."""
+        least = min(grid.rows, grid.columns)
+        if self.crop is not None and self.crop > least:
             raise SarsplatError(
-                f"crop is {self.crop}, but the runs' images have {grid.rows} × {grid.columns} pixels; give at most "
-                f"{min(grid.rows, grid.columns)}"
+                f"crop is {self.crop}, but the images of {source} have {grid.rows} × {grid.columns} pixels; give at "
+                f"most {least}"
             )
 
     def size(self, grid: ImageGrid) -> tuple[int, int]:

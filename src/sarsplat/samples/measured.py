@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,10 +18,10 @@ from sarsplat.data import Dataset, new_folder, read_dataset
 from sarsplat.data.beside import UNPLACED, read_unplaced, unplaced_in
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.files import write_bytes, write_json
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.progress import progress
-from sarsplat.samples.chip_set import one_serial
+from sarsplat.samples.chip_set import folder_name, one_serial, require_distinct_folders
 from sarsplat.samples.encoding import ENDINGS, Encoding
 from sarsplat.samples.write import UNUSUAL_COLUMNS, unusual_columns, unusual_values
 from sarsplat.version import program_version
@@ -117,7 +116,7 @@ def write_measured_chips(
         _require_fit(path, dataset, encoding, read)
         read[path] = dataset.grid, dataset.target
         brightest = max(brightest, float(dataset.select("train").power.max()))
-    _require_one_name_each(read)
+    require_distinct_folders(target for _, target in read.values())
     counts: dict[tuple[str, str], int] = {}
     rows: list[dict[str, Any]] = []
     views: list[View] = []
@@ -129,7 +128,7 @@ def write_measured_chips(
             dataset = read_dataset(path)
             planned, serial = _planned(dataset), one_serial(dataset.source)
             for chip in _chips_of(path, dataset):
-                at = chip.split, _plain(dataset.target)
+                at = chip.split, folder_name(dataset.target)
                 number = counts.get(at, 0)
                 counts[at] = number + 1
                 file = Path(*at) / f"{number:08d}{ENDINGS[encoding.format]}"
@@ -174,11 +173,7 @@ def _require_fit(path: Path, dataset: Dataset, encoding: Encoding, before: dict[
         raise SarsplatError(f"{path} does not name its target; import it with --class NAME")
     if encoding.quantity == "complex" and dataset.signal is None:
         raise SarsplatError(f"{path} has no phases, so its chips cannot be complex; choose magnitude or power")
-    if encoding.crop is not None and encoding.crop > min(grid.rows, grid.columns):
-        raise SarsplatError(
-            f"crop is {encoding.crop}, but the images of {path} have {grid.rows} × {grid.columns} pixels; give at most "
-            f"{min(grid.rows, grid.columns)}"
-        )
+    encoding.require_room(grid, str(path))
     if before:
         first, (one, _) = next(iter(before.items()))
         if (one.spacing_m, one.resolution_m) != (grid.spacing_m, grid.resolution_m):
@@ -188,16 +183,6 @@ def _require_fit(path: Path, dataset: Dataset, encoding: Encoding, before: dict[
             raise SarsplatError(
                 f"{path} has images of {grid.rows} × {grid.columns} pixels, but {first} of {one.rows} × {one.columns}; "
                 f"cut all to one size, by a crop of at most {least}"
-            )
-
-
-def _require_one_name_each(read: dict[Path, tuple[ImageGrid, str]]) -> None:
-    first: dict[str, str] = {}
-    for _, target in read.values():
-        if (one := first.setdefault(_plain(target), target)) != target:
-            raise SarsplatError(
-                f"{shown(one)} and {shown(target)} are two classes whose folders would both be called {_plain(one)}; "
-                "make a set of each"
             )
 
 
@@ -238,11 +223,6 @@ def _table(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> bytes:
     table.writeheader()
     table.writerows(rows)
     return text.getvalue().encode()
-
-
-def _plain(target: str) -> str:
-    """Class as a valid folder name, as of generated chips."""
-    return re.sub(r"[^\w+-]", "_", target)
 
 
 def in_words(written: MeasuredChips) -> str:
