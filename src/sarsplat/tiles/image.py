@@ -15,7 +15,7 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import Footprints, attenuate, project, splat
-from sarsplat.renderer.echoes.echo import Echo, Sighting, added, ends_of
+from sarsplat.renderer.echoes.echo import Echo, Sighting, ends_of, with_echoes
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.tiles.plan import LARGEST, Tile
 from sarsplat.tiles.reach import rows_of
@@ -43,10 +43,7 @@ def tile_image(
     ends = ends_of(attenuation.ray_maps)
     new_pass = passes_for("auto", {"transmittance": ends.transmittance})
     sighting = Sighting(some, [view], pixels, rays, shift, attenuation.lit_area, ends, new_pass)
-    for echo in echoes:
-        returned = echo.returned(echo.seen(sighting), [view], pixels, shift)
-        images = added(images, returned, gaussians.scattering.power_channel)
-    return images[0]
+    return with_echoes(images, echoes, sighting)[0][0]
 
 
 def _splatted(

@@ -27,7 +27,7 @@ from sarsplat.renderer.echoes.terrain_cells import Cells, cells_of
 from sarsplat.renderer.engines.chosen_views import candidates
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
-from sarsplat.renderer.places import at_places
+from sarsplat.renderer.point_queries import at_places
 
 _SHORT = {torch.float32: 0.25, torch.float64: 0.02}
 """Standard deviations of the response: a difference of error functions over less has too few digits, and two points of

@@ -23,7 +23,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Look, RayGrid, Terrain, View
 from sarsplat.renderer.engines.chosen_views import ChosenViews, by_view, candidates
 from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded, is_read, kept_on_device
-from sarsplat.renderer.places import at_places
+from sarsplat.renderer.point_queries import at_places
 
 RESPONSE_END = 6.0
 """Standard deviations: beyond, it is nothing in float32."""
