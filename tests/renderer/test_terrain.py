@@ -98,8 +98,8 @@ def test_what_terrain_returns_is_what_rays_find():
 
 def test_weights_that_are_computed_again_are_those_that_would_be_kept(monkeypatch):
     scene, found = MATRIX["terrain, shifted"](), []
-    for at_a_time in (lit_terrain._AT_A_TIME, 5000):
-        monkeypatch.setattr(lit_terrain, "_AT_A_TIME", at_a_time)
+    for at_a_time in (lit_terrain._MAX_SAVED, 5000):
+        monkeypatch.setattr(lit_terrain, "_MAX_SAVED", at_a_time)
         leaves = scene.leaves(torch.float64)
         images = scene.call(render, leaves, engine="reference").images
         found.append([images.detach(), *torch.autograd.grad(images.square().sum(), list(leaves.values()))])

@@ -1,4 +1,4 @@
-"""Where the rays and pixels of the views stand, as the CUDA kernels want it, and how they are cut into tiles."""
+"""Lattices of the views' rays and pixels for the CUDA kernels, cut into tiles."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from sarsplat.renderer.engines.bounds import TILE
 
 _structures = structures((SOURCES / "cuda_state.cuh").read_text(encoding="utf-8"), ("Lattice", "Plane", "State"))
 ViewLattice, State = _structures["Lattice"], _structures["State"]
-"""The rays or pixels of one view, and what one pass keeps on the device."""
+"""Structures of the rays or pixels of one view, and of a pass's state on the device."""
 
 
 def smallest_lattice(bounds: Sequence[int]) -> tuple[int, int, int, int]:
-    """(k0x, k0y, rows, columns) of the rays that hold all footprints; `bounds` are ordered bits of x, y, −x, −y."""
+    """Return (k0x, k0y, rows, columns) of rays that contain all footprints; `bounds`: ordered bits of x, y, −x, −y."""
     if bounds[0] < 0:  # nothing touches a ray
         return 0, 0, 0, 0
     x0, y0, x1, y1 = (math.floor(_unordered(bits)) for bits in bounds)
@@ -24,13 +24,13 @@ def smallest_lattice(bounds: Sequence[int]) -> tuple[int, int, int, int]:
 
 
 def _unordered(bits: int) -> float:
-    """The float whose bits were made to sort as an unsigned integer."""
+    """Return the float whose bits were mapped to an unsigned integer of the same order."""
     bits = bits ^ 0x80000000 if bits & 0x80000000 else ~bits & 0xFFFFFFFF
     return struct.unpack("f", struct.pack("I", bits))[0]
 
 
 def cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float) -> list[ctypes.Structure]:
-    """The views' lattices as the kernels want them, with tiles and points counted through."""
+    """Return the views' lattices for the kernels, with tiles and points numbered consecutively."""
     cut, tile, point = [], 0, 0
     for k0x, k0y, rows, columns in lattices:
         tiles_x = -(-columns // TILE)
@@ -41,12 +41,12 @@ def cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float)
 
 
 def largest(lattices: Sequence[tuple[int, int, int, int]]) -> tuple[int, int, int, int]:
-    """One that has room for each of these."""
+    """Return a lattice with room for each of these."""
     return 0, 0, max(rows for *_, rows, _ in lattices), max(columns for *_, columns in lattices)
 
 
 def begins(lattices: Sequence[ctypes.Structure]) -> bytes:
-    """What is added to lattices that are alone, for them to begin with the tiles and points of these."""
+    """Return first tiles and points of lattices, to be added to lattices that were cut separately."""
     return b"".join(ViewLattice(0, 0, 0, 0, 0, one.first_tile, one.first_point) for one in lattices)
 
 
@@ -55,6 +55,6 @@ def tiles_of(lattice: ctypes.Structure) -> int:
 
 
 def total(lattices: Sequence[ctypes.Structure]) -> tuple[int, int]:
-    """Points and tiles of all views."""
+    """Return the points and tiles of all views."""
     last = lattices[-1]
     return last.first_point + last.rows * last.columns, last.first_tile + tiles_of(last)
