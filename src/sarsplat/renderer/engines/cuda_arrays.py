@@ -32,7 +32,7 @@ class Arrays:
         self.arrays: dict[str, Tensor] = {}
 
     def launch(self, name: str, blocks: int, *arguments: ctypes._CData) -> None:
-        """Queue blocks of a kernel; nothing if there are none."""
+        """Queue blocks of a kernel, unless there are 0."""
         if blocks:
             self.launcher.launch(name, blocks, THREADS, *arguments)
 
