@@ -142,7 +142,7 @@ def test_a_wall_on_a_slope_hides_more_of_it_the_more_it_falls():
 def test_errors():
     with pytest.raises(SarsplatError, match=r"the terrain has 1 × 4 heights; give at least 2 × 2"):
         Terrain(np.zeros((1, 4)), (1.0, 1.0))
-    with pytest.raises(SarsplatError, match=r"the terrain's height \(1, 2\) is nan; fill in what is not known"):
+    with pytest.raises(SarsplatError, match=r"the terrain's height \(1, 2\) is nan; replace it"):
         Terrain(np.where(np.arange(12).reshape(3, 4) == 6, np.nan, 0.0), (1.0, 1.0))
     with pytest.raises(SarsplatError, match=r"pitch_m is \(1.0, -1.0\); give two positive"):
         Terrain(np.zeros((3, 4)), (1.0, -1.0))

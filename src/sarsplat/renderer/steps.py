@@ -183,7 +183,8 @@ def splat(
             f"cross_sections has shape {tuple(cross_sections.shape)}; for {v} views of {n} Gaussians it must be "
             f"({v}, {n}, C) with at least one channel"
         )
-    check_same_kind({"cross_sections": cross_sections.real}, "footprints.centers", footprints.centers)
+    name = "cross_sections.real" if cross_sections.is_complex() else "cross_sections"
+    check_same_kind({name: cross_sections.real}, "footprints.centers", footprints.centers)
     if waves is not None:
         _check_waves(waves, cross_sections)
     if cross_sections.is_complex():

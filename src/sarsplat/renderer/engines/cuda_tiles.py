@@ -207,5 +207,5 @@ def _words(lattices: Tensor) -> Tensor:
 
 
 def fault_of(code: int) -> tuple[str, int]:
-    """Decode a kernel's smallest fault code: the rejected input and its index; -1 is none."""
+    """Decode a kernel's smallest fault code to the rejected input and its index; -1 is no fault."""
     return ("", -1) if code < 0 else (FAULTS[code >> 56], code & (1 << 56) - 1)
