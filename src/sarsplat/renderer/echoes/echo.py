@@ -1,7 +1,7 @@
 """Echoes: their base class, the state of a rendering that they read, and their addition to the images.
 
-The engines render the direct return of the Gaussians in one pass, with lit areas and ends of rays. Every other return is
-an echo, whose images are added in the channel of power.
+The engines render the direct return of the Gaussians in one pass, with lit areas and ends of rays. Every other return
+is an echo, whose images are added in the channel of power.
 """
 
 from __future__ import annotations
