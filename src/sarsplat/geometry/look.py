@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float64
 
 Lengths = TypeVar("Lengths", bound=Any)
-"""A number, an array or a tensor; m."""
+"""Type of lengths, m: number, array or tensor."""
 
 Power = TypeVar("Power", bound=Any)
-"""A number, an array or a tensor; linear."""
+"""Type of linear power: number, array or tensor."""
 
 Ends = tuple[float, float]
 """Lower and upper bound, m."""

@@ -106,7 +106,7 @@ class Place:
 
     @cached_property
     def ecef(self) -> Float64[np.ndarray, " 3"]:
-        """The origin in geocentric coordinates (ECEF), m."""
+        """Origin in geocentric coordinates (ECEF), m."""
         return ecef_of_geodetic(np.array([self.latitude_deg, self.longitude_deg, self.height_m]))
 
     @cached_property

@@ -46,7 +46,7 @@ def render_with(
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
 ) -> Rendering:
-    """Do `sarsplat.render` on an engine's passes; with bounds, without looking at values."""
+    """Run `sarsplat.render` on an engine's passes; with bounds, without looking at values."""
     if gain is not None and bounds is not None:
         bounds.watch(gain)
     else:
@@ -87,7 +87,7 @@ def project_with(
     rays: RayGrid,
     shift: Float[Tensor, "v 2"] | None,
 ) -> Projection:
-    """Do `sarsplat.project` on an engine's passes."""
+    """Run `sarsplat.project` on an engine's passes."""
     g, law = gaussians, gaussians.scattering
     harmonics = law.parameters if isinstance(law, Harmonics) else None  # kernels evaluate these themselves
     ray_centers, ray_roots, depth, range_m, tilt, pixel_centers, pixel_roots, gamma0 = Project(
@@ -149,7 +149,7 @@ def bounced_with(
 def attenuate_with(
     new_pass: NewPass, projection: Projection, rays: RayGrid, *, first_return_depth: float | None
 ) -> Attenuation:
-    """Do `sarsplat.attenuate` on an engine's passes."""
+    """Run `sarsplat.attenuate` on an engine's passes."""
     p = projection
     step = Attenuate(new_pass(), rays, first_return_depth)
     lit_area, *traced = step.of(p.rays.centers, p.rays.roots, p.optical_depth, p.range_m, p.tilt)
@@ -165,7 +165,7 @@ def splat_with(
     waves: Waves | None = None,
     imaging_weight: str,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
-    """Do `sarsplat.splat` on an engine's passes; with waves, of alternating real and imaginary parts."""
+    """Run `sarsplat.splat` on an engine's passes; with waves, of alternating real and imaginary parts."""
     turns = None if waves is None else (waves.numbers / (2 * math.pi)).contiguous()
     step = Splat(new_pass(), grid, imaging_weight == "peak", turns)
     slopes = None if waves is None else waves.slopes

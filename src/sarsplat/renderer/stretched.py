@@ -38,7 +38,7 @@ def render_stretched(
     imaging_weight: str = "area",
     plane_gradients: bool = False,
 ) -> Rendering:
-    """Do `sarsplat.render` of views that may be stretched; arguments are documented there."""
+    """Run `sarsplat.render` for views that may be stretched; arguments are documented there."""
     if isinstance(views, ChosenViews):
         raise NotRecordable("is stretched")
     g = gaussians

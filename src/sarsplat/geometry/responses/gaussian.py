@@ -32,4 +32,4 @@ class Gaussian(Response):
 
 
 GAUSSIAN = Gaussian()
-"""The default response."""
+"""Default response."""

@@ -1,4 +1,4 @@
-"""The image of a point scatterer: the power response of the system along one axis."""
+"""Response of the system along one axis: power in the image of a point scatterer."""
 
 from __future__ import annotations
 
