@@ -113,20 +113,6 @@ def test_a_view_of_another_rotation_is_refused(view: View) -> None:
         Turn(ASSUMED, 40.0).check(view)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: View(10, 20, stretch=1.1), "only images of a target aloft can be stretched"),
-        (lambda: View(10, 20, aloft=True, stretch=3.0), "stretch 3.0 is not a number between 0.5 and 2; give 1"),
-        (lambda: View(10, 20, aloft=True, stretch=math.nan), "stretch nan is not a number between"),
-        (lambda: View(10, 20, aloft=True, stretch="wide"), "stretch 'wide' is not a number; give 1 where"),
-    ],
-)
-def test_stretches_that_cannot_be(make, message: str) -> None:
-    with pytest.raises(SarsplatError, match=message):
-        make()
-
-
 def test_a_stretched_view_says_so() -> None:
     view = View(10.0, -20.0, 5.0, aloft=True, stretch=1.04)
     assert view.unusual == ", tilted by 5°, stretched by 1.040"

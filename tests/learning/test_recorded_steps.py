@@ -120,7 +120,7 @@ def test_scenes_that_are_too_large_are_learned_launch_by_launch(
     name: str, views: int, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where rays stand is read back there, and is not known of views that only the device knows."""
-    monkeypatch.setattr(bounds, "_MOST", 100)
+    monkeypatch.setattr(bounds, "_MAX_ALLOCATED", 100)
     if name == "terrain":
         dataset = replace(dataset, ground=True, terrain=hill(-0.5, width_m=4.0))
     asked, launched = (Trainer(dataset, replace(CONFIGS[name], views_per_step=views)) for _ in range(2))

@@ -10,7 +10,7 @@ import torch
 
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.windowed_likelihood import ExpectedStacks, packed, windowed, windowed_nats
-from sarsplat.renderer.planes import Planes
+from sarsplat.renderer.covariances import Planes
 
 CASES = {  # passes, planes of pairs, window, rows, columns
     "one pass": (1, 0, 1, 5, 7),

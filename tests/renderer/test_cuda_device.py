@@ -25,6 +25,7 @@ from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.learning import device as training_device
 from sarsplat.renderer.engines import choice, cuda, cuda_device, disk_cache, nvrtc, trial
 from sarsplat.renderer.engines.abi import api
+from sarsplat.renderer.engines.cuda_arrays import Launcher
 
 CPU = torch.device("cpu")
 
@@ -172,7 +173,7 @@ class Trials:
         self.gpu, self.count = gpu, 0
         usual = trial._disagreement
 
-        def counted(launcher: cuda.Launcher) -> str:
+        def counted(launcher: Launcher) -> str:
             self.count += 1
             return usual(launcher)
 

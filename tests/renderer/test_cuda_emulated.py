@@ -15,7 +15,7 @@ from test_steps import STEPPED
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer import render
 from sarsplat.renderer.checks import check_for_cuda
-from sarsplat.renderer.engines import cuda, cuda_device, nvrtc
+from sarsplat.renderer.engines import cuda, cuda_device, cuda_tiles, nvrtc
 
 
 @pytest.fixture(scope="session")
@@ -32,7 +32,7 @@ def in_short_chunks(library, tmp_path_factory) -> Path:
 
 @pytest.fixture
 def short_chunks(in_short_chunks, monkeypatch) -> Path:
-    monkeypatch.setattr(cuda, "_CHUNK", 32)
+    monkeypatch.setattr(cuda_tiles, "_CHUNK", 32)
     return in_short_chunks
 
 
@@ -51,7 +51,7 @@ def test_lists_of_several_chunks_whether_ranked_or_sorted(name, short_chunks, mo
     found = [everything(scene, partial(render_on, Emulator(short_chunks, schedule)), norms) for schedule in SCHEDULES]
     check(name, found[0])
     assert all(same_bits(other, found[0]) for other in found[1:])
-    monkeypatch.setattr(cuda, "_RANKED", 0)
+    monkeypatch.setattr(cuda_tiles, "_MAX_RANKED", 0)
     assert same_bits(everything(scene, partial(render_on, Emulator(short_chunks)), norms), found[0])
 
 

@@ -35,7 +35,7 @@ class Haze(Echo):
     def values(self) -> dict[str, Tensor | None]:
         return {"haze.power": self.power.reshape(1)}
 
-    def seen(self, sighting: Sighting) -> Tensor:
+    def returned(self, sighting: Sighting) -> Tensor:
         assert sighting.ends is not None
         rays = [rows * columns for rows, columns in sighting.ends.sizes]
         left = torch.stack([part.mean() for part in sighting.ends.transmittance.split(rays)])
@@ -45,7 +45,7 @@ class Haze(Echo):
 class Glow(Echo):
     """Power that grows with the square of the areas over which Gaussians are seen."""
 
-    def seen(self, sighting: Sighting) -> Tensor:
+    def returned(self, sighting: Sighting) -> Tensor:
         glow = sighting.lit_area.square().sum(1)
         return glow[:, None, None].expand(-1, sighting.grid.rows, sighting.grid.columns)
 
@@ -64,15 +64,12 @@ class Mirrored(Echo):
     ) -> Tensor:
         return (means[:, 0] > -0.5).to(means).expand(len(views), -1)
 
-    def seen(self, sighting: Sighting) -> Tensor:
+    def returned(self, sighting: Sighting) -> Tensor:
         s = sighting
         feet = s.gaussians.means * s.gaussians.means.new_tensor([1.0, 1.0, 0.0])
         p = project(replace(s.gaussians, means=feet), s.views, s.grid, rays=s.rays, shift=s.shift)
         sections = p.amplitudes[..., :1] * (self.share * s.lit_area.detach())[..., None]
-        return splat(Footprints(p.pixels.centers, p.pixels.roots), sections, s.grid)[:, 0]
-
-    def returned(self, seen: Tensor, views: Sequence[View], grid: ImageGrid, shift: Tensor | None) -> Tensor:
-        return 2 * seen
+        return 2 * splat(Footprints(p.pixels.centers, p.pixels.roots), sections, s.grid)[:, 0]
 
 
 @pytest.mark.parametrize("engine", ["cpu", "reference"])
@@ -126,9 +123,9 @@ def test_what_does_not_fit_is_refused() -> None:
         ("in_sight", lambda self, means, *_: torch.ones(len(means)), r"in_sight gave \(3,\); it must give a tensor"),
         ("in_sight", lambda self, means, *_: 1.0, "in_sight gave float"),
         ("visible", lambda self, gaussians: gaussians[:2], "visible makes 3 Gaussians to 2"),
-        ("seen", lambda self, sighting: torch.ones(GRID.rows, GRID.columns), r"returned torch.float32 .* must"),
-        ("returned", lambda self, seen, *_: seen.double(), "returned torch.float64"),
-        ("returned", lambda self, *_: None, "returned NoneType"),
+        ("returned", lambda self, _: torch.ones(GRID.rows, GRID.columns), r"returned torch.float32 .* must"),
+        ("returned", lambda self, s: s.lit_area.new_zeros(3, GRID.rows, GRID.columns).double(), "torch.float64"),
+        ("returned", lambda self, _: None, "returned NoneType"),
     ],
 )
 def test_what_an_echo_gets_wrong_is_said(engine: str, method: str, wrong: object, message: str) -> None:

@@ -12,7 +12,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.geometry.view import ground_radius_m
 from sarsplat.renderer import render
 from sarsplat.renderer.echoes.echo import RayEnds
 from sarsplat.renderer.echoes.ground import free_plane

@@ -20,9 +20,10 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer import GroundBounce, Rendering, render, splat
-from sarsplat.renderer.echoes.bounce import _Steps, feet, lit_both_ways
+from sarsplat.renderer.echoes.bounce import lit_both_ways
 from sarsplat.renderer.engines.choice import passes_for
-from sarsplat.renderer.reference import render_reference
+from sarsplat.renderer.operations import Steps
+from sarsplat.renderer.reference import pressed_flat_reference, render_reference
 
 HEIGHT = -0.55
 PIXEL = GRID.spacing_m[0] * GRID.spacing_m[1]
@@ -61,7 +62,7 @@ def test_real_ones_hide_and_are_not_hidden_by_their_images() -> None:
     scene, ground = cloud(60, 41, kappa=(4.0, 12.0)), level()
     rendering, rays = render(scene, VIEWS, GRID, ground=ground), RayGrid.for_image(GRID)
     direct, below = lit_both_ways(
-        _Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
+        Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
     )
     torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-5, atol=1e-7)
     assert float(below.sum()) < 0.9 * float(rendering.lit_area.sum())
@@ -75,7 +76,7 @@ def test_feet_of_engines_are_those_of_the_reference(view: View, scales: tuple[fl
     for new_pass in (None, passes_for("auto", scene.tensors(), GRID)):
         leaves = [t.detach().clone().requires_grad_() for t in (scene.means, scene.quaternions, scene.scales, shift)]
         pressed = replace(scene, means=leaves[0], quaternions=leaves[1], scales=leaves[2])
-        flat = _Steps(new_pass, cuts=True).feet(pressed, [view], GRID, HEIGHT, leaves[3])
+        flat = Steps(new_pass, cuts=True).pressed_flat(pressed, [view], GRID, leaves[3], HEIGHT)
         weights = torch.linspace(0.5, 2.0, flat.roots.numel()).view_as(flat.roots)
         ((flat.roots * weights).sum() + (flat.centers * weights[..., :2]).sum()).backward()
         found.append([flat.centers, flat.roots, *(leaf.grad for leaf in leaves)])
@@ -85,13 +86,14 @@ def test_feet_of_engines_are_those_of_the_reference(view: View, scales: tuple[fl
 
 def test_feet_are_pressed_flat() -> None:
     scene = cloud(5, 3)
-    flat = feet(scene, VIEWS, GRID, HEIGHT, None)
+    feet = partial(pressed_flat_reference, views=VIEWS, grid=GRID, shift=None, height_m=HEIGHT)
+    flat = feet(scene)
     moved = replace(scene, means=scene.means + torch.tensor([0.0, 0.0, 0.3]))
-    torch.testing.assert_close(flat.centers, feet(moved, VIEWS, GRID, HEIGHT, None).centers)
+    torch.testing.assert_close(flat.centers, feet(moved).centers)
     upright = with_scales(scene, (0.3, 0.001, 0.001))
     upright = replace(upright, quaternions=torch.tensor([[math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]]).repeat(5, 1))
     of_response = torch.tensor(GRID.response_variance_m2).rsqrt()  # a vertical needle is a point
-    roots = feet(upright, VIEWS, GRID, HEIGHT, None).roots
+    roots = feet(upright).roots
     torch.testing.assert_close(roots[..., [0, 2]], of_response.expand(3, 5, 2), rtol=1e-4, atol=0)
 
 

@@ -8,9 +8,8 @@ import torch
 from named_scenes import cloud
 
 from sarsplat import Gaussians, Harmonics, ImageGrid, Polarimetric, Stack, View, render_covariances
-from sarsplat.renderer.elevations import elevated
+from sarsplat.renderer.covariances import elevated, lit_planes
 from sarsplat.renderer.footprints import Footprints
-from sarsplat.renderer.planes import lit_planes
 
 VIEWS = [View(20.0, 35.0), View(200.0, 55.0)]
 GRID = ImageGrid(12, 10, (0.4, 0.5), (0.6, 0.7))

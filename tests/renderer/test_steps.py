@@ -208,7 +208,7 @@ TEN, WIDE = cloud(10, 0), ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3))
         (lambda p, x: project(TEN, VIEWS, GRID, engine="gpu"), "engine 'gpu' is unknown"),
         (lambda p, x: project(TEN, [], GRID), "there are no views to render"),
         (lambda p, x: project(TEN, VIEWS, GRID, shift=torch.zeros(3)), r"shift has shape \(3,\); .* it must be \(3,"),
-        (lambda p, x: splat(p.pixels, x.to(torch.complex128), GRID), "cross_sections is torch.complex128 on cpu but"),
+        (lambda p, x: splat(p.pixels, x.to(torch.complex128), GRID), "cross_sections.real is torch.float64 on cpu but"),
         (lambda p, x: splat(p.pixels, x, WIDE, engine="cpu"), "an image of 80000 × 1 pixels is too large"),
         (lambda p, x: project(TEN.to(torch.float64), VIEWS, GRID, engine="cpu"), "the CPU engine takes torch.float32"),
     ],

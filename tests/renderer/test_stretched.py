@@ -17,7 +17,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.radar.iso_range import Pixel, contributions, iso_range_line
 from sarsplat.renderer import project, render
-from sarsplat.renderer.one_by_one import Steps
+from sarsplat.renderer.operations import Steps
 from sarsplat.renderer.stretched import render_stretched
 from sarsplat.tiles import render_tiled
 

@@ -98,8 +98,8 @@ def test_what_terrain_returns_is_what_rays_find():
 
 def test_weights_that_are_computed_again_are_those_that_would_be_kept(monkeypatch):
     scene, found = MATRIX["terrain, shifted"](), []
-    for at_a_time in (lit_terrain._AT_A_TIME, 5000):
-        monkeypatch.setattr(lit_terrain, "_AT_A_TIME", at_a_time)
+    for at_a_time in (lit_terrain._MAX_SAVED, 5000):
+        monkeypatch.setattr(lit_terrain, "_MAX_SAVED", at_a_time)
         leaves = scene.leaves(torch.float64)
         images = scene.call(render, leaves, engine="reference").images
         found.append([images.detach(), *torch.autograd.grad(images.square().sum(), list(leaves.values()))])
@@ -142,7 +142,7 @@ def test_a_wall_on_a_slope_hides_more_of_it_the_more_it_falls():
 def test_errors():
     with pytest.raises(SarsplatError, match=r"the terrain has 1 × 4 heights; give at least 2 × 2"):
         Terrain(np.zeros((1, 4)), (1.0, 1.0))
-    with pytest.raises(SarsplatError, match=r"the terrain's height \(1, 2\) is nan; fill in what is not known"):
+    with pytest.raises(SarsplatError, match=r"the terrain's height \(1, 2\) is nan; replace it"):
         Terrain(np.where(np.arange(12).reshape(3, 4) == 6, np.nan, 0.0), (1.0, 1.0))
     with pytest.raises(SarsplatError, match=r"pitch_m is \(1.0, -1.0\); give two positive"):
         Terrain(np.zeros((3, 4)), (1.0, -1.0))

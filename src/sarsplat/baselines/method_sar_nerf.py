@@ -23,7 +23,7 @@ from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.rays import Rays
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
-from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.geometry.view import ground_radius_m
 from sarsplat.settings.kinds import Count, Positive
 
 _CLEAR = -4.0

@@ -17,7 +17,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import order_in_space
 from sarsplat.geometry import View
-from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.geometry.view import ground_radius_m
 from sarsplat.scenes.meshes import read_mesh
 from sarsplat.scenes.surface_samples import surface_samples
 from sarsplat.surface.points import imaged

@@ -24,7 +24,7 @@ from sarsplat.data.coverage import largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.errors import SarsplatWarning, counted
 from sarsplat.geometry import View
-from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.geometry.view import ground_radius_m
 from sarsplat.radiometry import usual_peak
 
 _FEW = 3  # angles: of fewer nothing can be said

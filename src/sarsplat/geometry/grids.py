@@ -85,11 +85,11 @@ class ImageGrid:
 
     @classmethod
     def of(cls, *, response: Any = None, **fields: Any) -> Self:
-        """The grid that `as_dict` described."""
+        """Make the grid that `as_dict` describes."""
         return cls(**fields, response=response_of(response))
 
     def as_dict(self) -> dict[str, Any]:
-        """Its fields, for JSON, without a Gaussian response."""
+        """Return the fields for JSON, without a Gaussian response."""
         settings = {} if self.response == GAUSSIAN else {"response": self.response.as_dict()}
         return {name: value for name, value in vars(self).items() if name != "response"} | settings
 
@@ -100,13 +100,13 @@ class ImageGrid:
         return variance_of(azimuth), variance_of(slant_range)
 
     def widened(self, azimuth_m2: float, range_m2: float) -> Self:
-        """The same pixels, seen through a response with variances larger by these amounts, m²."""
+        """Return a grid whose response has variances larger by these amounts, m²."""
         azimuth, slant_range = self.resolution_m
         return replace(self, resolution_m=(width_of(azimuth_m2, azimuth), width_of(range_m2, slant_range)))
 
     @checks_arguments
     def multilooked(self, factor: int) -> ImageGrid:
-        """The grid of images whose pixels are means of power over blocks of these.
+        """Return the grid of images whose pixels are means of power over blocks of these.
 
         The response is as much wider as a block is wide. Rows and columns that fill no block, at the far and the right
         end, are left out.
@@ -164,7 +164,7 @@ class ImageGrid:
         return azimuth - half_azimuth, azimuth + half_azimuth, slant_range + half_range, slant_range - half_range
 
     def part(self, rows: slice, columns: slice) -> ImageGrid:
-        """The grid of a part of the image, of at least one pixel."""
+        """Return the grid of a part of the image, at least one pixel."""
         azimuth, slant_range = self.azimuth_m[columns], self.range_m[rows]
         centre = ((azimuth[0] + azimuth[-1]) / 2, (slant_range[0] + slant_range[-1]) / 2)
         return replace(self, rows=len(slant_range), columns=len(azimuth), center_m=centre)
@@ -191,7 +191,7 @@ class RayGrid:
     @classmethod
     @checks_arguments
     def for_image(cls, grid: ImageGrid, per_pixel: float = 2.0) -> RayGrid:
-        """Square lattice with `per_pixel` rays in the smaller pixel spacing."""
+        """Make a square lattice with `per_pixel` rays in the smaller pixel spacing."""
         spacing = min(grid.spacing_m) / per_pixel
         return cls((spacing, spacing))
 

@@ -1,4 +1,4 @@
-"""Where on earth a scene is: its origin in WGS 84, and where its x axis points."""
+"""Georeference of a scene: its origin in WGS 84, and the bearing of its x axis."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.vectors import direction_of, places_of
 
 DATUM = "WGS 84"
-"""Of all latitudes, longitudes and geocentric coordinates here."""
+"""Datum of all latitudes, longitudes and geocentric coordinates."""
 
 HeightAbove = Literal["ellipsoid", "sea level", "unknown"]
 
@@ -24,36 +24,36 @@ _EQUATOR_M = 6378137.0
 _FLATTENING = 1 / 298.257223563
 _ECCENTRICITY_2 = 2 * _FLATTENING - _FLATTENING**2
 _ROUNDS = 3
-"""Of Bowring's formula: latitudes to 10⁻¹⁵ rad up to 10,000 km above ground."""
+"""Iterations of Bowring's formula: latitudes to 10⁻¹⁵ rad up to 10,000 km above ground."""
 _HIGHEST_M = 1e5
 _FIELDS = {"latitude_deg": "latitude", "longitude_deg": "longitude", "height_m": "height", "x_towards_deg": "bearing"}
 
 
 @dataclass(frozen=True)
 class Place:
-    """The place on earth (WGS 84) of a scene's origin, and the directions of its axes there.
+    """Georeference (WGS 84) of a scene: the place of its origin and the directions of its axes.
 
     The scene's z points away from the ellipsoid at the origin and its x to the compass bearing `x_towards_deg`, so the
-    compass bearing of a radar is its azimuth plus this. The frame is not bent: 1 km from the origin, what is level with
-    it on earth is 8 cm below z = 0. All conversions here are exact, for points in metres in the scene's world frame.
+    compass bearing of a radar is its azimuth plus this. The frame is flat: 1 km from the origin, the curved earth
+    is 8 cm below z = 0. Conversions are exact, for points in metres in the scene's world frame.
 
     Parameters
     ----------
     latitude_deg, longitude_deg : float
-        Of the origin, degrees, north and east positive; longitudes are kept between ±180°.
+        Origin, degrees, north and east positive; longitudes are wrapped to ±180°.
     height_m : float
-        Of the origin, m, above what `height_above` says.
+        Height of the origin, m, above the level that `height_above` names.
     x_towards_deg : float
         Compass bearing of the scene's x axis, degrees clockwise from true north; 90 is east. At a pole, where every
         direction is north or south, north is that of the meridian `longitude_deg`.
     height_above : {"ellipsoid", "sea level", "unknown"}
-        What heights are measured from. Above sea level, they are up to 110 m different; they are not converted, and
-        conversions take them as if above the ellipsoid, which moves places 1 km away by less than 2 cm sideways.
+        Vertical datum. Heights above sea level differ by up to 110 m, and are used as if above the ellipsoid, which
+        moves places 1 km away by less than 2 cm sideways.
 
     Raises
     ------
     SarsplatError
-        If a number is not one or out of range.
+        If a value is not a number, or out of range.
     """
 
     latitude_deg: float
@@ -94,19 +94,19 @@ class Place:
 
     @classmethod
     def of_ecef(cls, origin: RealArray[np.ndarray, " 3"], x_towards_deg: float = 90.0) -> Self:
-        """The place whose origin has these geocentric coordinates, m."""
+        """Make the place whose origin has these geocentric coordinates, m."""
         latitude, longitude, height = map(
             float, geodetic_of_ecef(direction_of(origin, "place in geocentric coordinates"))
         )
         return cls(latitude, longitude, height, x_towards_deg)
 
     def as_dict(self) -> dict[str, Any]:
-        """Its fields, for JSON, and the datum."""
+        """Return the fields and the datum, for JSON."""
         return {field.name: getattr(self, field.name) for field in fields(self)} | {"datum": DATUM}
 
     @cached_property
     def ecef(self) -> Float64[np.ndarray, " 3"]:
-        """The origin in geocentric coordinates (ECEF), m."""
+        """Origin in geocentric coordinates (ECEF), m."""
         return ecef_of_geodetic(np.array([self.latitude_deg, self.longitude_deg, self.height_m]))
 
     @cached_property
@@ -122,45 +122,45 @@ class Place:
         return np.array([x, np.cross(up, x), up])
 
     def to_ecef(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        """Geocentric coordinates, m, of points of the scene."""
+        """Convert points of the scene to geocentric coordinates, m."""
         return self.ecef + places_of(points, "points of the scene") @ self.axes
 
     def from_ecef(self, places: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        """Points of the scene, m, at geocentric coordinates."""
+        """Convert geocentric coordinates to points of the scene, m."""
         return (places_of(places, "geocentric coordinates") - self.ecef) @ self.axes.T
 
     def to_geodetic(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        """Latitude and longitude, degrees, and height, m, of points of the scene."""
+        """Convert points of the scene to latitude and longitude, degrees, and height, m."""
         return geodetic_of_ecef(self.to_ecef(points))
 
     def from_geodetic(self, places: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        """Points of the scene, m, at a latitude and a longitude, degrees, and a height, m."""
+        """Convert latitude and longitude, degrees, and height, m, to points of the scene, m."""
         return self.from_ecef(ecef_of_geodetic(places_of(places, "latitudes, longitudes and heights")))
 
     def moved(self, by: RealArray[np.ndarray, " 3"]) -> Self:
-        """The place of a scene whose origin is at a point of this one, m, and whose x points as it does here.
+        """Return the place of a scene whose origin is at a point of this one, m, with the same direction of x.
 
-        Its z points away from the ellipsoid there: 1 km away it is tilted by 0.16 mrad against this one's.
+        Its z points away from the ellipsoid at its own origin: 1 km away it is tilted by 0.16 mrad.
         """
-        there = self.of_ecef(self.to_ecef(by), 0.0)
-        north, west, _ = there.axes @ self.axes[0]
+        place = self.of_ecef(self.to_ecef(by), 0.0)
+        north, west, _ = place.axes @ self.axes[0]
         bearing = math.degrees(math.atan2(-west, north))
-        return replace(there, x_towards_deg=bearing, height_above=self.height_above)
+        return replace(place, x_towards_deg=bearing, height_above=self.height_above)
 
     def enu(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        """Points of the scene as east, north and up from its origin, m."""
+        """Convert points of the scene to east, north and up from its origin, m."""
         x, y, z = np.moveaxis(places_of(points, "points of the scene"), -1, 0)
         sine, cosine = math.sin(math.radians(self.x_towards_deg)), math.cos(math.radians(self.x_towards_deg))
         return np.stack([sine * x - cosine * y, cosine * x + sine * y, z], axis=-1)
 
     @checks_arguments
     def bearing_deg(self, azimuth_deg: float) -> float:
-        """Compass bearing, 0 to 360°, of a view's azimuth, degrees."""
+        """Convert a view's azimuth to a compass bearing, 0 to 360°."""
         return (azimuth_deg + self.x_towards_deg) % 360.0
 
 
 def ecef_of_geodetic(places: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-    """Geocentric coordinates, m, of latitude and longitude, degrees, and height above the ellipsoid, m."""
+    """Convert latitude and longitude, degrees, and height above the ellipsoid, m, to geocentric coordinates, m."""
     latitude, longitude, height = np.deg2rad(places[..., 0]), np.deg2rad(places[..., 1]), places[..., 2]
     normal = _EQUATOR_M / np.sqrt(1.0 - _ECCENTRICITY_2 * np.sin(latitude) * np.sin(latitude))
     return np.stack(
@@ -174,7 +174,7 @@ def ecef_of_geodetic(places: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray,
 
 
 def geodetic_of_ecef(places: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-    """Latitude and longitude, degrees, and height above the ellipsoid, m, of geocentric coordinates, m.
+    """Convert geocentric coordinates, m, to latitude and longitude, degrees, and height above the ellipsoid, m.
 
     Source: Bowring, Survey Review 23 (181), 1976.
     """

@@ -14,50 +14,51 @@ from sarsplat.geometry.grids import ImageGrid
 from sarsplat.geometry.view import View
 
 _LEAST_WAVELENGTH, _LARGEST_WAVELENGTH = 1e-4, 100.0
-_WIDEST = 0.2
-"""Offset of a pass, rad: beyond it the image of one pass is not that of another."""
+_MAX_OFFSET = 0.2
+"""Maximum offset of a pass, rad: beyond it, the passes' images differ."""
 
 LOUDEST = 1e18
-"""Power of noise, β⁰, beyond which squares leave float32."""
+"""Maximum power of noise, β⁰: squares of larger ones overflow float32."""
 
-_LOOKED_FOR, _STEPS = 1000.0, 32
-"""How far alike phases are looked for, in resolutions, and in how many steps of each."""
+_SEARCHED, _STEPS = 1000.0, 32
+"""Searched elevations for ambiguities, in resolutions, and samples per resolution."""
 
-_APART, _ALIKE = 0.7, 0.95
+_MAIN_LOBE, _AMBIGUOUS = 0.7, 0.95
+"""Coherences of the passes at which the main lobe ends, and from which an elevation is ambiguous."""
 
 _TRANSMIT = ("each", "one")
 
 POLARISATIONS = ("HH", "HV", "VH", "VV", "RR", "RL", "LR", "LL", "RH", "RV", "LH", "LV")
-"""Received and transmitted; circular ones are right and left."""
+"""Polarisations, received and transmitted: horizontal, vertical, right and left circular."""
 
 
 @dataclass(frozen=True)
 class Stack:
-    """Channels that look at the scene from almost the same direction, coregistered to the images of a view.
+    """Coregistered channels of a view, from almost the same direction.
 
     A channel is a pass of an interferometric stack, a polarisation, or a polarisation of a pass.
 
-    The signal of pass i is y_i ∝ Σ exp(−jkR_i), R_i being the distance from its antenna: what lies farther away has
-    less phase. All passes have the pixels and the azimuth of the view.
+    The signal of pass i is y_i ∝ Σ exp(−jkR_i), R_i being the distance from its antenna: a place farther away
+    has less phase. All passes have the pixels and the azimuth of the view.
 
     Parameters
     ----------
     wavelength_m : float
         Wavelength λ, m.
     offsets_rad : tuple of float
-        Of each channel, by how much its antenna is seen higher than the view's direction, rad: the perpendicular
-        baseline over the range, b/R. The first is usually 0; all are, if channels are polarisations alone.
+        Angle of each channel's antenna above the view's direction, rad: the perpendicular baseline over the range,
+        b/R. The first is usually 0; all are, if channels are polarisations alone.
     transmit : {"each", "one"}
-        Whether each pass transmits and receives itself, k = 4π/λ, or one transmits for all, k = 2π/λ.
+        "each" if each pass transmits and receives, k = 4π/λ; "one" if one transmits for all, k = 2π/λ.
     noise : tuple of float, optional
-        Power of each channel's noise, β⁰; None if it is not known.
+        Power of each channel's noise, β⁰; None if unknown.
     polarisations : tuple of str, optional
-        Of each channel, received and transmitted, such as "HV"; None if all have the same.
+        Polarisation of each channel, received and transmitted, such as "HV"; None if all have the same.
 
     Raises
     ------
     SarsplatError
-        If there are no channels, a number is out of range, a polarisation is none, or two channels are the same.
+        If there are no channels, a number is out of range, a polarisation is unknown, or two channels are the same.
     """
 
     wavelength_m: float
@@ -75,8 +76,8 @@ class Stack:
         if not isinstance(self.offsets_rad, tuple | list) or not self.offsets_rad:
             raise SarsplatError(f"offsets_rad is {shown(self.offsets_rad)}; give the b/R of each pass, at least one")
         for offset in self.offsets_rad:
-            if not is_number(offset) or not abs(offset) <= _WIDEST:
-                raise SarsplatError(f"an offset is {shown(offset)}; give b/R in radians, at most ±{_WIDEST}")
+            if not is_number(offset) or not abs(offset) <= _MAX_OFFSET:
+                raise SarsplatError(f"an offset is {shown(offset)}; give b/R in radians, at most ±{_MAX_OFFSET}")
         self._check_polarisations()
         if len(set(zip(self.offsets_rad, self.of_channels, strict=True))) < len(self.offsets_rad):
             raise SarsplatError(
@@ -119,22 +120,22 @@ class Stack:
 
     @property
     def of_channels(self) -> tuple[str, ...]:
-        """The polarisation of each channel; empty names where all have the same."""
+        """Polarisation of each channel; empty strings if all have the same."""
         return self.polarisations or ("",) * len(self.offsets_rad)
 
     @property
     def interferometric(self) -> bool:
-        """Whether its phases tell elevations and nothing else: several offsets, and one polarisation."""
+        """True if phases depend on elevation alone: several offsets, and one polarisation."""
         return len(set(self.offsets_rad)) > 1 and len(set(self.of_channels)) == 1
 
     @property
     def polarimetric(self) -> bool:
-        """Whether it has several polarisations."""
+        """True if channels have several polarisations."""
         return len(set(self.of_channels)) > 1
 
     @property
     def wavenumber(self) -> float:
-        """k: phase per distance from the antenna, rad/m."""
+        """Wavenumber k: phase per distance from the antenna, rad/m."""
         return (4 if self.transmit == "each" else 2) * math.pi / self.wavelength_m
 
     @property
@@ -145,27 +146,27 @@ class Stack:
 
     @property
     def ambiguous_elevation_m(self) -> float:
-        """Difference of elevation at which phases are alike again, m: all passes together are within 5 % of agreement.
+        """Smallest ambiguous elevation difference, m, at which the coherence of all passes is at least 95 %.
 
-        Infinite if that is more than 1000 resolutions, or there is one pass.
+        Infinite if it exceeds 1000 resolutions, or there is one pass.
         """
         if not math.isfinite(self.resolution_m):
             return math.inf
-        elevation = self.resolution_m * np.arange(0.0, _LOOKED_FOR, 1 / _STEPS)
+        elevation = self.resolution_m * np.arange(0.0, _SEARCHED, 1 / _STEPS)
         phases = self.wavenumber * np.array(self.offsets_rad)
-        together = np.abs(np.exp(1j * phases[:, None] * elevation).mean(0))
-        beyond = np.maximum.accumulate(together < _APART)  # outside of the main lobe
-        alike = np.flatnonzero(beyond & (together >= _ALIKE))
-        if not len(alike):
+        coherence = np.abs(np.exp(1j * phases[:, None] * elevation).mean(0))
+        outside = np.maximum.accumulate(coherence < _MAIN_LOBE)
+        ambiguous = np.flatnonzero(outside & (coherence >= _AMBIGUOUS))
+        if not len(ambiguous):
             return math.inf
-        around = slice(alike[0], alike[0] + _STEPS)  # the lobe that begins there
-        return float(elevation[around][together[around].argmax()])
+        lobe = slice(ambiguous[0], ambiguous[0] + _STEPS)
+        return float(elevation[lobe][coherence[lobe].argmax()])
 
     @checks_arguments
     def phase_vectors(self, view: View) -> Float64[np.ndarray, "p 3"]:
-        """By how much more phase a place has in pass i than in the view's direction u: k (u_i − u), rad/m, world frame.
+        """Return k (u_i − u) of each pass, rad/m, world frame, u being the view's direction.
 
-        Its scalar product with the place x is that phase, for y_i ∝ exp(−jkR_i) and R_i = R − u_i · x.
+        Its scalar product with a place x is the pass's additional phase, for y_i ∝ exp(−jkR_i) and R_i = R − u_i · x.
         """
         frame = view.look.frame
         towards = -frame[2] + np.array(self.offsets_rad)[:, None] * frame[1]
@@ -176,7 +177,7 @@ class Stack:
 
     @checks_arguments
     def elevation_numbers(self, view: View) -> Float64[np.ndarray, " p"]:
-        """Phase per elevation of each pass, rad/m; elevation is across the line of sight, upwards (`Look.frame`).
+        """Return the phase per elevation of each pass, rad/m; elevation is upwards across the line of sight.
 
         Of a pair, the difference κ is 2π per ambiguous elevation, and k_z = κ / (cos(grazing) cos(tilt)) the phase
         per height.
@@ -186,21 +187,21 @@ class Stack:
 
     @checks_arguments
     def plane_phases(self, view: View, grid: ImageGrid, height_m: float = 0.0) -> Float64[np.ndarray, "p rows columns"]:
-        """Phases that a level plane has in every pixel, rad: subtracted from those of a stack, it is deramped.
+        """Return the phases of a level plane in every pixel, rad; subtracting them deramps a stack.
 
         Parameters
         ----------
         view : View
-            Of the images.
+            View of the images.
         grid : ImageGrid
-            Their pixels.
+            Pixels of the images.
         height_m : float
             Height of the plane, z in the world frame, m.
 
         Returns
         -------
         numpy.ndarray, float64 [P, rows, columns]
-            A stack is deramped by exp(−j · phases), and what lies above the plane has the sign of its pass's offset.
+            A stack is deramped by exp(−j · phases), and places above the plane have the sign of their pass's offset.
         """
         look = view.look
         slant, across = np.meshgrid(grid.range_m, grid.azimuth_m, indexing="ij")

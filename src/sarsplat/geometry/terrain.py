@@ -13,23 +13,22 @@ from sarsplat.arguments import is_number
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.place import Place
 
-_ROUNDED = 0.01
-"""Of a pitch: what is as far beyond an edge still counts as on it."""
+_EDGE_TOLERANCE = 0.01
+"""Distance beyond an edge that still counts as on it, relative to the pitch."""
 
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """The ground as heights over x and y: linear between places, and beyond the last ones as there.
+    """Ground as heights over x and y: linear between lattice points, and constant beyond the outermost.
 
     Parameters
     ----------
     heights_m : numpy.ndarray [ny, nx]
-        z of places on a lattice around the origin, m; rows along +y, columns along +x, at least two of each. Not to be
-        written to.
+        z on a lattice around the origin, m; rows along +y, columns along +x, at least two of each. Read-only.
     pitch_m : (float, float)
-        Distance of the places along x and y, m.
+        Spacing of the lattice along x and y, m.
     place : Place, optional
-        Where on earth its origin is, at z = 0, if that is known.
+        Georeference of the origin, at z = 0, if known.
 
     Raises
     ------
@@ -50,7 +49,7 @@ class Terrain:
             raise SarsplatError(f"the terrain has {heights.shape[0]} × {heights.shape[1]} heights; give at least 2 × 2")
         if not np.isfinite(heights).all():
             at = tuple(int(k) for k in np.argwhere(~np.isfinite(heights))[0])
-            raise SarsplatError(f"the terrain's height {at} is {heights[at]}; fill in what is not known")
+            raise SarsplatError(f"the terrain's height {at} is {heights[at]}; replace it by a finite height")
         pitch = self.pitch_m
         if len(pitch) != 2 or not all(is_number(p) and math.isfinite(p) and p > 0 for p in pitch):
             raise SarsplatError(f"the terrain's pitch_m is {pitch}; give two positive, finite numbers of metres (x, y)")
@@ -71,12 +70,12 @@ class Terrain:
 
     @property
     def half_m(self) -> tuple[float, float]:
-        """How far its places reach along ±x and ±y, m."""
+        """Half extents of the lattice along x and y, m."""
         rows, columns = self.heights_m.shape
         return (columns - 1) / 2 * self.pitch_m[0], (rows - 1) / 2 * self.pitch_m[1]
 
     def height_m(self, x: Float[np.ndarray, "*n"], y: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """Z at places (x, y), m."""
+        """Interpolate z at (x, y), m."""
         table, before, share = self.heights_m, [], []
         for at, half, pitch, count in zip((x, y), self.half_m, self.pitch_m, table.shape[::-1]):
             place = np.clip((at + half) / pitch, 0, count - 1)
@@ -88,20 +87,20 @@ class Terrain:
         return upper * (1 - down) + lower * down
 
     def centred(self) -> Terrain:
-        """The same with z = 0 at the origin."""
+        """Return the terrain moved vertically to z = 0 at the origin."""
         middle = float(self.height_m(np.zeros(1), np.zeros(1))[0])
         place = None if self.place is None else replace(self.place, height_m=self.place.height_m + middle)
         return Terrain(self.heights_m - middle, self.pitch_m, place)
 
     def around(self, place: Place, reach_m: float) -> Terrain:
-        """The same ground in the frame of another place on it, as far from there as asked for or as it reaches.
+        """Return the terrain in the frame of another place on it, cut to `reach_m` around it or where it ends.
 
-        Heights stay as they are stored, whatever they are measured from.
+        Heights keep their datum.
 
         Raises
         ------
         SarsplatError
-            If its own place is not known, or the other one is not on it.
+            If the terrain has no georeference, or the place is outside it.
         """
         if self.place is None:
             raise SarsplatError("the terrain does not say where on earth it is; give one with a coordinate system")
@@ -116,7 +115,7 @@ class Terrain:
         ahead = self.place.axes @ other.axes[0]
         square = float(margins.min() / np.abs(ahead[:2]).sum())  # half of the largest one, turned, that is on it
         counts = [
-            max(1, math.ceil(reach_m / pitch) if reach_m <= square else math.floor(square / pitch + _ROUNDED))
+            max(1, math.ceil(reach_m / pitch) if reach_m <= square else math.floor(square / pitch + _EDGE_TOLERANCE))
             for pitch in self.pitch_m
         ]
         xs, ys = (np.arange(-count, count + 1) * pitch for count, pitch in zip(counts, self.pitch_m, strict=True))
@@ -125,7 +124,7 @@ class Terrain:
         return Terrain(self.height_m(own[:, 0], own[:, 1]).reshape(places.shape[:2]), self.pitch_m, other)
 
     def padded(self, reach_m: float) -> Float64[np.ndarray, "ny nx 3"]:
-        """Its places (x, y, z), m, with more at ±`reach_m` where they end before."""
+        """Return the lattice (x, y, z), m, continued to ±`reach_m` where it ends before."""
         heights, axes = self.heights_m, []
         for half, pitch, count, axis in zip(self.half_m, self.pitch_m, heights.shape[::-1], (1, 0)):
             places = np.arange(count) * pitch - half
@@ -137,5 +136,5 @@ class Terrain:
 
 
 def heights_of(points: Float[np.ndarray, "n 3"], terrain: Terrain | None) -> Float[np.ndarray, " n"]:
-    """How far points (x, y, z) lie above the terrain, or above z = 0, m."""
+    """Return the heights of points (x, y, z) above the terrain, or above z = 0, m."""
     return points[:, 2] if terrain is None else points[:, 2] - terrain.height_m(points[:, 0], points[:, 1])

@@ -1,4 +1,4 @@
-"""How a target aloft has turned when a frame is taken, and how well its rotation is known (inverse SAR)."""
+"""Rotation of a target aloft between the frames of a pass, and its uncertainty (inverse SAR)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from sarsplat.geometry.vectors import direction_of
 from sarsplat.geometry.view import View
 
 _FARTHEST_DEG = 36_000.0  # a hundred turns
-_LEAST_CERTAIN_DEG, _LEAST_CERTAIN_RATE = 10.0, 0.2
-_SLOWEST, _FASTEST = 0.5, 2.0  # of the rate that was assumed: beyond them images would be stretched too much
-_MOST_OFF = 1e-3  # rad between a view's azimuth axis and what the axis of rotation says
+_MAX_AXIS_STD_DEG, _MAX_RATE_STD = 10.0, 0.2
+_SLOWEST, _FASTEST = 0.5, 2.0  # limits of rates, and of an image's stretch, relative to what was assumed
+_TOLERANCE = 1e-3  # rad between a view's azimuth axis and that of its rotation
 
 
 @dataclass(frozen=True)
 class Turn:
-    """The part of a target's rotation that lies between the beginning of a pass and a frame.
+    """Rotation of a target from the beginning of a pass to a frame.
 
     Frames of one pass have the same axis, name and standard deviations: the axis and the rate by which they were made,
     from the attitude at its beginning on, are wrong by the same. A rate that was taken for higher than it is makes all
@@ -31,16 +31,15 @@ class Turn:
     Parameters
     ----------
     axis : (x, y, z)
-        About which the target turns, counter-clockwise seen from its tip, in the target's frame; of any length.
+        Axis of rotation, counter-clockwise seen from its tip, in the target's frame; of any length.
     angle_deg : float
-        By how much it has turned since the beginning of the pass, when its attitude is known; degrees, at most a
-        hundred turns.
+        Rotation since the beginning of the pass, when the attitude is known; degrees, at most a hundred turns.
     axis_std_deg : float
         Standard deviation of the axis in either direction across it, degrees, at most 10; 0 if it is known exactly.
     rate_std : float
         Standard deviation of the rate of rotation as a share of it, at most 0.2; 0 if it is known exactly.
     name : str
-        Of the pass, to tell apart those of the same axis.
+        Name of the pass, which distinguishes passes of the same axis.
 
     Raises
     ------
@@ -58,8 +57,8 @@ class Turn:
         object.__setattr__(self, "axis", tuple(direction_of(self.axis, "rotation axis").tolist()))
         limits = {
             "angle_deg": (-_FARTHEST_DEG, _FARTHEST_DEG, "degrees since the beginning of the pass"),
-            "axis_std_deg": (0.0, _LEAST_CERTAIN_DEG, "degrees, and find an axis that is known less well another way"),
-            "rate_std": (0.0, _LEAST_CERTAIN_RATE, "a share of the rate, such as 0.03"),
+            "axis_std_deg": (0.0, _MAX_AXIS_STD_DEG, "degrees, and find an axis that is known less well another way"),
+            "rate_std": (0.0, _MAX_RATE_STD, "a share of the rate, such as 0.03"),
         }
         for name, (low, high, give) in limits.items():
             value = getattr(self, name)
@@ -71,24 +70,24 @@ class Turn:
 
     @property
     def of_pass(self) -> tuple[object, ...]:
-        """What frames of one pass have in common."""
+        """Fields that all frames of one pass share."""
         return self.name, self.axis, self.axis_std_deg, self.rate_std
 
     @property
     def uncertain(self) -> bool:
-        """Whether axis or rate are not known exactly."""
+        """True unless axis and rate are known exactly."""
         return self.axis_std_deg > 0 or self.rate_std > 0
 
     def seen_from(self, line_of_sight: Float64[np.ndarray, " 3"] | Sequence[float | int]) -> View:
-        """The view of the frame, whose line of sight is this at the beginning of the pass, in the target's frame."""
+        """Return the frame's view from the line of sight, in the target's frame, at the beginning of the pass."""
         sight = direction_of(line_of_sight, "line of sight")
         return View.isar(turned(sight, self.axis, -self.angle_deg), self.axis)
 
     @checks_arguments
     def check(self, view: View) -> None:
-        """Refuse a view of the frame that is not one of this rotation."""
+        """Raise if a view is not one of a target with this rotation."""
         across = np.cross(view.direction, self._unit)
-        if not view.aloft or np.linalg.norm(view.look.frame[0] * np.linalg.norm(across) - across) > _MOST_OFF:
+        if not view.aloft or np.linalg.norm(view.look.frame[0] * np.linalg.norm(across) - across) > _TOLERANCE:
             raise SarsplatError(
                 f"{view!r} is not of a target that turns about {list(self.axis)}; give "
                 "View.isar(line_of_sight, rotation_axis) with the axis of its turn"
@@ -96,21 +95,21 @@ class Turn:
 
     @checks_arguments
     def corrected(self, view: View, tilts_deg: tuple[float, float], faster: float) -> View:
-        """The view of a frame, if its pass has another axis and rate than was assumed.
+        """Return the view of a frame for a corrected axis and rate of the pass.
 
         Parameters
         ----------
         view : View
-            As it was taken to be.
+            View by the assumed axis and rate.
         tilts_deg : (float, float)
-            By how much the axis is turned in two directions across it, degrees.
+            Rotation of the axis in two directions across it, degrees.
         faster : float
-            By which share of the assumed rate the true one is faster.
+            Increase of the rate relative to the assumed one.
 
         Returns
         -------
         View
-            Its image is stretched: cross-range was scaled by what was assumed.
+            Stretched view: cross-range was scaled by the assumed rotation.
         """
         across = np.cross(np.eye(3)[np.abs(self._unit).argmin()], self._unit)
         across /= np.linalg.norm(across)
@@ -132,7 +131,7 @@ class Turn:
 def turned(
     vector: Float64[np.ndarray, " 3"], axis: Float64[np.ndarray, " 3"] | Sequence[float | int], angle_deg: float
 ) -> Float64[np.ndarray, " 3"]:
-    """A vector, turned counter-clockwise about an axis of any length, seen from its tip (O. Rodrigues, 1840)."""
+    """Rotate a vector counter-clockwise about an axis of any length, seen from its tip (O. Rodrigues, 1840)."""
     unit = np.asarray(axis, float)
     unit = unit / np.abs(unit).max()
     unit = unit / np.linalg.norm(unit)

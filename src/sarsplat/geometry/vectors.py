@@ -1,4 +1,4 @@
-"""Directions and places that users give: three numbers, or many times three."""
+"""Conversion of users' directions and points to float64 arrays."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sarsplat.errors import SarsplatError, shown
 
 
 def direction_of(value: object, what: str) -> Float64[np.ndarray, " 3"]:
-    """Three finite numbers that are not all zero, float64; `what` is what an error calls them."""
+    """Return a direction as float64 [3], finite and not zero; `what` names it in errors."""
     vector = _numbers(value)
     if vector is None or vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         plain = value.tolist() if isinstance(value, np.ndarray) else value
@@ -20,7 +20,7 @@ def direction_of(value: object, what: str) -> Float64[np.ndarray, " 3"]:
 
 
 def places_of(value: object, what: str) -> Float64[np.ndarray, "*n 3"]:
-    """Any number of three numbers each, float64; `what` is what an error calls them."""
+    """Return points as float64 [..., 3]; `what` names them in errors."""
     places = _numbers(value)
     if places is None or places.shape[-1:] != (3,):
         plain = f"an array of shape {value.shape}" if isinstance(value, np.ndarray) else shown(value)
@@ -29,7 +29,7 @@ def places_of(value: object, what: str) -> Float64[np.ndarray, "*n 3"]:
 
 
 def _numbers(value: object) -> Float64[np.ndarray, "*shape"] | None:
-    """An array of real numbers; None if it is none, or holds text or True and False."""
+    """Return real numbers as float64, or None for anything else, including text and booleans."""
     if isinstance(value, Iterable) and not hasattr(value, "dtype"):
         value = [*value]
         if any(isinstance(one, bool | str) for one in value):

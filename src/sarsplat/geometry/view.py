@@ -1,4 +1,4 @@
-"""The direction to the radar: azimuth, grazing angle and the radar frame."""
+"""Views: directions to a far-away radar, and the orientation of its images."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments, described, is_number
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.grids import ImageGrid
 from sarsplat.geometry.look import Look
 from sarsplat.geometry.vectors import direction_of
 from sarsplat.names import RadarSide
@@ -19,26 +20,26 @@ from sarsplat.names import RadarSide
 _MAX_AZIMUTH = 3600  # degrees: ten turns
 _STEEPEST = 89.999  # degrees: there is no azimuth at the zenith
 _MAX_TILT = 89.0  # degrees: at 90 the image shows level ground edge-on, as a line
-_ALOFT_BETA0 = 0.5  # in masks of boxes best of 0.2 to 1
-_LEVEL_DEG = 1e-9  # an axis that vectors tilt by less is level: rounding
-_ALIKE_DEG = 1.0  # tilts of one radar: those of measured images scatter
-_LEAST_TURN = 1e-3  # sine of the angle between a line of sight and an axis: along it, nothing has a Doppler frequency
+_ALOFT_BETA0 = 0.5  # the best of 0.2 to 1 in masks of boxes
+_LEVEL_DEG = 1e-9  # smaller tilts, computed from vectors, are rounding errors
+_TILT_SPREAD_DEG = 1.0  # maximum spread of the tilts of one radar: those of measured images scatter
+_MIN_SINE = 1e-3  # of the angle between line of sight and rotation axis: rotation about the former has no Doppler
 
-_MOST_STRETCHED = 2.0
+_MAX_STRETCH = 2.0
 
 _ANGLES = {"azimuth_deg": "azimuth", "grazing_deg": "grazing angle", "tilt_deg": "tilt"}
 _NUMBERS = {**_ANGLES, "stretch": "stretch"}
 
-_TURNED = (
+_ADVICE = (
     "give float(…), and turn the means instead; by `a` radians of azimuth: x, y, z = means.unbind(1); "
     "means = torch.stack([x * a.cos() - y * a.sin(), x * a.sin() + y * a.cos(), z], 1)"
 )
-"""What to do instead of learning a view."""
+"""Alternative to views with gradients, for the error message."""
 
 
 @dataclass(frozen=True)
 class View:
-    """Direction to a far-away radar, and how its image lies around it.
+    """Direction to a far-away radar, and the orientation of its image.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ class View:
         for field, name in _NUMBERS.items():
             value = getattr(self, field)
             if type(value).__name__ == "Tensor":
-                raise SarsplatError(f"{name} is a tensor, but views have no gradients; {_TURNED}")
+                raise SarsplatError(f"{name} is a tensor, but views have no gradients; {_ADVICE}")
             if not is_number(value):
                 give = "degrees" if field in _ANGLES else "1 where cross-range is scaled as it is"
                 raise SarsplatError(f"{name} {described(value)} is not a number; give {give}")
@@ -103,40 +104,40 @@ class View:
             )
         if self.side not in get_args(RadarSide):
             raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(RadarSide))}")
-        if not 1 / _MOST_STRETCHED <= self.stretch <= _MOST_STRETCHED:
-            raise SarsplatError(f"stretch {self.stretch} is not a number between 0.5 and {_MOST_STRETCHED:g}; give 1")
+        if not 1 / _MAX_STRETCH <= self.stretch <= _MAX_STRETCH:
+            raise SarsplatError(f"stretch {self.stretch} is not a number between 0.5 and {_MAX_STRETCH:g}; give 1")
         if self.stretch != 1 and not self.aloft:
             raise SarsplatError("only images of a target aloft can be stretched; give stretch 1")
 
     def __repr__(self) -> str:
-        """As it is called: what is as usual is left out."""
+        """Constructor call without the arguments at their defaults."""
         return f"View({', '.join(f'{name}={value!r}' for name, value in self.as_dict().items())})"
 
     def as_dict(self) -> dict[str, float | str]:
-        """Its arguments, for JSON; those that are as usual are left out."""
+        """Return the arguments that differ from their defaults, for JSON."""
         return {name: value for name, value in vars(self).items() if value != getattr(type(self), name, None)}
 
     @property
     def unusual(self) -> str:
-        """What follows its angles where they are said: ", tilted by 5°, looking left"; empty for most views."""
+        """Suffix to the angles in text, such as ", tilted by 5°, looking left"; empty for most views."""
         tilt = f", tilted by {tenths:g}°" if (tenths := round(self.tilt_deg, 1)) else ""
         side = ", looking left" if self.side == "left" else ""
         return tilt + side + ("" if self.stretch == 1 else f", stretched by {self.stretch:.3f}")
 
     @property
     def open_beta0(self) -> float:
-        """β⁰ for γ⁰ = 1 of open ground, which masks measure by; aloft, of a plane seen at 27°."""
+        """β⁰ of open ground with γ⁰ = 1, the reference of masks; aloft, of a plane seen at 27°."""
         return _ALOFT_BETA0 if self.aloft else self.look.beta0_of_gamma0(1.0)
 
     @property
     def yardstick(self) -> float:
-        """Share of open ground that masks measure by: a tilted pixel shows more of it, not of what stands on it."""
+        """Factor on the threshold of masks: a tilted pixel shows more of the ground, but no more of a target."""
         return 1.0 if self.aloft else math.cos(math.radians(self.tilt_deg))
 
     @classmethod
     @checks_arguments
     def towards(cls, direction: Float64[np.ndarray, " 3"] | Sequence[float], *, aloft: bool = False) -> Self:
-        """The view from a direction, above the horizon unless aloft, of any length; the zenith becomes 89.999°."""
+        """Return the view from a direction, above the horizon unless aloft, of any length; the zenith is 89.999°."""
         x, y, z = map(float, direction_of(direction, "direction to the radar"))
         grazing = math.degrees(math.atan2(z, math.hypot(x, y)))
         return cls(math.degrees(math.atan2(-y, x)) % 360.0, max(min(grazing, _STEEPEST), -_STEEPEST), aloft=aloft)
@@ -148,7 +149,7 @@ class View:
         line_of_sight: Float64[np.ndarray, " 3"] | Sequence[float | int],
         rotation_axis: Float64[np.ndarray, " 3"] | Sequence[float | int],
     ) -> Self:
-        """The view of a radar that images a target in free space by its rotation (inverse SAR).
+        """Return the view of a radar that images a target in free space by its rotation (inverse SAR).
 
         Azimuth is cross-range, perpendicular to both: as Doppler frequency f of wavelength λ, it is λ f / (2 Ω sin α)
         of a target that turns by Ω rad/s about an axis α away from the line of sight.
@@ -169,7 +170,7 @@ class View:
         level = cls.towards(sight, aloft=True)
         axis = axis / np.abs(axis).max()  # of any length: no square overflows
         along = np.cross(level.direction, axis / np.linalg.norm(axis))  # as the radar moves, seen from the target
-        if not np.linalg.norm(along) > _LEAST_TURN:
+        if not np.linalg.norm(along) > _MIN_SINE:
             raise SarsplatError(
                 f"the rotation axis {axis.tolist()} is along the line of sight, from where nothing is seen to turn; "
                 "give another"
@@ -187,7 +188,7 @@ class View:
 
     @property
     def look(self) -> Look:
-        """How the radar sees places from there."""
+        """Geometry of the view: image, rays and ground."""
         return Look.of(self.azimuth_deg, self.grazing_deg, self.tilt_deg, self.side == "left", self.stretch)
 
     @property
@@ -208,21 +209,28 @@ def check_unstretched(views: Sequence[View]) -> None:
 
 
 def seen_alike(views: Sequence[View], azimuth_deg: float, grazing_deg: float) -> View:
-    """The view from a direction by a radar like that of known views, of which there must be one.
+    """Return the view from a direction by a radar like that of known views, at least one.
 
-    It is tilted and looks to the side as all of them do: by the median of tilts that differ by a degree at most. Where
-    they differ by more, it is level and looks to the right.
+    It has their side and their median tilt if sides agree and tilts differ by at most a degree. Otherwise it is level
+    and looks to the right.
     """
     tilts = sorted(view.tilt_deg for view in views)
-    usual = View(azimuth_deg, grazing_deg, aloft=views[0].aloft)
-    if tilts[-1] - tilts[0] > _ALIKE_DEG or len({view.side for view in views}) > 1:
-        return usual
-    return replace(usual, tilt_deg=tilts[len(tilts) // 2], side=views[0].side)
+    level = View(azimuth_deg, grazing_deg, aloft=views[0].aloft)
+    if tilts[-1] - tilts[0] > _TILT_SPREAD_DEG or len({view.side for view in views}) > 1:
+        return level
+    return replace(level, tilt_deg=tilts[len(tilts) // 2], side=views[0].side)
+
+
+def ground_radius_m(views: Sequence[View], grid: ImageGrid) -> float:
+    """Return the radius of the ground that images show, m, with a margin for footprints and responses."""
+    across = grid.columns * grid.spacing_m[0] + 2 * abs(grid.center_m[0])
+    away = grid.rows * grid.spacing_m[1] + 2 * abs(grid.center_m[1])
+    return max(view.look.corner_m(across / 2, away / 2) for view in views) + 2 * max(grid.resolution_m)
 
 
 @checks_arguments
 def radar_frame(view: View) -> Float64[np.ndarray, "3 3"]:
-    """R_r from the world to the radar frame, x_r = R_r x_w.
+    """Return R_r from the world to the radar frame, x_r = R_r x_w.
 
     Returns
     -------

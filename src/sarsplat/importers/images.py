@@ -25,7 +25,7 @@ from sarsplat.errors import AssumptionWarning, SarsplatError, counted
 from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Place, Terrain
 from sarsplat.geometry.responses import GAUSSIAN
-from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.geometry.view import ground_radius_m
 from sarsplat.importers.band_limited import resample
 from sarsplat.importers.common_part import common_part, with_data
 from sarsplat.importers.measured_image import MeasuredImage

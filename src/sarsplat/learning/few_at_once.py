@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import Rendering
-from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.engines.operation import differentiable_once
 from sarsplat.tiles.plan import memory_bytes
 
 _STEP_GIB = 2.0

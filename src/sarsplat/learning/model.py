@@ -29,8 +29,8 @@ from sarsplat.learning.windowed_likelihood import ExpectedStacks
 from sarsplat.regions.flattened import levelled
 from sarsplat.regions.target_region import cut_off
 from sarsplat.renderer import Bounds, Rendering, render
+from sarsplat.renderer.covariances import lit_planes
 from sarsplat.renderer.echoes import Echo
-from sarsplat.renderer.planes import lit_planes
 from sarsplat.settings.config import Config
 from sarsplat.tiles import at_once, render_tiled
 

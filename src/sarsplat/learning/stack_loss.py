@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.renderer.once import differentiable_once
+from sarsplat.renderer.engines.operation import differentiable_once
 
 
 @checks_arguments

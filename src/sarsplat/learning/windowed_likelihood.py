@@ -11,9 +11,9 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from sarsplat.learning.stack_loss import covariance_nats, refuse_failed
+from sarsplat.renderer.covariances import Planes
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.operation import Operation
-from sarsplat.renderer.planes import Planes
 
 
 @dataclass(frozen=True)

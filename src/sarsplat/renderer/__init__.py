@@ -1,4 +1,4 @@
-"""The renderer: Gaussians, views and a grid in; SAR images and cross-sections out; differentiable."""
+"""Differentiable renderer: from Gaussians, views and a grid to SAR images and cross-sections."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ from sarsplat.renderer.engines.choice import ENGINES, chosen_engine, passes_for
 from sarsplat.renderer.engines.chosen_views import ChosenViews, candidates
 from sarsplat.renderer.engines.on_device import NotRecordable
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
-from sarsplat.renderer.one_by_one import Steps
-from sarsplat.renderer.operations import render_with
+from sarsplat.renderer.operations import Steps, render_with
 from sarsplat.renderer.reference import render_reference
 from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
 from sarsplat.renderer.steps import attenuate, project, splat
@@ -69,7 +68,7 @@ def render(
     engine: str = "auto",
     instruction_set: str = "auto",
 ) -> Rendering:
-    """Render SAR images of Gaussians seen from several views.
+    """Render SAR images of Gaussians in several views.
 
     On the computation plane rays attenuate through the Gaussians front to back and give each its radar cross-section;
     on the imaging plane (azimuth × slant range) the cross-sections are splatted additively. Differentiable with respect
@@ -81,15 +80,14 @@ def render(
     gaussians : Gaussians
         The scene, N Gaussians.
     views : sequence of View
-        V views, at least one. Stretched ones are rendered step by step, and have no ground, other echoes or ray maps;
-        `bounds` are of no use to them.
+        V views, at least one. Stretched ones have no ground, other echoes or ray maps, and do not use `bounds`.
     grid : ImageGrid
         Pixels and system response, the same for all views.
     rays : RayGrid, optional
         Rays of the computation plane; two to a pixel spacing unless given. An accuracy setting: finer is better.
     amplitudes : Tensor [V, N, C], optional
-        What each Gaussian returns per lit area in each view and channel (γ⁰ in a channel of power), dimensionless,
-        instead of what `gaussians.scattering` says. Channels share the work: C images cost little more than one.
+        Return of each Gaussian per lit area in each view and channel (γ⁰ in a channel of power), dimensionless, in
+        place of `gaussians.scattering`. Channels share the work: C images cost little more than one.
     shift : Tensor [V, 2], optional
         Displacement (azimuth, range) of each image, m.
     gain : Tensor [V], optional
@@ -97,18 +95,17 @@ def render(
     imaging_weight : {"area", "peak"}
         "area" conserves cross-section; "peak" is the paper's unnormalised weight exp(−½eᵀΣ⁻¹e), for ablations only.
     ground : Ground, optional
-        The plane on which rays end: it is in the images, and hides the Gaussians whose centres are below it.
+        Plane or terrain on which rays end: it is in the images, and hides Gaussians whose centres are below it.
     echoes : sequence of Echo
-        Further returns that are added to the images: `GroundBounce`, or one's own (`sarsplat.renderer.echoes`).
+        Further returns that are added to the images: `GroundBounce`, or custom ones (`sarsplat.renderer.echoes`).
     first_return_depth : float, optional
         Two-way optical depth at which a ray counts as returned; asks for `Rendering.ray_maps`.
     plane_gradients : bool
         Ask for `Rendering.plane_gradients` (CPU and CUDA engines).
     bounds : Bounds, optional
-        Limits that the Gaussians keep. With them the CUDA engine waits for nothing, and reports a value out of range,
-        and a Gaussian that breaks them, not here but in `bounds.check()`; its arrays are as large as the limits ask
-        for, so narrow ones are faster. The other engines need none, and check as ever; so does it with
-        `GroundBounce`, whose mirror image is beyond them.
+        Limits that the Gaussians keep. With them the CUDA engine does not synchronise, and reports values out of range
+        and Gaussians beyond them in `bounds.check()`; narrow limits are faster, for its arrays hold the worst case.
+        Other engines ignore them, and so do renderings with `GroundBounce`, whose mirror image is beyond them.
     engine : {"auto", "cpu", "cuda", "reference"}
         "auto" is the CPU engine for float32 on the CPU, the CUDA engine for float32 on a GPU where a small scene with
         gradients agrees with the CPU's, and the reference otherwise; the first time, the logger "sarsplat" says which
@@ -133,9 +130,9 @@ def render(
     The CPU engine borrows torch's threads (`torch.set_num_threads`); its results do not depend on their number. As with
     all of torch, a forked process must begin with `torch.set_num_threads(1)`; torch's data loaders do that.
 
-    The CUDA engine is compiled at first use, which takes a few seconds, and kept in the user's cache folder, and so is
-    the verdict of its comparison with the CPU engine; its results are the same bits from run to run. Where they do not
-    agree, "auto" is an error for tensors on that GPU.
+    The CUDA engine is compiled and compared with the CPU engine at first use, which takes a few seconds, and both are
+    cached in the user's cache folder. Its results are the same bits in every run. If it disagrees with the CPU engine,
+    "auto" raises for tensors on that GPU.
     """
     rays = rays or RayGrid.for_image(grid)
     views = views if isinstance(views, ChosenViews) else tuple(views)
@@ -160,13 +157,13 @@ def render(
         options |= {"echoes": echoes, "first_return_depth": first_return_depth}
     if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
         if stretched:
-            check_values(by_view)  # the rest is checked on the way in
+            check_values(by_view)  # the engine checks the rest
             steps = Steps(new_pass, cuts=True)
             return render_stretched(steps, gaussians, views, grid, **options, plane_gradients=plane_gradients)
-        holding = all(echo.within_bounds for echo in echoes)
-        if not holding and isinstance(views, ChosenViews):
+        within_bounds = all(echo.within_bounds for echo in echoes)
+        if not within_bounds and isinstance(views, ChosenViews):
             raise NotRecordable("has an echo from beyond its bounds")
-        if bounds is not None and holding and ENGINES[engine].takes_bounds:
+        if bounds is not None and within_bounds and ENGINES[engine].takes_bounds:
             if bounds.broken.device != gaussians.means.device:
                 raise SarsplatError(
                     f"bounds are on {bounds.broken.device} but means is on {gaussians.means.device}; make them there"

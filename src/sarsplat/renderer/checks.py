@@ -1,4 +1,4 @@
-"""What the renderer refuses, in words. The engines check values where they read them."""
+"""Checks of the renderer's arguments. The engines check values as they read them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from sarsplat.geometry import ImageGrid, View
 INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
 
 MAX_SCALE = 1e6
-"""m: beyond it a variance's square overflows float32."""
+"""Maximum scale, m: squares of larger variances overflow float32."""
 
 FARTHEST, STRONGEST = 1e9, 1e15
-"""Beyond these, in metres and of everything else, float32 overflows on the way."""
+"""Maximum lengths, m, and maxima of all other numbers: larger ones overflow float32."""
 
 FLATTEST, STEEPEST = 1e-8, 1e8
 """Limits of the roots of footprints, 1/m."""
@@ -46,7 +46,7 @@ ALLOWED = {
     "cross_sections": f"finite, at most {STRONGEST:g}",
     "slopes": f"finite, at most {STRONGEST:g}",
 }
-"""What each tensor must be."""
+"""Requirements on each tensor, for messages."""
 
 _STEP_LIMITS = {
     "centers": (-2 * FARTHEST, 2 * FARTHEST),  # a mean and a shift
@@ -57,10 +57,10 @@ _STEP_LIMITS = {
     "cross_sections": (-STRONGEST, STRONGEST),
     "slopes": (-STRONGEST, STRONGEST),
 }
-"""Least and largest values of footprints and cross-sections."""
+"""Minimum and maximum values of footprints and cross-sections."""
 
 _MAX_PIXELS = 32_767
-"""Largest side of an image on the CPU engine; 4,096 is the largest that was measured."""
+"""Maximum side of an image on the CPU engine; up to 4,096 was measured."""
 
 
 def check_shapes(
@@ -70,13 +70,13 @@ def check_shapes(
     shift: Tensor | None,
     gain: Tensor | None,
 ) -> None:
-    """No views, tensors without values, or tensors per view that do not fit them."""
+    """Raise if there are no views, or a tensor has no values or a shape that does not fit them."""
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
     v, n = len(views), len(gaussians)
     for name, tensor in {"means": gaussians.means, "amplitudes": amplitudes, "shift": shift, "gain": gain}.items():
-        if tensor is not None and tensor.is_meta:
-            raise SarsplatError(f"{name} is on torch's meta device, which holds no values; make it on the CPU")
+        if tensor is not None:
+            check_has_values(name, tensor)
     if amplitudes is not None and (amplitudes.ndim != 3 or amplitudes.shape[:2] != (v, n) or amplitudes.shape[2] < 1):
         raise SarsplatError(
             f"amplitudes has shape {tuple(amplitudes.shape)}; for {v} views and {n} Gaussians it must be ({v}, {n}, C) "
@@ -86,14 +86,26 @@ def check_shapes(
         raise SarsplatError(
             f"amplitudes is {amplitudes.dtype}, but render takes real ones; give complex amplitudes to sarsplat.splat"
         )
-    expected = {
-        "shift": (shift, (v, 2)),
-        "gain": (gain, (v,)),
-    }
-    for name, (tensor, shape) in expected.items():
+    for name, tensor, shape in (("shift", shift, (v, 2)), ("gain", gain, (v,))):
         if tensor is not None and tuple(tensor.shape) != shape:
             raise SarsplatError(
                 f"{name} has shape {tuple(tensor.shape)}; for {v} views and {n} Gaussians it must be {shape}"
+            )
+
+
+def check_has_values(name: str, tensor: Tensor) -> None:
+    """Raise if a tensor is on the meta device."""
+    if tensor.is_meta:
+        raise SarsplatError(f"{name} is on torch's meta device, which holds no values; make it on the CPU")
+
+
+def check_same_kind(tensors: Mapping[str, Tensor | None], like_name: str, like: Tensor) -> None:
+    """Raise if a tensor has another dtype or device than `like`."""
+    for name, tensor in tensors.items():
+        if tensor is not None and (tensor.dtype != like.dtype or tensor.device != like.device):
+            raise SarsplatError(
+                f"{name} is {tensor.dtype} on {tensor.device} but {like_name} is {like.dtype} on {like.device}; use "
+                "one floating dtype and one device for all tensors"
             )
 
 
@@ -103,7 +115,7 @@ def check_options(
     first_return_depth: float | None = None,
     instruction_set: str = "auto",
 ) -> None:
-    """Words and numbers that are not among the choices."""
+    """Raise if an option is not among its choices, or out of range."""
     choices = {
         "imaging_weight": (imaging_weight, ("area", "peak")),
         "instruction_set": (instruction_set, INSTRUCTION_SETS),
@@ -116,7 +128,7 @@ def check_options(
 
 
 def check_for_cpu(grid: ImageGrid | None, tensors: Mapping[str, Tensor | None]) -> None:
-    """What the CPU engine does not take."""
+    """Raise if the CPU engine does not support the image or a tensor."""
     if grid is not None and max(grid.rows, grid.columns) > _MAX_PIXELS:
         raise SarsplatError(
             f"an image of {grid.rows} × {grid.columns} pixels is too large for the CPU engine; "
@@ -131,7 +143,7 @@ def check_for_cpu(grid: ImageGrid | None, tensors: Mapping[str, Tensor | None]) 
 
 
 def check_for_cuda(tensors: Mapping[str, Tensor | None]) -> int:
-    """What the CUDA engine does not take; returns the number of the GPU."""
+    """Raise if the CUDA engine does not support a tensor; return the index of the GPU."""
     first, where = next((name, tensor.device) for name, tensor in tensors.items() if tensor is not None)
     for name, tensor in tensors.items():
         if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cuda"):
@@ -145,7 +157,7 @@ def check_for_cuda(tensors: Mapping[str, Tensor | None]) -> int:
 
 
 def check_for_reference(name: str, dtype: torch.dtype) -> None:
-    """What the reference does not take."""
+    """Raise if the reference does not support the dtype."""
     if dtype not in (torch.float32, torch.float64):
         raise SarsplatError(
             f"{name} is {dtype}, not precise enough for the reference; use torch.float64 or torch.float32"
@@ -153,12 +165,12 @@ def check_for_reference(name: str, dtype: torch.dtype) -> None:
 
 
 def check_values(tensors: dict[str, Tensor | None]) -> None:
-    """Values out of range, named with their index."""
+    """Raise if a value is out of range, with its index."""
     for name, tensor in tensors.items():
         if tensor is None:
             continue
         good = tensor.abs() <= _MAX_ABS.get(name, float("inf"))
-        if name not in ALLOWED:  # of an echo of one's own
+        if name not in ALLOWED:  # of a custom echo
             good = tensor.isfinite()
         if name == "scales":
             good = (tensor >= MIN_SCALE * (1 - 1e-6)) & (tensor <= MAX_SCALE)
@@ -182,7 +194,7 @@ def check_values(tensors: dict[str, Tensor | None]) -> None:
 
 
 def check_step_values(tensors: dict[str, Tensor | None]) -> None:
-    """Values of footprints [V, N, ...] out of range, named with their index."""
+    """Raise if a value of footprints [V, N, ...] is out of range, with its index."""
     for name, tensor in tensors.items():
         if tensor is None or not tensor.numel():
             continue
@@ -197,12 +209,12 @@ def check_step_values(tensors: dict[str, Tensor | None]) -> None:
 
 
 def complaint(name: str, tensor: Tensor, index: int) -> str:
-    """The sentence for one bad row."""
+    """Return the message for an invalid row."""
     return f"{name}[{index}] is {tensor[index].tolist()}; it must be {ALLOWED.get(name, 'finite')}"
 
 
 def complaint_by_view(name: str, tensor: Tensor, index: int) -> str:
-    """The sentence for one bad row of a tensor [V, N, ...], counted over both."""
+    """Return the message for an invalid row of a tensor [V, N, ...], counted over both."""
     view, gaussian = divmod(index, tensor.shape[1])
     allowed = ALLOWED[name.rpartition(".")[2]]
     return f"{name}[{view}, {gaussian}] is {tensor[view, gaussian].tolist()}; it must be {allowed}"

@@ -1,13 +1,13 @@
-"""The renderer's numerical constants (docs/concepts/image-model.md §3), one place for every engine."""
+"""Numerical constants of the renderer, for every engine (docs/concepts/image-model.md §3)."""
 
 CELL_WIDENING = 1.0 / 12.0
-"""c: a ray's cell widens a footprint by c·δ² per axis (variance of a uniform cell)."""
+"""Constant c: a ray's cell widens a footprint by c·δ² per axis (variance of a uniform cell)."""
 
 MIN_RAY_DEPTH = 1e-3
-"""A Gaussian touches a ray where its two-way optical depth τ is at least this."""
+"""Minimum two-way optical depth τ at which a Gaussian touches a ray."""
 
 MIN_TRANSMITTANCE = 1e-4
-"""A ray stops once its transmittance has fallen below this (the crossing Gaussian is kept)."""
+"""Transmittance below which a ray stops (the crossing Gaussian is kept)."""
 
 IMAGE_CUT = 16.0
-"""A Gaussian touches pixels within this squared Mahalanobis distance; its mass is renormalised by 1 − e⁻⁸."""
+"""Maximum squared Mahalanobis distance of pixels that a Gaussian touches; its mass is renormalised by 1 − e⁻⁸."""

@@ -1,4 +1,4 @@
-"""What the steps of a rendering hand on: footprints of Gaussians on the two planes, and the area that each lights."""
+"""Results of the steps of a rendering: footprints of Gaussians on the two planes, and their lit areas."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from sarsplat.renderer.rendering import RayMap
 
 
 def _check_fields(owner: object, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Each field a floating tensor of its shape, of one dtype and on one device."""
+    """Raise unless the fields are floating tensors of these shapes, of one dtype and on one device."""
     v, n = next(iter(shapes.values()))[:2]
     check_tensors({name: getattr(owner, name) for name in shapes}, shapes, f"{v} views of {n} Gaussians")
 
 
 def _sizes(tensor: Tensor) -> tuple[int, int]:
-    """V and N of a tensor that should begin with them."""
+    """Return the first two sizes of a tensor, V and N; zeros if it has fewer."""
     return (tensor.shape[0], tensor.shape[1]) if isinstance(tensor, Tensor) and tensor.ndim > 1 else (0, 0)
 
 
 @dataclass(frozen=True)
 class Footprints:
-    """N Gaussians seen in V views on one plane: each is exp(−½|L d|²) at the displacement d from its centre.
+    """N Gaussians in V views on one plane: each is exp(−½|L d|²) at the displacement d from its centre.
 
     Parameters
     ----------
@@ -54,10 +54,10 @@ class Footprints:
 
 @dataclass(frozen=True)
 class Waves:
-    """How the phase of complex channels changes across footprints: with the elevation of what is imaged there.
+    """Phase gradients of complex channels across footprints, which follow the elevation within a Gaussian.
 
-    What a Gaussian shows at the displacement d from its centre on the imaging plane lies slopes · d higher, on average,
-    than what it shows at its centre, and channel c turns by exp(j numbers[c] · slopes · d).
+    At the displacement d from its centre on the imaging plane, a Gaussian's mean elevation is slopes · d higher than at
+    the centre, and channel c turns by exp(j numbers[c] · slopes · d).
 
     Parameters
     ----------
@@ -80,11 +80,11 @@ class Waves:
         c = _sizes(self.numbers)[1]
         _check_fields(self, {"slopes": (v, n, 2), "numbers": (v, c)})
         if self.numbers.requires_grad:
-            raise SarsplatError("waves.numbers has no gradient; detach it, or learn what the slopes come from")
+            raise SarsplatError("waves.numbers has no gradient; detach it, or learn the slopes")
 
 
 def deviations(roots: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 2"]:
-    """Standard deviations along the two axes of the plane, m: the roots of the diagonal of Σ'."""
+    """Return standard deviations along the two axes of the plane, m: the roots of the diagonal of Σ'."""
     a, b, c = roots.unbind(-1)
     return torch.stack([(1 + (b / c) ** 2).sqrt() / a, 1 / c], dim=-1)
 
@@ -95,10 +95,10 @@ def footprints_of(
     determinant: Float[Tensor, "v n"],
     grid: ImageGrid,
 ) -> Footprints:
-    """On the imaging plane, widened by the system's response.
+    """Return footprints on the imaging plane, widened by the system's response.
 
-    `variances` are those of azimuth, of azimuth and range, and of range, m²; their `determinant` is given, because of a
-    needle, a difference of products would lose the digits that a sum of squares keeps.
+    `variances` are the elements (azimuth, both, range) of the covariance, m². Its `determinant` is given: computed as a
+    difference of products it would lose the digits of a needle.
     """
     of_azimuth, of_range = (centers.new_tensor(variance) for variance in grid.response_variance_m2)
     var_azimuth, both, var_range = variances
@@ -110,7 +110,7 @@ def footprints_of(
 
 @dataclass(frozen=True)
 class Projection:
-    """N Gaussians seen in V views, on both planes; what `project` returns.
+    """N Gaussians in V views, on both planes; result of `project`.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class Projection:
     pixels : Footprints
         On the imaging plane (x_r, z_r), widened by the system's response and shifted; differentiable.
     amplitudes : Tensor [V, N, C]
-        What each channel returns per lit area, by the scattering law of the Gaussians; differentiable.
+        Return of each channel per lit area, by the scattering law of the Gaussians; differentiable.
 
     Raises
     ------
@@ -160,13 +160,13 @@ class Projection:
 
 @dataclass(frozen=True)
 class Attenuation:
-    """How much of each Gaussian the radar sees; what `attenuate` returns.
+    """Lit areas of Gaussians; result of `attenuate`.
 
     Parameters
     ----------
     lit_area : Tensor [V, N]
-        A_c Σ_ρ w, m²: the area across the line of sight over which a Gaussian is seen; differentiable. Times the
-        amplitudes it is the radar cross-section in each channel.
+        A_c Σ_ρ w, m²: visible area of a Gaussian across the line of sight; differentiable. Times the amplitudes it is
+        the radar cross-section in each channel.
     ray_maps : tuple of RayMap, one per view, or None
         On request (`first_return_depth`).
     """

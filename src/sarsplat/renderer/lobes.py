@@ -1,4 +1,4 @@
-"""What Gaussians return towards the views of a call; of a training's usual law by an engine."""
+"""Amplitudes of Gaussians towards views, of the default scattering law by an engine."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from sarsplat.renderer.engines.problem import directions_to
 
 
 def amplitudes_towards(new_pass: NewPass | None, gaussians: Gaussians, views: Sequence[View]) -> Float[Tensor, "v n c"]:
-    """`Gaussians.amplitudes` towards the radar of each view, by an engine's passes; None for the reference."""
+    """Return `Gaussians.amplitudes` towards the radar of each view, by an engine; by plain torch if None."""
     return amplitudes_along(new_pass, gaussians, directions_to(views, gaussians.means))
 
 
 def amplitudes_along(
     new_pass: NewPass | None, gaussians: Gaussians, directions: Float[Tensor, "v 3"]
 ) -> Float[Tensor, "v n c"]:
-    """`Gaussians.amplitudes` along unit vectors, likewise."""
+    """Return `Gaussians.amplitudes` along unit vectors, by an engine; by plain torch if None."""
     law = gaussians.scattering
     if type(law) is not NormalLobes:
         return gaussians.amplitudes(directions)
@@ -32,7 +32,7 @@ def amplitudes_along(
 
 
 class Lobes(Operation):
-    """`NormalLobes.amplitudes`, as there without a gradient of the scales."""
+    """Operation of `NormalLobes.amplitudes`, without a gradient of the scales."""
 
     operation = "normal_lobes"
     names = ("directions", "quaternions", "scales", "parameters")

@@ -1,4 +1,4 @@
-"""A whole rendering and its steps one by one, as the renderer calls them, on an engine's passes."""
+"""Renderings and single steps on an engine's passes; steps on an engine or the reference."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import check_values
-from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting, added, left_in_sight
+from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting, left_in_sight, with_echoes
 from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.chosen_views import by_view
@@ -20,6 +20,12 @@ from sarsplat.renderer.engines.problem import foot_shift
 from sarsplat.renderer.engines.stages import Attenuate, Bounce, PressedFlat, Project, Render, Splat
 from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
 from sarsplat.renderer.lobes import amplitudes_towards
+from sarsplat.renderer.reference import (
+    attenuate_reference,
+    pressed_flat_reference,
+    project_reference,
+    splat_reference,
+)
 from sarsplat.renderer.rendering import RayMap, Rendering
 
 
@@ -40,12 +46,12 @@ def render_with(
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
 ) -> Rendering:
-    """`sarsplat.render` on an engine's passes; arguments are documented there. With bounds, no value is looked at."""
+    """Run `sarsplat.render` on an engine's passes; with bounds, without looking at values."""
     if gain is not None and bounds is not None:
         bounds.watch(gain)
     else:
-        check_values({"gain": gain})  # the rest is checked on the way in
-    if bounds is None and echoes:  # which use these before the engine looks at them
+        check_values({"gain": gain})  # the engine checks the rest
+    if bounds is None and echoes:  # which use these before the engine checks them
         check_values({"means": gaussians.means, "shift": shift})
         for echo in echoes:
             check_values(echo.values())
@@ -65,14 +71,11 @@ def render_with(
     )
     ends = _ray_ends(step, traced[0]) if wants_ends else None
     sighting = Sighting(g, views, grid, rays, shift, lit_area, ends, new_pass)
-    seen = [echo.seen(sighting) for echo in echoes]
-    returns = [echo.returned(one, views, grid, shift) for echo, one in zip(echoes, seen, strict=True)]
-    for one in returns:
-        images = added(images, one, g.scattering.power_channel)
+    images, returns = with_echoes(images, echoes, sighting)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area.detach(), _ray_maps(step, traced), planes, tuple(returns))
+    return Rendering(images, cross_sections, lit_area.detach(), _ray_maps(step, traced), planes, returns)
 
 
 def project_with(
@@ -84,7 +87,7 @@ def project_with(
     rays: RayGrid,
     shift: Float[Tensor, "v 2"] | None,
 ) -> Projection:
-    """`sarsplat.project` on an engine's passes."""
+    """Run `sarsplat.project` on an engine's passes."""
     g, law = gaussians, gaussians.scattering
     harmonics = law.parameters if isinstance(law, Harmonics) else None  # kernels evaluate these themselves
     ray_centers, ray_roots, depth, range_m, tilt, pixel_centers, pixel_roots, gamma0 = Project(
@@ -105,7 +108,7 @@ def pressed_flat_with(
     shift: Float[Tensor, "v 2"] | None,
     height_m: float,
 ) -> Footprints:
-    """On the imaging plane, of Gaussians pressed flat onto a plane of this height."""
+    """Return footprints on the imaging plane of Gaussians pressed flat onto the plane z = `height_m`."""
     g, at_foot = gaussians, by_view(foot_shift, views, height_m, gaussians.means.device)
     moved = at_foot if shift is None else at_foot + shift
     flat = PressedFlat(new_pass(), views, grid, RayGrid.for_image(grid), 0.0)
@@ -126,9 +129,9 @@ def bounced_with(
     height_m: float,
     factor: float,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """What returns by way of a mirror at a height, of Gaussians that were rendered: lit so far, and so far rays came.
+    """Return images of the bounce of rendered Gaussians off a mirror z = `height_m`, with their lit areas and ray ends.
 
-    Power is the factor times √(lit · lit by way of the mirror) times amplitudes; without these, of harmonics.
+    Power is the factor times √(lit area · lit area by way of the mirror) times amplitudes, by default of harmonics.
     """
     g, (dx, dy) = gaussians, rays.spacing_m
     lattices = [
@@ -146,7 +149,7 @@ def bounced_with(
 def attenuate_with(
     new_pass: NewPass, projection: Projection, rays: RayGrid, *, first_return_depth: float | None
 ) -> Attenuation:
-    """`sarsplat.attenuate` on an engine's passes."""
+    """Run `sarsplat.attenuate` on an engine's passes."""
     p = projection
     step = Attenuate(new_pass(), rays, first_return_depth)
     lit_area, *traced = step.of(p.rays.centers, p.rays.roots, p.optical_depth, p.range_m, p.tilt)
@@ -162,11 +165,51 @@ def splat_with(
     waves: Waves | None = None,
     imaging_weight: str,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
-    """`sarsplat.splat` on an engine's passes; with waves, real and imaginary parts in turn."""
+    """Run `sarsplat.splat` on an engine's passes; with waves, of alternating real and imaginary parts."""
     turns = None if waves is None else (waves.numbers / (2 * math.pi)).contiguous()
     step = Splat(new_pass(), grid, imaging_weight == "peak", turns)
     slopes = None if waves is None else waves.slopes
     return step.of(footprints.centers, footprints.roots, cross_sections, slopes)[0]
+
+
+class Steps:
+    """Steps of a rendering: by an engine's passes, or by the reference if `new_pass` is None."""
+
+    def __init__(self, new_pass: NewPass | None, cuts: bool) -> None:
+        self.new_pass, self._cuts = new_pass, cuts
+
+    def project(self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Projection:
+        if self.new_pass is None:
+            return project_reference(gaussians, views, grid, rays=rays)
+        return project_with(self.new_pass, gaussians, views, grid, rays=rays, shift=None)
+
+    def lit_area(self, projection: Projection, rays: RayGrid) -> Float[Tensor, "v n"]:
+        if self.new_pass is None:
+            return attenuate_reference(projection, rays, first_return_depth=None, cuts=self._cuts).lit_area
+        return attenuate_with(self.new_pass, projection, rays, first_return_depth=None).lit_area
+
+    def splat(
+        self,
+        footprints: Footprints,
+        cross_sections: Float[Tensor, "v n c"],
+        grid: ImageGrid,
+        imaging_weight: str = "area",
+    ) -> Float[Tensor, "v c rows columns"]:
+        if self.new_pass is None:
+            return splat_reference(footprints, cross_sections, grid, imaging_weight=imaging_weight, cuts=self._cuts)
+        return splat_with(self.new_pass, footprints, cross_sections, grid, imaging_weight=imaging_weight)
+
+    def pressed_flat(
+        self,
+        gaussians: Gaussians,
+        views: Sequence[View],
+        grid: ImageGrid,
+        shift: Float[Tensor, "v 2"] | None,
+        height_m: float,
+    ) -> Footprints:
+        if self.new_pass is None:
+            return pressed_flat_reference(gaussians, views, grid, shift=shift, height_m=height_m)
+        return pressed_flat_with(self.new_pass, gaussians, views, grid, shift=shift, height_m=height_m)
 
 
 # ---- what they share -------------------------------------------------------------------------------------------------
@@ -175,18 +218,18 @@ def _shift(gaussians: Gaussians, views: Sequence[View], shift: Tensor | None) ->
 
 
 def _ray_ends(step: Render | Attenuate, transmittance: Tensor) -> RayEnds:
-    """T_end of the rays of all views, and where they are."""
+    """Return T_end of the rays of all views, and their positions."""
     lattices, (dx, dy) = step.kernel.lattices(step.problem.views), step.rays.spacing_m
     sizes = [(lattice.rows, lattice.columns) for lattice in lattices]
     return RayEnds(transmittance, sizes, [((lattice.k0x + 0.5) * dx, (lattice.k0y + 0.5) * dy) for lattice in lattices])
 
 
 def _ray_maps(step: Render | Attenuate, traced: Sequence[Tensor]) -> tuple[RayMap, ...] | None:
-    """What was traced, cut into the views' lattices; None if nothing was."""
+    """Split traced rays into a ray map for each view; None if first returns were not requested."""
     if step.depth is None:
         return None
     ends, maps = _ray_ends(step, traced[0]), []
     cut = [values.split([math.prod(size) for size in ends.sizes]) for values in traced]
-    for left, first, size, origin in zip(*cut, ends.sizes, ends.origins, strict=True):
-        maps.append(RayMap(left.view(size), first.view(size), origin))
+    for transmittance, first, size, origin in zip(*cut, ends.sizes, ends.origins, strict=True):
+        maps.append(RayMap(transmittance.view(size), first.view(size), origin))
     return tuple(maps)

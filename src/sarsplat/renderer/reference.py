@@ -1,7 +1,7 @@
-"""The reference renderer: plain torch, any dtype, equation by equation. It is the judge, not the engine.
+"""Reference renderer: plain torch, any dtype, equation by equation; engines must agree with it.
 
-The three steps one by one, and their composition. Dense: every Gaussian meets every ray and every pixel, so it is meant
-for small scenes. Numbers in comments are sections of the model (docs/concepts/image-model.md).
+Dense: it evaluates every Gaussian at every ray and every pixel, so it is meant for small scenes. Numbers in comments
+are sections of the model (docs/concepts/image-model.md).
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.covariance import covariance
+from sarsplat.gaussians.covariance import covariance, rotation_matrix
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
-from sarsplat.renderer.echoes.echo import Echo, Sighting, added, ends_of, left_in_sight
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves, deviations
+from sarsplat.renderer.echoes.echo import Echo, Sighting, ends_of, left_in_sight, with_echoes
+from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves, deviations, footprints_of
 from sarsplat.renderer.rendering import RayMap, Rendering
 
 _UNCUT_RADIUS = 9.0
-"""Without cuts the lattice reaches this many standard deviations: e⁻⁴⁰ is below float64's resolution."""
+"""Extent of the lattice without cuts, standard deviations: e⁻⁴⁰ is below float64's resolution."""
 
 _MAX_PAIRS = 1 << 26
-"""Of Gaussians and rays in one view; in float64 they take about 5 GB and 10 s."""
+"""Maximum pairs of Gaussians and rays in one view; in float64 about 5 GB and 10 s."""
 
 
 def render_reference(
@@ -45,10 +45,10 @@ def render_reference(
     first_return_depth: float | None = None,
     cuts: bool = True,
 ) -> Rendering:
-    """Render as `sarsplat.render` does, slowly and by the book.
+    """Render as `sarsplat.render` does.
 
-    `cuts=False` takes off the footprint cuts and the early stop, so that finite differences are valid; everything else
-    is documented at `sarsplat.render`.
+    `cuts=False` removes the footprint cuts and the early stop, so that finite differences are valid; the other
+    arguments are documented at `sarsplat.render`.
     """
     rays = rays or RayGrid.for_image(grid)
     projection = project_reference(gaussians, views, grid, rays=rays, shift=shift)
@@ -63,16 +63,13 @@ def render_reference(
     images = splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight, cuts=cuts)
     ends = ends_of(attenuation.ray_maps) if wants_ends and attenuation.ray_maps else None
     sighting = Sighting(gaussians, views, grid, rays, shift, attenuation.lit_area, ends, None, cuts)
-    returns = []
-    for echo in echoes:
-        returns.append(echo.returned(echo.seen(sighting), views, grid, shift))
-        images = added(images, returns[-1], gaussians.scattering.power_channel)
+    images, returns = with_echoes(images, echoes, sighting)
     return Rendering(
         images if gain is None else images * gain[:, None, None, None],
         cross_sections,
         attenuation.lit_area.detach(),
         None if first_return_depth is None else attenuation.ray_maps,
-        echoes=tuple(returns),
+        echoes=returns,
     )
 
 
@@ -88,7 +85,7 @@ def project_reference(
     means = gaussians.means
     spacing = means.new_tensor((rays or RayGrid.for_image(grid)).spacing_m)
     response = means.new_tensor(grid.response_variance_m2)
-    with torch.autocast(means.device.type, enabled=False):  # a judge does not round to 16 bits
+    with torch.autocast(means.device.type, enabled=False):  # no rounding to 16 bits
         frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(means)[:, None]
         mean = (frames @ means[..., None])[..., 0]  # §1: x_r = R_r x_w, [V, N, 3]
         cov = frames @ covariance(gaussians.quaternions, gaussians.scales) @ frames.mT  # [V, N, 3, 3]
@@ -104,6 +101,27 @@ def project_reference(
         tilt = torch.stack([a * u, b * u + c * v], dim=-1)
         amplitudes = gaussians.amplitudes(-frames[:, 0, 2])  # P(u), §2
     return Projection(Footprints(mean[..., :2], roots), kappa, mean[..., 2].detach(), tilt.detach(), pixels, amplitudes)
+
+
+def pressed_flat_reference(
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, *, shift: Float[Tensor, "v 2"] | None, height_m: float
+) -> Footprints:
+    """Return footprints on the imaging plane of Gaussians pressed flat onto the plane z = `height_m`."""
+    means = gaussians.means
+    gradients = torch.from_numpy(np.stack([view.look.gradients for view in views])).to(means)  # [V, 2, 3]
+    centers = means[:, :2] @ gradients[:, :, :2].mT + gradients[:, None, :, 2] * height_m
+    if shift is not None:
+        centers = centers + shift[:, None]
+    (along, across, _), ((p, q), (r, s)) = (
+        (rotation_matrix(gaussians.quaternions) * gaussians.scales[:, None]).unbind(1),
+        (row.unbind(1) for row in gradients[:, :, :2, None].unbind(1)),
+    )
+    xx, xy, yy = along.square().sum(1), (along * across).sum(1), across.square().sum(1)
+    var_azimuth, var_range = (a * a * xx + 2 * a * b * xy + b * b * yy for a, b in ((p, q), (r, s)))
+    both = p * r * xx + (p * s + q * r) * xy + q * s * yy
+    # of a needle, a difference of products would lose the digits that a sum of squares keeps
+    flat = (p * s - q * r).square() * torch.linalg.cross(along, across).square().sum(1)
+    return footprints_of(centers, (var_azimuth, both, var_range), flat, grid)
 
 
 def attenuate_reference(
@@ -129,7 +147,7 @@ def splat_reference(
     imaging_weight: str = "area",
     cuts: bool = True,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
-    """Splat as `sarsplat.splat` does; `cuts` as at `render_reference`; with waves, real and imaginary parts in turn."""
+    """Splat as `sarsplat.splat` does; `cuts` as at `render_reference`; with waves, alternating real and imaginary."""
     x, r = (torch.from_numpy(axis).to(cross_sections) for axis in (grid.azimuth_m, grid.range_m))
     pixel = torch.stack(torch.meshgrid(x, r, indexing="xy"), dim=-1)  # [rows, columns, 2]
     images = []
@@ -157,14 +175,14 @@ def splat_reference(
 
 
 def _roots(cov: Float[Tensor, "v n 2 2"]) -> Float[Tensor, "v n 3"]:
-    """(a, b, c) of the factor L = (a b; 0 c) of the inverse covariance LᵀL."""
+    """Return (a, b, c) of the factor L = (a b; 0 c) of the inverse covariance LᵀL."""
     xx, xy, yy = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 1]
     a = (yy / (xx * yy - xy**2)).sqrt()
     return torch.stack([a, -xy / yy * a, yy.rsqrt()], dim=-1)
 
 
 def _whitened(d: Float[Tensor, "*n 2"], roots: Float[Tensor, "*m 3"]) -> tuple[Tensor, Tensor]:
-    """L d."""
+    """Return L d."""
     return roots[..., 0] * d[..., 0] + roots[..., 1] * d[..., 1], roots[..., 2] * d[..., 1]
 
 
@@ -178,7 +196,7 @@ def _attenuate_view(
     cuts: bool,
     first_return_depth: float | None,
 ) -> tuple[Float[Tensor, " n"], RayMap]:
-    """Pass A (§3) of one view: Σ_ρ w per Gaussian [N], and what the rays met."""
+    """Attenuate one view (§3, pass A): return Σ_ρ w of each Gaussian and the ray map."""
     spacing = torch.tensor(rays.spacing_m, dtype=kappa.dtype, device=kappa.device)
     limit = 2 * torch.log(kappa.detach() / MIN_RAY_DEPTH) if cuts else torch.full_like(kappa, _UNCUT_RADIUS**2)
     touched = limit >= 0

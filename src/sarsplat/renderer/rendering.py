@@ -1,4 +1,4 @@
-"""What a renderer returns."""
+"""Results of a rendering."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from sarsplat.errors import SarsplatError
 
 @dataclass(frozen=True)
 class RayMap:
-    """What the rays of one view met, on that view's ray lattice (rows: y_r, columns: x_r).
+    """Transmittance and first returns of one view's rays, on its ray lattice (rows: y_r, columns: x_r).
 
     Parameters
     ----------
     transmittance : Tensor [rows, columns]
         Two-way transmittance T_end behind all Gaussians; differentiable.
     first_return : Tensor [rows, columns]
-        Slant range z_r, m, at which the two-way optical depth reaches the asked value, NaN where it never does.
-        A selection: not differentiable.
+        Slant range z_r, m, at which the two-way optical depth reaches the requested value, else NaN; not
+        differentiable.
     origin : (float, float)
         (x_r, y_r) of the ray in row 0, column 0, m.
     """
@@ -33,7 +33,7 @@ class RayMap:
 
 @dataclass(frozen=True)
 class Rendering:
-    """Images of V views and how each Gaussian contributed.
+    """Images of V views, and the contribution of each Gaussian.
 
     Parameters
     ----------
@@ -42,15 +42,15 @@ class Rendering:
     cross_sections : Tensor [V, N, C]
         Radar cross-section σ of each Gaussian in each channel, m²; differentiable.
     lit_area : Tensor [V, N]
-        A_c Σ_ρ w, m²: the area across the line of sight over which a Gaussian is seen. Not differentiable.
+        A_c Σ_ρ w, m²: visible area of a Gaussian across the line of sight. Not differentiable.
     ray_maps : tuple of RayMap, one per view, or None
         On request (`first_return_depth`).
     plane_gradients : Tensor [V, N, 4] or None
         On request: zeros until backward, then ∂L/∂(μ_C,x, μ_C,y, μ_I,x, μ_I,z) per view, per m. For density control.
     echoes : tuple of Tensor [V, rows, columns]
-        What of the images each echo is, the ground's first, β⁰, linear power, without gain; differentiable.
+        Part of the images from each echo, the ground first, β⁰, linear power, without gain; differentiable.
     ground : Tensor [V, rows, columns] or None
-        With a ground, the first of these.
+        The first of these, if a ground was given.
     """
 
     images: Float[Tensor, "v c rows columns"]
@@ -69,13 +69,13 @@ class Rendering:
         return f"Rendering({', '.join(parts)}, {self.images.dtype} on {self.images.device})"
 
     def channel(self, index: int) -> Float[Tensor, "v rows columns"]:
-        """The images of one channel: see `channel_of`."""
+        """Return the images of one channel: see `channel_of`."""
         return channel_of(self.images, index)
 
 
 @checks_arguments
 def channel_of(images: Float[Tensor, "v c rows columns"], index: int) -> Float[Tensor, "v rows columns"]:
-    """The images of one channel [V, rows, columns].
+    """Return the images of one channel [V, rows, columns].
 
     Raises
     ------

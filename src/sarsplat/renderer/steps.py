@@ -1,4 +1,4 @@
-"""The steps of a rendering, one by one and each differentiable: project, attenuate, splat."""
+"""Steps of a rendering, each differentiable: project, attenuate, splat."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer.checks import (
     check_for_reference,
+    check_has_values,
     check_options,
+    check_same_kind,
     check_shapes,
     check_step_values,
     check_values,
@@ -36,10 +38,9 @@ def project(
     shift: Float[Tensor, "v 2"] | None = None,
     engine: str = "auto",
 ) -> Projection:
-    """Footprints of Gaussians on the computation plane and on the imaging plane of several views, and their amplitudes.
+    """Project Gaussians to footprints on the computation and imaging planes of several views, with amplitudes.
 
-    The first of three steps that together do what `render` does, with the values in between in the open; `render` is
-    the faster::
+    First of three steps that together do what `render` does, with access to intermediate values; `render` is faster::
 
         projection = project(gaussians, views, grid)
         lit_area = attenuate(projection, RayGrid.for_image(grid)).lit_area
@@ -90,7 +91,7 @@ def project(
 def attenuate(
     projection: Projection, rays: RayGrid, *, first_return_depth: float | None = None, engine: str = "auto"
 ) -> Attenuation:
-    """Send rays through the footprints of the computation plane, front to back: how much of each the radar sees.
+    """Send rays through the footprints of the computation plane, front to back; return the lit areas.
 
     Differentiable with respect to the centres, the roots and the optical depths; footprint cuts, depth order and the
     early stop are held constant.
@@ -98,9 +99,9 @@ def attenuate(
     Parameters
     ----------
     projection : Projection
-        What `project` returned; its `pixels` are not used.
+        Result of `project`; its `pixels` are not used.
     rays : RayGrid
-        Where rays stand; the same as for `project`, which widened the footprints by their cell.
+        Ray lattice; the same as for `project`, which widened the footprints by its cell.
     first_return_depth : float, optional
         Two-way optical depth at which a ray counts as returned; asks for `Attenuation.ray_maps`.
     engine : {"auto", "cpu", "cuda", "reference"}
@@ -154,12 +155,12 @@ def splat(
     footprints : Footprints
         On the imaging plane: `Projection.pixels`, N Gaussians in V views.
     cross_sections : Tensor [V, N, C]
-        Of each Gaussian in each view and channel, m² for an image of β⁰. Any sign; or complex amplitudes, whose real
-        and imaginary parts are two channels, for complex images.
+        Cross-sections of Gaussians in each view and channel, m² for an image of β⁰, of any sign; or complex amplitudes,
+        for complex images.
     grid : ImageGrid
         Pixels; the same as for `project`, which widened the footprints by its response.
     waves : Waves, optional
-        How the phases of complex cross-sections change across the footprints, at whose centres they are as given.
+        Phase gradients of complex cross-sections across the footprints.
     imaging_weight : {"area", "peak"}
         "area" divides by the footprint's area, which conserves cross-sections; "peak" does not, for ablations only.
     engine : {"auto", "cpu", "cuda", "reference"}
@@ -182,13 +183,8 @@ def splat(
             f"cross_sections has shape {tuple(cross_sections.shape)}; for {v} views of {n} Gaussians it must be "
             f"({v}, {n}, C) with at least one channel"
         )
-    centers = footprints.centers
-    dtype = cross_sections.dtype.to_real() if cross_sections.is_complex() else cross_sections.dtype
-    if dtype != centers.dtype or cross_sections.device != centers.device:
-        raise SarsplatError(
-            f"cross_sections is {cross_sections.dtype} on {cross_sections.device} but footprints.centers is "
-            f"{centers.dtype} on {centers.device}; use one floating dtype and one device for all tensors"
-        )
+    name = "cross_sections.real" if cross_sections.is_complex() else "cross_sections"
+    check_same_kind({name: cross_sections.real}, "footprints.centers", footprints.centers)
     if waves is not None:
         _check_waves(waves, cross_sections)
     if cross_sections.is_complex():
@@ -206,7 +202,7 @@ def splat_parts(
     imaging_weight: str,
     engine: str,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
-    """`splat` of real channels; with waves, these are real and imaginary parts in turn."""
+    """Splat real channels; with waves, alternating real and imaginary parts."""
     tensors: dict[str, Tensor | None] = {
         "footprints.centers": footprints.centers,
         "footprints.roots": footprints.roots,
@@ -227,18 +223,17 @@ def _check_waves(waves: Waves, cross_sections: Tensor) -> None:
         raise SarsplatError(
             f"cross_sections is {cross_sections.dtype}, which has no phase; give complex ones, or no waves"
         )
-    found, wanted = (tuple(waves.slopes.shape), tuple(waves.numbers.shape)), ((v, n, 2), (v, c))
+    found, expected = (tuple(waves.slopes.shape), tuple(waves.numbers.shape)), ((v, n, 2), (v, c))
     like = cross_sections.real
-    if found != wanted or waves.slopes.dtype != like.dtype or waves.slopes.device != like.device:
+    if found != expected or waves.slopes.dtype != like.dtype or waves.slopes.device != like.device:
         raise SarsplatError(
             f"waves has slopes {found[0]} and numbers {found[1]} of {waves.slopes.dtype} on {waves.slopes.device}; for "
             f"cross_sections {tuple(cross_sections.shape)} of {cross_sections.dtype} on {cross_sections.device} they "
-            f"must be {wanted[0]} and {wanted[1]} of {like.dtype}"
+            f"must be {expected[0]} and {expected[1]} of {like.dtype}"
         )
 
 
 def _check_batch(name: str, tensor: Tensor) -> None:
-    if tensor.is_meta:
-        raise SarsplatError(f"{name} is on torch's meta device, which holds no values; make it on the CPU")
+    check_has_values(name, tensor)
     if tensor.shape[0] < 1:
         raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}, which has no views; give at least one")

@@ -1,6 +1,6 @@
-"""Images of views with a stretched azimuth, put together from the steps of a rendering.
+"""Rendering of views with a stretched azimuth, by the steps of a rendering.
 
-Gaussians are lit as in the view that is not stretched, and imaged where the look's gradients say.
+Gaussians are lit as in the unstretched view, and imaged by the gradients of the look.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.engines.on_device import NotRecordable
 from sarsplat.renderer.footprints import Footprints, footprints_of
 from sarsplat.renderer.lobes import amplitudes_towards
-from sarsplat.renderer.one_by_one import Steps
+from sarsplat.renderer.operations import Steps
 from sarsplat.renderer.rendering import Rendering
 
 
@@ -38,22 +38,22 @@ def render_stretched(
     imaging_weight: str = "area",
     plane_gradients: bool = False,
 ) -> Rendering:
-    """`sarsplat.render` of views some or all of which are stretched; arguments are documented there."""
+    """Run `sarsplat.render` for views that may be stretched; arguments are documented there."""
     if isinstance(views, ChosenViews):
         raise NotRecordable("is stretched")
     g = gaussians
-    unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # nobody asks what returns along the rays
+    unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # unused
     projection = steps.project(unlit, unstretched(views), grid, rays)
     lit_area = steps.lit_area(projection, rays)
     if amplitudes is None:
         amplitudes = amplitudes_towards(steps.new_pass, g, views)
     cross_sections = amplitudes * lit_area[..., None]
-    places = imaged(g, views, grid, shift)
+    footprints = imaged(g, views, grid, shift)
     planes = None
     if plane_gradients:
         planes = g.means.new_zeros(len(views), len(g), 4)
-        _filled_later(planes, projection.rays.centers, places.centers)
-    images = steps.splat(places, cross_sections, grid, imaging_weight)
+        _filled_later(planes, projection.rays.centers, footprints.centers)
+    images = steps.splat(footprints, cross_sections, grid, imaging_weight)
     if gain is not None:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
@@ -63,7 +63,7 @@ def render_stretched(
 def imaged(
     gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, shift: Float[Tensor, "v 2"] | None
 ) -> Footprints:
-    """Footprints on the imaging plane by the gradients of any looks."""
+    """Return footprints on the imaging plane by the gradients of any look."""
     means = gaussians.means
     with torch.autocast(means.device.type, enabled=False):
         gradients = torch.from_numpy(np.stack([view.look.gradients for view in views])).to(means)  # [V, 2, 3]
@@ -80,7 +80,7 @@ def imaged(
 def _filled_later(
     planes: Float[Tensor, "v n 4"], of_rays: Float[Tensor, "v n 2"], of_pixels: Float[Tensor, "v n 2"]
 ) -> None:
-    """Gradients on the planes once they are there."""
+    """Fill `planes` with gradients in the backward pass."""
 
     def fill(columns: slice) -> Callable[[Tensor], None]:
         def filled(slope: Tensor) -> None:

@@ -18,7 +18,7 @@ from sarsplat.geometry.view import check_unstretched
 from sarsplat.progress import stage
 from sarsplat.renderer import Footprints, attenuate, project, splat
 from sarsplat.renderer.echoes import Echo, GroundEcho
-from sarsplat.renderer.echoes.echo import Sighting, added, all_visible, ends_of, left_in_sight
+from sarsplat.renderer.echoes.echo import Sighting, all_visible, ends_of, left_in_sight, with_echoes
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.tiles.halo import Halos, rows_of
 from sarsplat.tiles.plan import LARGEST, Plan, Tile
@@ -149,10 +149,7 @@ def tile_image(
     ends = ends_of(attenuation.ray_maps)
     new_pass = passes_for("auto", {"transmittance": ends.transmittance})
     sighting = Sighting(members, [view], pixels, rays, shift, attenuation.lit_area, ends, new_pass)
-    for echo in echoes:
-        returned = echo.returned(echo.seen(sighting), [view], pixels, shift)
-        images = added(images, returned, gaussians.scattering.power_channel)
-    return images[0]
+    return with_echoes(images, echoes, sighting)[0][0]
 
 
 def _splatted(

@@ -1,4 +1,4 @@
-"""Responses of the system: each is a file in this folder and is found by its kind."""
+"""Responses of the system; each is a file of this folder, registered by its `kind`."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ for _info in iter_modules(__path__):
     import_module(f"{__name__}.{_info.name}")
 
 RESPONSES: dict[str, type[Response]] = {shape.kind: shape for shape in Response.__subclasses__()}
-"""Every response by the name of its kind."""
+"""Response classes by kind."""
 
 
 def response_of(settings: Any) -> Response:
-    """The response that `Response.as_dict` described; a Gaussian for None. Refuses invalid settings."""
+    """Make the response that `Response.as_dict` describes, a Gaussian for None; raise if settings are invalid."""
     if settings is None:
         return GAUSSIAN
     fields = dict(settings) if isinstance(settings, dict) else {}
@@ -50,7 +50,7 @@ def response_of(settings: Any) -> Response:
 
 
 def stated_taylor(level_db: Any, sidelobes: Any = TAYLOR.sidelobes) -> Response:
-    """The Taylor response of a level in dB, of either sign, that a file states; a Gaussian if it is invalid."""
+    """Return the Taylor response of a file's level in dB, of either sign; a Gaussian if it is invalid."""
     try:
         return Taylor(abs(float(level_db)), int(sidelobes))
     except (TypeError, ValueError, SarsplatError):

@@ -1,4 +1,4 @@
-"""The image of a point scatterer: the power response of the system along one axis."""
+"""Response of the system along one axis: power in the image of a point scatterer."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _RATIO = 8 * math.log(2)  # squared 3 dB width of a Gaussian over its variance
 
 
 def variance_of(width: float) -> float:
-    """Variance of the Gaussian with this 3 dB width, in the square of its unit."""
+    """Return the variance of the Gaussian with this 3 dB width, in the square of its unit."""
     return width**2 / _RATIO
 
 
 def width_of(variance: float, width: float = 0.0) -> float:
-    """3 dB width of a Gaussian of this variance, or of a Gaussian of `width` widened by it."""
+    """Return the 3 dB width of a Gaussian of this variance, or of a Gaussian of `width` widened by it."""
     return math.sqrt(width**2 + _RATIO * variance)
 
 
@@ -33,14 +33,14 @@ class Response(ABC):
     Attributes
     ----------
     kind : str
-        Its name in files.
+        Name in files.
     """
 
     kind: ClassVar[str]
 
     @abstractmethod
     def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """Distances from the peak, rising from 0, and the power there, each in any unit; beyond them it is zero."""
+        """Return distances from the peak, rising from 0, and the power there, in any units; zero beyond them."""
 
     @cached_property
     def _lobes(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], int]:
@@ -58,30 +58,30 @@ class Response(ABC):
         return float(self._lobes[0][-1])
 
     def reach_above(self, power: float) -> float:
-        """Distance beyond which the power, relative to the peak, stays below `power`, in 3 dB widths."""
+        """Return the distance, in 3 dB widths, beyond which the power relative to the peak stays below `power`."""
         distance, powers, _ = self._lobes
         return float(distance[np.flatnonzero(powers >= power)[-1]])
 
     @property
     def main_lobe(self) -> float:
-        """Distance at which the main lobe ends and the side lobes begin, in 3 dB widths; infinite if there are none."""
+        """Distance at which the side lobes begin, in 3 dB widths; infinite without side lobes."""
         distance, _, own = self._lobes
         return float(distance[own]) if own < len(distance) else math.inf
 
     def density(self, distance: Float64[np.ndarray, "*n"], variance: float = 1 / _RATIO) -> Float64[np.ndarray, "*n"]:
-        """|h|² at distances from the peak, with integral 1, so that it preserves cross-sections.
+        """Evaluate |h|² at distances from the peak, with integral 1, so that it preserves cross-sections.
 
         Parameters
         ----------
         distance : numpy.ndarray, float64 [*n]
-            In any unit; in 3 dB widths unless a variance is given.
+            Distances in any unit; in 3 dB widths unless a variance is given.
         variance : float
-            Of the Gaussian of the same 3 dB width, in that unit squared.
+            Variance of the Gaussian of the same 3 dB width, in that unit squared.
 
         Returns
         -------
         numpy.ndarray, float64 [*n]
-            Per unit of distance.
+            Power per unit of distance.
         """
         places, power, _ = self._lobes
         area = ((power[1:] + power[:-1]) * np.diff(places)).sum()
@@ -89,9 +89,9 @@ class Response(ABC):
         return np.interp(np.abs(distance) / width, places, power, right=0.0) / (area * width)
 
     def amplitude(self, distance: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """h, relative to its peak, at distances in 3 dB widths: √|h|², of another sign in every other lobe.
+        """Evaluate h relative to its peak, at distances in 3 dB widths: √|h|², whose sign alternates between lobes.
 
-        So it is behind a symmetric window without phase errors, whose response crosses zero between its lobes.
+        That is the response of a symmetric window without phase errors, which crosses zero between its lobes.
         """
         places, power, _ = self._lobes
         falls, rises = power[1:-1] < power[:-2], power[2:] >= power[1:-1]
@@ -100,10 +100,10 @@ class Response(ABC):
         return np.interp(np.abs(distance), places, sign * np.sqrt(power), right=0.0)
 
     def side_lobes(self, distance: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
-        """The side lobes alone, relative to the peak of the main lobe, at distances ≥ 0 in 3 dB widths."""
+        """Evaluate the side lobes alone, relative to the main lobe's peak, at distances ≥ 0 in 3 dB widths."""
         places, power, own = self._lobes
         return np.interp(distance, places, np.where(np.arange(len(power)) < own, 0.0, power), right=0.0)
 
     def as_dict(self) -> dict[str, Any]:
-        """Its kind and settings, for JSON; `response_of` reads them."""
+        """Return kind and settings for JSON; `response_of` reads them."""
         return {"kind": self.kind} | {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]

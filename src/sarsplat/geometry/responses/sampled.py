@@ -1,4 +1,4 @@
-"""A response given as a table, such as one measured at a corner reflector."""
+"""Tabulated response, such as one measured at a corner reflector."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from sarsplat.geometry.responses.response import Response
 
 @dataclass(frozen=True)
 class Sampled(Response):
-    """A response with power that is linear between samples.
+    """Response whose power is linear between samples.
 
     Parameters
     ----------
     distances : sequence of float
-        From the peak, rising from 0, in any unit: only the shape counts.
+        Distances from the peak, rising from 0, in any unit: only the shape counts.
     powers : sequence of float
         Power at these distances, in any unit, ≥ 0; the first is the largest, and the last is below half of it.
 
     Raises
     ------
     SarsplatError
-        If the table is not like that.
+        If the table is invalid.
     """
 
     kind = "sampled"
@@ -50,5 +50,5 @@ class Sampled(Response):
         object.__setattr__(self, "powers", tuple(power.tolist()))
 
     def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """The samples as given."""
+        """Return the samples."""
         return np.array(self.distances), np.array(self.powers)

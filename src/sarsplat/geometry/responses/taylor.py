@@ -1,4 +1,4 @@
-"""The response of an aperture and a band with Taylor weighting, which nearly all radars use."""
+"""Response of an aperture and a band with Taylor weighting, which nearly all radars use."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SAMPLES, _FINE = 512, 16  # samples of the aperture, and of the response per 1/
 
 @dataclass(frozen=True)
 class Taylor(Response):
-    """The response of a Taylor window (Carrara, Goodman and Majewski, Spotlight Synthetic Aperture Radar, appendix D).
+    """Response of a Taylor window (Carrara, Goodman and Majewski, Spotlight Synthetic Aperture Radar, appendix D).
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Taylor(Response):
         object.__setattr__(self, "level_db", float(self.level_db))
 
     def window(self, places: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Weights, of mean 1, at places from −½ to ½ of the aperture or band."""
+        """Return weights, of mean 1, at places from −½ to ½ of the aperture or band."""
         a2 = (math.acosh(10 ** (self.level_db / 20)) / math.pi) ** 2
         sigma2 = self.sidelobes**2 / (a2 + (self.sidelobes - 0.5) ** 2)
         orders = np.arange(1, self.sidelobes)
@@ -60,7 +60,7 @@ class Taylor(Response):
         return weights
 
     def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-        """Distances in steps of 1/_FINE of 1/extent, and the power there."""
+        """Return distances in units of 1/(_FINE·extent), and the power there."""
         power = self._power(_FINE)
         return np.arange(len(power), dtype=np.float64), power
 
@@ -72,13 +72,13 @@ class Taylor(Response):
         return 2 * float(np.interp(-0.5, -power, np.arange(fine + 1))) / fine
 
     def _power(self, fine: int) -> Float64[np.ndarray, " n"]:
-        """Power at multiples of 1/`fine` of 1/extent, 1 at the peak."""
+        """Return the power at multiples of 1/(`fine`·extent), 1 at the peak."""
         window = self.window((np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5)
         return (np.abs(np.fft.rfft(window, _SAMPLES * fine)) / window.sum()) ** 2
 
 
 TAYLOR = Taylor()
-"""The most common response, MSTAR's included."""
+"""Most common response, MSTAR's included."""
 
 UNIFORM = Taylor(level_db=13.26, sidelobes=1)
-"""The response of an unweighted aperture, the narrowest."""
+"""Response of an unweighted aperture, the narrowest."""

@@ -14,7 +14,7 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import Terrain
-from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.geometry.view import ground_radius_m
 from sarsplat.learning.parts.part import Learned, Parameters, Part, normal_nats
 from sarsplat.radiometry import from_db
 from sarsplat.regions.image_levels import ground_levels_db

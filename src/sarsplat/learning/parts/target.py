@@ -27,8 +27,8 @@ from sarsplat.regions.outlines import levels_db, outline
 from sarsplat.regions.stack_region import enough_gaussians, imaged_sample
 from sarsplat.renderer import Bounds
 from sarsplat.renderer.checks import MAX_SCALE
-from sarsplat.renderer.once import differentiable_once
-from sarsplat.renderer.places import at_places
+from sarsplat.renderer.engines.operation import differentiable_once
+from sarsplat.renderer.point_queries import at_places
 from sarsplat.settings.config import Config
 
 _MIN_OPTICAL_DEPTH = 1e-3

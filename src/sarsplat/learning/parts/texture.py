@@ -15,7 +15,7 @@ from torch.nn.functional import grid_sample
 
 from sarsplat.errors import counted
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.geometry.view import ground_radius_m
 from sarsplat.learning.parts.part import Parameters, Part, Shot
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings

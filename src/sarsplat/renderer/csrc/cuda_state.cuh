@@ -1,4 +1,4 @@
-// cuda_state.cuh: what one pass keeps on the device. Python reads Lattice, Plane and State from here (cuda_lattices.py) and
+// cuda_state.cuh: what one pass keeps on the device. Python reads Lattice, Plane and State from here (cuda_tiles.py) and
 // owns the arrays; a pair (view v, Gaussian i) has the index j = v N + i. Both planes are cut into square tiles; a (tile,
 // Gaussian) pair has a slot. Slots are numbered Gaussian by Gaussian, so that sums over a Gaussian's slots run in a fixed
 // order without atomics; `order` lists them tile by tile, front to back.

@@ -1,4 +1,4 @@
-"""Echoes: ways by which power returns besides straight back from the Gaussians, each a file of this folder."""
+"""Echoes: returns other than the direct one of the Gaussians, each a file of this folder."""
 
 from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting
 from sarsplat.renderer.echoes.ground import GroundEcho

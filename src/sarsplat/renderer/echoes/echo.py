@@ -1,7 +1,7 @@
-"""An echo: what it needs to know of a rendering, and what it adds to the images.
+"""Echoes: their base class, the state of a rendering that they read, and their addition to the images.
 
-The engines render the direct return of the Gaussians in one pass, which also says where rays end and how much of each
-Gaussian is seen. Every other return is an echo of its own and is added to the images in the channel of power.
+The engines render the direct return of the Gaussians in one pass, with lit areas and ends of rays. Every other return
+is an echo, whose images are added in the channel of power.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from sarsplat.renderer.rendering import RayMap
 class RayEnds:
     """T_end of the rays of all views, row by row, one view after the other.
 
-    Of `ChosenViews`, sizes and origins are those of all that may be chosen, and each of the V views has as many rays.
+    For `ChosenViews`, sizes and origins are those of all candidates, and each of the V views has equally many rays.
 
     Parameters
     ----------
     transmittance : Tensor [R]
-        Of every ray.
+        Two-way transmittance behind all Gaussians.
     sizes : sequence of (rows, columns), one per view
-        Of the views' lattices.
+        Sizes of the views' lattices.
     origins : sequence of (x_r, y_r), one per view
-        Where their first rays are, m.
+        Positions of their first rays, m.
     """
 
     transmittance: Float[Tensor, " rays"]
@@ -45,7 +45,7 @@ class RayEnds:
 
 
 def ends_of(ray_maps: Sequence[RayMap]) -> RayEnds:
-    """Where the rays of ray maps end."""
+    """Collect T_end of ray maps."""
     sizes = [(one.transmittance.shape[0], one.transmittance.shape[1]) for one in ray_maps]
     left = torch.cat([one.transmittance.flatten() for one in ray_maps])
     return RayEnds(left, sizes, [one.origin for one in ray_maps])
@@ -53,29 +53,29 @@ def ends_of(ray_maps: Sequence[RayMap]) -> RayEnds:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What is known of some views once their Gaussians are rendered.
+    """Scene, views and attenuation after the Gaussians are rendered; input of the echoes.
 
     Parameters
     ----------
     gaussians : Gaussians
         The scene, N Gaussians.
     views : sequence of View
-        V of them.
+        V views.
     grid : ImageGrid
-        Of the images.
+        Pixels of the images.
     rays : RayGrid
-        Of the computation plane.
+        Rays of the computation plane.
     shift : Tensor [V, 2] or None
         Displacement (azimuth, range) of each image, m.
     lit_area : Tensor [V, N]
         Area across the line of sight over which each Gaussian is seen, m²; differentiable only by the steps of a
         rendering (`sarsplat.attenuate`).
     ends : RayEnds or None
-        What is left of the rays behind all Gaussians, if an echo wants it.
+        Transmittance of the rays behind all Gaussians, if an echo asks for it.
     new_pass : NewPass or None
         Engine for `Operation.on`; None where plain torch calculates.
     cuts : bool
-        Whether plain torch leaves out what it may of footprints.
+        False if plain torch evaluates footprints without cuts.
     """
 
     gaussians: Gaussians
@@ -93,24 +93,24 @@ class Echo(ABC):
     """Base of the echoes: one return of a scene, differentiable with respect to its own tensors and the scene's."""
 
     way: ClassVar[str] = "echo"
-    """How it returns, in words."""
+    """Words for its path, in the names of images."""
 
     wants_ray_ends: ClassVar[bool] = False
-    """Whether it is told where rays end."""
+    """True if it uses `Sighting.ends`."""
 
     within_bounds: ClassVar[bool] = True
-    """Whether it renders nothing beyond the scene's `Bounds`."""
+    """True if it renders nothing beyond the scene's `Bounds`."""
 
     def check(self, gaussians: Gaussians) -> None:
         """Raise a SarsplatError if it does not fit the scene."""
         return
 
     def values(self) -> dict[str, Tensor | None]:
-        """Its tensors that must be in range, by name."""
+        """Return the tensors that must be in range, by name."""
         return {}
 
     def visible(self, gaussians: Gaussians) -> Gaussians:
-        """The Gaussians, as far as what it stands for does not hide them from everywhere."""
+        """Return the Gaussians, with optical depth 0 where it hides them in every view."""
         return gaussians
 
     def in_sight(
@@ -121,28 +121,18 @@ class Echo(ABC):
         rays: RayGrid,
         shift: Float[Tensor, "v 2"] | None,
     ) -> Float[Tensor, "v n"] | None:
-        """1 for Gaussians that it leaves in sight of a view, 0 for those that it hides; None if it hides none."""
+        """Return 1 for Gaussians in sight of a view, 0 for those that it hides from it; None if it hides none."""
         return None
 
     @abstractmethod
-    def seen(self, sighting: Sighting) -> Float[Tensor, "v rows columns"]:
-        """What the views show of it."""
-
-    def returned(
-        self,
-        seen: Float[Tensor, "v rows columns"],
-        views: Sequence[View],
-        grid: ImageGrid,
-        shift: Float[Tensor, "v 2"] | None,
-    ) -> Float[Tensor, "v rows columns"]:
-        """β⁰ of what the views show of it, linear power."""
-        return seen
+    def returned(self, sighting: Sighting) -> Float[Tensor, "v rows columns"]:
+        """Return its images: β⁰, linear power."""
 
 
 def check_echoes(
     echoes: Sequence[Echo], gaussians: Gaussians, views: Sequence[View], channels: int, imaging_weight: str
 ) -> None:
-    """Refuse echoes in images that cannot have any, and those that do not fit the scene."""
+    """Raise if images cannot have echoes, or an echo does not fit the scene."""
     if not echoes:
         return
     if imaging_weight == "peak":
@@ -160,19 +150,16 @@ def check_echoes(
 
 
 def all_visible(echoes: Sequence[Echo], gaussians: Gaussians) -> Gaussians:
-    """The Gaussians, as far as no echo hides them from everywhere."""
+    """Apply `Echo.visible` of all echoes."""
     for echo in echoes:
-        left = echo.visible(gaussians)
-        if (len(left), left.means.dtype, left.means.device) != (
-            len(gaussians),
-            gaussians.means.dtype,
-            gaussians.means.device,
-        ):
+        visible = echo.visible(gaussians)
+        before, after = gaussians.means, visible.means
+        if (len(after), after.dtype, after.device) != (len(before), before.dtype, before.device):
             raise SarsplatError(
-                f"{type(echo).__name__}.visible makes {len(gaussians)} Gaussians to {len(left)}, or of another kind; "
+                f"{type(echo).__name__}.visible makes {len(before)} Gaussians to {len(after)}, or of another kind; "
                 "set the optical depth of hidden ones to 0"
             )
-        gaussians = left
+        gaussians = visible
     return gaussians
 
 
@@ -184,7 +171,7 @@ def left_in_sight(
     rays: RayGrid,
     shift: Float[Tensor, "v 2"] | None,
 ) -> Float[Tensor, "v n"] | None:
-    """`Echo.in_sight` of all echoes together."""
+    """Combine `Echo.in_sight` of all echoes."""
     masks = [mask for echo in echoes if (mask := echo.in_sight(means, views, grid, rays, shift)) is not None]
     if not masks:
         return None
@@ -195,11 +182,19 @@ def left_in_sight(
     return (torch.stack(masks).prod(0) if len(masks) > 1 else masks[0]).to(means).contiguous()  # kernels read it
 
 
-def added(images: Float[Tensor, "v c h w"], returned: Float[Tensor, "v h w"], channel: int) -> Float[Tensor, "v c h w"]:
-    """Images with what an echo returned in their channel of power."""
+def with_echoes(
+    images: Float[Tensor, "v c h w"], echoes: Sequence[Echo], sighting: Sighting
+) -> tuple[Float[Tensor, "v c h w"], tuple[Float[Tensor, "v h w"], ...]]:
+    """Return images with all echoes added in the channel of power, and the images of each echo."""
+    returns = tuple(echo.returned(sighting) for echo in echoes)
     shape = (len(images), *images.shape[2:])
-    if not isinstance(returned, Tensor) or returned.shape != shape or returned.dtype != images.dtype:
-        found = f"{returned.dtype} {tuple(returned.shape)}" if isinstance(returned, Tensor) else type(returned).__name__
-        raise SarsplatError(f"an echo returned {found}; it must return {images.dtype} {shape}")
-    power = torch.arange(images.shape[1], device=images.device) == channel
-    return images + (returned[:, None] if len(power) == 1 else returned[:, None] * power.to(images)[:, None, None])
+    for returned in returns:
+        if not isinstance(returned, Tensor) or returned.shape != shape or returned.dtype != images.dtype:
+            kind = (
+                f"{returned.dtype} {tuple(returned.shape)}" if isinstance(returned, Tensor) else type(returned).__name__
+            )
+            raise SarsplatError(f"an echo returned {kind}; it must return {images.dtype} {shape}")
+        beta0, channels = returned[:, None], torch.arange(images.shape[1], device=images.device)
+        of_power = channels == sighting.gaussians.scattering.power_channel
+        images = images + (beta0 if len(channels) == 1 else beta0 * of_power.to(images)[:, None, None])
+    return images, returns

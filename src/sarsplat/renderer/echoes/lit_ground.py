@@ -1,9 +1,9 @@
-"""How much of the ground rays reach, in pixels.
+"""Share of the ground that rays reach, in pixels.
 
 A ray's cell, δx wide and δy high, meets the plane in a patch δx wide and δy/tan θ long in slant range. Patches of
 neighbouring rays touch, and the Gaussian response of the system has a closed integral over a patch: so the lit ground
-is flat, whatever the grazing angle and however far apart rays are, and a shadow's edge is right to a ray's cell. Where
-no ray was traced, there is nothing above the ground.
+is uniform at any grazing angle and ray spacing, and a shadow's edge is right to a ray's cell. Where no ray was traced,
+the ground is lit.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from sarsplat.renderer.engines.passes import NewPass
 
 @dataclass(frozen=True)
 class Axis:
-    """Places along an axis, m: centres of pixels, or the edges before cells."""
+    """Equidistant places along an axis, m: centres of pixels, or lower edges of cells."""
 
     first: float
     step: float
@@ -35,16 +35,16 @@ class Axis:
 
     @property
     def numbers(self) -> tuple[float, float, int]:
-        """For the engine."""
+        """Arguments for the engine."""
         return self.first, self.step, self.count
 
     def places(self, device: torch.device) -> Float64[Tensor, " {self.count}"]:
-        """All of them."""
+        """Return all places, m."""
         return self.first + self.step * torch.arange(self.count, dtype=torch.float64, device=device)
 
 
 _Patches = Sequence[tuple[Axis, Axis]]
-"""Rows and columns of what the rays of each view make on the ground, along slant range and azimuth."""
+"""Rows (slant range) and columns (azimuth) of the patches of each view's rays on the ground."""
 
 
 def lit_ground(
@@ -56,7 +56,7 @@ def lit_ground(
     shift: Float[Tensor, "v 2"] | None,
     new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """Share of each pixel's ground that the radar sees, through the response; differentiable by T_end and shift."""
+    """Return the lit share of each pixel's ground, through the response; differentiable by T_end and shift."""
     (every, chosen), (dx, dy), patches = candidates(views), rays.spacing_m, []
     for view, (rows, columns), (x, y) in zip(every, ends.sizes, ends.origins, strict=True):
         down = Axis(*view.look.rows_on_ground(y - dy / 2, dy, height_m), rows)
@@ -65,9 +65,9 @@ def lit_ground(
 
 
 class LitGround(Operation):
-    """`lit_ground` of rays that make such patches on the ground; on engines, sums do not depend on threads.
+    """Operation of `lit_ground`, given the rays' patches; on engines, sums do not depend on threads.
 
-    If views are chosen on the device, there are patches of all that may be, and each view has as many rays.
+    For `ChosenViews` there are patches of all candidates, and each view has equally many rays.
     """
 
     operation = "lit_ground"
@@ -84,8 +84,8 @@ class LitGround(Operation):
         parts = transmittance.split([down.count * across.count for down, across in self.patches])
         for k, (part, (down, across)) in enumerate(zip(parts, self.patches, strict=True)):
             azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
-            along_range = seen(rows, down, range_std, range_shift, part)
-            along_azimuth = seen(columns, across, azimuth_std, azimuth_shift, part)
+            along_range = response_integrals(rows, down, range_std, range_shift, part)
+            along_azimuth = response_integrals(columns, across, azimuth_std, azimuth_shift, part)
             images.append(1 - along_range @ (1 - part.view(down.count, across.count)) @ along_azimuth.T)
         return torch.stack(images)
 
@@ -112,7 +112,7 @@ class LitGround(Operation):
 
 
 def pixel_axes(grid: ImageGrid) -> tuple[Axis, Axis]:
-    """Rows and columns."""
+    """Return rows and columns of an image."""
     return (
         Axis(float(grid.range_m[0]), grid.spacing_m[1], grid.rows),
         Axis(float(grid.azimuth_m[0]), grid.spacing_m[0], grid.columns),
@@ -120,13 +120,15 @@ def pixel_axes(grid: ImageGrid) -> tuple[Axis, Axis]:
 
 
 def stds(grid: ImageGrid) -> tuple[float, float]:
-    """Of the response, m: azimuth, range."""
+    """Return standard deviations of the response along azimuth and range, m."""
     azimuth, slant_range = grid.response_variance_m2
     return math.sqrt(azimuth), math.sqrt(slant_range)
 
 
-def seen(pixels: Axis, cells: Axis, std: float, shift: Tensor | float, like: Tensor) -> Float[Tensor, "n k"]:
-    """Integrals of the response of each pixel over each cell."""
+def response_integrals(
+    pixels: Axis, cells: Axis, std: float, shift: Tensor | float, like: Tensor
+) -> Float[Tensor, "n k"]:
+    """Integrate the response of each pixel over each cell."""
     centres, edges = (axis.places(like.device) for axis in (pixels, replace(cells, count=cells.count + 1)))
     below = torch.erf(((centres[:, None] - edges).to(like) - shift) / (math.sqrt(2) * std)) / 2
     return below[:, :-1] - below[:, 1:]

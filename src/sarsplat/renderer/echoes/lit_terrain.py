@@ -1,10 +1,10 @@
-"""What terrain returns where rays end on it.
+"""β⁰ of terrain where rays end on it.
 
 A ray's cell, δx wide and δy high across the line of sight, returns γ⁰·T_end·δx·δy from between the slant ranges where
 its lower and its upper edge meet the terrain, spread evenly: β⁰ is γ⁰·δy over the length of that interval, γ⁰·tan θ on
 a plane.
 Intervals of neighbouring rays touch, but at summits, and overlap in layover. The Gaussian response of the system has a
-closed integral over an interval, so nothing depends on how far apart rays are. Where no ray was traced, T_end is 1.
+closed integral over an interval, so nothing depends on the ray spacing. Where no ray was traced, T_end is 1.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ from torch.utils.checkpoint import checkpoint
 
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer.echoes.echo import RayEnds
-from sarsplat.renderer.echoes.lit_ground import Axis, pixel_axes, seen, stds
+from sarsplat.renderer.echoes.lit_ground import Axis, pixel_axes, response_integrals, stds
 from sarsplat.renderer.echoes.terrain_cells import Cells, cells_of
 from sarsplat.renderer.engines.chosen_views import candidates
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
-from sarsplat.renderer.places import at_places
+from sarsplat.renderer.point_queries import at_places
 
 _SHORT = {torch.float32: 0.25, torch.float64: 0.02}
-"""Standard deviations of the response: a difference of error functions over less has too few digits, and two points of
-the response are as good."""
+"""Lengths, in standard deviations of the response, below which a difference of error functions has too few digits, and
+two-point quadrature is as good."""
 
-_AT_A_TIME = 1 << 22
-"""Weights of the twin; if there are more, they are computed again on the way back instead of kept."""
+_MAX_SAVED = 1 << 22
+"""Weights of plain torch above which they are recomputed in the backward pass instead of saved."""
 
 
 @dataclass(frozen=True)
 class _Patches:
-    """What the rays of one view make on the terrain.
+    """Patches of the rays of one view on terrain.
 
     Parameters
     ----------
     cells : Cells
-        Where they end.
+        Slant ranges of their edges.
     across : Axis
         Azimuths of the cells.
     traced : (row, column), (rows, columns)
-        Where among the cells the rays are whose T_end is known, which may reach beyond.
+        First ray with known T_end, relative to the cells, and the size of their lattice, which may extend beyond.
     along_x, along_y : (float, float, float, float)
-        The place of a cell's centre, m: a constant, and how it grows with column, row and slant range.
+        Coefficients of a cell centre's x and y, m: constant, and gradients with column, row and slant range.
     """
 
     cells: Cells
@@ -86,7 +86,7 @@ def lit_terrain(
     shift: Float[Tensor, "v 2"] | None,
     new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """β⁰ of terrain, or of a plane of this height, with these γ⁰, which each view may have of its own.
+    """Return β⁰ of terrain, or of the plane z = `terrain`, with a table of γ⁰ for each view.
 
     Differentiable by T_end, γ⁰ and shift.
     """
@@ -102,9 +102,9 @@ def lit_terrain(
 
 
 class LitTerrain(Operation):
-    """`lit_terrain` of rays that make such patches on it; on engines, sums do not depend on threads.
+    """Operation of `lit_terrain`, given the rays' patches; on engines, sums do not depend on threads.
 
-    If views are chosen on the device, there are patches of all that may be, and each view has as many rays.
+    For `ChosenViews` there are patches of all candidates, and each view has equally many rays.
     """
 
     operation = "lit_terrain"
@@ -129,7 +129,7 @@ class LitTerrain(Operation):
     ) -> Float[Tensor, "v {self.grid.rows} {self.grid.columns}"]:
         (rows, columns), (azimuth_std, range_std), images = pixel_axes(self.grid), stds(self.grid), []
         parts = transmittance.split([math.prod(patch.traced[1]) for patch in self.patches])
-        kept = rows.count * sum(patch.cells.low_m.numel() for patch in self.patches) <= _AT_A_TIME
+        saved = rows.count * sum(patch.cells.low_m.numel() for patch in self.patches) <= _MAX_SAVED
         for k, (patch, part) in enumerate(zip(self.patches, parts, strict=True)):
             azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
             low, high = (edge.to(part) for edge in (patch.cells.low_m, patch.cells.high_m))
@@ -137,14 +137,14 @@ class LitTerrain(Operation):
                 self.height_m * _gamma0(patch, gamma0[k], self.pitch_m, (low + high) / 2) * _everywhere(patch, part)
             )
             pixels = rows.places(part.device).to(part) - range_shift
-            together = max(1, _AT_A_TIME // max(1, rows.count * len(low)))
+            width = max(1, _MAX_SAVED // max(1, rows.count * len(low)))
             ranged = [
-                _ranged(pixels, some, a, b, range_std)
-                if kept
-                else checkpoint(_ranged, pixels, some, a, b, range_std, use_reentrant=False)
-                for some, a, b in zip(*(table.split(together, dim=1) for table in (returned, low, high)), strict=True)
+                _ranged(pixels, power, a, b, range_std)
+                if saved
+                else checkpoint(_ranged, pixels, power, a, b, range_std, use_reentrant=False)
+                for power, a, b in zip(*(table.split(width, dim=1) for table in (returned, low, high)), strict=True)
             ]
-            across = seen(columns, patch.across, azimuth_std, azimuth_shift, part)
+            across = response_integrals(columns, patch.across, azimuth_std, azimuth_shift, part)
             images.append(torch.cat(ranged, dim=1) @ across.T)
         return torch.stack(images)
 
@@ -176,7 +176,7 @@ class LitTerrain(Operation):
 
 
 def _everywhere(patch: _Patches, traced: Float[Tensor, " n"]) -> Float[Tensor, "rows columns"]:
-    """T_end of all rays: 1 where none was traced."""
+    """Return T_end of all rays: 1 where none was traced."""
     everywhere, (first, size) = traced.new_ones(patch.cells.low_m.shape), patch.traced
     inside = [
         slice(max(at, 0), max(min(at + count, limit), 0))
@@ -191,7 +191,7 @@ def _everywhere(patch: _Patches, traced: Float[Tensor, " n"]) -> Float[Tensor, "
 def _gamma0(
     patch: _Patches, table: Float[Tensor, "ny nx"], pitch_m: float, range_m: Float[Tensor, "rows columns"]
 ) -> Float[Tensor, "rows columns"]:
-    """γ⁰ where the centres of cells end."""
+    """Return γ⁰ at the centres of cells."""
     if table.numel() == 1:
         return table.expand(range_m.shape)
     row, column = (
@@ -208,7 +208,7 @@ def _ranged(
     high: Float[Tensor, "rows c"],
     std: float,
 ) -> Float[Tensor, "n c"]:
-    """What pixels see of cells between these slant ranges: means of the response over them."""
+    """Sum cells between these slant ranges, weighted with the mean of each pixel's response over them."""
     at, length = pixels[:, None, None], high - low
     short = length.abs() < _SHORT[pixels.dtype] * std
     below, above = (torch.erf((at - edge) / (math.sqrt(2) * std)) for edge in (low, high))

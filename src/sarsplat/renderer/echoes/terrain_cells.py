@@ -1,8 +1,8 @@
-"""Where the rays of a view end on the ground, which nothing learned changes, and what terrain hides from the view.
+"""Ends of a view's rays on the ground, which are constant in a training, and occlusion of Gaussians by terrain.
 
 In the plane of incidence of an azimuth, terrain of height h at ground range g lies at y_r = g sin θ + h cos θ and
-z_r = g cos θ − h sin θ. The ray at y_r ends at the first g that reaches so high: what lies lower than the terrain
-before it is in shadow, and where z_r falls as y_r rises, there is layover. A plane is all lit, whatever the tilt.
+z_r = g cos θ − h sin θ. The ray at y_r ends at the first g that reaches this elevation: lower
+terrain behind it is in shadow, and where z_r falls as y_r rises, there is layover. A plane is all lit.
 """
 
 from __future__ import annotations
@@ -23,37 +23,37 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Look, RayGrid, Terrain, View
 from sarsplat.renderer.engines.chosen_views import ChosenViews, by_view, candidates
 from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded, is_read, kept_on_device
-from sarsplat.renderer.places import at_places
+from sarsplat.renderer.point_queries import at_places
 
 RESPONSE_END = 6.0
-"""Standard deviations: beyond, it is nothing in float32."""
+"""Extent of the response, standard deviations: it vanishes in float32 beyond."""
 
 _MARGIN = 8
-"""Pixels: images may be displaced by so many before other rays are needed."""
+"""Margin for displacements of images, pixels; larger ones need other rays."""
 
-_MOST = 1e8
-"""Rays of a view, and steps along the ground under them; a gigabyte."""
+_MAX_RAYS = 1e8
+"""Maximum rays of a view, and samples of the ground under them; a gigabyte."""
 
-_LONG = 1000.0
-"""Ground along a ray, in lengths of what is shown, from which on the grazing angle means nothing."""
+_MAX_GROUND = 1000.0
+"""Maximum ground along a ray, relative to the extent shown: beyond it the grazing angle is too small."""
 
-_AT_A_TIME = 1 << 21
-"""Heights."""
+_CHUNK = 1 << 21
+"""Heights that are interpolated at a time."""
 
-_KEPT_BYTES = 1 << 30
+_CACHE_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Where the rays of one view end: of each cell of their lattice, δx wide and δy high, the slant ranges.
+    """Slant ranges at which the rays of one view end, in cells δx wide and δy high of their lattice.
 
     Parameters
     ----------
     first : (int, int)
         The ray in row 0, column 0 stands at ((first[0] + ½) δx, (first[1] + ½) δy), as in the engines' lattices.
     low_m, high_m : Tensor [rows, columns]
-        Slant range where the lower and the upper edge of a cell end, float32, on the CPU, m. The cell's ground lies
-        between them: at less than at its lower edge in layover.
+        Slant ranges at which a cell's lower and upper edges end, float32, on the CPU, m. The cell's ground is between
+        them; in layover `high_m` is smaller.
     """
 
     first: tuple[int, int]
@@ -63,12 +63,12 @@ class Cells:
     _copies: dict[torch.device, tuple[Tensor, Tensor]] = field(default_factory=dict, init=False, repr=False)
 
     def edges(self, device: torch.device) -> tuple[Tensor, Tensor]:
-        """`low_m` and `high_m` there; copied once."""
+        """Return `low_m` and `high_m` on a device; copied once."""
         if device.type == "cpu":
             return self.low_m, self.high_m
         if device not in self._copies:
             if being_recorded():
-                raise NotRecordable("has more terrain than is kept")
+                raise NotRecordable("has more terrain than the cache holds")
             self._copies[device] = self.low_m.to(device), self.high_m.to(device)
             torch.cuda.current_stream(device).synchronize()  # other threads use other streams
         return is_read(self._copies[device])
@@ -78,8 +78,8 @@ class Cells:
         return 8 * self.low_m.numel()
 
 
-class _Kept:
-    """The cells used last, up to a gigabyte: a training asks for the same few views again and again."""
+class _Cache:
+    """Cache of the latest cells, up to a gigabyte: a training renders the same few views again and again."""
 
     def __init__(self) -> None:
         self._cells: OrderedDict[tuple[object, ...], Cells] = OrderedDict()
@@ -90,13 +90,13 @@ class _Kept:
         with self._lock:
             if key not in self._cells:
                 self._cells[key] = _cells(*key)
-                while len(self._cells) > 1 and sum(cells.bytes for cells in self._cells.values()) > _KEPT_BYTES:
+                while len(self._cells) > 1 and sum(cells.bytes for cells in self._cells.values()) > _CACHE_BYTES:
                     self._cells.popitem(last=False)
             self._cells.move_to_end(key)
             return self._cells[key]
 
 
-_kept = _Kept()
+_cache = _Cache()
 
 
 def cells_of(
@@ -106,7 +106,7 @@ def cells_of(
     rays: RayGrid,
     shift: Float[Tensor, "v 2"] | None = None,
 ) -> list[Cells]:
-    """Of all rays of each view that end on terrain, or on the plane of a height, m, that images on this grid show.
+    """Return the cells of each view's rays that end on terrain, or on the plane z = `terrain`, in images on the grid.
 
     Raises
     ------
@@ -117,17 +117,17 @@ def cells_of(
     if shift is not None and chosen is not None:
         raise NotRecordable("asks how far images are displaced, since terrain beyond their edges may be seen")
     steps = 0 if shift is None else 1 + int(shift.detach().abs().max() / (_MARGIN * min(grid.spacing_m)))
-    return [_kept.get(terrain, view, _with_margin(grid, _MARGIN * steps), rays) for view in every]
+    return [_cache.get(terrain, view, _with_margin(grid, _MARGIN * steps), rays) for view in every]
 
 
 def before_terrain(
     means: Float[Tensor, "n 3"], terrain: Terrain, ends: Sequence[Cells], views: Sequence[View], rays: RayGrid
 ) -> Float[Tensor, "v n"]:
-    """1 for Gaussians whose centres a view may see, 0 for those below the terrain, or behind where their ray ends."""
+    """Return 1 for Gaussians in sight of a view, 0 for those below the terrain or behind the end of their ray."""
     means = means.detach()
     heights = _heights(terrain, means.dtype, means.device)
     ground = at_places(heights, means[:, 0] / terrain.pitch_m[0], means[:, 1] / terrain.pitch_m[1], 1.0)
-    above, seen = means[:, 2] >= ground, []
+    above, masks = means[:, 2] >= ground, []
     if isinstance(views, ChosenViews):
         return (above & _before_ends(means, ends, views, rays)).to(means)
     for view, cells in zip(views, ends, strict=True):
@@ -139,15 +139,15 @@ def before_terrain(
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         at = (row * columns + column)[inside].to("cpu")
         end = torch.maximum(*(edge.reshape(-1)[at] for edge in (cells.low_m, cells.high_m))).to(means)
-        seen.append(above.clone())
-        seen[-1][inside] &= z[inside] <= end
-    return torch.stack(seen).to(means)
+        masks.append(above.clone())
+        masks[-1][inside] &= z[inside] <= end
+    return torch.stack(masks).to(means)
 
 
 def _before_ends(
     means: Float[Tensor, "n 3"], ends: Sequence[Cells], views: ChosenViews, rays: RayGrid
 ) -> Bool[Tensor, "v n"]:
-    """Whether Gaussians are not behind where their rays end: of all that may be chosen, and nothing is waited for."""
+    """Return True for Gaussians before the end of their ray, for `ChosenViews`, without synchronising."""
     numbers, farthest = _farthest(tuple(ends), means.dtype, means.device)
     first_column, first_row, rows, columns, begin = numbers.index_select(0, views.numbers).T[..., None]
     x, y, z = (means @ by_view(_frame, views, means.dtype, means.device).mT).unbind(-1)
@@ -172,7 +172,7 @@ def _frame(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor
 def _farthest(
     ends: tuple[Cells, ...], dtype: torch.dtype, device: torch.device
 ) -> tuple[Int64[Tensor, "v 5"], Float[Tensor, " cells"]]:
-    """The larger slant range of every cell; the first column and row of each view, how many rows and columns, begin."""
+    """Return each view's (column, row, rows, columns, begin), and the larger slant range of all cells."""
     edges = [torch.maximum(cells.low_m, cells.high_m).reshape(-1) for cells in ends]
     begins = accumulate(map(len, edges), initial=0)
     numbers = [(*cells.first, *cells.low_m.shape, begin) for cells, begin in zip(ends, begins, strict=False)]
@@ -195,7 +195,7 @@ def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid)
     (left, right), (bottom, top) = look.rays_to_ground((left, right), (near, far), (lowest, highest))
     first, end = (math.floor(left / dx), math.floor(bottom / dy)), (math.ceil(right / dx), math.ceil(top / dy))
     columns, rows = end[0] - first[0], end[1] - first[1]
-    if columns * rows > _MOST:
+    if columns * rows > _MAX_RAYS:
         raise SarsplatError(
             f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° needs {columns * rows:.2g} rays "
             f"for terrain {highest - lowest:.4g} m high; cut it to what the images show, or use coarser rays"
@@ -203,7 +203,7 @@ def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid)
     if not isinstance(terrain, Terrain):
         x, y = ((start + np.arange(count)) * step for start, count, step in zip(first, (columns, rows + 1), (dx, dy)))
         ends = look.range_on_ground(x + dx / 2, y[:, None]) - terrain / look.sine
-        ends = np.broadcast_to(ends, (rows + 1, columns)).astype(np.float32)  # those of level axes differ by row alone
+        ends = np.broadcast_to(ends, (rows + 1, columns)).astype(np.float32)
         low_m, high_m = (torch.from_numpy(edge) for edge in (ends[:-1], ends[1:]))
         return Cells(first, low_m, high_m)
     if not look.level:
@@ -211,28 +211,28 @@ def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid)
             f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° is tilted by "
             f"{view.tilt_deg:g}°, under which only level ground can be rendered; resample its image to a level axis"
         )
-    # before, the terrain lies lower than all of these rays, and behind, higher
+    # terrain is lower than all rays before this section, and higher behind it
     begin = look.along_ray(first[1] * dy, highest)
     step = min(*terrain.pitch_m, look.along_ray(dy, 0.0))
     length = look.along_ray(rows * dy, lowest - highest)
     steps, shown_m = math.ceil(length / step) + 3, far - near + 2 * math.hypot(*terrain.half_m)
-    if columns * steps > _MOST and length > _LONG * shown_m:  # nearly all of it is level, before and behind the terrain
-        least_deg = 1.1 * math.degrees(look.sine * length / (_LONG * shown_m))  # rounded to two digits, it is enough
+    if columns * steps > _MAX_RAYS and length > _MAX_GROUND * shown_m:  # nearly all of it is level, beyond the terrain
+        least_deg = 1.1 * math.degrees(look.sine * length / (_MAX_GROUND * shown_m))  # allows rounding to two digits
         raise SarsplatError(
             f"the view at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° looks along {length:.2g} m of "
             f"ground to see {shown_m:.4g} m; give grazing angles of at least {least_deg:.2g}°"
         )
     before = math.floor(begin / step)  # the same steps for every part of an image
     along = step * np.arange(before, before + steps)
-    together, parts = max(1, _AT_A_TIME // len(along)), []
-    for column in range(0, columns, together):
-        some = np.arange(column, min(column + together, columns))
-        parts.append(_ends(terrain, look, (first[0] + some + 0.5) * dx, along, (first[1] * dy, dy, rows)))
+    width, parts = max(1, _CHUNK // len(along)), []
+    for column in range(0, columns, width):
+        chunk = np.arange(column, min(column + width, columns))
+        parts.append(_ends(terrain, look, (first[0] + chunk + 0.5) * dx, along, (first[1] * dy, dy, rows)))
     low, high = (np.concatenate(edges) for edges in zip(*parts))  # [columns, rows]
     shown = np.flatnonzero(((np.maximum(low, high) >= near) & (np.minimum(low, high) <= far)).any(axis=0))
-    kept = slice(int(shown[0]), int(shown[-1]) + 1) if len(shown) else slice(0, 0)
-    low_m, high_m = (torch.from_numpy(np.ascontiguousarray(edge[:, kept].T)) for edge in (low, high))
-    return Cells((first[0], first[1] + kept.start), low_m, high_m)
+    part = slice(int(shown[0]), int(shown[-1]) + 1) if len(shown) else slice(0, 0)
+    low_m, high_m = (torch.from_numpy(np.ascontiguousarray(edge[:, part].T)) for edge in (low, high))
+    return Cells((first[0], first[1] + part.start), low_m, high_m)
 
 
 def _ends(
@@ -242,9 +242,9 @@ def _ends(
     along: Float64[np.ndarray, " g"],
     elevation: tuple[float, float, int],
 ) -> tuple[Float32[np.ndarray, "c rows"], Float32[np.ndarray, "c rows"]]:
-    """Slant ranges where the lower and the upper edges of cells end; `elevation`: where they begin, step, rows.
+    """Return slant ranges at which lower and upper edges of cells end; `elevation` is (first, step, rows).
 
-    Terrain is looked at in steps along the ground range. A cell that looks past a summit lies where its centre does.
+    Terrain is sampled at ground ranges `along`. A cell that passes a summit ends where its centre does.
     """
     place = x[:, None, None] * look.onto_ground[0] + along[None, :, None] * look.ahead
     height = terrain.height_m(place[..., 0], place[..., 1])  # [c, g]

@@ -1,1 +1,1 @@
-"""What computes operations of the renderer and of its training: the engines of the CPU and of NVIDIA GPUs."""
+"""Engines: the renderer's and its training's operations on CPUs and NVIDIA GPUs."""

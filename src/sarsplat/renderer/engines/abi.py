@@ -1,4 +1,4 @@
-"""The structures and functions of the engine's C ABI as ctypes has them, read from csrc/api.h, which declares them."""
+"""Structures and functions of the engine's C ABI in ctypes, parsed from csrc/api.h."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 from torch import Tensor
 
 SOURCES = Path(__file__).parents[1] / "csrc"
-"""The folder of the engine's source."""
+"""Folder of the engine's source."""
 
 HEADER = SOURCES / "api.h"
 
@@ -28,13 +28,13 @@ _OPERATION = re.compile(r"_\((\w+), (\w+)\)")
 
 
 def structures(source: str, names: Iterable[str] | None = None) -> dict[str, Any]:
-    """The C structures that a source declares, or those of these names, by their names.
+    """Parse the C structures that a source declares, by name; only those of `names` if given.
 
-    Members are numbers, arrays of them, structures declared before, functions, and pointers. A pointer to a structure
-    of the ABI ("sg_…") has a type, any other is an address.
+    Members are numbers, arrays of them, structures declared before, functions, and pointers. Pointers to structures
+    of the ABI ("sg_…") are typed, others are addresses.
     """
     source = re.sub(r"//[^\n]*", "", source)
-    # what the preprocessor makes of the table of operations; all else of it is not for us
+    # expand the table of operations as the preprocessor does; skip all other directives
     operations = "".join(f"int32_t (*{name})(sg_context*, const {of}*);" for name, of in _OPERATION.findall(source))
     source = re.sub(r"^#define SG_OPERATIONS(.*\\\n)*.*$", "", source, flags=re.MULTILINE)
     source = source.replace("SG_OPERATIONS(SG_MEMBER)", operations)
@@ -48,7 +48,7 @@ def structures(source: str, names: Iterable[str] | None = None) -> dict[str, Any
 
 
 def _fields(member: str, earlier: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Names and types in one declaration, such as `const float *power, *truth`, given the structures before it."""
+    """Yield names and types in one declaration, such as `const float *power, *truth`, given earlier structures."""
     if function := _FUNCTION.fullmatch(member):
         result, name, arguments = function.groups()
         types = (next(_fields(argument.strip(), earlier))[1] for argument in arguments.split(",") if argument.strip())
@@ -75,20 +75,20 @@ def _type(name: str, earlier: Mapping[str, Any]) -> Any:
 api = SimpleNamespace(
     **{name.removeprefix("sg_"): one for name, one in structures(HEADER.read_text(encoding="utf-8")).items()}
 )
-"""The structures of csrc/api.h by their names without sg_: `api.problem(views=1)` is one."""
+"""Structures of csrc/api.h by their names without sg_, such as `api.problem(views=1)`."""
 
 
 @cache
 def structure_of(operation: str) -> tuple[Any, frozenset[str]]:
-    """The structure that an operation takes, and the names of its members."""
+    """Return the structure that an operation takes, and the names of its members."""
     structure = dict(api.engine._fields_)[operation]._argtypes_[1]._type_
     return structure, frozenset(name for name, _ in structure._fields_)
 
 
 def filled(operation: str, values: Mapping[str, Any]) -> Any:
-    """The structure of an operation with these values: numbers, tuples of them, tensors, and lists of such structures.
+    """Fill an operation's structure with numbers, tuples of them, tensors, and lists of such structures.
 
-    It has the addresses of tensors only, which must outlive it.
+    It holds addresses of tensors, which must outlive it.
     """
     return _filled(structure_of(operation)[0], values)
 

@@ -1,4 +1,4 @@
-"""Bounds of a scene: known beforehand, they spare the CPU its waits for a GPU."""
+"""Bounds of a scene, with which a GPU renders without synchronising with the CPU."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from sarsplat.renderer.engines.cpu import FAULTS
 from sarsplat.renderer.engines.on_device import NotRecordable
 
 TILE = 16
-"""Points on a side, of csrc/cuda_state.cuh."""
+"""Side of a tile, points, as in csrc/cuda_state.cuh."""
 
 LEFT_BOUNDS = 127 << 56
-"""In `Bounds.broken`, beside the faults that kernels report: a status no kernel has."""
+"""Code in `Bounds.broken` of a Gaussian beyond the bounds; larger than any code of a kernel."""
 
 _BAD_GAIN = 126 << 56
-"""The same for a gain, which no kernel reads, plus its index."""
+"""Code of an invalid gain, which no kernel reads; its index is added."""
 
-_MOST = 1 << 26
-"""Slots or rays that are allocated unasked: a few gigabytes."""
+_MAX_ALLOCATED = 1 << 26
+"""Maximum slots or rays that are allocated for the worst case: a few gigabytes."""
 
 _MARGIN = 1.001
 """Factor on extents, because the GPU computes in float32."""
@@ -40,28 +40,28 @@ Corner = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Bounds:
-    """Limits that the Gaussians keep, so that a GPU need not be asked how far they reach.
+    """Limits that the Gaussians keep, so that their extent need not be read from a GPU.
 
     Parameters
     ----------
     low_m, high_m : tuple of float
-        Corners of a box that holds every centre (x, y, z), m.
+        Corners of a box that contains every centre (x, y, z), m.
     scale_m : float
         Largest standard deviation, m.
     optical_depth : float
         Largest two-way optical depth.
     device : torch.device or str
-        Where the Gaussians are.
+        Device of the Gaussians.
 
     Attributes
     ----------
     broken : Tensor, int64, a single number on `device`
-        The first thing that went wrong in any rendering with these bounds, −1 for nothing: see `check`.
+        Code of the first fault in any rendering with these bounds, −1 for none: see `check`.
 
     Raises
     ------
     SarsplatError
-        If no Gaussian could keep them.
+        If a limit is not finite, or the box is empty.
     """
 
     low_m: Corner
@@ -80,13 +80,13 @@ class Bounds:
         object.__setattr__(self, "broken", torch.full((), -1, dtype=torch.int64, device=self.device))
 
     def check(self) -> None:
-        """Wait for the device, and see that all was well so far.
+        """Synchronise with the device, and raise the first fault so far.
 
         Raises
         ------
         SarsplatError
-            If a rendering with these bounds was given a value out of range, or Gaussians beyond the bounds: what it
-            returned, and what was learned from it since, is wrong.
+            If a rendering with these bounds had a value out of range, or Gaussians beyond the bounds: its results, and
+            all that was learned from them, are wrong.
         """
         code = int(self.broken)
         if code == LEFT_BOUNDS:
@@ -98,23 +98,23 @@ class Bounds:
             raise SarsplatError(f"{where}[{index}] was out of range when it was rendered; it must be {ALLOWED[name]}")
 
     def watch(self, gain: Tensor) -> None:
-        """Note the first gain that is out of range, for `check`; without waiting for the device."""
+        """Record the first gain that is out of range, for `check`, without synchronising."""
         bad = ~(gain.abs() <= STRONGEST)
         code = torch.where(bad.any(), bad.int().argmax() + _BAD_GAIN, -1)
         self.broken.copy_(torch.where(self.broken < 0, code, self.broken))
 
     def capacity(self, gaussians: int, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Capacity | None:
-        """What a rendering of so many Gaussians takes at most; None if that is too much to allocate unasked.
+        """Return the worst case of a rendering of this many Gaussians; None if it is too large to allocate.
 
         Raises
         ------
         NotRecordable
-            If it is too much, and only the device knows which views these are.
+            If it is too large, and the views are `ChosenViews`.
         """
         chosen = views.numbers if isinstance(views, ChosenViews) else None
-        of = views.all if isinstance(views, ChosenViews) else views
+        every = views.all if isinstance(views, ChosenViews) else views
         deviations = math.sqrt(2 * math.log(max(1.0, self.optical_depth / MIN_RAY_DEPTH)))
-        reach = [
+        on_rays = [
             _MARGIN * deviations * math.sqrt((self.scale_m / spacing) ** 2 + CELL_WIDENING)
             for spacing in rays.spacing_m
         ]
@@ -122,33 +122,33 @@ class Bounds:
             _MARGIN * math.sqrt(IMAGE_CUT * (self.scale_m**2 + variance)) / spacing
             for spacing, variance in zip(grid.spacing_m, grid.response_variance_m2, strict=True)
         ]
-        lattices = tuple(_lattice(view, rays, self.low_m, self.high_m, (reach[0], reach[1])) for view in of)
+        lattices = tuple(_lattice(view, rays, self.low_m, self.high_m, (on_rays[0], on_rays[1])) for view in every)
         sides = [max(columns for *_, columns in lattices), max(rows for *_, rows, _ in lattices)]
-        tiles = {"rays": _most_tiles(reach, sides), "pixels": _most_tiles(on_pixels, (grid.columns, grid.rows))}
+        tiles = {"rays": _max_tiles(on_rays, sides), "pixels": _max_tiles(on_pixels, (grid.columns, grid.rows))}
         slots = len(views) * gaussians * max(tiles.values())
         sizes = [rows * columns for *_, rows, columns in lattices]
         points = sum(sizes) if chosen is None else len(views) * math.prod(sides)
-        if max(slots, points) <= _MOST:
+        if max(slots, points) <= _MAX_ALLOCATED:
             return Capacity(lattices, tiles, self.broken, chosen)
-        if chosen is not None:  # there are no other lattices of all that may be chosen
-            raise NotRecordable("the worst would be too much to allocate unasked")
+        if chosen is not None:  # lattices by the Gaussians need a choice on the CPU
+            raise NotRecordable("the worst case is too large to allocate")
         return None
 
 
 @dataclass(frozen=True)
 class Capacity:
-    """What a rendering takes at most.
+    """Worst case of a rendering, for which arrays are allocated.
 
     Parameters
     ----------
     lattices : tuple of (k0x, k0y, rows, columns)
-        Rays of each view that hold every footprint; of all views that may be chosen.
+        Rays of each view, or of all candidates, that contain every footprint.
     tiles : dict of str to int
-        Tiles that one footprint touches at most, by plane.
+        Maximum tiles that one footprint touches, by plane.
     broken : Tensor
-        Where to say that this was not enough.
+        Flag `Bounds.broken`, set if it is exceeded.
     chosen : Tensor, int64 [V], or None
-        Which of the lattices are those of the views, if only the device knows.
+        Indices of the views' lattices, for `ChosenViews`.
     """
 
     lattices: tuple[tuple[int, int, int, int], ...]
@@ -157,12 +157,12 @@ class Capacity:
     chosen: Int64[Tensor, " v"] | None = None
 
 
-# A training asks for the same few views again and again.
+# A training renders the same few views again and again.
 @lru_cache(maxsize=4096)
 def _lattice(
     view: View, rays: RayGrid, low_m: Corner, high_m: Corner, reach: tuple[float, float]
 ) -> tuple[int, int, int, int]:
-    """(k0x, k0y, rows, columns) of rays that hold a box and so much around it, in rays; one more on every side."""
+    """Return (k0x, k0y, rows, columns) of rays that contain a box, widened by `reach` + 1 rays on every side."""
     axes = view.look.frame[:2]
     centre, half = axes @ (np.add(low_m, high_m) / 2), abs(axes) @ (np.subtract(high_m, low_m) / 2)
     low = np.floor((centre - half * _MARGIN) / rays.spacing_m - reach) - 1
@@ -171,11 +171,11 @@ def _lattice(
     return int(low[0]), int(low[1]), int(rows), int(columns)
 
 
-def _most_tiles(reach: Sequence[float], sides: Sequence[int]) -> int:
-    """Tiles that a footprint touches at most, from half its extent and the sides of the plane, in points."""
-    most = 1
+def _max_tiles(reach: Sequence[float], sides: Sequence[int]) -> int:
+    """Return the maximum tiles that a footprint touches, from its half extent and the plane's sides, in points."""
+    count = 1
     for half, points in zip(reach, sides, strict=True):
-        # so many consecutive points begin anywhere in a tile; kernels look a little further (`points`)
+        # `widest` consecutive points may begin anywhere in a tile; kernels add a small margin (`points`)
         widest = math.floor(2 * (half + 2e-3)) + 1
-        most *= min(-(-(widest - 1) // TILE) + 1, -(-points // TILE))
-    return most
+        count *= min(-(-(widest - 1) // TILE) + 1, -(-points // TILE))
+    return count

@@ -1,4 +1,4 @@
-"""Which engine does what: the one place that decides it, for the renderer and for trainings."""
+"""Choice of the engine, for the renderer and for trainings."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from sarsplat.renderer.engines.recorder import CudaRecorder, Recorder
 from sarsplat.renderer.engines.trial import objection
 
 Tensors = Mapping[str, Tensor | None]
-"""What is to be calculated with, by the names that errors use."""
+"""Arguments of a calculation, by the names that errors use."""
 
 
 @dataclass(frozen=True)
 class Engine:
-    """One engine.
+    """Engine of one kind of device.
 
     Parameters
     ----------
     device_type : str
-        "auto" means this engine for float32 tensors on such a device.
+        Device of float32 tensors for which "auto" means this engine.
     prepare : callable
-        Given the tensors, the image grid (None where there is no image) and an instruction set, it returns what makes
-        passes over them; a `SarsplatError` says why not.
+        Function of the tensors, the image grid (None if there is no image) and an instruction set that returns a
+        constructor of passes, or raises a `SarsplatError`.
     takes_bounds : bool
-        Its passes can be made with a `Capacity`, and then wait for nothing.
+        True if passes can be made with a `Capacity`, and then do not synchronise.
     recorder : callable, optional
-        Given a device, what records steps there.
+        Constructor of the recorder of a device.
     objection : callable
-        Given the device, why "auto" must not take the engine there; "" if nothing speaks against it.
+        Function of the device that returns the reason why "auto" must not use the engine there, or "".
     """
 
     device_type: str
@@ -67,26 +67,26 @@ ENGINES = {
     "cpu": Engine("cpu", _on_cpu),
     "cuda": Engine("cuda", _on_cuda, takes_bounds=True, recorder=_recorder, objection=objection),
 }
-"""Engines by name. Beside them there are "reference", which is plain torch, and "auto", which chooses."""
+"""Engines by name; further names are "reference", which is plain torch, and "auto"."""
 
 
 def passes_for(
     name: str, tensors: Tensors, grid: ImageGrid | None = None, instruction_set: str = "auto"
 ) -> NewPass | None:
-    """What makes passes of the engine that is meant, over these tensors; None where plain torch calculates.
+    """Return the constructor of passes of an engine, over these tensors; None for plain torch.
 
-    What an engine does not have, `Operation.on` leaves to plain torch, too.
+    `Operation.on` also uses plain torch for operations that the engine does not have.
 
     Parameters
     ----------
     name : {"auto", "cpu", "cuda", "reference"}
-        "auto" is what fits the dtype and the device of the first tensor.
+        "auto" fits the dtype and the device of the first tensor.
     tensors : mapping of str to Tensor
-        All that kernels read.
+        All tensors that kernels read.
     grid : ImageGrid, optional
-        Of the images that are rendered.
+        Grid of rendered images.
     instruction_set : {"auto", "base", "avx2", "avx512"}
-        Of the CPU engine.
+        Instruction set of the CPU engine.
 
     Raises
     ------
@@ -98,18 +98,18 @@ def passes_for(
 
 
 def recorder_for(like: Tensor) -> Recorder | None:
-    """What records steps on the device of a tensor; None where nothing does."""
+    """Return the recorder of the device of a tensor; None if it has none."""
     engine = ENGINES.get(chosen_engine("auto", like))
     return None if engine is None or engine.recorder is None else engine.recorder(like.device)
 
 
 def chosen_engine(name: str, like: Tensor) -> str:
-    """The engine that is meant: "auto" is what fits the dtype and the device of the tensor.
+    """Return the engine's name: for "auto", the one that fits the dtype and the device of the tensor.
 
     Raises
     ------
     SarsplatError
-        If there is none of that name, or what "auto" means there did not pass its check.
+        If the name is unknown, or the engine of "auto" did not pass its check.
     """
     if name == "auto":
         return _fitting(like.dtype, like.device)
@@ -120,7 +120,7 @@ def chosen_engine(name: str, like: Tensor) -> str:
 
 @cache
 def _fitting(dtype: torch.dtype, device: torch.device) -> str:
-    """What "auto" takes; says so once."""
+    """Return the engine of "auto", and log it once."""
     fits = (name for name, engine in ENGINES.items() if (torch.float32, engine.device_type) == (dtype, device.type))
     fitting = next(fits, "reference")
     if fitting in ENGINES and (reason := ENGINES[fitting].objection(device)):

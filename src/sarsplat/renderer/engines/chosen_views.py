@@ -1,4 +1,4 @@
-"""Views of which only the device knows which ones they are, so that a recorded step renders others every time."""
+"""Views chosen by a tensor on the device, so that a recorded step renders other views each time."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device
 
 
 class ChosenViews(Sequence[View]):
-    """V of the views of a training, which may be rendered but not looked at.
+    """V of the views of a training, which may be rendered but not read on the CPU.
 
     Parameters
     ----------
     views : tuple of View
-        All of them, K.
+        All K candidates.
     numbers : Tensor, int64 [V]
-        Which are rendered; on the device, and other ones when the launches are run again.
+        Indices of the rendered views, on the device; they change between replays.
     """
 
     item_type = View
@@ -37,12 +37,12 @@ class ChosenViews(Sequence[View]):
 
 
 def candidates(views: Sequence[View]) -> tuple[Sequence[View], Int64[Tensor, " v"] | None]:
-    """All that may be chosen, and which are; without a choice the views themselves, and None."""
+    """Return all candidates and the chosen indices; for plain views, these and None."""
     return (views.all, views.numbers) if isinstance(views, ChosenViews) else (views, None)
 
 
 def by_view(of_view: Callable[..., Tensor], views: Sequence[View], *arguments: object) -> Tensor:
-    """What a function says of each view, stacked: `of_view(view, *arguments)`."""
+    """Stack `of_view(view, *arguments)` of all views."""
     if isinstance(views, ChosenViews):
         return _table(of_view, views.all, *arguments).index_select(0, views.numbers)
     return torch.stack([of_view(view, *arguments) for view in views])

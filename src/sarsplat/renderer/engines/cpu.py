@@ -1,4 +1,4 @@
-"""A thin loader of the CPU engine; it knows arrays, and nothing of Gaussians or views."""
+"""Loader of the CPU engine, which works on plain arrays."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from sarsplat.renderer.engines.abi import HEADER, api
 from sarsplat.renderer.engines.passes import within
 
 LIBRARY = Path(__file__).parents[1] / ("_engine.dll" if sys.platform == "win32" else "_engine.so")
-"""The compiled engine."""
+"""Compiled engine."""
 
 _TORCH = {"win32": "torch_cpu.dll", "darwin": "libtorch_cpu.dylib"}.get(sys.platform, "libtorch_cpu.so")
 
 _INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "amplitudes", "shift")
 _FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "cross_sections", "slopes")
 FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
-"""What a pass can reject, by status code."""
+"""Inputs and other causes that a pass can reject, by status code."""
 
 LIMITS: dict[str, dict[str, float]] = {"adam": {"columns": 16}, "stack_likelihood": {"passes": 16}}
-"""The largest of some numbers that an operation takes."""
+"""Maxima of numbers that an operation supports."""
 
 _NO_MEMORY = "there is not enough memory for the rendering; render fewer views at a time or use coarser rays"
 
 
 @cache
 def library() -> ctypes.CDLL:
-    """The compiled engine, its threads borrowed from torch; on one, with a warning, where torch does not lend them.
+    """Load the compiled engine on torch's threads; on a single one, with a warning, if torch does not share them.
 
     Raises
     ------
     SarsplatError
-        If it was never built, does not fit this machine, or was built from another csrc/api.h.
+        If it is missing, does not fit this machine, or was built from another csrc/api.h.
     """
     try:
         lib = ctypes.CDLL(str(LIBRARY))
@@ -69,7 +69,7 @@ def library() -> ctypes.CDLL:
 
 
 def _compiled_with(lib: ctypes.CDLL) -> str:
-    """The digest of the header that a library was compiled with; "" for one of a time before there were any."""
+    """Return the digest of the header that a library was compiled with; "" for old ones."""
     try:
         lib.sg_api.restype = ctypes.c_char_p
     except AttributeError:
@@ -78,7 +78,7 @@ def _compiled_with(lib: ctypes.CDLL) -> str:
 
 
 def torch_pool() -> c_void_p | None:
-    """The function that runs a loop on torch's threads, or None where this torch has none."""
+    """Return the function that runs a loop on torch's threads, or None if this torch has none."""
     try:
         function = ctypes.CDLL(str(Path(torch.__file__).parent / "lib" / _TORCH)).torch_parallel_for
     except (OSError, AttributeError):
@@ -87,7 +87,7 @@ def torch_pool() -> c_void_p | None:
 
 
 def instruction_sets() -> list[str]:
-    """Those that this processor can run and that were compiled, the widest last."""
+    """Return the compiled instruction sets that this processor supports, the widest last."""
     return _usable(library())
 
 
@@ -97,15 +97,15 @@ def _usable(lib: ctypes.CDLL) -> list[str]:
 
 
 def best_instruction_set() -> str:
-    """The widest instruction set that this processor, and this build, can run."""
+    """Return the widest instruction set of this processor and build."""
     return INSTRUCTION_SETS[_isa("auto")]
 
 
 def _isa(instruction_set: str) -> int:
-    """What the engine calls an instruction set; of "auto", the widest there is."""
-    here = instruction_sets()
-    if instruction_set in here or (instruction_set == "auto" and here):
-        return INSTRUCTION_SETS.index(here[-1] if instruction_set == "auto" else instruction_set)
+    """Return the engine's number of an instruction set; of the widest for "auto"."""
+    usable = instruction_sets()
+    if instruction_set in usable or (instruction_set == "auto" and usable):
+        return INSTRUCTION_SETS.index(usable[-1] if instruction_set == "auto" else instruction_set)
     supported = INSTRUCTION_SETS[1 : library().sg_supported_isa() + 1]
     if instruction_set not in ("auto", *supported):
         raise SarsplatError(
@@ -120,13 +120,13 @@ def _isa(instruction_set: str) -> int:
 
 @cache
 def _functions(instruction_set: int) -> dict[str, Any]:
-    """What the engine does, by the names in csrc/api.h."""
+    """Return the engine's functions by their names in csrc/api.h."""
     table = library().sg_engine_for(instruction_set).contents
     return {name: getattr(table, name) for name, _ in table._fields_}
 
 
 class Pass:
-    """One forward pass and what its backward pass needs. Memory goes back to a small pool for the next one."""
+    """Forward pass and the state for its backward pass (`passes.Pass`); its memory is reused by later passes."""
 
     _idle: dict[int, list[int]] = {}  # noqa: RUF012 - shared on purpose: memory waiting for reuse, per instruction set
     _keep = 3  # as many as there are steps
@@ -136,7 +136,7 @@ class Pass:
         self._library, self._functions = library(), _functions(self._isa)
         idle = self._idle.setdefault(self._isa, [])
         try:
-            self._context = idle.pop()  # asked for, not looked at first: another thread may be as quick
+            self._context = idle.pop()  # another thread may take the last one meanwhile
         except IndexError:
             self._context = self._functions["create"]()
 
@@ -151,13 +151,7 @@ class Pass:
             self._functions["destroy"](context)
 
     def _call(self, function: str, *arguments: object) -> int:
-        """The status of a function of csrc/api.h, on as many threads as torch has.
-
-        Raises
-        ------
-        SarsplatError
-            If there is not enough memory, here and below.
-        """
+        """Return the status of a function of csrc/api.h on torch's threads; raise if memory is insufficient."""
         self._library.sg_set_threads(torch.get_num_threads())
         status: int = self._functions[function](self._context, *arguments)
         if FAULTS[status] == "memory":
@@ -165,43 +159,36 @@ class Pass:
         return status
 
     def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
-        """Run; returns what was rejected ("" for nothing) and at which index."""
         culprit = c_int64(-1)
         return FAULTS[self._call(step, problem, *arguments, byref(culprit))], culprit.value
 
     def backward(self, step: str, problem: ctypes.Structure, *arguments: object) -> None:
-        """Run the adjoint of the last forward call."""
         self._call(f"{step}_backward", problem, *arguments)
 
     def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
-        """Whether it does an operation of one structure, given the numbers in that."""
         return operation in self._functions and within(LIMITS.get(operation, {}), numbers)
 
     def run(self, operation: str, call: ctypes.Structure) -> None:
-        """Fill in what such an operation gives."""
         self._call(operation, call)
 
     def lattices(self, views: int) -> list[ctypes.Structure]:
-        """Where the rays of the views stand."""
         lattices = [api.lattice() for _ in range(views)]
         for view, lattice in enumerate(lattices):
             self._functions["lattice"](self._context, view, lattice)
         return lattices
 
     def ray_count(self, views: int) -> int:
-        """How many rays they have."""
         return sum(lattice.rows * lattice.columns for lattice in self.lattices(views))
 
     def trace(self, problem: ctypes.Structure, depth: float, transmittance: int, first_return: int | None) -> None:
-        """Fill T_end and, unless None, the first-return ranges of the rays of all views, one after the other."""
-        at = 0
+        offset = 0
         for view, lattice in enumerate(self.lattices(problem.views)):
-            ranges = None if first_return is None else first_return + at
-            self._call("trace", problem, view, depth, transmittance + at, ranges)
-            at += 4 * lattice.rows * lattice.columns
+            ranges = None if first_return is None else first_return + offset
+            self._call("trace", problem, view, depth, transmittance + offset, ranges)
+            offset += 4 * lattice.rows * lattice.columns
 
     def statistics(self, problem: ctypes.Structure) -> ctypes.Structure:
-        """Visited blocks and live lanes of the last forward pass."""
+        """Return visited blocks and live lanes of the last forward pass."""
         statistics = api.statistics()
         self._functions["statistics"](self._context, problem, statistics)
         return statistics

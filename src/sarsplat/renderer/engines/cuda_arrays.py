@@ -1,4 +1,4 @@
-"""Arrays on a GPU, which kernels have the addresses of, and the launches of kernels."""
+"""Arrays on a GPU, whose addresses kernels hold, and launches of kernels."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from torch import Tensor
 from sarsplat.renderer.engines.on_device import kept_on_device
 
 THREADS = 256
-"""Of every block, of csrc/cuda_state.cuh."""
+"""Threads of a block, as in csrc/cuda_state.cuh."""
 
 
 class Launcher(Protocol):
-    """What runs kernels: a GPU, or the tests' emulator."""
+    """Launcher of kernels: a GPU, or the tests' emulator."""
 
     device: torch.device
 
@@ -25,19 +25,19 @@ class Launcher(Protocol):
 
 
 class Arrays:
-    """Arrays by name, kept as long as kernels may read them, and what runs kernels over them."""
+    """Arrays by name, kept while kernels may read them, and the launcher of kernels."""
 
     def __init__(self, launcher: Launcher) -> None:
         self.launcher = launcher
         self.arrays: dict[str, Tensor] = {}
 
     def launch(self, name: str, blocks: int, *arguments: ctypes._CData) -> None:
-        """Queue so many blocks of a kernel, if there are any."""
+        """Queue blocks of a kernel, unless there are 0."""
         if blocks:
             self.launcher.launch(name, blocks, THREADS, *arguments)
 
     def new(self, name: str, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-        """An array that nothing was written to."""
+        """Make an uninitialised array."""
         return self.keep(name, torch.empty(shape, dtype=dtype, device=self.launcher.device))
 
     def keep(self, name: str, array: Tensor) -> Tensor:
@@ -46,13 +46,13 @@ class Arrays:
         return array
 
     def sent(self, content: bytes) -> Tensor:
-        """A copy of this on the device."""
+        """Return a cached copy on the device."""
         return _sent(content, self.launcher.device)
 
 
-# The pixels of views are always the same, and a training asks for the same few views again and again.
+# The pixels of views never change, and a training renders the same few views again and again.
 @kept_on_device(maxsize=256)
 def _sent(content: bytes, device: torch.device) -> Tensor:
-    """On the device, as soon as the stream gets there; from pinned memory, for the CPU waits for any other copy."""
+    """Copy to the device asynchronously, from pinned memory: copies of other memory synchronise."""
     array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
     return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)

@@ -1,4 +1,4 @@
-"""One NVIDIA GPU: loads the compiled engine and launches its kernels through the driver, on torch's current stream."""
+"""NVIDIA GPU: loads the compiled engine and launches its kernels through the driver, on torch's current stream."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.nvrtc import Nvrtc, machine_code
 
 _NON_BLOCKING = 1
-"""A stream that does not wait for the legacy default stream, as torch's own do not."""
+"""Flag of streams that do not synchronise with the legacy default stream, as torch's streams."""
 
-_FIRST = threading.Lock()
-"""Of several threads that ask for a GPU at first, one compiles."""
+_COMPILING = threading.Lock()
+"""Lock of the first use of a GPU: one thread compiles."""
 
 _DRIVER = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 
 
 class Device:
-    """The kernels of one GPU.
+    """Kernels of one GPU.
 
     Raises
     ------
@@ -51,7 +51,7 @@ class Device:
         self.description = f"{torch.cuda.get_device_name(device)}, sm_{major}{minor}, driver of CUDA {version.value}"
 
     def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
-        """Queue a kernel; its arguments are C values, passed as they are."""
+        """Queue a kernel; its arguments are C values."""
         elsewhere = torch.cuda.current_device() != self.device.index
         with torch.cuda.device(self.device) if elsewhere else nullcontext():
             self._check(self._driver.cuCtxSetCurrent(self._context))  # threads of autograd may not have it yet
@@ -62,7 +62,7 @@ class Device:
             )
 
     def new_stream(self) -> torch.cuda.ExternalStream:
-        """A stream that nobody else has; torch hands out the same 32 again and again. It is never destroyed."""
+        """Make an exclusive stream, never destroyed; torch's own are shared out of a pool of 32."""
         stream = c_void_p()
         self._check(self._driver.cuCtxSetCurrent(self._context))
         self._check(self._driver.cuStreamCreate(byref(stream), _NON_BLOCKING))
@@ -86,14 +86,14 @@ class Device:
 
 
 def device(index: int) -> Device:
-    """The GPU of this number, its kernels compiled and loaded once.
+    """Return the GPU of this index; kernels are compiled and loaded once.
 
     Raises
     ------
     SarsplatError
         If the driver, NVRTC or the device is missing.
     """
-    with _FIRST:
+    with _COMPILING:
         return _device(index)
 
 
@@ -104,13 +104,7 @@ def _device(index: int) -> Device:
 
 @cache
 def require_cuda() -> None:
-    """See that torch can reach a GPU.
-
-    Raises
-    ------
-    SarsplatError
-        With the reason and the remedy, if not.
-    """
+    """Raise, with the reason and the remedy, if torch cannot use a GPU."""
     if torch.version.cuda is None:
         raise SarsplatError(
             f"the CUDA engine needs a torch built for CUDA, and this is {torch.__version__}; install one, or use "

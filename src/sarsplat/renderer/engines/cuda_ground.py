@@ -1,4 +1,4 @@
-"""How much of the ground pixels see, and what terrain returns, on a GPU: arrays of the kernels, and their launches."""
+"""Operations of the ground on a GPU: arrays of the kernels of `lit_ground` and `lit_terrain`, and their launches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _RESPONSE_END = 6.0
 
 
 def lit_ground(on: Arrays, ground: ctypes.Structure) -> None:
-    """Fill in what is lit of the ground, or the gradients of that."""
+    """Fill in the lit share of the ground, or its gradients."""
     patches = ground.patches[: ground.of_views]
     rows, columns = (max(one.count for one in axes) for axes in zip(*((p.rows, p.columns) for p in patches)))
     pixels = ground.views, ground.rows.count + ground.columns.count
@@ -38,12 +38,12 @@ def lit_ground(on: Arrays, ground: ctypes.Structure) -> None:
 
     def over(kernel: str, rows: int, columns: int) -> None:
         blocks = _blocks(rows, columns)
-        on.launch(kernel, ground.views * blocks, there, state, c_int32(blocks))
+        on.launch(kernel, ground.views * blocks, call, state, c_int32(blocks))
 
-    there = api.ground.from_buffer_copy(ground)
+    call = api.ground.from_buffer_copy(ground)
     on_device = on.sent(ctypes.string_at(ground.patches, ctypes.sizeof(api.patches) * ground.of_views))
-    there.patches = ctypes.cast(on_device.data_ptr(), type(there.patches))
-    on.launch("weigh_ground", -(-pixels[0] * pixels[1] * state.width // THREADS), there, state)
+    call.patches = ctypes.cast(on_device.data_ptr(), type(call.patches))
+    on.launch("weigh_ground", -(-pixels[0] * pixels[1] * state.width // THREADS), call, state)
     if not ground.d_lit:
         over("see_ground", ground.rows.count, columns)
         over("light_ground", ground.rows.count, ground.columns.count)
@@ -53,18 +53,18 @@ def lit_ground(on: Arrays, ground: ctypes.Structure) -> None:
     over("light_ground_backward", ground.rows.count, columns)
     over("see_ground_backward", rows, columns)
     if ground.d_shift:
-        on.launch("sum_ground_shift", 2 * ground.views, there, state, c_int32(blocks))
+        on.launch("sum_ground_shift", 2 * ground.views, call, state, c_int32(blocks))
 
 
 def lit_terrain(on: Arrays, terrain: ctypes.Structure) -> None:
-    """Fill in what terrain returns, or the gradients of that."""
+    """Fill in β⁰ of terrain, or its gradients."""
     patches, views, columns = terrain.patches[: terrain.of_views], terrain.views, terrain.columns.count
     rows, across = max(one.rows for one in patches), max(one.across.count for one in patches)
     traced = [max(one.traced[axis] for one in patches) for axis in range(2)]
     places, cells = terrain.places[0] * terrain.places[1], max(one.rows * one.across.count for one in patches)
-    there = api.terrain.from_buffer_copy(terrain)
+    call = api.terrain.from_buffer_copy(terrain)
     on_device = on.sent(ctypes.string_at(terrain.patches, ctypes.sizeof(api.terrain_patches) * terrain.of_views))
-    there.patches = ctypes.cast(on_device.data_ptr(), type(there.patches))
+    call.patches = ctypes.cast(on_device.data_ptr(), type(call.patches))
 
     # columns alone, as if the ground were level
     level = api.ground(
@@ -90,7 +90,7 @@ def lit_terrain(on: Arrays, terrain: ctypes.Structure) -> None:
 
     def over(kernel: str, rows: int, columns: int, *states: ctypes.Structure) -> None:
         blocks = _blocks(rows, columns)
-        on.launch(kernel, views * blocks, there, *states, c_int32(blocks))
+        on.launch(kernel, views * blocks, call, *states, c_int32(blocks))
 
     arrays("returned", of=(cells,))
     over("return_cells", rows, across, state)
@@ -98,7 +98,7 @@ def lit_terrain(on: Arrays, terrain: ctypes.Structure) -> None:
         arrays("reached", "ahead", of=(cells,))
         arrays("seen", of=(terrain.rows.count, across))
         strips = -(-across // _COLUMNS)
-        on.launch("reach_cells", views * strips, there, state, c_int32(strips))
+        on.launch("reach_cells", views * strips, call, state, c_int32(strips))
         over("see_cells", terrain.rows.count, across, state)
     if not terrain.d_lit:
         over("light_terrain", terrain.rows.count, columns, ground, state)
@@ -116,17 +116,17 @@ def lit_terrain(on: Arrays, terrain: ctypes.Structure) -> None:
     over("see_cells_backward", rows, across, state)
     over("tell_rays", *traced, state)
     over("tell_places", rows, across, state)
-    on.launch("write_places", -(-views * places // THREADS), there, state)
+    on.launch("write_places", -(-views * places // THREADS), call, state)
     if terrain.d_shift:
-        on.launch("sum_terrain_shift", views, there, state, *map(c_int32, shares))
+        on.launch("sum_terrain_shift", views, call, state, *map(c_int32, shares))
 
 
 def _width(patches: Any, std: float) -> int:
-    """How many of them a pixel sees at most."""
+    """Return the maximum number of patches in a pixel's response."""
     across = 2 * _RESPONSE_END * std / patches.step
     return min(patches.count, int(across) + 3) if across < patches.count else patches.count
 
 
 def _blocks(rows: int, columns: int) -> int:
-    """Of a table."""
+    """Return the blocks of a table."""
     return -(-rows // _ROWS) * -(-columns // _COLUMNS)

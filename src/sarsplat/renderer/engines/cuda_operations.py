@@ -1,4 +1,4 @@
-"""Operations of one structure on a GPU: their arrays and launches. To add one, write a function and list it."""
+"""Operations on a GPU: arrays and launches. To add one, write a function and list it in `OPERATIONS`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sarsplat.renderer.engines.cuda_arrays import THREADS, Arrays
 from sarsplat.renderer.engines.cuda_ground import lit_ground, lit_terrain
 
 _MOST_GROUPS, _WINDOW = 15, 11
-"""Parameters to a launch, of csrc/cuda_training.cuh; pixels of SSIM's window, of loss_math.h."""
+"""Maximum parameters of a launch, as in csrc/cuda_training.cuh; SSIM's window, pixels, as in loss_math.h."""
 
 
 def _adam(arrays: Arrays, step: ctypes.Structure) -> None:
@@ -46,7 +46,7 @@ def _normal_lobes(arrays: Arrays, lobes: ctypes.Structure) -> None:
 
 @dataclass(frozen=True)
 class Operation:
-    """What fills in the structure of an operation, and the largest of some numbers that it takes."""
+    """Function that fills in the structure of an operation, and maxima of its numbers."""
 
     run: Callable[[Arrays, ctypes.Structure], None]
     limits: Mapping[str, float] = field(default_factory=dict)
@@ -59,4 +59,4 @@ OPERATIONS = {
     "lit_terrain": Operation(lit_terrain),
     "normal_lobes": Operation(_normal_lobes),
 }
-"""Those that there are kernels for, by their names in csrc/api.h."""
+"""Operations with kernels, by their names in csrc/api.h."""

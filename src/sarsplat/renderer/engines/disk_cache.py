@@ -1,4 +1,4 @@
-"""Disk cache of what takes long to compile or to check: in $XDG_CACHE_HOME/sarsplat, or ~/.cache/sarsplat."""
+"""Disk cache of compiled kernels and their check, in $XDG_CACHE_HOME/sarsplat or ~/.cache/sarsplat."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from sarsplat.errors import SarsplatWarning
 
 
 def read(name: str) -> bytes | None:
-    """What was written under that name; None if there is nothing, or its checksum does not hold."""
+    """Return cached content; None if it is missing or its checksum is wrong."""
     try:
         content = (_folder() / name).read_bytes()
     except OSError:
         return None
-    digest, kept = content[:32], content[32:]
-    return kept if hashlib.sha256(kept).digest() == digest else None
+    digest, payload = content[:32], content[32:]
+    return payload if hashlib.sha256(payload).digest() == digest else None
 
 
 def write(name: str, content: bytes) -> None:
-    """Keep it for the next program; warn once where that is not possible."""
+    """Cache content; warn once if the folder is not writable."""
     folder = _folder()
     temporary = folder / f"{name}.{os.getpid()}-{get_ident()}"
     try:

@@ -1,4 +1,4 @@
-"""Compiles the CUDA engine at first use with NVRTC, which torch's CUDA builds bring along; kept on disk afterwards."""
+"""Compilation of the CUDA engine at first use, cached on disk, with NVRTC from torch's CUDA builds."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from sarsplat.renderer.engines import disk_cache
 from sarsplat.renderer.engines.abi import SOURCES
 
 MAIN = "kernels.cu"
-"""The source that includes all others."""
+"""Source that includes all others."""
 
 _OPTIONS = ("--std=c++17",)
 
-# NVRTC has no standard library; this is all of it that the source needs
+# NVRTC has no standard library; the source needs only these types
 _CSTDINT = """#pragma once
 typedef short int16_t;
 typedef int int32_t;
@@ -42,30 +42,24 @@ _REMEDY = "install a torch built for CUDA, which brings it along, or use the CPU
 
 
 class Compiler(Protocol):
-    """What turns source into machine code; NVRTC, except in tests."""
+    """Compiler of machine code: NVRTC, except in tests."""
 
     version: str
 
     def compile(self, sources: Mapping[str, str], architecture: str) -> bytes:
-        """The machine code of `MAIN`, which includes the other sources by name."""
+        """Compile `MAIN`, which includes the other sources by name, to machine code."""
         ...
 
 
 def sources() -> dict[str, str]:
-    """Every file that the engine's source includes, by name."""
+    """Read every file that the engine's source includes, by name."""
     paths = (SOURCES / MAIN, *sorted(SOURCES.glob("cuda_*.cuh")))
     shared = (SOURCES / "api.h", *sorted(SOURCES.glob("*_math.h")))
     return {path.name: path.read_text(encoding="utf-8") for path in (*paths, *shared)} | {"cstdint": _CSTDINT}
 
 
 def machine_code(architecture: str, compiler: Compiler) -> bytes:
-    """The engine for one architecture ("sm_90"), from the user's cache folder or compiled now.
-
-    Raises
-    ------
-    SarsplatError
-        If it does not compile.
-    """
+    """Return the engine for one architecture ("sm_90"), from the user's cache folder or compiled now."""
     text = sources()
     key = hashlib.sha256(repr((sorted(text.items()), architecture, compiler.version, _OPTIONS)).encode()).hexdigest()
     name = f"{architecture}-{key[:32]}.cubin"
@@ -76,13 +70,7 @@ def machine_code(architecture: str, compiler: Compiler) -> bytes:
 
 
 class Nvrtc:
-    """NVIDIA's run-time compiler, through ctypes.
-
-    Raises
-    ------
-    SarsplatError
-        If it is not installed.
-    """
+    """NVIDIA's run-time compiler, through ctypes; raises if it is not installed."""
 
     def __init__(self) -> None:
         self._library = _load()
@@ -91,7 +79,7 @@ class Nvrtc:
         self.version, self.log = f"{major.value}.{minor.value}", ""
 
     def compile(self, sources: Mapping[str, str], architecture: str, *more: str) -> bytes:
-        """Machine code; `more` are options. The compiler's own words are in `log`, and in the error if there is one."""
+        """Compile to machine code with `more` options; the compiler's output is in `log` and in errors."""
         headers = [name for name in sources if name != MAIN]
         texts = (c_char_p * len(headers))(*(sources[name].encode() for name in headers))
         names = (c_char_p * len(headers))(*(name.encode() for name in headers))
@@ -133,7 +121,7 @@ class Nvrtc:
 
 
 def _candidates() -> list[Path]:
-    """NVRTC in wheels and inside torch, where its CUDA builds have it, of torch's own CUDA first; then the system's."""
+    """Return paths of NVRTC in wheels and in torch, those of torch's CUDA version first, then the system's."""
     own = (torch.version.cuda or "").partition(".")[0]
     spec = find_spec("nvidia")
     wheels = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []

@@ -1,4 +1,4 @@
-"""Tensors that are sent to a device once and kept there, for each of its queues, and never while a step is recorded."""
+"""Cache of tensors on a device, for each of its queues, which is not filled while a step is recorded."""
 
 from __future__ import annotations
 
@@ -14,48 +14,47 @@ T = TypeVar("T")
 
 
 class NotRecordable(Exception):
-    """What a step does depends on numbers that only the CPU knows, so it cannot be recorded."""
+    """Error of a step that depends on numbers known only to the CPU, so that it cannot be recorded."""
 
 
 def being_recorded() -> bool:
-    """Whether launches are recorded, not run."""
+    """Return True while launches are recorded instead of run."""
     return torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
 
 
 _read: list[list[object]] = []
-"""What records that are being made read of all that is kept."""
+"""Cached objects that each recording in progress has read."""
 
 
 @contextmanager
 def read_meanwhile() -> Iterator[list[object]]:
-    """What is asked for of all that is kept, in a list: a record needs that for longer than it may be kept here."""
-    things: list[object] = []
-    _read.append(things)
+    """Collect the cached objects that are read meanwhile: a record needs them longer than the cache may."""
+    objects: list[object] = []
+    _read.append(objects)
     try:
-        yield things
+        yield objects
     finally:
-        _read[:] = (other for other in _read if other is not things)
+        _read[:] = (other for other in _read if other is not objects)
 
 
-def is_read(thing: T) -> T:
-    """Let it live as long as the records that are being made."""
-    for things in _read:
-        things.append(thing)
-    return thing
+def is_read(cached: T) -> T:
+    """Keep an object alive as long as the records in progress."""
+    for objects in _read:
+        objects.append(cached)
+    return cached
 
 
 def queue_of(device: torch.device) -> int:
-    """In which of a device's queues this thread works: torch's current stream of a GPU."""
+    """Return the queue of this thread on a device: torch's current stream of a GPU."""
     return torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
 
 
 def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function of hashable arguments, the device being the last, that makes tensors: the latest are kept.
+    """Cache the latest tensors of a function whose arguments are hashable, the last being the device.
 
-    Each queue has its own. So they are whole before they are read, and what is forgotten is not overwritten while
-    another queue reads it; nor do the trainings of other threads drive out what a recorded step reads (recorder.py).
-    What were made while a step is recorded would lie in the record's own memory: that is an error, since the steps
-    before it have made all that it needs.
+    Each queue has its own cache: tensors are complete before they are read, are not overwritten while another queue
+    reads them, and other threads' trainings do not evict those of a recorded step (recorder.py). Misses while a step is
+    recorded are errors, for such tensors would lie in the record's memory; earlier steps have made all it needs.
     """
 
     def decorate(make: Callable[P, T]) -> Callable[P, T]:

@@ -1,14 +1,15 @@
-"""Operations between tensors that engines do, as differentiable functions: each is declared once, with all it needs.
+"""Differentiable functions of tensors that engines compute.
 
-Most are an `Operation` of one structure: it names its arrays, and has a twin in plain torch for where no engine does
-it. The steps of a rendering (stages.py) keep on the engine's side what their way back needs, and are only `Call`s.
+Most are an `Operation`: one structure of csrc/api.h, and the same in plain torch for tensors without an engine. The
+steps of a rendering (stages.py) are only `Call`s: their engines keep the state that the backward pass needs.
 """
 
 from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from typing import Any, ClassVar
 
 import torch
@@ -17,43 +18,56 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.abi import filled, structure_of
 from sarsplat.renderer.engines.passes import NewPass, Pass
-from sarsplat.renderer.once import differentiable_once
 
 Tensors = Sequence[Tensor | None]
 
 
+def differentiable_once(backward: Callable[..., Any]) -> Callable[..., Any]:
+    """Raise on `create_graph=True`; torch's own `once_differentiable` makes second derivatives zero instead."""
+
+    @wraps(backward)
+    def checked(ctx: Any, *grads: Tensor | None) -> Any:
+        if torch.is_grad_enabled():
+            raise SarsplatError(
+                "the engines have no second derivatives; leave create_graph=True out, or use engine='reference'"
+            )
+        return backward(ctx, *grads)
+
+    return checked
+
+
 class Call(ABC):
-    """What is calculated in one call forward and one call backward, on contiguous tensors; made anew for every call."""
+    """Autograd function of one engine call forward and one backward, on contiguous tensors; used once."""
 
     names: ClassVar[tuple[str, ...]]
     """Names of the inputs, for errors."""
 
     saved: ClassVar[slice] = slice(None)
-    """Which inputs the backward pass reads."""
+    """Inputs that the backward pass reads."""
 
     constant: tuple[int, ...] = ()
-    """Which outputs have no gradient."""
+    """Indices of outputs without gradient."""
 
     needed: Sequence[bool]
-    """Which inputs need a gradient."""
+    """True for inputs that need a gradient."""
 
     @abstractmethod
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        """The outputs."""
+        """Compute the outputs."""
 
     @abstractmethod
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
-        """Gradients of the inputs from those of the outputs; None is zero."""
+        """Compute gradients of the inputs from those of the outputs; None is zero."""
 
     def to_save(self, inputs: Tensors) -> Tensors:
-        """What is saved for the backward pass: a tensor for each of the saved inputs, of its shape."""
+        """Return the tensors saved for the backward pass, of the shapes of the saved inputs."""
         return inputs[self.saved]
 
     def of(self, *inputs: Tensor | None) -> tuple[Tensor, ...]:
-        """The outputs, differentiable once."""
+        """Compute the outputs, differentiable once."""
         try:
             return _Call.apply(self, *inputs)
-        except (RuntimeError, NotImplementedError) as error:  # torch's, of what it cannot do with others' functions
+        except (RuntimeError, NotImplementedError) as error:  # torch's, of custom autograd functions
             if not any(words in str(error) for words in ("functorch", "forward mode AD")):
                 raise
             raise SarsplatError(
@@ -63,34 +77,34 @@ class Call(ABC):
 
 
 class Operation(Call):
-    """An operation of one structure of csrc/api.h, whose members of these names are the inputs.
+    """Operation of one structure of csrc/api.h, with inputs as members of the same names.
 
     A member `d_NAME` is the gradient of the input, or of the output, NAME; inputs without one have none.
     """
 
     operation: ClassVar[str]
-    """Its name in csrc/api.h."""
+    """Name in csrc/api.h."""
 
     optional: ClassVar[tuple[str, ...]] = ()
-    """Inputs whose gradients the kernel leaves out if nobody asks for them."""
+    """Inputs whose gradients the kernel omits if they are not needed."""
 
     at_once: ClassVar[bool] = False
-    """The call forward finds the gradients, too: of the first output, which is one number."""
+    """True if the forward call also computes gradients, of the first output, a scalar."""
 
     @abstractmethod
     def plain(self, *inputs: Any) -> Any:
-        """The twin in plain torch, for any device and floating dtype: the output, or a tuple of them."""
+        """Compute the output, or a tuple of outputs, in plain torch, for any device and floating dtype."""
 
     @abstractmethod
     def numbers(self, *inputs: Any) -> dict[str, Any]:
-        """All other members by name, as `filled` takes them."""
+        """Return all other members by name, as `filled` takes them."""
 
     @abstractmethod
     def outputs(self, *inputs: Any) -> dict[str, Tensor]:
-        """New tensors for the outputs, by the names of their members."""
+        """Return new tensors for the outputs, by the names of their members."""
 
     def on(self, new_pass: NewPass | None, *inputs: Tensor | None) -> Any:
-        """What `plain` gives, by an engine's passes if that has this operation."""
+        """Compute the outputs: by the engine if it has this operation, otherwise by `plain`."""
         if new_pass is not None:
             self._new_pass, self._kernel, self._numbers = new_pass, new_pass(), self.numbers(*inputs)
             if self._kernel.has(self.operation, self._numbers):
@@ -103,13 +117,13 @@ class Operation(Call):
         self._shapes = {name: tensor.shape for name, tensor in outputs.items()}
         self._at_once = self._new_gradients(inputs) if self.at_once else {}
         self._run(self._kernel, inputs, outputs | self._at_once)
-        del self._kernel  # which keeps nothing, and may be lent again
+        del self._kernel  # stateless, and may be reused
         return tuple(outputs.values())
 
     def to_save(self, inputs: Tensors) -> Tensors:
         if not self.at_once:
             return inputs
-        gradients, self._at_once = self._at_once, {}  # torch frees them after the way back
+        gradients, self._at_once = self._at_once, {}  # torch frees them after the backward pass
         return [gradients.get(f"d_{name}") for name in self.names]
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
@@ -145,7 +159,7 @@ class _Call(torch.autograd.Function):
         outputs = call.forward(inputs)
         saved = call.to_save(inputs)
         ctx.call, ctx.shapes = call, [None if t is None else t.shape for t in saved]
-        ctx.one_at_a_time = threading.Lock()  # the kernel lets go of Python's, and has one set of scratch memory
+        ctx.one_at_a_time = threading.Lock()  # kernels release the GIL, and share scratch memory
         ctx.save_for_backward(*saved)
         ctx.mark_non_differentiable(*(outputs[k] for k in call.constant))
         ctx.set_materialize_grads(False)
@@ -162,16 +176,14 @@ class _Call(torch.autograd.Function):
 
 
 def _saved_inputs(ctx: Any) -> list[Any]:
-    """The tensors that a forward pass saved, of the shapes they had.
-
-    Also the check that nobody changed them in place; they need not lie where they lay in the forward pass.
+    """Return the saved tensors, whose memory may have moved; raise if they were changed in place.
 
     Raises
     ------
     SarsplatError
-        If one has another shape now.
+        If a shape has changed.
     """
-    saved = ctx.saved_tensors  # asked for once: what checkpointing recomputes, it hands out once
+    saved = ctx.saved_tensors  # once: checkpointing hands out recomputed tensors only once
     inputs = [None if t is None else t.contiguous() for t in saved]
     for name, tensor, shape in zip(ctx.call.names[ctx.call.saved], inputs, ctx.shapes, strict=True):
         if tensor is not None and tensor.shape != shape:

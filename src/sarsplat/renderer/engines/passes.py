@@ -1,4 +1,4 @@
-"""What an engine does."""
+"""Interface of an engine's passes."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from typing import Any, Protocol
 
 
 class Pass(Protocol):
-    """One call forward, and what the call backward needs; or operations of one structure, which keep nothing.
+    """Forward call of a step and the state for its backward call; or stateless operations of one structure.
 
-    The steps are "render", "project", "attenuate" and "splat". A problem and whatever else a step takes are structures
-    and addresses of arrays, in the order of `sg_engine` in csrc/api.h. Operations are the `SG_OPERATIONS` of that file.
+    Steps are "render", "project", "attenuate" and "splat". Their arguments are structures and addresses of arrays, in
+    the order of `sg_engine` in csrc/api.h. Operations are the `SG_OPERATIONS` of that file.
     """
 
     def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
-        """Run; returns what was rejected ("" for nothing) and at which index."""
+        """Run a step; return the rejected input ("" for none) and its index."""
         ...
 
     def backward(self, step: str, problem: ctypes.Structure, *arguments: object) -> None:
-        """Run the adjoint of the last forward call; that of "project" keeps nothing: of any problem."""
+        """Run the adjoint of the last forward call; "project" is stateless: of any problem."""
         ...
 
     def lattices(self, views: int) -> list[ctypes.Structure]:
-        """Where the rays of the views stand; if they are chosen on the device, of all that may be."""
+        """Return the ray lattices of the views; for `ChosenViews`, of all candidates."""
         ...
 
     def ray_count(self, views: int) -> int:
-        """How many rays `trace` fills; if views are chosen on the device, each has room for the largest lattice."""
+        """Return the number of rays that `trace` fills; `ChosenViews` have room for the largest lattice each."""
         ...
 
     def trace(self, problem: ctypes.Structure, depth: float, transmittance: int, first_return: int | None) -> None:
@@ -35,18 +35,18 @@ class Pass(Protocol):
         ...
 
     def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
-        """Whether it does an operation of one structure, given the numbers in that."""
+        """Return True if the engine has an operation, for these numbers."""
         ...
 
     def run(self, operation: str, call: ctypes.Structure) -> None:
-        """Fill in what such an operation gives."""
+        """Run an operation, which fills in its outputs."""
         ...
 
 
 NewPass = Callable[..., Pass]
-"""Makes passes of one engine; the CUDA engine's may be given a `Capacity`."""
+"""Constructor of an engine's passes; the CUDA engine's accepts a `Capacity`."""
 
 
 def within(limits: Mapping[str, float], numbers: Mapping[str, Any]) -> bool:
-    """Whether numbers keep their limits."""
+    """Return True if numbers are within their limits."""
     return all(numbers[name] <= most for name, most in limits.items())

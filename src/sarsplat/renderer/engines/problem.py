@@ -1,4 +1,4 @@
-"""A call as the kernels want it: the C structure of its arrays, grids and limits."""
+"""Problems: C structures of a call's arrays, grids and limits."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from sarsplat.renderer.engines.chosen_views import by_view
 from sarsplat.renderer.engines.on_device import kept_on_device
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")
-"""Inputs by their names in a problem."""
+"""Names of the inputs in a problem."""
 
 
 def pointer(tensor: Tensor | None) -> int | None:
-    """Where a tensor's values lie."""
+    """Return the address of a tensor's values."""
     return None if tensor is None else tensor.data_ptr()
 
 
 def point_at(problem: ctypes.Structure, inputs: Sequence[Tensor | None]) -> None:
-    """Let a problem read these, in the order of `ARRAYS`."""
+    """Set the addresses of a problem's inputs, in the order of `ARRAYS`."""
     for name, tensor in zip(ARRAYS, inputs, strict=True):
         setattr(problem, name, pointer(tensor))
 
 
 def directions_to(views: Sequence[View], like: Tensor) -> Float[Tensor, "v 3"]:
-    """Unit vectors towards the radar, of the dtype and on the device of `like`."""
+    """Return unit vectors towards the radar, of the dtype and on the device of `like`."""
     return by_view(_direction, views, like.dtype, like.device)
 
 
-# A training asks for the same few views again and again, and a GPU should not be sent them each time.
+# A training renders the same few views again and again, which are sent to a GPU only once.
 @kept_on_device(maxsize=4096)
 def _direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " 3"]:
-    """The unit vector towards the radar."""
+    """Return the unit vector towards the radar."""
     return torch.from_numpy(view.look.facing).to(device, dtype)
 
 
@@ -54,38 +54,38 @@ def _frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
 
 @kept_on_device(maxsize=4096)
 def flat_frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
-    """A frame in which a place has the azimuth and the range of its foot at z = 0, and between them its height."""
+    """Return the frame (azimuth, height, range) in which a place has azimuth and range of its foot at z = 0."""
     along, away = view.look.gradients * (1.0, 1.0, 0.0)
     return torch.from_numpy(np.stack([along, np.cross(along, away), away])).float().to(device)
 
 
 @kept_on_device(maxsize=4096)
 def mirrored_frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
-    """The frame in which a scene has the coordinates that its image in the plane z = 0 has in the view's."""
+    """Return the frame in which a scene has the coordinates of its mirror image (z = 0) in the view's frame."""
     return torch.from_numpy(view.look.frame * (1.0, 1.0, -1.0)).float().to(device)
 
 
 @kept_on_device(maxsize=4096)
 def mirror_offset(view: View, height_m: float, device: torch.device) -> Float[Tensor, " 2"]:
-    """By how much its image in the plane z = height lies elsewhere on the computation plane, m."""
+    """Return the displacement of the mirror image on the computation plane for a mirror z = `height_m`, m."""
     return torch.from_numpy(view.look.frame[:2, 2] * (2 * height_m)).float().to(device)
 
 
 @kept_on_device(maxsize=4096)
 def foot_shift(view: View, height_m: float, device: torch.device) -> Float[Tensor, " 2"]:
-    """By how much a foot at this height is imaged elsewhere than the one at z = 0, m."""
+    """Return the displacement in the image of a foot at z = `height_m`, relative to z = 0, m."""
     return torch.from_numpy(view.look.gradients[:, 2] * height_m).float().to(device)
 
 
 @kept_on_device(maxsize=4096)
 def level_direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, " 3"]:
-    """The unit vector in the middle between that towards the radar and its mirror image: level."""
+    """Return the level unit vector halfway between the direction to the radar and its mirror image."""
     return torch.from_numpy(_level(view)).to(device, dtype)
 
 
 @kept_on_device(maxsize=4096)
 def level_basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
-    """Harmonics along that."""
+    """Return harmonics along `level_direction`."""
     return harmonic_basis(torch.from_numpy(_level(view)), degree).float().to(device)
 
 
@@ -96,7 +96,7 @@ def _level(view: View) -> Float[np.ndarray, " 3"]:
 
 @kept_on_device(maxsize=4096)
 def _basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
-    """Harmonics towards the radar."""
+    """Return harmonics towards the radar."""
     return harmonic_basis(torch.from_numpy(view.look.facing), degree).float().to(device)
 
 
@@ -108,7 +108,7 @@ def problem_of(
     p_min: float,
     peak: bool = False,
 ) -> tuple[ctypes.Structure, tuple[Tensor | None, ...]]:
-    """The kernel's view of a call, and the tensors it points at that must outlive it."""
+    """Return the problem of a call, and tensors that must outlive it."""
     means, _, _, _, harmonics, amplitudes, _ = inputs
     assert means is not None
     degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
@@ -136,13 +136,13 @@ _LIMITS = api.problem(
     flattest=FLATTEST,
     steepest=STEEPEST,
 )
-"""What is the same in every call."""
+"""Members that are equal in every call."""
 
 
 def new_problem(
     views: int, gaussians: int, *, grid: ImageGrid | None = None, rays: RayGrid | None = None, peak: bool = False
 ) -> ctypes.Structure:
-    """The kernel's view of a call, without its arrays; a step alone needs the grid of its plane only."""
+    """Return a problem without arrays; a single step needs only the grid of its plane."""
     problem = api.problem.from_buffer_copy(_LIMITS)
     problem.peak, problem.views, problem.gaussians = peak, views, gaussians
     if grid is not None:

@@ -1,4 +1,4 @@
-"""Steps that a GPU does by itself: their launches are recorded once, and then run again as they are."""
+"""Recording of training steps as CUDA graphs, which are replayed."""
 
 from __future__ import annotations
 
@@ -18,57 +18,56 @@ from sarsplat.renderer.engines.on_device import read_meanwhile
 T = TypeVar("T")
 
 MOST_WORDS = 992
-"""That can be told at a time, of csrc/cuda_training.cuh."""
+"""Maximum words of 4 bytes that one launch can send, as in csrc/cuda_training.cuh."""
 
 _Words = c_int32 * MOST_WORDS
 
 _RECORDING = threading.Lock()
-"""Of several threads, one records at a time: torch lists all graphs beside its random numbers, unguarded."""
+"""Lock of recordings: torch's list of graphs with its random generator is not thread-safe."""
 
 _RETIRED: list[torch.cuda.CUDAGraph] = []
-"""Graphs that nobody needs, and that leave that list when nobody records."""
+"""Unused graphs, which are freed while no thread records."""
 
 _IDLE: dict[torch.device, list[tuple[torch.cuda.Stream, torch.cuda.Stream | None]]] = {}
-"""Streams that recorders have given back, and on which their records were run, perhaps to this moment."""
+"""Streams of deleted recorders, and the streams on which their records may still run."""
 
 
 class Recorder(Protocol):
-    """What records on one device: a GPU, or the tests' emulation of one."""
+    """Recorder of one device: a GPU, or the tests' emulation of one."""
 
     @property
     def launcher(self) -> Launcher:
-        """What queues launches there."""
+        """Launcher of the device."""
         ...
 
     def rehearse(self, program: Callable[[], T]) -> T:
-        """Run a program where it would be recorded, so that all that is made once has been made."""
+        """Run a program on the stream of recordings, so that all caches are filled."""
         ...
 
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
         """Record a program without running it.
 
-        Returns the tensors that it gives, and what runs it again, with other numbers in the same places; until another
-        program is recorded.
+        Return its tensors, and a function that replays it on the same memory, until another program is recorded.
         """
         ...
 
 
 class CudaRecorder:
-    """Records on one GPU, as a graph of CUDA.
+    """Recorder of one GPU, by CUDA graphs.
 
-    Its stream is its own: what another thread launched there would be recorded, too, and tensors that are kept on the
-    device for it (`kept_on_device`) stay for as long as a record reads them.
+    It has its own stream, so that launches of other threads are not recorded; tensors cached on the device for it
+    (`kept_on_device`) stay alive as long as a record reads them.
     """
 
     def __init__(self, launcher: Device) -> None:
         self.launcher, self._graphs = launcher, list[torch.cuda.CUDAGraph]()
-        self._read: list[object] = []  # by the latest
+        self._read: list[object] = []  # by the latest record
         self._usual: torch.cuda.Stream | None = None
         try:
             self._stream, before = _IDLE.setdefault(launcher.device, []).pop()
         except IndexError:
             self._stream, before = launcher.new_stream(), None
-        if before is not None:  # what it read must not be overwritten yet
+        if before is not None:  # memory that its records read must not be overwritten yet
             self._stream.wait_stream(before)
 
     def __del__(self) -> None:
@@ -76,7 +75,7 @@ class CudaRecorder:
             _IDLE[self.launcher.device].append((self._stream, self._usual))
             _RETIRED.extend(self._graphs)
             self._graphs.clear()
-            if _RECORDING.acquire(blocking=False):  # it may be this very thread that records
+            if _RECORDING.acquire(blocking=False):  # this thread may be recording
                 _RETIRED.clear()
                 _RECORDING.release()
 
@@ -90,7 +89,7 @@ class CudaRecorder:
         return result
 
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
-        """As `Recorder.record`. Programs share their memory: each is the last to be run until the next is recorded."""
+        """As `Recorder.record`. Programs share their memory: only the latest may be replayed."""
         graph = torch.cuda.CUDAGraph()
 
         def recorded() -> T:
@@ -98,7 +97,7 @@ class CudaRecorder:
             try:
                 made = program()
             except BaseException:
-                with suppress(RuntimeError):  # which would only say that it failed
+                with suppress(RuntimeError):  # a second report of the same failure
                     graph.capture_end()
                 raise
             graph.capture_end()
@@ -107,10 +106,10 @@ class CudaRecorder:
         with _RECORDING, read_meanwhile() as self._read:
             memory = self._graphs[-1].pool() if self._graphs else None
             if memory is None:
-                torch.cuda.empty_cache()  # what the rehearsal took is kept there, and could not be given to a record
+                torch.cuda.empty_cache()  # a graph cannot use memory that the rehearsal has cached
             self._graphs.append(graph)
             result = self.rehearse(recorded)
-            del self._graphs[:-1]  # not before: the memory lives as long as one of them
+            del self._graphs[:-1]  # the memory lives as long as one of them
             _RETIRED.clear()
         return result, self._replay
 
@@ -119,31 +118,33 @@ class CudaRecorder:
 
 
 class Told:
-    """Numbers on a device that change from step to step, and reach it with the arguments of a launch.
+    """Numbers on a device that change between replays, and are sent as arguments of a launch.
 
     Parameters
     ----------
     recorder : Recorder
-        Whose device it is.
+        Recorder of the device.
     sizes : dict of str to (torch.dtype, int)
-        What there is to tell, by name: a type of 4 or 8 bytes, and how many numbers.
+        Dtype, of 4 or 8 bytes, and count of the numbers, by name.
     """
 
     def __init__(self, recorder: Recorder, sizes: dict[str, tuple[torch.dtype, int]]) -> None:
         self._launcher, self._words = recorder.launcher, _Words()
-        self._there = torch.zeros(MOST_WORDS, dtype=torch.int32, device=self._launcher.device)
-        self._here = torch.frombuffer(self._words, dtype=torch.int32)
+        self._device_words = torch.zeros(MOST_WORDS, dtype=torch.int32, device=self._launcher.device)
+        self._host_words = torch.frombuffer(self._words, dtype=torch.int32)
         self.tensors: dict[str, Tensor] = {}
-        self._at: dict[str, Tensor] = {}
+        self._host: dict[str, Tensor] = {}
         begin = 0
-        for name, (dtype, count) in sorted(sizes.items(), key=lambda item: -item[1][0].itemsize):  # so they are aligned
+        for name, (dtype, count) in sorted(sizes.items(), key=lambda item: -item[1][0].itemsize):  # aligned
             end = begin + count * dtype.itemsize // 4
-            self.tensors[name], self._at[name] = (w[begin:end].view(dtype) for w in (self._there, self._here))
+            self.tensors[name], self._host[name] = (
+                w[begin:end].view(dtype) for w in (self._device_words, self._host_words)
+            )
             begin = end
         self._count = c_int32(begin)
 
     def tell(self, **numbers: Tensor) -> None:
-        """Let the tensors have these numbers, which are on the CPU, from now on."""
+        """Send numbers on the CPU to the tensors, for the following launches."""
         for name, values in numbers.items():
-            self._at[name].copy_(values)
-        self._launcher.launch("tell", 1, 256, self._words, self._count, c_void_p(self._there.data_ptr()))
+            self._host[name].copy_(values)
+        self._launcher.launch("tell", 1, 256, self._words, self._count, c_void_p(self._device_words.data_ptr()))

@@ -1,4 +1,4 @@
-"""A whole rendering and its steps as calls of an engine on plain tensors; and what is wrong with those, by name."""
+"""Renderings and their steps as engine calls on plain tensors, with messages about rejected inputs."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ _WIDTHS = (2, 3, None, None, 2, 2, 3, None)  # of the tensors [V, N, …] of a p
 
 
 class Stage(Call):
-    """A call whose way back is on the pass of its way forward."""
+    """Call whose backward pass uses the state of its forward pass."""
 
     def __init__(self, kernel: Pass) -> None:
         self.kernel = kernel
 
 
 class _OfGaussians(Stage):
-    """A stage whose inputs are the arrays of a problem."""
+    """Stage whose inputs are the arrays of a problem."""
 
     names: ClassVar[tuple[str, ...]] = ARRAYS
     peak = False
@@ -52,17 +52,17 @@ class _OfGaussians(Stage):
         self.views, self.grid, self.rays, self.p_min = views, grid, rays, p_min
 
     def pose(self, inputs: Tensors) -> Any:
-        """The problem of these inputs."""
+        """Make the problem of these inputs."""
         self.problem, self.constants = problem_of(inputs, self.views, self.grid, self.rays, self.p_min, self.peak)
         return self.problem
 
     def new_gradients(self, saved: list[Any]) -> list[Tensor | None]:
-        """Room for the gradients: of what is given, and of the shift, which takes a kernel of its own, if needed."""
+        """Make tensors for gradients of the given inputs; of the shift, which takes an extra kernel, only if needed."""
         *others, shift = [None if t is None else torch.empty_like(t) for t in saved]
         return [*others, shift if self.needed[len(ARRAYS) - 1] else None]
 
     def accept(self, inputs: Tensors, fault: str, index: int) -> None:
-        """Raise what the kernel rejected, if anything."""
+        """Raise if the kernel rejected an input."""
         if not fault:
             return
         means, _, scales, *_ = inputs
@@ -76,15 +76,15 @@ class _OfGaussians(Stage):
 
 
 class Render(_OfGaussians):
-    """One call each way for all views: images, cross-sections, lit areas, and what the rays met."""
+    """Rendering of all views in one call each way: images, cross-sections, lit areas, and traced rays."""
 
     depth: float | None = None
-    """Of first returns, if they are asked for."""
+    """Two-way optical depth of first returns; None if they are not requested."""
     ends = False
-    """Whether T_end is asked for."""
+    """True if T_end is requested."""
     in_sight: Float[Tensor, "v n"] | None = None
     planes: Float[Tensor, "v n 4"] | None = None
-    """Filled with dL/d(mu_C, mu_I) on the way back."""
+    """Filled with dL/d(mu_C, mu_I) in the backward pass."""
     constant = (4,)
 
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
@@ -113,7 +113,7 @@ class Render(_OfGaussians):
 
 
 class Project(_OfGaussians):
-    """To the tensors of a projection, the last of which is γ⁰ of harmonics."""
+    """Projection; the last of its tensors is γ⁰ of harmonics."""
 
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
         problem, means = self.pose(inputs), inputs[0]
@@ -136,7 +136,7 @@ class Project(_OfGaussians):
 
 
 class PressedFlat(Project):
-    """The same of Gaussians pressed flat onto the plane z = 0, where the imaging plane shows them; the rest is void."""
+    """Projection of Gaussians pressed flat onto z = 0; only footprints on the imaging plane are valid."""
 
     def pose(self, inputs: Tensors) -> Any:
         problem, means = super().pose(inputs), inputs[0]
@@ -148,7 +148,7 @@ class PressedFlat(Project):
 
 
 class Bounce(_OfGaussians):
-    """One call each way for all views: images of what returns by way of a mirror on the ground, of one channel."""
+    """Images of the bounce off a mirror on the ground, one channel, of all views in one call each way."""
 
     names = (*ARRAYS, "transmittance", "lit_area")
 
@@ -183,7 +183,7 @@ class Bounce(_OfGaussians):
         problem, means = self.pose(inputs), inputs[0]
         assert means is not None
         images = means.new_empty(problem.views, self.grid.rows, self.grid.columns)
-        self.accept(inputs, *self.kernel.forward("bounce", problem, self._another_way(inputs), images.data_ptr()))
+        self.accept(inputs, *self.kernel.forward("bounce", problem, self._bounce(inputs), images.data_ptr()))
         return (images,)
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
@@ -193,11 +193,11 @@ class Bounce(_OfGaussians):
         ends, lit = torch.zeros_like(transmittance), torch.empty_like(lit_area)
         point_at(self.problem, arrays)
         addresses = ends.data_ptr(), lit.data_ptr()
-        self.kernel.backward("bounce", self.problem, self._another_way(saved), gradients, *addresses)
+        self.kernel.backward("bounce", self.problem, self._bounce(saved), gradients, *addresses)
         return [*results, ends, lit]
 
-    def _another_way(self, inputs: Tensors) -> Any:
-        """With the addresses of its arrays."""
+    def _bounce(self, inputs: Tensors) -> Any:
+        """Make the structure of the bounce's arrays."""
         _, feet, offset, _ = self.constants
         transmittance, lit_area = inputs[len(ARRAYS) :]
         return api.bounce(
@@ -211,7 +211,7 @@ class Bounce(_OfGaussians):
 
 
 class Attenuate(Stage):
-    """Footprints to lit areas, and what the rays met."""
+    """Attenuation: footprints to lit areas and traced rays."""
 
     names = ("rays.centers", "rays.roots", "optical_depth", "range_m", "tilt")
     saved = slice(0)
@@ -245,7 +245,7 @@ class Attenuate(Stage):
 
 
 class Splat(Stage):
-    """Footprints and cross-sections to images; of channels with `turns` per metre of elevation, with their slopes."""
+    """Splatting: footprints and cross-sections to images; with waves of `turns` per metre of elevation if given."""
 
     names = ("footprints.centers", "footprints.roots", "cross_sections", "waves.slopes")
     saved = slice(2, 4)
@@ -290,23 +290,23 @@ class Splat(Stage):
 
 
 def _by_view(like: Tensor, problem: Any, width: int | None) -> Tensor:
-    """A new tensor [V, N] or [V, N, width]."""
+    """Make a tensor [V, N] or [V, N, width]."""
     shape = problem.views, problem.gaussians
     return like.new_empty(shape if width is None else (*shape, width))
 
 
 def _traced(kernel: Pass, problem: Any, depth: float | None, ends: bool, like: Tensor) -> tuple[Tensor, Tensor]:
-    """T_end of the rays of all views, one after the other, and first returns; of none that are not asked for."""
-    asked = ends or depth is not None
-    count = kernel.ray_count(problem.views) if asked else 0
+    """Return T_end and first returns of the rays of all views, one after the other; empty if not requested."""
+    requested = ends or depth is not None
+    count = kernel.ray_count(problem.views) if requested else 0
     transmittance, first_return = like.new_empty(count), like.new_empty(0 if depth is None else count)
-    if asked:
+    if requested:
         kernel.trace(problem, depth or 0.0, transmittance.data_ptr(), pointer(None if depth is None else first_return))
     return transmittance, first_return
 
 
 def _too_many_rays(view: int, rays: RayGrid, reach_m: float, width_m: float) -> str:
-    """The sentence for a lattice that would be too large."""
+    """Return the message for a lattice that is too large."""
     return (
         f"view {view} would need too many rays at a spacing of {rays.spacing_m} m: the Gaussians reach {reach_m:.4g} m "
         f"from the scene centre and are up to {width_m:.4g} m wide; remove distant or wide ones, or use coarser rays"
@@ -314,7 +314,7 @@ def _too_many_rays(view: int, rays: RayGrid, reach_m: float, width_m: float) -> 
 
 
 def _accept_footprints(names: Sequence[str], inputs: Tensors, fault: str, index: int) -> None:
-    """Raise what a step rejected, if anything."""
+    """Raise if a step rejected an input."""
     for name, tensor in zip(names, inputs, strict=True):
         if fault and name.rpartition(".")[2] == fault:
             assert tensor is not None

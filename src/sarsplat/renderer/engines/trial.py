@@ -1,4 +1,4 @@
-"""Whether the CUDA engine can be trusted on a GPU: a small scene and its gradients, there and on the CPU."""
+"""Trial of the CUDA engine on a GPU: a small scene and its gradients, compared with the CPU engine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.stages import Render
 
 _LARGEST_ERROR = 2e-5
-"""Relative, in the Euclidean norm; the emulated engine has 6e-7."""
+"""Maximum relative difference in the Euclidean norm; the emulated engine has 6e-7."""
 
 _VIEWS = (View(20.0, 30.0), View(140.0, 50.0))
 _GRID = ImageGrid(40, 56, (0.3, 0.25), (0.4, 0.3))
@@ -27,10 +27,10 @@ _GRID = ImageGrid(40, 56, (0.3, 0.25), (0.4, 0.3))
 
 @cache
 def objection(where: torch.device) -> str:
-    """Why not to use the CUDA engine there; "" if it does what the CPU engine does.
+    """Return the reason not to use the CUDA engine on a device; "" if it agrees with the CPU engine.
 
-    The result of the comparison is kept in the cache folder until the GPU, its driver or the engine changes; what
-    prevents the comparison, such as a missing compiler or too little free memory, is not.
+    The result is cached on disk until the GPU, its driver or the engine changes; failures to compare, such as a missing
+    compiler or insufficient memory, are not cached.
     """
     try:
         require_cuda()
@@ -48,7 +48,7 @@ def objection(where: torch.device) -> str:
 
 
 def _sources() -> list[str]:
-    """All that the engine is made of."""
+    """Return all sources of the engine."""
     plan = sorted(Path(__file__).parent.glob("cuda*.py"))
     return [*nvrtc.sources().values(), *(path.read_text(encoding="utf-8") for path in plan)]
 
@@ -75,7 +75,7 @@ def _first_line(error: Exception) -> str:
 @torch.inference_mode(False)
 @torch.enable_grad()
 def _rendered(new_pass: NewPass, where: torch.device) -> dict[str, Tensor]:
-    """Outputs and gradients by name, of several tiles and of more Gaussians than a block has threads."""
+    """Return outputs and gradients by name, of several tiles and more Gaussians than a block has threads."""
     n, views = 300, len(_VIEWS)
     shapes = {"means": (n, 3), "quaternions": (n, 4), "scales": (n, 3), "optical_depth": (n,), "harmonics": (n, 4)}
     shapes |= {"amplitudes": (views, n, 5), "shift": (views, 2)}

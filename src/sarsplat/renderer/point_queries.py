@@ -1,4 +1,4 @@
-"""Values at places on a lattice around the origin: linear between them, and beyond the last ones as there."""
+"""Bilinear interpolation on a lattice around the origin, constant beyond its edges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 def at_places(
     table: Float[Tensor, "ny nx"], x: Float[Tensor, "*n"], y: Float[Tensor, "*n"], pitch_m: float
 ) -> Float[Tensor, "*n"]:
-    """The table's values at (x, y), m; differentiable by all three, with sums in the same order in every run."""
+    """Interpolate a table at (x, y), m; differentiable by all three, with gradients summed in a fixed order."""
     (column, right, next_column), (row, down, next_row) = (
         _between(at, pitch_m, count) for at, count in zip((x, y), reversed(table.shape), strict=True)
     )
@@ -22,14 +22,14 @@ def at_places(
 def _between(
     place_m: Float[Tensor, "*n"], pitch_m: float, count: int
 ) -> tuple[Int64[Tensor, "*n"], Float[Tensor, "*n"], int]:
-    """The places before, how far on it is to the next ones, and how many numbers on those are."""
+    """Return the index of the lattice point before, the share of the step to the next, and the increment to that."""
     place = (place_m / pitch_m + (count - 1) / 2).clamp(0, count - 1)
     before = place.detach().floor().clamp(max=max(count - 2, 0))
     return before.long(), place - before, min(count - 1, 1)
 
 
 def _rows(table: Float[Tensor, " n"], index: Tensor) -> Tensor:
-    """`table[index]`, whose gradient is summed in the same order in every run."""
+    """Return `table[index]`, whose gradient is summed in a fixed order."""
     if table.is_cuda:
         return table[index]
     return table.index_select(0, index.reshape(-1)).view(index.shape)  # twenty times as fast on a CPU
