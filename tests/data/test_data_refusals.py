@@ -142,16 +142,13 @@ SETS: Refusals = [
     (lambda _: SarImage.of_complex(np.full((6, 5), 1e30 + 0j), VIEW, TINY), r"holds inf at \(0, 0\)"),
     (lambda _: SarImage.of_complex(np.full((6, 5), np.nan + 0j), VIEW, TINY), r"holds nan at \(0, 0\)"),
     (lambda _: Dataset.from_images([PHASES[0], PHASES[1], _FIRST]), "2 of 3 images have their phase"),
-    (lambda _: Dataset.of_complex(TINY, (), np.empty((0, 6, 5), np.complex64)), "a dataset needs images"),
-    (lambda _: tiny_dataset(NOISE[:0], views=[]), "a dataset needs images"),
+    (lambda _: Dataset.of_complex(TINY, (), np.empty((0, 6, 5), np.complex64)), "at least one image"),
+    (lambda _: tiny_dataset(NOISE[:0], views=[]), "at least one image"),
     *((lambda _, bad=bad: tiny_dataset(NOISE * np.float32(bad)), "power must be finite") for bad in (np.nan, np.inf)),
     (lambda _: tiny_dataset(NOISE[..., :4]), "must be float32"),
     (lambda _: Dataset.from_images([_FIRST, _OTHER]), r"image 1 is on .* but the first image is on"),
     (lambda _: Dataset.from_images([], test=[_FIRST]), "no training images"),
-    (
-        lambda _: Dataset.from_images([_FIRST] * 4, azimuth_std_deg=[1, 2]),
-        "azimuth_std_deg holds 2 numbers for 4 images",
-    ),
+    (lambda _: Dataset.from_images([_FIRST] * 4, azimuth_std_deg=[1, 2]), "azimuth_std_deg holds 2 "),
     *(
         (
             lambda _, wrong=wrong: Dataset.from_images([_FIRST] * 4, azimuth_std_deg=[wrong] * 4),
@@ -159,11 +156,11 @@ SETS: Refusals = [
         )
         for wrong in (-1, 11, float("nan"))
     ),
-    (lambda _: Dataset.from_images([_FIRST] * 4, turns=[Turn((0, 0, 1), 0.0)]), "turns holds 1 for 4 images"),
+    (lambda _: Dataset.from_images([_FIRST] * 4, turns=[Turn((0, 0, 1), 0.0)]), "turns holds 1 "),
     (lambda _: Dataset.from_images([_FIRST], turns=[Turn((0, 0, 1), 0.0)]), "is not of a target that turns about"),
     *((lambda _, ask=ask: ask(tiny_dataset(), "test-15"), "no set 'test-15'; it has train, test-17, test")
       for ask in (Dataset.images, Dataset.select)),
-    (lambda _: tiny_dataset(terrain=hill()), "terrain is the ground that images show, but ground is False"),
+    (lambda _: tiny_dataset(terrain=hill()), "terrain .* ground is False"),
 ]  # fmt: skip
 
 # ---- datasets on the disk ----
@@ -404,18 +401,15 @@ def heights(values: np.ndarray = HEIGHTS, cut: int | None = None, **options: Any
 
 
 TERRAIN: Refusals = [
-    (heights(keys=DEGREES), "is in degrees of latitude and longitude; bring it into metres"),
-    (heights(keys=FEET), "is measured east in units called US survey foot; make metres"),
-    (heights(scale=None), "does not say how far its pixels are apart; write it as a GeoTIFF in metres"),
-    (heights(scale=(-2.0, 3.0, 0.0)), "is turned against its system's axes; straighten it"),
-    (heights(HEIGHTS[:1]), "has 1 × 4 heights; give at least 2 × 2"),
-    (
-        heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)),
-        "1 height of 12 that is not known, within rows 2 to 2 and columns 2 to 2; fill",
-    ),
-    (heights(extra=[(42113, "s", 0, "6", True)]), "has 1 height of 12 that is not known"),
-    (heights(np.zeros((4, 5, 3), np.uint8), photometric="rgb"), "has 3 bands; give one of heights"),
-    (heights(scale=None, extra=[TURNED]), "is turned against its system's axes; straighten it"),
+    (heights(keys=DEGREES), "in degrees of latitude"),
+    (heights(keys=FEET), "measured east in units called US survey foot"),
+    (heights(scale=None), "no pixel size"),
+    (heights(scale=(-2.0, 3.0, 0.0)), "rotated against"),
+    (heights(HEIGHTS[:1]), "has 1 × 4 heights"),
+    (heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)), "1 unknown height of 12, within rows 2 to 2 and columns 2 to 2"),
+    (heights(extra=[(42113, "s", 0, "6", True)]), "1 unknown height of 12"),
+    (heights(np.zeros((4, 5, 3), np.uint8), photometric="rgb"), "has 3 bands"),
+    (heights(scale=None, extra=[TURNED]), "rotated against"),
     (heights(cut=-40), "bad.tif"),
     (stored(b"heights", read_terrain), "is not a readable raster"),
 ]

@@ -50,7 +50,7 @@ def test_rows_that_are_no_numbers_are_left_out_and_counted(tmp_path):
     rest = {name: column[5:] for name, column in whole.items()}
     assert equal(read, read_gaussians_ply(write(tmp_path / "b.ply", rest)))
     nothing = dict.fromkeys(whole, np.full(3, np.nan))
-    with pytest.raises(SarsplatError, match="so that none is left"):
+    with pytest.raises(SarsplatError, match="3 Gaussians of 3"):
         read_gaussians_ply(write(tmp_path / "c.ply", nothing))
 
 
@@ -110,5 +110,5 @@ def test_splat_files_are_read_as_the_ply_they_were_made_from(tmp_path):
 @pytest.mark.parametrize("size", [0, 31, 33])
 def test_what_is_no_splat_file_is_refused(tmp_path, size):
     (tmp_path / "a.splat").write_bytes(bytes(size))
-    with pytest.raises(SarsplatError, match=rf"a\.splat has {size} bytes, which are no whole number of Gaussians"):
+    with pytest.raises(SarsplatError, match=rf"a\.splat has {size} bytes"):
         read_gaussians_ply(tmp_path / "a.splat")

@@ -13,7 +13,7 @@ from sarsplat.typed import convert
 SCHEMA = "sarsplat-dataset"
 SCHEMA_VERSION = 2
 SPLIT = "train|test[A-Za-z0-9.-]*"
-"""Names of sets."""
+"""Pattern of names of sets."""
 
 Calibration = Literal["absolute", "relative"]
 Pair = tuple[float, float]
@@ -22,12 +22,12 @@ Box = tuple[Point, Point]
 
 
 def about(text: str, **limits: Any) -> msgspec.Meta:
-    """What a field means, for dataset.schema.json; the limits are checked by what is built from the value."""
+    """Describe a field for dataset.schema.json; its limits are checked later, by the class built from the header."""
     return msgspec.Meta(description=text, extra_json_schema=limits)
 
 
 class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A JSON object: every field there, none unknown, each of its type."""
+    """JSON object with all required fields, no unknown ones, each of its type."""
 
 
 _RETIRED = about("0 or absent: older versions wrote it, and bistatic views are rejected", const=0)
@@ -138,7 +138,7 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
 
 
 class PlaceHeader(Strict, frozen=True):
-    """Where on earth the scene is."""
+    """Position and orientation of the scene on earth."""
 
     latitude_deg: Annotated[
         float, about("of the origin, degrees north, WGS 84 as the longitude", minimum=-90, maximum=90)
@@ -151,17 +151,17 @@ class PlaceHeader(Strict, frozen=True):
 
     @property
     def place(self) -> Place:
-        """The place that it describes; refused if there is none such."""
+        """The `Place` with these values; raises if they are out of range."""
         return Place(self.latitude_deg, self.longitude_deg, self.height_m, self.x_towards_deg, self.height_above)
 
 
 def place_header(place: Place | None) -> PlaceHeader | msgspec.UnsetType:
-    """A place as headers hold it."""
+    """Convert a place for a header."""
     return msgspec.UNSET if place is None else convert(place.as_dict(), PlaceHeader)
 
 
 class DatasetHeader(Strict, frozen=True, omit_defaults=True):
-    """A dataset without its pixels. What came later has a default, which the fingerprint leaves out."""
+    """A dataset without its pixels. Fields of later versions have defaults, which are left out of the fingerprint."""
 
     schema: Annotated[str, about("kind of file", const=SCHEMA)]
     schema_version: Annotated[int, about("version of this schema", const=SCHEMA_VERSION)]
