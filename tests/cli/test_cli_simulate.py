@@ -195,7 +195,7 @@ def test_second_bounces_are_recorded_and_told(box: Path, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("--ground-reflectivity 0.5", "is of second bounces; ask for 2 bounces"),
+        ("--ground-reflectivity 0.5", "is for second bounces; ask for 2 bounces"),
         ("--bounces 2 --ground 0.1", "like a mirror is nowhere said"),
         ("--bounces 2 --passes 2 --baseline 0.004", "--bounces 2 is for single images"),
         ("--bounces 2 --source splat", "second bounces are by way of the ground alone"),

@@ -13,7 +13,7 @@ import tifffile
 
 from datasets import small_dataset
 from sarsplat import Place, SarsplatError, SarsplatWarning, Terrain, View, read_terrain, write_terrain
-from sarsplat.data import read_dataset, write_dataset
+from sarsplat.data import Dataset, read_dataset, write_dataset
 from sarsplat.data.geotiff import read_heights
 from sarsplat.examination.plausible import suspicions
 from sarsplat.importers import MeasuredImage, dataset_of
@@ -56,9 +56,7 @@ def test_what_is_not_known_at_edges_is_cut_off_around_the_same_middle(tmp_path):
     for row in range(30):  # as after bringing it into another system
         wedges[row, : row // 10] = wedges[row, 40 - (29 - row) // 10 :] = np.nan
     write_geotiff(tmp_path / "whole.tif", whole)
-    with pytest.warns(
-        SarsplatWarning, match=r"60 unknown heights of 1200 .* 0 rows above .* 2 columns left"
-    ):
+    with pytest.warns(SarsplatWarning, match=r"60 unknown heights of 1200 .* 0 rows above .* 2 columns left"):
         read = read_terrain(write_geotiff(tmp_path / "a.tif", wedges))
     assert np.array_equal(read.heights_m, whole[::-1, 2:-2])
     assert read.height_m(np.zeros(1), np.zeros(1)) == read_terrain(tmp_path / "whole.tif").height_m(*np.zeros((2, 1)))
@@ -183,14 +181,17 @@ def test_terrain_is_laid_out_around_another_place(tmp_path):
         made.around(replace(spot, latitude_deg=46.0), 300.0)
 
 
-def test_a_dataset_takes_the_place_of_its_terrain():
-    place = Place(10.0, 20.0, 30.0)
-    relief = replace(hill(), place=place)
+def on_terrain(terrain: Terrain, place: Place | None = None) -> Dataset:
     image = MeasuredImage("a", np.ones((16, 16), np.float32), View(0, 40), (0.5, 0.5), (0.6, 0.6))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SarsplatWarning)
-        made = dataset_of([image], target="a", source={}, terrain=relief)
-        turned = dataset_of([image], target="a", source={}, terrain=relief, place=replace(place, x_towards_deg=0.0))
+        return dataset_of([image], target="a", source={}, terrain=terrain, place=place)
+
+
+def test_a_dataset_takes_the_place_of_its_terrain():
+    place = Place(10.0, 20.0, 30.0)
+    relief = replace(hill(), place=place)
+    made, turned = on_terrain(relief), on_terrain(relief, replace(place, x_towards_deg=0.0))
     assert made.place == place
     assert made.terrain is relief
     assert turned.place.x_towards_deg == 0.0  # north, which is to the left of the other's x
@@ -262,12 +263,8 @@ def test_packed_heights_with_a_mask_and_overviews(tmp_path, inside):
 
 
 def test_levels_of_heights_are_not_mixed_without_a_word():
-    image = MeasuredImage("a", np.ones((16, 16), np.float32), View(0, 40), (0.5, 0.5), (0.6, 0.6))
-
     def made(terrain, place=None):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SarsplatWarning)
-            dataset = dataset_of([image], target="a", source={}, terrain=terrain, place=place)
+        dataset = on_terrain(terrain, place)
         return dataset.place, " ".join(dataset.source["assumptions"])
 
     sea = replace(hill(), place=Place(10.0, 20.0, 30.0, height_above="sea level")).centred()

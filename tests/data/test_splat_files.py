@@ -70,22 +70,13 @@ def test_nan_in_what_is_not_needed_does_not_matter(tmp_path):
 
 # ---- .splat ----------------------------------------------------------------------------------------------------------
 def splat(path: Path, table: dict[str, np.ndarray]) -> Path:
-    """What a converter makes of a PLY, written down plainly."""
-    import struct
-
-    rows = []
-    for k in range(len(table["x"])):
-        colour = [0.5 + table[f"f_dc_{c}"][k] * CONSTANTS[0] for c in range(3)] + [
-            1 / (1 + np.exp(-table["opacity"][k]))
-        ]
-        turn = np.array([table[f"rot_{c}"][k] for c in range(4)])
-        turn /= np.linalg.norm(turn)
-        rows.append(
-            struct.pack("<6f", *(table[c][k] for c in "xyz"), *(np.exp(table[f"scale_{c}"][k]) for c in range(3)))
-        )
-        rows.append(bytes(int(np.clip(round(255 * value), 0, 255)) for value in colour))
-        rows.append(bytes(int(np.clip(round(128 + 128 * value), 0, 255)) for value in turn))
-    path.write_bytes(b"".join(rows))
+    """The file that a converter makes of a PLY."""
+    lengths = np.column_stack([table[c] for c in "xyz"] + [np.exp(table[f"scale_{c}"]) for c in range(3)])
+    colour = [0.5 + table[f"f_dc_{c}"] * CONSTANTS[0] for c in range(3)] + [1 / (1 + np.exp(-table["opacity"]))]
+    turn = np.column_stack([table[f"rot_{c}"] for c in range(4)])
+    turn = 128 + 128 * turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    octets = np.clip(np.round(np.column_stack([255 * np.column_stack(colour), turn])), 0, 255).astype(np.uint8)
+    path.write_bytes(np.concatenate([lengths.astype("<f4").view(np.uint8), octets], axis=1).tobytes())
     return path
 
 
@@ -93,15 +84,12 @@ def test_splat_files_are_read_as_the_ply_they_were_made_from(tmp_path):
     table = columns(0)
     for k in range(3):
         table[f"f_dc_{k}"] = table[f"f_dc_{k}"] * 0.4  # colours within 0 to 1
-    read, plain = (
-        read_gaussians_ply(splat(tmp_path / "a.splat", table)),
-        read_gaussians_ply(write(tmp_path / "a.ply", table)),
-    )
+    read = read_gaussians_ply(splat(tmp_path / "a.splat", table))
+    plain = read_gaussians_ply(write(tmp_path / "a.ply", table))
     torch.testing.assert_close(read.means, plain.means)
     torch.testing.assert_close(read.scales, plain.scales)
-    torch.testing.assert_close(
-        1 - torch.exp(-read.optical_depth), 1 - torch.exp(-plain.optical_depth), atol=0.003, rtol=0
-    )
+    opacity, expected = (1 - torch.exp(-one.optical_depth) for one in (read, plain))
+    torch.testing.assert_close(opacity, expected, atol=0.003, rtol=0)
     torch.testing.assert_close(read.scattering.parameters, plain.scattering.parameters, atol=0.01, rtol=0)
     cosines = torch.nn.functional.cosine_similarity(read.quaternions, plain.quaternions, dim=1)
     assert cosines.min() > 0.999
