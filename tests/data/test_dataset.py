@@ -35,17 +35,9 @@ def dataset(tmp_path, written):
 
 
 def test_round_trip(tmp_path):
-    fields = {
-        "target": "t72",
-        "calibration": "relative",
-        "looks": 3,
-        "clean_tests": True,
-        "ground": True,
-        "score_margin": 2,
-        "target_box_m": ((-1, -2.5, 0), (4, 5, 6)),
-        "protocol": "mstar",
-        "source": {"kind": "made up", "list": (1, 2.5, None)},
-    }
+    fields = {"target": "t72", "calibration": "relative", "looks": 3, "clean_tests": True, "ground": True}
+    fields |= {"score_margin": 2, "target_box_m": ((-1, -2.5, 0), (4, 5, 6)), "protocol": "mstar"}
+    fields |= {"source": {"kind": "made up", "list": (1, 2.5, None)}}
     dataset = make(tmp_path / "set", **fields)
     again = read_dataset(tmp_path / "set")
     for read in (dataset, again):
@@ -87,11 +79,7 @@ def test_sets_of_a_dataset(dataset):
 
 def test_each_set_knows_whether_it_is_speckled(tmp_path):
     dataset = make(tmp_path / "set", looks=4, clean_tests=True)
-    assert {split: dataset.select(split).looks for split in dataset.splits()} == {
-        "train": 4,
-        "test-17": None,
-        "test": None,
-    }
+    assert [dataset.select(split).looks for split in ("train", "test-17", "test")] == [4, None, None]
     assert dataset.speckle == "4 looks, test images without"
     plain = make(tmp_path / "plain", looks=1)
     assert [plain.select(split).looks for split in plain.splits()] == [1, 1, 1]
@@ -252,10 +240,8 @@ def test_the_phase_makes_another_dataset():
 def test_phoenix_files_keep_their_phases(tmp_path):
     (tmp_path / "chips").mkdir()
     magnitude = (1 + np.arange(24, dtype=np.float32)).reshape(4, 6)
-    for index in range(3):
-        (tmp_path / f"chips/HB{index}.015").write_bytes(
-            phoenix_bytes(magnitude * (1 + index), TargetAz=str(120 * index))
-        )
+    for k in range(3):
+        (tmp_path / f"chips/HB{k}.015").write_bytes(phoenix_bytes(magnitude * (1 + k), TargetAz=str(120 * k)))
     made = import_mstar(tmp_path / "chips", tmp_path / "set", labels=None, target_class="T72", train_views=3)
     np.testing.assert_allclose(np.angle(made.signal), 3.0, atol=1e-5)
     np.testing.assert_allclose(np.sqrt(made.power[0] / made.power[0, -1, -1]), magnitude[::-1, ::-1], rtol=1e-5)

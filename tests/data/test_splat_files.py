@@ -33,6 +33,17 @@ def equal(one: Gaussians, other: Gaussians) -> bool:
     return all(torch.equal(a, b) for a, b in zip(one.tensors().values(), other.tensors().values(), strict=True))
 
 
+def test_colours_and_opacities_become_scattering_and_depth(tmp_path):
+    table = {name: np.zeros(2) for name in columns()} | {"rot_0": np.ones(2), "f_dc_0": 3 * np.ones(2)}
+    table |= {"f_dc_1": 6 * np.ones(2), "opacity": np.array([0, 100]), "scale_0": np.array([-20, np.log(0.5)])}
+    table |= {f"f_rest_{3 * channel + 1}": np.full(2, channel + 1.0) for channel in range(3)}  # the z harmonic
+    read = read_gaussians_ply(write(tmp_path / "a.ply", table))
+    assert read.scattering.p_min == 0
+    torch.testing.assert_close(read.optical_depth, torch.tensor([np.log(2), MAX_OPTICAL_DEPTH], dtype=torch.float32))
+    torch.testing.assert_close(read.scales[:, 0], torch.tensor([MIN_SCALE, 0.5]))
+    torch.testing.assert_close(read.scattering.parameters[0], torch.tensor([3.0, 0, -2, 0]))
+
+
 @pytest.mark.parametrize("ends", ["\r\n", "\r"])
 def test_headers_may_have_other_line_ends(tmp_path, ends):
     plain = read_gaussians_ply(write(tmp_path / "a.ply", columns()))
