@@ -6,6 +6,7 @@ Run as `python docs/draw_conditions.py`; it takes a minute. Writes docs/images/c
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import cast
 
@@ -15,37 +16,28 @@ import trimesh
 from draw_village import FARTHEST_M, SEEN_FROM, show
 from scipy.spatial import KDTree
 
-from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct, target_mesh
+from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct
 from sarsplat.colours import ERROR, HEIGHT, POWER, colormap
 from sarsplat.evaluation import Yardstick, visible_surface
 from sarsplat.radiometry import to_db
 from sarsplat.scenes.simulate import simulate_images
 
-PICTURE = Path(__file__).parent / "images" / "conditions.png"
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "experiments"))
+from conditions import SCENES  # noqa: E402
+
+PICTURE = HERE / "images" / "conditions.png"
 GRID = ImageGrid(128, 128, (0.3, 0.3), (0.3, 0.3))
 VIEWS = [View(azimuth, grazing) for grazing in (35.0, 50.0) for azimuth in range(0, 360, 30)]
-PARKED = {"t72": (-6.0, -5.0, 20.0), "btr70": (6.0, -3.0, 110.0), "kraz": (0.0, 7.0, -35.0)}
-"""Vehicles with x and y (m) and heading (degrees)."""
 
 SHOWN_VIEW = VIEWS.index(View(SEEN_FROM.azimuth_deg, 35.0))
 SHOWN_DB = (-25.0, 10.0)
 SAMPLES, SHOWN = 500_000, 150_000
 
 
-def vehicles() -> trimesh.Trimesh:
-    """Vehicles beside each other."""
-    parts = []
-    for name, (x, y, heading_deg) in PARKED.items():
-        part = target_mesh(name)
-        part.apply_transform(trimesh.transformations.rotation_matrix(np.radians(heading_deg), (0, 0, 1)))
-        part.apply_translation((x, y, 0))
-        parts.append(part)
-    return cast(trimesh.Trimesh, trimesh.util.concatenate(parts))
-
-
 def main() -> None:
     """Simulate, reconstruct, draw."""
-    mesh = vehicles()
+    mesh = cast(trimesh.Trimesh, trimesh.util.concatenate(SCENES["three vehicles"][1]()))
     power = simulate_images(mesh, VIEWS, GRID, ground_gamma0=0.05, looks=1)
     entries = tuple(DatasetEntry(view, "train", f"{k:03}") for k, view in enumerate(VIEWS))
     run = reconstruct(Dataset(GRID, entries, power, target="three vehicles", looks=1.0, ground=True))

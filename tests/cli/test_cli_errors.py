@@ -39,7 +39,7 @@ MISTAKES = {
     "export full new.ply": "not a run",
     "chips nowhere --out new": "does not exist",
     "chips --out new": "there are no runs",
-    f"{SIMULATE} --terrain full/dem.tif": "has no γ⁰; give that too, with --ground",
+    f"{SIMULATE} --terrain full/dem.tif": "the γ⁰ of the ground; give that too, with --ground",
     f"{SIMULATE} --ground 0.1 --terrain full/dem.tif --masks": "--masks are of a target on flat ground; leave out",
     f"{SIMULATE} --ground 0.1 --terrain missing.tif": "missing.tif",
     "view empty": "is neither a run nor a dataset",

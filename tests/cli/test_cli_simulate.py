@@ -195,10 +195,10 @@ def test_second_bounces_are_recorded_and_told(box: Path, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("--ground-reflectivity 0.5", "is of second bounces; ask for 2 bounces"),
-        ("--bounces 2 --ground 0.1", "like a mirror is nowhere said"),
+        ("--ground-reflectivity 0.5", "is for second bounces; ask for 2 bounces"),
+        ("--bounces 2 --ground 0.1", "mirror reflectivity is None"),
         ("--bounces 2 --passes 2 --baseline 0.004", "--bounces 2 is for single images"),
-        ("--bounces 2 --source splat", "second bounces are by way of the ground alone"),
+        ("--bounces 2 --source splat", "second bounces need a ground that reflects"),
     ],
 )
 def test_second_bounces_that_make_no_sense_are_refused(

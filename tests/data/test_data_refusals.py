@@ -51,10 +51,7 @@ FILES: Refusals = [
     (lambda at: write_bytes(at / "no" / "a", b""), "does not exist"),
     (touched("file", lambda at: write_bytes(at / "file" / "a", b"")), "is a file, not a folder"),
     (lambda at: write_bytes(at, b""), "is a folder, not a file"),
-    (
-        stored(b'{"a": 1, "b": ' + b"[" * 100_000, lambda path: read_json(path, dict[str, str])),
-        "expected `str`, got `int`",
-    ),
+    (stored(b'{"a": 1, "b": ' + b"[" * 100_000, lambda path: read_json(path, dict[str, str])), "got `int`"),
 ]
 
 
@@ -116,18 +113,12 @@ TABLES: Refusals = [
 VIEW, GRID = View(0, 30), ImageGrid(2, 3, (0.3, 0.3), (0.3, 0.3))
 POWERS: Refusals = [
     (lambda _: SarImage([[1.0, 1, 1], [1, 1, 1]], VIEW, GRID), "the image is of type list; give power as an array"),
-    (
-        lambda _: SarImage(np.ones((2, 3), complex), VIEW, GRID),
-        "the image is of type complex128; give power as .*SarImage.of_complex",
-    ),
+    (lambda _: SarImage(np.ones((2, 3), complex), VIEW, GRID), "complex128; give power as .*SarImage.of_complex"),
     (lambda _: SarImage(np.ones((3, 2)), VIEW, GRID), r"shape \(3, 2\) but its grid has \(2, 3\)"),
     (lambda _: SarImage(np.array([[1, 1, 1], [1, -1, 1.0]]), VIEW, GRID), r"holds -1 at \(1, 1\)"),
     (lambda _: SarImage(np.array([[1, 1, 1], [1, 1, np.nan]]), VIEW, GRID), r"holds nan at \(1, 2\)"),
     (lambda at: SarImage(np.ones((2, 3)), VIEW, GRID).save(at / "out.tif"), r"does not end in \.png"),
-    (
-        lambda at: SarImage(np.ones((2, 3)), VIEW, GRID).save(at / "out.png", dynamic_range_db=0.0),
-        r"dynamic range of 0\.0 dB",
-    ),
+    (lambda at: SarImage(np.ones((2, 3)), VIEW, GRID).save(at / "out.png", dynamic_range_db=0.0), r"of 0\.0 dB"),
 ]
 
 PHASES = tiny_dataset(SIGNALS)
@@ -135,35 +126,26 @@ _FIRST, _OTHER = (SarImage(NOISE[0], VIEW, grid) for grid in (TINY, replace(TINY
 SETS: Refusals = [
     (lambda _: replace(PHASES, power=2 * PHASES.power), "not the squared magnitude of its signal"),
     (lambda _: SarImage(PHASES.power[0], VIEW, TINY, SIGNALS[1]), "not the squared magnitude of its signal"),
-    (
-        lambda _: SarImage.of_complex(np.ones((6, 5)), VIEW, TINY),
-        "of type float64; give an array of complex amplitudes",
-    ),
+    (lambda _: SarImage.of_complex(np.ones((6, 5)), VIEW, TINY), "of type float64; give an array of complex"),
     (lambda _: SarImage.of_complex(np.full((6, 5), 1e30 + 0j), VIEW, TINY), r"holds inf at \(0, 0\)"),
     (lambda _: SarImage.of_complex(np.full((6, 5), np.nan + 0j), VIEW, TINY), r"holds nan at \(0, 0\)"),
     (lambda _: Dataset.from_images([PHASES[0], PHASES[1], _FIRST]), "2 of 3 images have their phase"),
-    (lambda _: Dataset.of_complex(TINY, (), np.empty((0, 6, 5), np.complex64)), "a dataset needs images"),
-    (lambda _: tiny_dataset(NOISE[:0], views=[]), "a dataset needs images"),
+    (lambda _: Dataset.of_complex(TINY, (), np.empty((0, 6, 5), np.complex64)), "at least one image"),
+    (lambda _: tiny_dataset(NOISE[:0], views=[]), "at least one image"),
     *((lambda _, bad=bad: tiny_dataset(NOISE * np.float32(bad)), "power must be finite") for bad in (np.nan, np.inf)),
     (lambda _: tiny_dataset(NOISE[..., :4]), "must be float32"),
     (lambda _: Dataset.from_images([_FIRST, _OTHER]), r"image 1 is on .* but the first image is on"),
     (lambda _: Dataset.from_images([], test=[_FIRST]), "no training images"),
-    (
-        lambda _: Dataset.from_images([_FIRST] * 4, azimuth_std_deg=[1, 2]),
-        "azimuth_std_deg holds 2 numbers for 4 images",
-    ),
+    (lambda _: Dataset.from_images([_FIRST] * 4, azimuth_std_deg=[1, 2]), "azimuth_std_deg holds 2 "),
     *(
-        (
-            lambda _, wrong=wrong: Dataset.from_images([_FIRST] * 4, azimuth_std_deg=[wrong] * 4),
-            "is not a number between 0 and 10",
-        )
+        (lambda _, wrong=wrong: Dataset.from_images([_FIRST] * 4, azimuth_std_deg=[wrong] * 4), "between 0 and 10")
         for wrong in (-1, 11, float("nan"))
     ),
-    (lambda _: Dataset.from_images([_FIRST] * 4, turns=[Turn((0, 0, 1), 0.0)]), "turns holds 1 for 4 images"),
+    (lambda _: Dataset.from_images([_FIRST] * 4, turns=[Turn((0, 0, 1), 0.0)]), "turns holds 1 "),
     (lambda _: Dataset.from_images([_FIRST], turns=[Turn((0, 0, 1), 0.0)]), "is not of a target that turns about"),
     *((lambda _, ask=ask: ask(tiny_dataset(), "test-15"), "no set 'test-15'; it has train, test-17, test")
       for ask in (Dataset.images, Dataset.select)),
-    (lambda _: tiny_dataset(terrain=hill()), "terrain is the ground that images show, but ground is False"),
+    (lambda _: tiny_dataset(terrain=hill()), "terrain .* ground is False"),
 ]  # fmt: skip
 
 # ---- datasets on the disk ----
@@ -188,7 +170,6 @@ WRITTEN: Refusals = [
     (write(looks="one"), "looks"),
     (write(clean_tests=True), "looks is None"),
     (write(score_margin=3), "score_margin 3 does not suit images of 6 × 5 pixels"),
-    (write(score_margin=-1), "score_margin -1"),
     (write(target_box_m=((0, 0, 0), (1, 1, 0))), "target_box_m"),
     (write(target_box_m=((0, 0), (1, 1))), "target_box_m"),
     (write(masks=np.zeros((2, 6, 5), np.uint8)), r"uint8 of shape \(2, 6, 5\); .* must be uint8 \(4, 6, 5\)"),
@@ -224,11 +205,7 @@ def header(place: str, value: object) -> Do:
 
 
 HEADERS: Refusals = [
-    (header("schema", "other"), "its schema is 'other', not 'sarsplat-dataset'"),
-    (
-        header("schema_version", 1),
-        "its schema_version is 1 but this program reads 2; simulate or import it again",
-    ),
+    (header("schema_version", 1), "its schema_version is 1 but this program reads 2"),
     (header("quantity", "sigma0"), "quantity is 'sigma0'"),
     (header("pixels", "complex"), "holds float32 pixels"),
     (header("calibration", None), "calibration"),
@@ -249,10 +226,7 @@ HEADERS: Refusals = [
     (header("grid.spacing_m", [0.1, 0]), "positive"),
     (header("grid.center_m", [0, 10**400]), r"grid.center_m\[1\] is 1000.*: number out of range"),
     (header("grid.resolution_m", KeyError), "grid: object missing required field `resolution_m`"),
-    (
-        header("grid.response", {"kind": "taylor", "level_db": "loud", "sidelobes": 5}),
-        r"dataset\.json: a Taylor response of level_db 'loud'",
-    ),
+    (header("grid.response", {"kind": "taylor", "level_db": "loud", "sidelobes": 5}), r"json: a Taylor .*'loud'"),
     (header("grid.tilt", 1), "grid: object contains unknown field `tilt`"),
     (header("grid.\x1b[2J", 1), "unknown field `.\\[2J`"),
     (header("truth_mesh", 3), "truth_mesh"),
@@ -261,20 +235,13 @@ HEADERS: Refusals = [
     (header("truth_mesh", "x" * 300), r"cannot read .*name is too long"),
     (header("views", {}), "views: expected `array`"),
     (header("views.0", 7), r"views\[0\] is 7: expected `object`"),
-    (header("views.1.grazing_deg", 90), r"views\[1\]: grazing angle 90"),
     (header("views.1.azimuth_deg", "north"), r"views\[1\].azimuth_deg is 'north': expected `float`, got `str`"),
     (header("views.1.name", None), "name"),
-    (
-        header("views.1.azimuth_std_deg", -1),
-        "azimuth_std_deg -1.0 of the image '001' is not a number between 0 and 10",
-    ),
+    (header("views.1.azimuth_std_deg", -1), "azimuth_std_deg -1.0 of the image '001' is not"),
     (header("views.1.split", "TEST"), "split"),
     (header("views.1.stretch", 1.1), r"views\[1\]: only images of a target aloft"),
     (header("views.1.apart_deg", 30.0), r"views\[1\]: the view is bistatic, which is not supported"),
-    (
-        header("views.1.turn", {"axis": [0, 0, 0], "angle_deg": 3}),
-        r"views\[1\]\.turn: the rotation axis .* no direction",
-    ),
+    (header("views.1.turn", {"axis": [0, 0, 0], "angle_deg": 3}), r"views\[1\]\.turn: .* no direction"),
     (header("views.1.turn", {"axis": [0, 0, 1], "angle_deg": 3}), r"views\[1\]\.turn: View.* is not of a target that"),
     (header("views.1.turn", {"axis": [0, 0, 1]}), "angle_deg"),
     *(
@@ -359,16 +326,12 @@ MASKS: Refusals = [
     (masks(b"no picture"), "is not a PNG"),
     (masks(b""), "is not a PNG"),
     (lambda at: Image.fromarray(CHANCE).save(at / "x.png") or masks((at / "x.png").read_bytes()[:60])(at), "damaged"),
-    (
-        masks(np.zeros((14, 40), np.uint8), "b.png", named("a", "b", "c", source={"kind": "mstar"})),
-        "14 × 40 pixels, its image 16 × 12",
-    ),
     *(
-        (
-            masks(np.zeros((20, 16), np.uint8), "b.png", named("a", "b", "c", source=source)),
-            "give masks of the images' size",
+        (masks(np.zeros(size, np.uint8), "b.png", named("a", "b", "c", source=source)), "pixels, its image 16 × 12")
+        for size, source in (
+            ((14, 40), {"kind": "mstar"}),
+            *(((20, 16), {"kind": "mstar", "mirrored": mirrored}) for mirrored in (False, True)),
         )
-        for source in ({"kind": "mstar", "mirrored": mirrored} for mirrored in (False, True))
     ),
     (masks(small_mask(), "elsewhere.png"), r"has no mask of any test image .*002\.png"),
     (masks(small_mask(), "b.png", named("a", "b.1", "b.2")), r"'b\.1' and 'b\.2' would share the mask 'b\.png'"),
@@ -404,18 +367,15 @@ def heights(values: np.ndarray = HEIGHTS, cut: int | None = None, **options: Any
 
 
 TERRAIN: Refusals = [
-    (heights(keys=DEGREES), "is in degrees of latitude and longitude; bring it into metres"),
-    (heights(keys=FEET), "is measured east in units called US survey foot; make metres"),
-    (heights(scale=None), "does not say how far its pixels are apart; write it as a GeoTIFF in metres"),
-    (heights(scale=(-2.0, 3.0, 0.0)), "is turned against its system's axes; straighten it"),
-    (heights(HEIGHTS[:1]), "has 1 × 4 heights; give at least 2 × 2"),
-    (
-        heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)),
-        "1 height of 12 that is not known, within rows 2 to 2 and columns 2 to 2; fill",
-    ),
-    (heights(extra=[(42113, "s", 0, "6", True)]), "has 1 height of 12 that is not known"),
-    (heights(np.zeros((4, 5, 3), np.uint8), photometric="rgb"), "has 3 bands; give one of heights"),
-    (heights(scale=None, extra=[TURNED]), "is turned against its system's axes; straighten it"),
+    (heights(keys=DEGREES), "in degrees of latitude"),
+    (heights(keys=FEET), "measured east in units called US survey foot"),
+    (heights(scale=None), "no pixel size"),
+    (heights(scale=(-2.0, 3.0, 0.0)), "rotated against"),
+    (heights(HEIGHTS[:1]), "has 1 × 4 heights"),
+    (heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)), "1 unknown height of 12, within rows 2 to 2 and columns 2 to 2"),
+    (heights(extra=[(42113, "s", 0, "6", True)]), "1 unknown height of 12"),
+    (heights(np.zeros((4, 5, 3), np.uint8), photometric="rgb"), "has 3 bands"),
+    (heights(scale=None, extra=[TURNED]), "rotated against"),
     (heights(cut=-40), "bad.tif"),
     (stored(b"heights", read_terrain), "is not a readable raster"),
 ]
@@ -497,10 +457,7 @@ PLY: Refusals = [
     (lambda at: read_gaussians_ply(at / "none.ply"), "does not exist"),
     (gaussians_with(b"gaussians 2", b"gaussians 3"), "'sarsplat gaussians 3'"),
     (gaussians_with(b"scattering {", b"scattered {"), "one scattering law"),
-    (
-        gaussians_with(b"harmonics", b"harmonica"),
-        "scattering law 'harmonica' is unknown; choose one of harmonics, normal-lobes",
-    ),
+    (gaussians_with(b"harmonics", b"harmonica"), "'harmonica' is unknown; choose one of harmonics, normal-lobes"),
     (gaussians_with(P_MIN, b'"p_min": 1e99e'), "not valid JSON"),
     (gaussians_with(P_MIN, b'"p_min": 1e+999'), r"the header of .*p\.ply: .*number out of range"),
     (gaussians_with(P_MIN, b'"p_min": -0.5'), "p_min -0.5 must be finite"),

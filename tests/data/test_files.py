@@ -76,15 +76,10 @@ def test_devices_and_pipes_are_never_replaced(tmp_path):
     assert names(tmp_path) == ["dangling", "null", "pipe"]
 
 
-@pytest.mark.parametrize(
-    ("number", "words"),
-    [
-        (errno.ENOSPC, "the disk is full"),
-        (errno.EROFS, "read-only"),
-        (errno.EACCES, "permission"),
-        (errno.EIO, "check the path and"),
-    ],
-)
+REASONS = {errno.ENOSPC: "disk is full", errno.EROFS: "read-only", errno.EACCES: "permission", errno.EIO: "check the"}
+
+
+@pytest.mark.parametrize(("number", "words"), REASONS.items())
 def test_os_errors_become_one_sentence_and_keep_the_old_file(tmp_path, monkeypatch, number, words):
     def refuse(*_: object) -> None:
         raise OSError(number, os.strerror(number))

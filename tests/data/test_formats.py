@@ -77,7 +77,7 @@ def test_what_sarsplat_writes_fits_the_schema(tmp_path):
         (("pixels",), "phase", "pixels is 'phase'"),
         (("looks",), "one", "looks is 'one'"),
         (("more",), 1, "unknown field `more`"),
-        (("views",), [], "needs images"),
+        (("views",), [], "at least one image"),
         (("views", 0, "split"), "validation", "split 'validation'"),
         (("views", 0, "grazing_deg"), 90, "grazing angle 90"),
         (("views", 0, "azimuth_deg"), 4000, "azimuth 4000"),

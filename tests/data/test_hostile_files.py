@@ -41,7 +41,6 @@ from sarsplat.importers import read_phoenix
 from sarsplat.scenes import load_mesh
 
 SUFFIXES = (".000", ".json", ".tif", ".ply", ".safetensors", ".obj", ".stl", ".off", ".glb")
-NEVER_OPENED = ("pipe", "socket", "zero", "loop", "folder", "absent", "empty", "sparse")
 
 
 @pytest.fixture(scope="module")
@@ -91,49 +90,39 @@ def test_spoilt_files_are_read_or_refused(reader, places):
         assert judge(reader, places[reader.name], data, Tally()) is None, number
 
 
-def special(path: Path, kind: str) -> None:
-    """What a path may lead to besides a file with something in it."""
-    match kind:
-        case "pipe":
-            os.mkfifo(path)
-        case "socket":
-            here = Path.cwd()
-            os.chdir(path.parent)  # a socket's path must be short
-            with socket.socket(socket.AF_UNIX) as server:
-                server.bind(path.name)
-            os.chdir(here)
-        case "zero":
-            path.symlink_to("/dev/zero")
-        case "loop":
-            path.symlink_to(path)
-        case "folder":
-            path.mkdir()
-        case "empty":
-            path.touch()
-        case "sparse":
-            with path.open("wb") as file:
-                file.truncate(2**40)
+def bound_socket(path: Path) -> None:
+    here = Path.cwd()
+    os.chdir(path.parent)  # a socket's path must be short
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(path.name)
+    os.chdir(here)
+
+
+SPECIAL = {
+    "pipe": os.mkfifo,
+    "socket": bound_socket,
+    "zero": lambda path: path.symlink_to("/dev/zero"),
+    "loop": lambda path: path.symlink_to(path),
+    "folder": Path.mkdir,
+    "absent": id,
+    "empty": Path.touch,
+    "sparse": lambda path: path.touch() or os.truncate(path, 2**40),
+}
+"""What a path may lead to besides a file with something in it."""
+
+READ = {".000": read_phoenix, ".json": lambda path: read_json(path, Any), ".safetensors": load_checkpoint}
+READ |= {".tif": lambda path: read_tiff(path, (6, 5))}
 
 
 def read(path: Path) -> None:
-    match path.suffix:
-        case ".000":
-            read_phoenix(path)
-        case ".json":
-            read_json(path, Any)
-        case ".tif":
-            read_tiff(path, (6, 5))
-        case ".safetensors":
-            load_checkpoint(path)
-        case _:
-            load_mesh(path)
+    READ.get(path.suffix, load_mesh)(path)
 
 
-@pytest.mark.parametrize("kind", NEVER_OPENED)
+@pytest.mark.parametrize("kind", SPECIAL)
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_what_is_no_file_is_refused_at_once(tmp_path, suffix, kind):
     path = tmp_path / f"it{suffix}"
-    special(path, kind)
+    SPECIAL[kind](path)
     for reader in (read, read_points_ply) if suffix == ".ply" else (read,):
         with at_most(5), watched() as cost, pytest.raises(SarsplatError, match=re.escape(str(path))) as caught:
             reader(path)
@@ -142,11 +131,11 @@ def test_what_is_no_file_is_refused_at_once(tmp_path, suffix, kind):
         assert sentence_faults(str(caught.value)) == []
 
 
-@pytest.mark.parametrize("kind", NEVER_OPENED)
+@pytest.mark.parametrize("kind", SPECIAL)
 @pytest.mark.parametrize("suffix", (".000", ".tif", ".ply", ".glb"))
 def test_info_says_so_in_one_line(tmp_path, capsys, suffix, kind):
     path = tmp_path / f"it{suffix}"
-    special(path, kind)
+    SPECIAL[kind](path)
     with at_most(5):
         assert main(["info", str(path)]) == 2
     complaint = capsys.readouterr().err

@@ -14,9 +14,7 @@ Image = pytest.importorskip("PIL.Image")
 
 
 def named(dataset: Dataset, name: str) -> Dataset:
-    entries = [
-        DatasetEntry(entry.view, entry.split, f"{name}{index}.jpeg") for index, entry in enumerate(dataset.entries)
-    ]
+    entries = (DatasetEntry(entry.view, entry.split, f"{name}{k}.jpeg") for k, entry in enumerate(dataset.entries))
     return replace(dataset, entries=tuple(entries))
 
 
@@ -81,9 +79,8 @@ def test_chips_and_their_masks_are_turned_alike(tmp_path):
         save(tmp_path / "masks" / f"chip{index}.png", (dn > 100).astype(np.uint8))
         rows.append(f"chip{index}.jpeg,T72,1,17,17,{index * 120}")
     (tmp_path / "labels.csv").write_text("\n".join(rows) + "\n")
-    dataset = import_mstar(
-        tmp_path, tmp_path / "out", labels=tmp_path / "labels.csv", target_class="T72", train_views=2
-    )
+    fields = {"labels": tmp_path / "labels.csv", "target_class": "T72", "train_views": 2}
+    dataset = import_mstar(tmp_path, tmp_path / "out", **fields)
     ((index, found),) = read_masks(tmp_path / "masks", dataset).items()
     power = dataset.power[index]
     assert found.sum() == 36

@@ -25,24 +25,21 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-def test_clean_file_comes_back_unchanged(tmp_path):
-    path = tmp_path / "box.ply"
-    box = trimesh.creation.box((4, 2, 1))
-    box.export(path)
-    mesh = load_mesh(path)
-    assert len(mesh.faces) == 12
-    assert mesh.bounds == pytest.approx(box.bounds)
-
-
-@pytest.mark.parametrize("ends", [b"\r\n", b"\r"])
-def test_a_ply_header_may_have_other_line_ends(tmp_path, ends):
-    header, end, body = trimesh.creation.box((4, 2, 1)).export(file_type="ply").partition(b"end_header\n")
-    (tmp_path / "box.ply").write_bytes((header + end).replace(b"\n", ends) + body)
-    assert load_mesh(tmp_path / "box.ply").area == pytest.approx(28)
-
-
 BOX = trimesh.creation.box((4, 2, 1))
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def check_box(path: Path) -> None:
+    mesh = load_mesh(path)
+    assert (len(mesh.faces), mesh.area) == (12, pytest.approx(28))
+    assert mesh.bounds == pytest.approx(BOX.bounds)
+
+
+@pytest.mark.parametrize("ends", [b"\n", b"\r\n", b"\r"])
+def test_a_ply_header_may_have_any_line_ends(tmp_path, ends):
+    header, end, body = BOX.export(file_type="ply").partition(b"end_header\n")
+    (tmp_path / "box.ply").write_bytes((header + end).replace(b"\n", ends) + body)
+    check_box(tmp_path / "box.ply")
 
 
 def test_vertices_may_be_counted_back_from_a_face(tmp_path):
@@ -53,24 +50,20 @@ def test_vertices_may_be_counted_back_from_a_face(tmp_path):
         lines += ["vn 0 0 1", "usemtl grey", "f -4/-1/-1 -3/-1/-1 \\", " -2/1/-1 -1/-1/-1 # a side"]
     for ends in ("\n", "\r\n", "\r"):
         (tmp_path / "box.obj").write_bytes(ends.join([*lines, ""]).encode())
-        mesh = load_mesh(tmp_path / "box.obj")
-        assert mesh.area == pytest.approx(28)
-        assert mesh.bounds == pytest.approx(BOX.bounds)
+        check_box(tmp_path / "box.obj")
 
 
 def test_indented_lines_and_comments_that_end_in_a_backslash_are_read(tmp_path):
     lines = ["# C:\\models\\", *("\tv {} {} {}".format(*vertex) for vertex in BOX.vertices)]
     lines += [" f {} {} {} {} # a side".format(*(k + 1 for k in quad)) for quad in QUADS]
-    mesh = load_mesh(write(tmp_path / "box.obj", "\n".join([*lines, ""])))
-    assert mesh.area == pytest.approx(28)
-    assert mesh.bounds == pytest.approx(BOX.bounds)
+    check_box(write(tmp_path / "box.obj", "\n".join([*lines, ""])))
 
 
 @pytest.mark.parametrize("face", ["f 0 1 2", "f 1 2 0", "f 1/1 00/1 2/1", "f 0 -1 -2", "f -9 1 2"])
 def test_faces_of_vertices_that_there_are_not_are_refused(tmp_path, face):
     """Trimesh takes 0 for the last vertex."""
     path = write(tmp_path / "a.obj", f"{SQUARE}vt 0 0\nf 1 2 3\n{face}\n")
-    with pytest.raises(SarsplatError, match=r"a\.obj' has faces that refer to missing vertices; repair the mesh"):
+    with pytest.raises(SarsplatError, match=r"a\.obj' has faces that refer to missing vertices"):
         load_mesh(path)
 
 
@@ -79,7 +72,7 @@ def test_gaussians_in_a_glb_are_named(tmp_path):
     scene += b" " * (-len(scene) % 4)
     head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(scene), len(scene), int.from_bytes(b"JSON", "little"))
     (tmp_path / "a.glb").write_bytes(head + scene)
-    with pytest.raises(SarsplatError, match=r"a\.glb' holds Gaussians \(KHR_gaussian_splatting\), .* give the PLY"):
+    with pytest.raises(SarsplatError, match=r"a\.glb' holds Gaussians"):
         load_mesh(tmp_path / "a.glb")
 
 

@@ -90,14 +90,13 @@ def test_python_warns_of_what_is_below_the_ground_as_the_command_line_does(simul
     grid = replace(GRID, rows=24, columns=24, spacing_m=(0.5, 0.5), resolution_m=(0.5, 0.5))
 
     def simulate(mesh, ground):
-        match simulated:
-            case "stack":
-                stack = Stack(0.031, (0.0, 0.0004))
-                simulate_stack(mesh, VIEWS[0], grid, stack, ScatteringLaw(), ground_gamma0=ground)
-            case "one":
-                simulate_raycast(mesh, VIEWS[0], grid, ScatteringLaw(), ground_gamma0=ground)
-            case _:
-                simulate_images(mesh, VIEWS[:2], grid, source=simulated, ground_gamma0=ground)
+        one = mesh, VIEWS[0], grid
+        if simulated == "stack":
+            simulate_stack(*one, Stack(0.031, (0.0, 0.0004)), ScatteringLaw(), ground_gamma0=ground)
+        elif simulated == "one":
+            simulate_raycast(*one, ScatteringLaw(), ground_gamma0=ground)
+        else:
+            simulate_images(mesh, VIEWS[:2], grid, source=simulated, ground_gamma0=ground)
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")

@@ -122,9 +122,8 @@ def test_far_too_many_corners_are_refused_at_once(tmp_path):
 
 
 def test_files_without_such_faces_are_read_as_before(tmp_path):
-    box = trimesh.creation.box((4, 2, 1))
-    quads = "".join("v {} {} {}\n".format(*v) for v in box.vertices)
-    (tmp_path / "box.obj").write_text(quads + "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n")
+    vertices = "".join("v {} {} {}\n".format(*v) for v in trimesh.creation.box((4, 2, 1)).vertices)
+    (tmp_path / "box.obj").write_text(vertices + "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         mesh = load_mesh(tmp_path / "box.obj")

@@ -197,9 +197,7 @@ def test_what_is_thinner_than_a_square_of_rays_is_not_missed():
     for thin in (wire, smooth):
         both = trimesh.util.concatenate([wall, thin])
         for mesh in (thin, both):
-            usual, fine = (
-                simulate_raycast(mesh, View(0, 30), GRID, law, ray_spacing=spacing) for spacing in (0.02, 0.005)
-            )
+            usual, fine = (simulate_raycast(mesh, View(0, 30), GRID, law, ray_spacing=d) for d in (0.02, 0.005))
             assert usual.sum() == pytest.approx(fine.sum(), rel=0.02)
 
 
@@ -243,9 +241,7 @@ def test_a_mesh_far_larger_than_the_image_costs_no_more(monkeypatch):
 
 def test_the_error_of_the_rays_is_what_finer_rays_tell(t72):
     view, grid, law = View(30, 45), paper_grid(), ScatteringLaw()
-    coarse, fine = (
-        simulate_raycast(t72, view, grid, law, ray_spacing=spacing).astype(np.float64) for spacing in (0.03, 0.0075)
-    )
+    coarse, fine = (simulate_raycast(t72, view, grid, law, ray_spacing=d).astype(np.float64) for d in (0.03, 0.0075))
     seen = fine > 1e-3 * fine.max()
     true = np.sqrt(np.mean((10 * np.log10(coarse[seen] / fine[seen])) ** 2))
     settings = {"reflectivity": None, "ground_gamma0": None, "terrain": None}

@@ -19,19 +19,20 @@ LAW = ScatteringLaw(0.5, 0.0)
 
 
 def box(z: float, side: float = 1.0, x: float = 0.0) -> trimesh.Trimesh:
-    mesh = trimesh.creation.box((side, side, side))
-    mesh.apply_translation((x, 0.0, z))
-    return mesh
+    return trimesh.creation.box((side, side, side)).apply_translation((x, 0.0, z))
 
 
 BURIED = box(-50.0)
 
 
+def cast(mesh: trimesh.Trimesh, view: View, ground: Terrain, law: ScatteringLaw = LAW, **settings: float) -> np.ndarray:
+    settings = {"ground_gamma0": 0.2, "ray_spacing": 0.05, **settings}
+    return simulate_raycast(mesh, view, GRID, law, terrain=ground, **settings)
+
+
 @pytest.mark.parametrize(("grazing", "tilt"), [(40.0, 15.0), (40.0, -15.0), (20.0, 0.0)])
 def test_a_slope_is_as_bright_as_its_own_angle_makes_it(grazing, tilt):
-    image = simulate_raycast(
-        BURIED, View(0.0, grazing), GRID, LAW, ground_gamma0=0.2, terrain=slope(tilt), ray_spacing=0.05
-    )
+    image = cast(BURIED, View(0.0, grazing), slope(tilt))
     expected = 0.2 * math.tan(math.radians(grazing + tilt))
     assert image[12:-12, 12:-12] == pytest.approx(np.full((24, 24), expected), rel=2e-3)
 
@@ -40,34 +41,26 @@ def test_a_slope_is_as_bright_as_its_own_angle_makes_it(grazing, tilt):
 def test_a_hill_looks_as_the_renderer_shows_it(view):
     """Of which the squares of terrain are curved, and here two triangles each."""
     ground = hill(2.0)
-    cast = simulate_raycast(BURIED, view, GRID, LAW, ground_gamma0=0.2, terrain=ground, ray_spacing=0.08)
+    rays = cast(BURIED, view, ground, ray_spacing=0.08)
     rendered = render(upright([]), [view], GRID, ground=Ground(torch.tensor(0.2), height_m=ground)).images[0, 0].numpy()
     level = 0.2 * math.tan(math.radians(view.grazing_deg))
     assert rendered.max() > 1.5 * level  # its front, and in one of them its shadow
     assert rendered.min() < 0.5 * level
-    error = cast - rendered
+    error = rays - rendered
     assert math.sqrt(float((error**2).mean())) < 0.03 * level
     assert abs(float(error.mean())) < 3e-3 * level
 
 
 def test_hills_hide_targets_and_targets_hills():
     view, ground = View(0.0, 20.0), hill(2.5, at=(3.0, 0.0), width_m=1.4)
-    shade, lit = (
-        simulate_raycast(one, view, GRID, LAW, ground_gamma0=0.0, terrain=ground, ray_spacing=0.05)
-        for one in (box(0.6), box(0.6, x=6.3))
-    )
+    shade, lit = (cast(one, view, ground, ground_gamma0=0.0) for one in (box(0.6), box(0.6, x=6.3)))
     assert shade.max() == 0.0
     assert lit.max() > 0.1
-    tall = box(1.5, 2.0, x=6.3)
-    bare, behind = (
-        simulate_raycast(one, view, GRID, ScatteringLaw(0.0, 0.0), ground_gamma0=0.2, terrain=ground, ray_spacing=0.05)
-        for one in (BURIED, tall)
-    )
+    bare, behind = (cast(one, view, ground, ScatteringLaw(0.0, 0.0)) for one in (BURIED, box(1.5, 2.0, x=6.3)))
     assert behind.sum() < bare.sum() - 1.0
     assert (behind <= bare + 1e-4).all()
 
 
 def test_level_beyond_its_end():
-    ground = Terrain(np.zeros((2, 2)), (1.0, 1.0))
-    image = simulate_raycast(BURIED, View(70.0, 45.0), GRID, LAW, ground_gamma0=0.2, terrain=ground, ray_spacing=0.05)
+    image = cast(BURIED, View(70.0, 45.0), Terrain(np.zeros((2, 2)), (1.0, 1.0)))
     assert image == pytest.approx(np.full(image.shape, 0.2), rel=2e-3)

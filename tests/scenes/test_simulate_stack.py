@@ -18,21 +18,19 @@ STACK, LAW = Stack(0.031, (0.0, 0.0004, 0.001)), ScatteringLaw(1.0, 0.0, 1.0)
 
 
 def box() -> trimesh.Trimesh:
-    made = trimesh.creation.box((4.0, 6.0, 5.0))
-    made.apply_translation((0.0, 0.0, 2.5))
-    return made
+    return trimesh.creation.box((4.0, 6.0, 5.0)).apply_translation((0.0, 0.0, 2.5))
+
+
+def drawn(mesh: trimesh.Trimesh, count: int, stack: Stack = STACK, grid: ImageGrid = GRID, **settings) -> np.ndarray:
+    """Signals of several seeds."""
+    settings = {"spacing_m": 0.14, **settings}
+    return np.stack([simulate_stack(mesh, VIEW, grid, stack, LAW, seed=k, **settings) for k in range(count)])
 
 
 @pytest.mark.parametrize("grid", [GRID, ImageGrid(30, 28, (0.5, 0.6), (0.7, 0.8), response=TAYLOR)])
 def test_power_is_that_of_the_ray_caster(grid: ImageGrid) -> None:
     """Means over draws, and over blocks of pixels."""
-    powers = np.mean(
-        [
-            np.abs(simulate_stack(box(), VIEW, grid, STACK, LAW, ground_gamma0=0.4, spacing_m=0.14, seed=k)) ** 2
-            for k in range(24)
-        ],
-        0,
-    )
+    powers = (np.abs(drawn(box(), 24, grid=grid, ground_gamma0=0.4)) ** 2).mean(0)
     expected = simulate_raycast(box(), VIEW, grid, LAW, ground_gamma0=0.4)
     for power in powers:
         blocks = [image[:28, :28].reshape(7, 4, 7, 4).mean((1, 3)) for image in (power, expected)]
@@ -43,11 +41,7 @@ def test_power_is_that_of_the_ray_caster(grid: ImageGrid) -> None:
 @pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
 def test_phases_are_those_of_heights() -> None:
     """Flat ground has none once it is deramped; its coherence is the response's."""
-    plane = trimesh.creation.box((0.01, 0.01, 0.01))
-    plane.apply_translation((0, 0, -5))
-    signals = np.stack(
-        [simulate_stack(plane, VIEW, GRID, STACK, LAW, ground_gamma0=1.0, spacing_m=0.14, seed=k) for k in range(8)]
-    )
+    signals = drawn(trimesh.creation.box((0.01, 0.01, 0.01)).apply_translation((0, 0, -5)), 8, ground_gamma0=1.0)
     deramped = signals * np.exp(-1j * STACK.plane_phases(VIEW, GRID))
     for n in (1, 2):
         pair = (deramped[:, n] * deramped[:, 0].conj()).mean()
@@ -75,8 +69,7 @@ def test_signs_are_those_of_distances_from_the_antennas(view: View, transmit: st
         farther = [math.dist(antenna, place) - math.dist(antenna, below) for antenna in antennas]
         expected = -per_metre * (farther[1] - farther[0])
         assert math.copysign(1, expected) == math.copysign(1, height)
-        plate = trimesh.creation.box((3.0, 3.0, 0.01))
-        plate.apply_translation(place)
+        plate = trimesh.creation.box((3.0, 3.0, 0.01)).apply_translation(place)
         signals = simulate_stack(plate, view, GRID, stack, LAW)
         flat = upright(place, [0.8, 0.8, 0.01], 4.0)
         for pair in (signals[1] * signals[0].conj(), render_covariances(flat, [view], GRID, stack)[0, 1, 0].numpy()):
@@ -85,8 +78,7 @@ def test_signs_are_those_of_distances_from_the_antennas(view: View, transmit: st
 
 
 def test_noise_is_in_each_pass_alone_and_seeds_say_all() -> None:
-    far = box()
-    far.apply_translation((500.0, 0, 0))
+    far = box().apply_translation((500.0, 0, 0))
     found = simulate_stack(far, VIEW, GRID, STACK, LAW, noise=0.3)
     assert (np.abs(found) ** 2).mean() == pytest.approx(0.3, rel=0.1)
     assert abs((found[0] * found[1].conj()).mean()) < 0.03
@@ -102,13 +94,7 @@ def test_polarisations_go_together_as_their_mechanisms_say() -> None:
     stack = Stack(0.031, (0.0,) * 3 + (0.0004,) * 3, polarisations=names * 2)
     beta0 = simulate_raycast(plate, VIEW, GRID, LAW).mean()
     for mechanism, matrix in enumerate(MATRICES):
-        all_alike = Mechanisms(np.full(len(plate.faces), mechanism))
-        signals = np.stack(
-            [
-                simulate_stack(plate, VIEW, GRID, stack, LAW, mechanisms=all_alike, spacing_m=0.14, seed=k)
-                for k in range(3)
-            ]
-        )
+        signals = drawn(plate, 3, stack, mechanisms=Mechanisms(np.full(len(plate.faces), mechanism)))
         found = np.einsum("kirc,kjrc->ij", signals, signals.conj()) / signals[:, 0].size
         expected = beta0 * matrix
         for first in (slice(0, 3), slice(3, 6)):

@@ -123,5 +123,5 @@ def test_a_village_is_as_large_as_asked_for_and_drawn_by_its_seed():
     assert np.array_equal(small.vertices, village(60.0, 3).vertices)
     assert not np.array_equal(small.vertices[:9], village(60.0, 4).vertices[:9])
     assert np.array_equal(target_mesh("village").vertices, village().vertices)
-    with pytest.raises(SarsplatError, match=r"side_m is -1, .* nothing that is negative"):
+    with pytest.raises(SarsplatError, match="side_m is -1, "):
         village(-1.0)

@@ -207,7 +207,7 @@ def simulate(
     from sarsplat.scenes.meshes import is_larger, scaled, side_m, suspicious_size
     from sarsplat.scenes.placement import lost_digits, outside_images, recentred, warn_below_ground
     from sarsplat.scenes.raycast import default_ray_spacing, ray_error_db, raycast_masks
-    from sarsplat.scenes.scattering import check_bounces, check_terrain, part_reflectivity
+    from sarsplat.scenes.scattering import check_ground, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
     from sarsplat.scenes.targets import ALOFT
     from sarsplat.scenes.village import FITTING, village
@@ -215,8 +215,7 @@ def simulate(
     if clean_tests and looks is None:
         raise SarsplatError("--clean-tests keeps speckle out of the test images, but there is none; give --looks too")
     relief = heights(terrain)
-    check_terrain(relief, ground)
-    check_bounces(bounces, ground_reflectivity, ground, relief)
+    check_ground(ground, relief, bounces, ground_reflectivity)
     if masks and relief is not None:
         raise SarsplatError("--masks are of a target on flat ground; leave out --masks or --terrain")
     if masks:

@@ -1,7 +1,4 @@
-"""The whole state of a run in one safetensors file: tensors, and beside them a JSON state in the metadata.
-
-One file, so that one rename makes it whole: a checkpoint is either there or not.
-"""
+"""Checkpoints: tensors and a JSON state (in the metadata) in one safetensors file, so that one rename completes it."""
 
 from __future__ import annotations
 
@@ -18,7 +15,8 @@ from sarsplat.errors import SarsplatError, shown
 
 _SCHEMA = "sarsplat-checkpoint"
 _VERSION = "1"
-_LONGEST_HEADER = 1 << 20  # bytes; it describes some dozens of tensors, and each costs memory however small it is
+_LONGEST_HEADER = 1 << 20
+"""Maximum length of a file's header, bytes; it describes dozens of tensors."""
 
 _REMEDY = "delete it, and `sarsplat reconstruct … --resume` continues from the one before"
 
@@ -42,30 +40,30 @@ def save_checkpoint(path: Path, tensors: Mapping[str, Tensor], state: dict[str, 
     """
     path = Path(path)
     metadata = {"schema": _SCHEMA, "version": _VERSION, "state": encode_json(state, path).decode()}
-    plain, places = dict[str, Tensor](), set[int]()
+    stored, addresses = dict[str, Tensor](), set[int]()
     for name, tensor in tensors.items():
-        own = tensor.detach().cpu().contiguous()
-        if (place := own.untyped_storage().data_ptr()) in places:
-            own = own.clone()  # safetensors refuses tensors that share memory, such as views of one parameter
-        places.add(place)
-        plain[name] = own
-    write_bytes(path, safetensors.torch.save(plain, metadata=metadata))
+        plain = tensor.detach().cpu().contiguous()
+        if (address := plain.untyped_storage().data_ptr()) in addresses:
+            plain = plain.clone()  # safetensors rejects tensors that share memory, such as views of one parameter
+        addresses.add(address)
+        stored[name] = plain
+    write_bytes(path, safetensors.torch.save(stored, metadata=metadata))
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read a checkpoint.
+    """Read tensors and state of a checkpoint.
 
     Returns
     -------
     tensors : dict of str to Tensor
-        On the CPU, bit for bit as saved.
+        On the CPU, with the same bits.
     state : dict
         The JSON state.
 
     Raises
     ------
     SarsplatError
-        If the file is missing, damaged, truncated, no checkpoint of ours, or of another version.
+        If the file is missing, damaged, truncated, not a sarsplat checkpoint, or of another version.
     """
     path = Path(path)
     try:
@@ -86,7 +84,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 
 
 def _check_header(path: Path) -> None:
-    """Trust the header's length only if the file is that long and ours could be; safetensors checks the rest."""
+    """Raise if the header's length exceeds the file or `_LONGEST_HEADER`; safetensors checks the rest."""
     with open_file(path) as file:
         size = file.seek(0, 2)
         file.seek(0)

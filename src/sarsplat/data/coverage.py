@@ -1,4 +1,4 @@
-"""Angular coverage of views: groups by set and grazing angle, gaps in azimuth, and a choice of evenly spread ones."""
+"""Angular coverage of views: groups by set and grazing angle, gaps in azimuth, and evenly spread subsets."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.geometry import View
 
 _SAME_GRAZING_DEG = 1.0
-"""Grazing angles that differ by no more are one group: those of measured images scatter."""
+"""Maximum step of sorted grazing angles within a group."""
 
 _FEW_GROUPS, _FEW_EACH = 3, 3
-"""If there would be more groups, of fewer views on average, the angles are random ones and all views one group."""
+"""Number of groups, and their mean number of views: with more groups of fewer views, all views are one group."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """The widest range of azimuths without a view, clockwise from the first to the last; 360° if all are the same."""
+    """Range of azimuths without a view, clockwise from the first to the last; 360° if all views have one azimuth."""
 
     width_deg: float
     first_deg: float
@@ -31,7 +31,7 @@ class Gap:
 
 
 def largest_gap(azimuths_deg: Iterable[float]) -> Gap:
-    """The largest gap between azimuths, of which there must be at least one, in any order and of any turn."""
+    """Return the largest gap between one or more azimuths, in any order and modulo 360°."""
     azimuths = np.unique(np.round(np.array(list(azimuths_deg)) % 360, 6) % 360)
     gaps = np.diff([*azimuths, azimuths[0] + 360])
     widest = int(gaps.argmax())
@@ -52,25 +52,25 @@ class ViewGroup:
 
     @property
     def grazing_deg(self) -> tuple[float, float]:
-        """The lowest and the highest grazing angle, degrees."""
+        """Lowest and highest grazing angle, degrees."""
         angles = [view.grazing_deg for view in self.views]
         return min(angles), max(angles)
 
     @property
     def gap(self) -> Gap:
-        """The largest gap in azimuth."""
+        """Largest gap in azimuth."""
         return largest_gap(self.azimuths_deg)
 
     @property
     def step_deg(self) -> float | None:
-        """Median distance of neighbouring azimuths, degrees, without the largest gap; None if there is none."""
+        """Median step of azimuth except the largest gap, degrees; None if all views have one azimuth."""
         azimuths = np.unique(np.round(self.azimuths_deg, 6))
         steps = np.sort(np.diff([*azimuths, azimuths[0] + 360]))[:-1]
         return float(np.median(steps)) if len(steps) else None
 
 
 def view_groups(dataset: Dataset) -> list[ViewGroup]:
-    """The views of a dataset by set and, within each, by grazing angle, from low to high."""
+    """Group the views of a dataset by set, then by grazing angle from low to high."""
     grouped = []
     for split in dataset.splits():
         views = [entry.view for entry in dataset.entries if entry.split == split]
@@ -81,7 +81,7 @@ def view_groups(dataset: Dataset) -> list[ViewGroup]:
 
 
 def by_grazing(views: Sequence[View]) -> list[list[int]]:
-    """Numbers of the views, in groups of (nearly) one grazing angle, from low to high; one group if they are random."""
+    """Group indices of views by (nearly) equal grazing angle, from low to high; random angles are one group."""
     ordered = sorted(range(len(views)), key=lambda k: views[k].grazing_deg)
     steps = np.diff([views[k].grazing_deg for k in ordered])
     starts = [0, *(np.flatnonzero(steps > _SAME_GRAZING_DEG) + 1).tolist(), len(ordered)]
@@ -92,20 +92,20 @@ def by_grazing(views: Sequence[View]) -> list[list[int]]:
 
 
 def evenly_chosen(views: Sequence[View], count: int) -> list[int]:
-    """Indices of `count` of the views: even in azimuth, where every grazing angle gets the next azimuth in turn."""
+    """Return indices of `count` views, even in azimuth; successive azimuths cycle through the grazing angles."""
     groups = by_grazing(views)
     if any(len(range(first, count, len(groups))) > len(group) for first, group in enumerate(groups)):
         groups = [[*range(len(views))]]
-    wanted = even_azimuths([view.azimuth_deg for view in views], count)
+    azimuths = even_azimuths([view.azimuth_deg for view in views], count)
     return [
         group[index]
         for first, group in enumerate(groups)
-        for index in nearest_to([views[k].azimuth_deg for k in group], wanted[first :: len(groups)])
+        for index in nearest_to([views[k].azimuth_deg for k in group], azimuths[first :: len(groups)])
     ]
 
 
 def even_azimuths(azimuths_deg: Sequence[float], count: int) -> list[float]:
-    """Azimuths k·360°/count; if a gap is wider than one such step, as many within what the images cover."""
+    """Return azimuths k·360°/count, or `count` even ones across the covered range if a gap exceeds that step."""
     gap = largest_gap(azimuths_deg)
     if gap.width_deg <= 360 / count:
         return [k * 360 / count for k in range(count)]
@@ -114,9 +114,9 @@ def even_azimuths(azimuths_deg: Sequence[float], count: int) -> list[float]:
 
 
 def nearest_to(azimuths_deg: Sequence[float], wanted_deg: Sequence[float]) -> list[int]:
-    """Indices of distinct azimuths, one for each that is wanted and in its order, at the least total distance."""
-    from scipy.optimize import linear_sum_assignment  # here, because what describes files does without it
+    """Return the index of a distinct azimuth for each wanted one, with the least total distance."""
+    from scipy.optimize import linear_sum_assignment  # slow to import, and not needed to describe files
 
-    apart = np.subtract.outer(np.asarray(wanted_deg, dtype=float), np.asarray(azimuths_deg, dtype=float))
-    _, chosen = linear_sum_assignment(np.abs((apart + 180) % 360 - 180))
+    difference = np.subtract.outer(np.asarray(wanted_deg, dtype=float), np.asarray(azimuths_deg, dtype=float))
+    _, chosen = linear_sum_assignment(np.abs((difference + 180) % 360 - 180))
     return [int(index) for index in chosen]

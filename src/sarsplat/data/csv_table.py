@@ -23,7 +23,7 @@ _LARGEST = 64 << 20  # bytes
 _LONGEST_LINE = 10_000  # bytes
 
 Row = tuple[int, dict[str, str]]
-"""A row's line in the file and its cells by column, stripped; a cell that is not there is empty."""
+"""A row's line in the file and its cells by column, stripped; missing cells are empty."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class CsvTable:
     columns: tuple[str, ...]
     rows: tuple[Row, ...]
     decimal_comma: bool = False
-    """Whether `1,5` is a number: where commas do not separate the cells."""
+    """True if `1,5` is a number, because commas do not separate the cells."""
 
     def number(self, row: Row, column: str) -> float:
-        """A cell as a finite number; refused if it is none."""
+        """Parse a cell as a finite number."""
         value = parsed(row[1][column], self.decimal_comma)
         if not math.isfinite(value):
             comma = math.isfinite(parsed(row[1][column], decimal_comma=True))
@@ -46,7 +46,7 @@ class CsvTable:
         return value
 
     def direction(self, row: Row, column: str) -> float:
-        """A cell as degrees of a circle; refused if it is no number, or beyond a whole turn."""
+        """Parse a cell as an angle from -360 to 360 degrees."""
         value = self.number(row, column)
         if abs(value) > 360:
             raise SarsplatError(
@@ -56,10 +56,9 @@ class CsvTable:
 
 
 def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable:
-    """Read a table in UTF-8, or UTF-16 with its mark, whose first line names the columns; empty rows are left out.
+    """Read a table in UTF-8, or UTF-16 with a byte-order mark, whose first line names the columns; skip empty rows.
 
-    `purpose` is what an error asks for instead, such as "the table of labels"; without the `needed` columns the table
-    is refused.
+    `purpose` is the file that errors ask for, such as "the table of labels". Raise if a `needed` column is missing.
     """
     with open_file(path) as file:
         if file.seek(0, os.SEEK_END) > _LARGEST:
@@ -72,7 +71,7 @@ def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable
         reader = _reader(text, separator)
         columns = _names(reader)
         if any("\0" in name for name in columns):
-            raise SarsplatError(f"{path} has zero bytes in its first line, as UTF-16 has; save {purpose} in UTF-8")
+            raise SarsplatError(f"{path} has zero bytes in its first line, like UTF-16; save {purpose} in UTF-8")
         if missing := [name for name in needed if name not in columns]:
             lacks = f"column{'' if len(missing) == 1 else 's'} {', '.join(map(repr, missing))}"
             raise SarsplatError(f"{path} is missing the {lacks}; it needs {', '.join(needed)}")
@@ -96,7 +95,7 @@ def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable
 
 
 def column_names(path: Path) -> tuple[str, ...]:
-    """The names that the first line of a file would give to columns, whatever kind of file it is."""
+    """Return the column names in the first line of a file, which may be of any kind."""
     with open_file(path) as file:
         first = _decoded(file.read(_LONGEST_LINE), "replace").lstrip("\r\n").partition("\n")[0]
     try:
@@ -106,7 +105,7 @@ def column_names(path: Path) -> tuple[str, ...]:
 
 
 def relative_path(path: Path, row: Row, column: str, of: str) -> str:
-    """A cell of the table `path` that names a file in a folder of, say, "chips"; refused if it leads out of it."""
+    """Return a cell with a relative path into the folder of, say, "chips"; raise if it leads out of it."""
     line, text = row[0], row[1][column]
     inside = PurePosixPath(text.replace("\\", "/"))
     if inside.is_absolute() or PureWindowsPath(text).drive or ".." in inside.parts or "\0" in text:
@@ -117,7 +116,7 @@ def relative_path(path: Path, row: Row, column: str, of: str) -> str:
 
 
 def parsed(text: str, decimal_comma: bool = False) -> float:
-    """The number that a text is, or NaN."""
+    """Parse a number; NaN if it is not one."""
     try:
         return float(text.replace(",", ".") if decimal_comma else text)
     except ValueError:
@@ -125,7 +124,7 @@ def parsed(text: str, decimal_comma: bool = False) -> float:
 
 
 def _names(reader: Any) -> tuple[str, ...]:
-    """Of the columns: the first line that is not empty."""
+    """Return the column names: the first line that is not empty."""
     return tuple(name.strip() for name in next(filter(None, reader), []))
 
 
@@ -134,14 +133,14 @@ def _reader(text: str, separator: str) -> Any:
 
 
 def _decoded(data: bytes, errors: str = "strict") -> str:
-    """The text of a table, without the mark that tells its encoding, nor a first line that only names the separator."""
+    """Decode a table, without byte-order mark and without a first line such as `sep=;`."""
     encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     text = data.decode(encoding, errors)
     return text[text.find("\n") :] if text[:4].lower() == "sep=" else text
 
 
 def _separator(text: str) -> str:
-    """The separator: the candidate that occurs most often in the header line."""
+    """Return the candidate separator that occurs most often in the header line."""
     first = text.lstrip("\r\n").partition("\n")[0].partition("\r")[0]
     return max(_SEPARATORS, key=first.count)
 

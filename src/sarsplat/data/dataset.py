@@ -1,4 +1,4 @@
-"""A dataset: SAR images of one target on one grid, their views, and what must be known to use them."""
+"""SAR images of one target on one grid, with their views, calibration, speckle and ground."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from jaxtyping import Complex, Complex64, Real
 
 from sarsplat.arguments import checks_arguments, expect, is_number
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration, DatasetHeader
-from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, power_of_passes
+from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, in_blocks, power_of_passes
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, Turn, View
 from sarsplat.typed import convert
 
 _FARTHEST_M = 1e6
-_LEAST_CERTAIN_DEG = 10.0
-AS_THEY_ARE = (
+"""Maximum coordinate of the target's box, m."""
+_MAX_AZIMUTH_STD_DEG = 10.0
+PLAIN_FIELDS = (
     *("target", "calibration", "looks", "clean_tests", "ground", "score_margin", "target_box_m", "protocol", "source"),
 )
-"""Fields that `dataset.json` holds as they are here."""
+"""Fields of `Dataset` that `dataset.json` holds unchanged."""
 
 TERRAIN = "terrain.tif"
 """File of the terrain in a dataset's folder."""
@@ -35,22 +36,22 @@ TERRAIN = "terrain.tif"
 
 @dataclass(frozen=True)
 class DatasetEntry:
-    """What is known of one image of a dataset.
+    """View, set and name of one image of a dataset.
 
     Parameters
     ----------
     view : View
-        From where it was taken.
+        Direction to the radar.
     split : str
         "train", or a test set: a name that starts with "test".
     name : str
-        What to call it, e.g. the measured chip's path.
+        Name of the image, e.g. the measured chip's path.
     azimuth_std_deg : float
         Standard deviation of the view's azimuth, degrees, at most 10; 0 if it is known exactly.
     stack : Stack, optional
-        The passes of an interferometric stack, of which `view` is the direction and the grid the pixels.
+        Passes of an interferometric stack, coregistered to `view` and the grid.
     turn : Turn, optional
-        Of a target aloft, the rotation by which the frame was made, and how well it is known.
+        Rotation of a target aloft by which the frame was made, with its uncertainty.
     """
 
     view: View
@@ -68,10 +69,10 @@ class DatasetEntry:
         if self.turn is not None:
             self.turn.check(self.view)
         std = self.azimuth_std_deg
-        if not is_number(std) or not 0 <= std <= _LEAST_CERTAIN_DEG:  # also catches NaN
+        if not is_number(std) or not 0 <= std <= _MAX_AZIMUTH_STD_DEG:  # also catches NaN
             raise SarsplatError(
                 f"azimuth_std_deg {shown(std)} of the image {shown(self.name)} is not a number between 0 and "
-                f"{_LEAST_CERTAIN_DEG:g}; give degrees, and find azimuths that are known less well another way first"
+                f"{_MAX_AZIMUTH_STD_DEG:g}; give degrees, and improve less certain azimuths first"
             )
         object.__setattr__(self, "azimuth_std_deg", float(std))  # numpy's numbers do not fit into JSON
 
@@ -83,38 +84,38 @@ class Dataset:
     Parameters
     ----------
     grid : ImageGrid
-        Where the pixels of every image lie.
+        Pixels of every image.
     entries : tuple of DatasetEntry
         One for each image.
     power : numpy.ndarray, float32 [V, rows, columns]
-        β⁰, linear power, ≥ 0, row 0 near range; not to be written to. Of stacks, the mean over the passes.
+        β⁰, linear power, ≥ 0, row 0 near range; read-only by convention. Of stacks, the mean over the passes.
     signal : numpy.ndarray, complex64 [V, rows, columns] or [V, P, rows, columns], or None
         Complex amplitudes, if the phases are known: |signal|² is the power. Of stacks, those of P passes, not deramped.
         See `of_complex`.
     target : str
-        What the images show.
+        Name of the target.
     calibration : {"absolute", "relative"}
-        Whether the power is β⁰ itself, or β⁰ up to one common unknown factor.
+        "absolute": the power is β⁰; "relative": β⁰ up to one common unknown factor.
     looks : float or None
-        Number of looks of the speckle in the images; None if there is none.
+        Number of looks of the speckle in the images; None without speckle.
     clean_tests : bool
-        Whether the test images are without speckle nevertheless, so that they are scored as noise-free ones.
+        True if the test images have no speckle although the others do; they are scored as noise-free ones.
     ground : bool
-        Whether the images show the ground around the target.
+        True if the images show the ground around the target.
     terrain : Terrain or None
         Heights of that ground; None where it is level at z = 0. With terrain, z in `target_box_m` is above it.
     place : Place or None
-        Where on earth the scene's origin is, and where its x axis points; None if that is not known.
+        Position of the scene's origin on earth, and bearing of its x axis, if known.
     score_margin : int
         Pixels left out on each side of an image when speckled images are scored.
     target_box_m : pair of (x, y, z) or None
-        Corners of the box the target lies in, world frame, m; None to derive it from the images.
+        Corners of the box around the target, world frame, m; None to derive it from the images.
     protocol : str or None
-        Experiment whose views and grid these are, "paper" or "mstar".
+        Experiment with the same views and grid, "paper" or "mstar".
     truth_mesh : Path or None
         Triangle mesh of the target (PLY), if it is known; target frame, m.
     source : dict
-        Where the images come from, for people to read (JSON); decides nothing but how masks of chips are turned.
+        Origin of the images, for people to read (JSON); programs use it only to orient masks of chips.
     path : Path or None
         Its folder; None for a dataset that is in memory only.
 
@@ -147,12 +148,11 @@ class Dataset:
         expect(ImageGrid, grid=self.grid)
         expect(tuple[DatasetEntry, ...], entries=self.entries)
         if not self.entries:
-            raise SarsplatError("a dataset needs images, but there are none; give at least one")
-        expected = (len(self.entries), self.grid.rows, self.grid.columns)
-        if not isinstance(self.power, np.ndarray) or self.power.shape != expected or self.power.dtype != np.float32:
+            raise SarsplatError("a dataset needs at least one image, but entries is empty; give one for each image")
+        expected, power = (len(self.entries), self.grid.rows, self.grid.columns), self.power
+        if not isinstance(power, np.ndarray) or power.shape != expected or power.dtype != np.float32:
             raise SarsplatError(
-                f"the images are {getattr(self.power, 'dtype', type(self.power).__name__)} of shape "
-                f"{np.shape(self.power)}; "
+                f"the images are {getattr(power, 'dtype', type(power).__name__)} of shape {np.shape(power)}; "
                 f"for {counted(len(self.entries), 'view')} they must be float32 {expected}"
             )
         check_signal(self.signal, self.power, "the images", self.passes)
@@ -164,31 +164,27 @@ class Dataset:
                     'starts with "test"'
                 )
         expect(Place | None, place=self.place)
-        self.header()  # types: what is here must fit into dataset.json
-        self._check_fields()
-
-    def _check_fields(self) -> None:
-        if self.looks is not None and not (math.isfinite(self.looks) and self.looks > 0):
-            raise SarsplatError(f"looks {self.looks} must be a positive number, or None for images without speckle")
-        if self.clean_tests and self.looks is None:
-            raise SarsplatError("clean_tests is for speckled training images, but looks is None; give both or neither")
-        if not 0 <= 2 * self.score_margin < min(self.grid.rows, self.grid.columns):
-            raise SarsplatError(
-                f"score_margin {self.score_margin} does not suit images of {self.grid.rows} × {self.grid.columns} "
-                "pixels; give 0 or more pixels, less than half a side"
-            )
-        aloft = sum(view.aloft for view in self.views)
-        if 0 < aloft < len(self):
-            raise SarsplatError(f"{aloft} of {len(self)} views are of a target aloft; give all or none")
-        if aloft and self.ground:
-            raise SarsplatError("the views are of a target aloft, where there is no ground, but ground is True")
-        if self.terrain is not None and not self.ground:
-            raise SarsplatError("terrain is the ground that images show, but ground is False; give both or neither")
-        box = self.target_box_m
-        if box is not None and not all(
-            -_FARTHEST_M <= low < high <= _FARTHEST_M for low, high in zip(*box, strict=True)
+        self.header()  # raises if a field has a type that dataset.json cannot hold
+        looks, margin, box, aloft = self.looks, self.score_margin, self.target_box_m, sum(v.aloft for v in self.views)
+        sides = zip(*box, strict=True) if box is not None else ()
+        for wrong, message in (
+            (looks is not None and not 0 < looks < math.inf, f"looks {looks} must be a positive number, or None"),
+            (self.clean_tests and looks is None, "clean_tests needs speckled images, but looks is None; give both"),
+            (
+                not 0 <= 2 * margin < min(expected[1:]),
+                f"score_margin {margin} does not suit images of {expected[1]} × {expected[2]} pixels; give 0 or more, "
+                "less than half a side",
+            ),
+            (0 < aloft < len(self), f"{aloft} of {len(self)} views are of a target aloft; give all or none"),
+            (aloft and self.ground, "the views are of a target aloft, without ground, but ground is True"),
+            (self.terrain is not None and not self.ground, "terrain is ground, but ground is False; give both"),
+            (
+                not all(-_FARTHEST_M <= low < high <= _FARTHEST_M for low, high in sides),
+                f"target_box_m {box} must be a lower and an upper corner (x, y, z) in metres",
+            ),
         ):
-            raise SarsplatError(f"target_box_m {box} must be a lower and an upper corner (x, y, z) in metres")
+            if wrong:
+                raise SarsplatError(message)
 
     @classmethod
     @checks_arguments
@@ -199,7 +195,7 @@ class Dataset:
         signal: Complex[np.ndarray, "v *passes rows columns"],
         **fields: Any,
     ) -> Self:
-        """A dataset that keeps the phases.
+        """Make a dataset that keeps the phases.
 
         Parameters
         ----------
@@ -208,7 +204,7 @@ class Dataset:
         signal : numpy.ndarray, complex [V, rows, columns], or of stacks [V, P, rows, columns]
             Complex amplitudes √β⁰·e^jψ, row 0 near range.
         **fields
-            All others of `Dataset`.
+            Other fields of `Dataset`.
 
         Raises
         ------
@@ -229,18 +225,18 @@ class Dataset:
         turns: Sequence[Turn] | None = None,
         **fields: Any,
     ) -> Dataset:
-        """A dataset in memory: `images` to train on, and those of `test` to score with.
+        """Make a dataset in memory from training and test images.
 
         Parameters
         ----------
         images, test : sequence of SarImage
             All on the same grid; either all with their phase (`SarImage.of_complex`) or all without.
         azimuth_std_deg : float or sequence of float
-            Standard deviation of the azimuths, degrees: of all images, or of each, those of `test` last.
+            Standard deviation of the azimuths, degrees: one for all images, or one for each, test images last.
         turns : sequence of Turn, optional
-            Of a target aloft, the rotation of each image, those of `test` last.
+            Rotation of a target aloft in each image, test images last.
         **fields
-            What is known of them: `target`, `calibration`, `looks`, `ground` and the others of `Dataset`.
+            `target`, `calibration`, `looks`, `ground` and other fields of `Dataset`.
 
         Raises
         ------
@@ -258,21 +254,20 @@ class Dataset:
                     f"image {index} is on {image.grid} but the first image is on {grid}; give images with the same grid"
                 )
         stds = list(azimuth_std_deg) if isinstance(azimuth_std_deg, Iterable) else [azimuth_std_deg] * len(every)
-        if len(stds) != len(every):
-            raise SarsplatError(f"azimuth_std_deg holds {len(stds)} numbers for {len(every)} images; give one for each")
-        if turns is not None and len(turns) != len(every):
-            raise SarsplatError(f"turns holds {len(turns)} for {len(every)} images; give one for each")
-        of_images: list[Turn | None] = [None] * len(every) if turns is None else list(turns)
+        rotations: list[Turn | None] = [None] * len(every) if turns is None else list(turns)
+        for name, count in (("azimuth_std_deg", len(stds)), ("turns", len(rotations))):
+            if count != len(every):
+                raise SarsplatError(f"{name} holds {count} values for {len(every)} images; give one for each")
         signals = [image.signal for image in every if image.signal is not None]
         if signals and len(signals) < len(every):
             raise SarsplatError(
-                f"{len(signals)} of {len(every)} images have their phase and the others do not; give all with it, or "
-                "the power of all"
+                f"{len(signals)} of {len(every)} images have their phase and the others do not; give all with phase, "
+                "or all without"
             )
         digits = max(3, len(str(len(every) - 1)))
         entries = tuple(
             DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}", std, turn=turn)
-            for index, (image, std, turn) in enumerate(zip(every, stds, of_images, strict=True))
+            for index, (image, std, turn) in enumerate(zip(every, stds, rotations, strict=True))
         )
         power = np.stack([image.power for image in every]).astype(np.float32, copy=False)
         return cls(grid, entries, power, signal=np.stack(signals) if signals else None, **fields)
@@ -281,7 +276,7 @@ class Dataset:
         return len(self.entries)
 
     def __getitem__(self, index: int) -> SarImage:
-        """An image; of a stack its power alone."""
+        """Return an image; of a stack, its power without phases."""
         try:
             index = operator.index(index)
         except TypeError as error:
@@ -300,7 +295,7 @@ class Dataset:
 
     @property
     def speckle(self) -> str:
-        """What to call the speckle in its images: "none", "1 look", "4 looks, test images without"."""
+        """Name of the speckle in its images: "none", "1 look", "4 looks, test images without"."""
         if self.looks is None:
             return "none"
         looks = f"{self.looks:g} look{'' if self.looks == 1 else 's'}"
@@ -308,46 +303,45 @@ class Dataset:
 
     @property
     def views(self) -> tuple[View, ...]:
-        """The view of each image."""
+        """View of each image."""
         return tuple(entry.view for entry in self.entries)
 
     @property
     def passes(self) -> int:
-        """Passes of each image, if they are stacks; 0 if they are not."""
+        """Number of passes of each image; 0 unless they are stacks."""
         return passes_of(self.entries)
 
     @property
     def stacks(self) -> tuple[Stack, ...]:
-        """The stack of each image; none if they are not stacks."""
+        """Stack of each image; empty unless they are stacks."""
         return tuple(entry.stack for entry in self.entries if entry.stack is not None)
 
     @property
     def interferometric(self) -> bool:
-        """Whether its images are stacks whose phases tell elevations."""
+        """True for stacks whose phases depend on elevation."""
         return bool(self.passes) and all(stack.interferometric for stack in self.stacks)
 
     @property
     def polarimetric(self) -> bool:
-        """Whether its images are stacks of several polarisations."""
+        """True for stacks of several polarisations."""
         return bool(self.passes) and all(stack.polarimetric for stack in self.stacks)
 
     def splits(self) -> tuple[str, ...]:
-        """Names of the sets it holds, in order of first appearance."""
+        """Names of its sets, in order of first appearance."""
         return tuple(dict.fromkeys(entry.split for entry in self.entries))
 
     @checks_arguments
     def multilooked(self, factor: int) -> Dataset:
         """Return images of mean power over blocks of factor × factor pixels, without their phase."""
         grid = self.grid.multilooked(factor)
-        blocks = self.power[:, : grid.rows * factor, : grid.columns * factor]
-        power = blocks.reshape(len(self), grid.rows, factor, grid.columns, factor).mean(axis=(2, 4))
+        power = in_blocks(self.power, factor).mean(axis=(2, 4))
         more = self.grid.independent_samples / grid.independent_samples
         looks = None if self.looks is None else self.looks * more
         return replace(self, grid=grid, power=power, signal=None, looks=looks, score_margin=0, path=None)
 
     @checks_arguments
     def select(self, split: str) -> Dataset:
-        """The dataset of one set alone, in memory; its `looks` are those of its images.
+        """Return one set alone as a dataset in memory; its `looks` are those of its images.
 
         Raises
         ------
@@ -360,7 +354,7 @@ class Dataset:
 
     @checks_arguments
     def take(self, indices: Sequence[int]) -> Dataset:
-        """The dataset of some of its images, in memory, in the order of `indices`."""
+        """Return the images with these indices, in this order, as a dataset in memory."""
         chosen = [*indices]
         part = _part(chosen)
         return replace(
@@ -373,7 +367,7 @@ class Dataset:
 
     @checks_arguments
     def images(self, split: str) -> Real[np.ndarray, "v {self.grid.rows} {self.grid.columns}"]:
-        """β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; not to be written to.
+        """Return β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; may be a view of `power`.
 
         Raises
         ------
@@ -389,14 +383,14 @@ class Dataset:
         return chosen
 
     def header(self) -> DatasetHeader:
-        """What `dataset.json` holds, each number of the type it will be read back as; refused if it is no JSON."""
+        """Return the content of `dataset.json`, in the types that reading returns; raise if JSON cannot hold it."""
         digits = max(3, len(str(len(self) - 1)))
         plain = {
             "schema": SCHEMA,
             "schema_version": SCHEMA_VERSION,
             "quantity": "beta0",
             "unit": "linear power",
-            **{name: getattr(self, name) for name in AS_THEY_ARE},
+            **{name: getattr(self, name) for name in PLAIN_FIELDS},
             "pixels": "power" if self.signal is None else "complex",
             "truth_mesh": None if self.truth_mesh is None else self.truth_mesh.name,
             "terrain": None if self.terrain is None else TERRAIN,
@@ -419,12 +413,10 @@ class Dataset:
             ) from error
 
     def fingerprint(self) -> str:
-        """SHA-256 over header and pixels, in hexadecimal: the same if the data are the same, wherever they lie."""
+        """Return the SHA-256 of header and pixels, in hexadecimal; it does not depend on the folder."""
         header = msgspec.structs.replace(self.header(), truth_mesh=None)
         digest = hashlib.sha256(msgspec.json.encode(header, order="deterministic"))
-        digest.update(
-            self.power.astype("<f4").tobytes() if self.signal is None else self.signal.astype("<c8").tobytes()
-        )
+        digest.update((self.power.astype("<f4") if self.signal is None else self.signal.astype("<c8")).tobytes())
         if self.terrain is not None:
             digest.update(np.array(self.terrain.pitch_m, "<f8").tobytes())
             digest.update(self.terrain.heights_m.astype("<f8").tobytes())
@@ -432,17 +424,17 @@ class Dataset:
 
 
 def passes_of(entries: Sequence[DatasetEntry]) -> int:
-    """Passes of each image, 0 if they are no stacks; a SarsplatError if images differ."""
+    """Return the number of passes of each image, 0 unless they are stacks; raise if images differ."""
     passes = sorted({0 if entry.stack is None else len(entry.stack) for entry in entries})
     if len(passes) > 1:
         raise SarsplatError(
             f"some images are of {passes[0]} passes and others of {passes[-1]} (0: no stack); give stacks of the same "
-            "number of passes, or none"
+            "number of passes, or single images"
         )
     return passes[0] if passes else 0
 
 
 def _part(indices: list[int]) -> slice | list[int]:
     """Convert indices for numpy, to a slice where possible, which copies nothing."""
-    together = bool(indices) and indices == [*range(indices[0], indices[0] + len(indices))]
-    return slice(indices[0], indices[-1] + 1) if together else indices
+    consecutive = bool(indices) and indices == [*range(indices[0], indices[0] + len(indices))]
+    return slice(indices[0], indices[-1] + 1) if consecutive else indices

@@ -1,4 +1,4 @@
-"""A dataset as a folder: `dataset.json`, a TIFF for each image; the target's mesh and masks where known."""
+"""Folders of datasets: `dataset.json`, a TIFF for each image, and mesh, terrain and masks where known."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.beside import MASKS, beside
-from sarsplat.data.dataset import AS_THEY_ARE, TERRAIN, Dataset, DatasetEntry, passes_of
+from sarsplat.data.dataset import PLAIN_FIELDS, TERRAIN, Dataset, DatasetEntry, passes_of
 from sarsplat.data.files import inside, open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.geotiff import read_terrain, write_terrain
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
 from sarsplat.data.masks import encode_masks
+from sarsplat.data.sidecar import MASKS, sidecars_of
 from sarsplat.data.tiff import read_tiff, write_tiff
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, Turn, View
@@ -44,8 +44,8 @@ def write_dataset(
 ) -> Dataset:
     """Write a dataset, whole or not at all.
 
-    What lies beside the images of one that was read from a folder goes with it, unless it is given or the images have
-    changed since: masks, and chips without azimuth.
+    Masks and chips without azimuth in the folder that it was read from are copied, unless they are given here or the
+    images have changed since.
 
     Parameters
     ----------
@@ -56,17 +56,17 @@ def write_dataset(
     truth_mesh : trimesh.Trimesh, optional
         The target, m, in the target's frame; unless given, the file that `dataset.truth_mesh` names is copied.
     masks : numpy.ndarray, uint8 [V, rows, columns], optional
-        True masks of simulated images, row 0 near: 0 clutter, 1 target, 2 shadow. They are put in the folder `masks`,
-        from where `read_masks` reads them.
+        True masks of simulated images, row 0 near: 0 clutter, 1 target, 2 shadow. They go to the folder `masks`, for
+        `read_masks`.
     pictures : mapping of str to numpy.ndarray, float32 [rows, columns], optional
-        Linear power of images that are kept beside those of the dataset, by FOLDER/FILE, as its `source` lists them.
+        Linear power of further images, by FOLDER/FILE, as its `source` lists them.
     overwrite : bool
-        Whether an existing dataset may be replaced.
+        True to replace an existing dataset.
 
     Returns
     -------
     Dataset
-        The same with its place on the disk.
+        The same dataset with its path.
 
     Raises
     ------
@@ -76,11 +76,11 @@ def write_dataset(
     path = Path(path)
     _require_training(dataset)
     mesh = _mesh_bytes(dataset, truth_mesh)
-    drawn = {} if masks is None else encode_masks(masks, dataset)
+    pngs = {} if masks is None else encode_masks(masks, dataset)
     if pictures is None:
-        kept = beside(dataset, lambda folder: _unchanged(dataset, folder))
-        dataset, pictures = replace(dataset, source=kept.source), kept.pictures
-        drawn = kept.masks if masks is None else drawn
+        sidecars = sidecars_of(dataset, lambda folder: _has_images(folder, dataset))
+        dataset, pictures = replace(dataset, source=sidecars.source), sidecars.pictures
+        pngs = sidecars.masks if masks is None else pngs
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
     header = written.header()
     pixels = dataset.power if dataset.signal is None else dataset.signal
@@ -92,9 +92,9 @@ def write_dataset(
             write_terrain(folder / TERRAIN, dataset.terrain)
         with plain_os_errors("write", folder):
             (folder / "images").mkdir()
-            if drawn:
+            if pngs:
                 (folder / MASKS).mkdir()
-        for name, png in drawn.items():
+        for name, png in pngs.items():
             write_bytes(folder / MASKS / name, png)
         for index, item in enumerate(header.views):
             unusual = dataset.views[index].unusual.replace("°", " deg")
@@ -113,8 +113,8 @@ def write_dataset(
     return written
 
 
-def _unchanged(dataset: Dataset, folder: Path) -> bool:
-    """Whether the images of a dataset, of which the first and the last are looked at, are still those in a folder."""
+def _has_images(folder: Path, dataset: Dataset) -> bool:
+    """Return True if a folder still holds the first and the last image of a dataset, pixel by pixel."""
     header = read_header(folder)
     files = {item.name: item.file for item in header.views}
     pixels = dataset.power if dataset.signal is None else dataset.signal
@@ -190,7 +190,7 @@ def read_dataset(path: str | Path) -> Dataset:
             grid,
             entries,
             np.stack(images) if images else np.empty((0, *shape), pixel),
-            **{name: getattr(header, name) for name in AS_THEY_ARE},
+            **{name: getattr(header, name) for name in PLAIN_FIELDS},
             truth_mesh=mesh,
             terrain=None if heights is None else read_terrain(heights),
             place=header.place.place if header.place else None,
@@ -201,7 +201,7 @@ def read_dataset(path: str | Path) -> Dataset:
 
 
 def read_header(path: Path) -> DatasetHeader:
-    """Read the header, `dataset.json`; refused if there is no dataset, or one of another version."""
+    """Read `dataset.json`; raise if the folder holds no dataset, or one of another version."""
     _require_dataset(path)
     return read_versioned_json(
         path / HEADER, DatasetHeader, schema=SCHEMA, version=SCHEMA_VERSION, remedy="simulate or import it again"
@@ -228,6 +228,7 @@ def _require_dataset(path: Path) -> None:
 
 @contextmanager
 def _blamed_on(place: object) -> Iterator[None]:
+    """Prefix errors in the block with the file or field that causes them."""
     try:
         yield
     except SarsplatError as error:
@@ -235,26 +236,14 @@ def _blamed_on(place: object) -> Iterator[None]:
 
 
 def _entry(index: int, item: ViewHeader) -> DatasetEntry:
-    view, stack, turn = _view(index, item), _stack(index, item), _turn(index, item)
-    std_deg = item.azimuth_std_deg or 0.0
-    if turn is None:
-        return DatasetEntry(view, item.split, item.name, std_deg, stack)
-    with _blamed_on(f"views[{index}].turn"):
-        return DatasetEntry(view, item.split, item.name, std_deg, stack, turn)
-
-
-def _turn(index: int, item: ViewHeader) -> Turn | None:
-    with _blamed_on(f"views[{index}].turn"):
-        return None if item.turn is None else Turn(**msgspec.structs.asdict(item.turn))
-
-
-def _view(index: int, item: ViewHeader) -> View:
     with _blamed_on(f"views[{index}]"):
         if item.apart_deg or item.apart_towards_deg:
             raise SarsplatError("the view is bistatic, which is not supported; give images of one radar")
-        return View(item.azimuth_deg, item.grazing_deg, item.tilt_deg, item.side, item.aloft, item.stretch)
-
-
-def _stack(index: int, item: ViewHeader) -> Stack | None:
+        view = View(item.azimuth_deg, item.grazing_deg, item.tilt_deg, item.side, item.aloft, item.stretch)
     with _blamed_on(f"views[{index}].stack"):
-        return None if item.stack is None else Stack(**msgspec.structs.asdict(item.stack))
+        stack = None if item.stack is None else Stack(**msgspec.structs.asdict(item.stack))
+    with _blamed_on(f"views[{index}].turn"):
+        turn = None if item.turn is None else Turn(**msgspec.structs.asdict(item.turn))
+        if turn is not None:
+            turn.check(view)
+    return DatasetEntry(view, item.split, item.name, item.azimuth_std_deg or 0.0, stack, turn)

@@ -1,4 +1,4 @@
-"""Files that are whole or absent (written under a temporary name, then renamed), and JSON read with care."""
+"""Atomic files (written under a temporary name, then renamed), locks, and validated JSON."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ _REASONS = {
     errno.EFBIG: "it grows larger than the system allows; free some space or raise the limit",
 }
 
-_LARGEST_JSON = 1 << 26  # bytes
+_LARGEST_JSON = 1 << 26
+"""Maximum size of a JSON file, bytes."""
 BUILT = ".tmpdir"
 """Suffix of a folder that is being built."""
 
@@ -51,12 +52,12 @@ def plain_os_errors(verb: str, path: Path) -> Iterator[None]:
 
 
 def plain_reason(error: OSError) -> str:
-    """What an OSError means, and the remedy."""
+    """Return the cause of an OSError in plain words, and a remedy."""
     return _REASONS.get(error.errno or 0) or f"{error.strerror or error}; check the path and the disk"
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Say before the work, not after it, that nothing can be written at a path."""
+    """Raise if nothing can be written at a path, so that work does not start in vain."""
     with plain_os_errors("write", path):
         whole = Path(os.path.realpath(path))
         folder = next((parent for parent in whole.parents if os.path.lexists(parent)), whole)
@@ -68,15 +69,15 @@ def refuse_unwritable(path: Path) -> None:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Lock a file or folder for writing while the block runs, by the file `.NAME.lock` beside it.
+    """Lock a file or folder for writing while the block runs, by a file `.NAME.lock` in the same folder.
 
-    Refused if another process or thread holds it. Whoever holds it may lock it again. The system releases it when the
-    process ends, however it ends: what is left then is an empty file, which the next one removes.
+    Raise if another process or thread holds the lock. It is reentrant. The system releases it when the process ends in
+    any way; the next process removes the empty file.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
-    place = path.with_name(f".{path.name}.lock")
-    place.parent.stat()  # the lock would make missing folders
-    lock = FileLock(place, is_singleton=True)
+    lock_file = path.with_name(f".{path.name}.lock")
+    lock_file.parent.stat()  # FileLock would make missing folders
+    lock = FileLock(lock_file, is_singleton=True)
     try:
         lock.acquire(blocking=False)
     except Timeout as error:
@@ -85,17 +86,17 @@ def locked(path: Path) -> Iterator[None]:
         yield
     finally:
         if lock.lock_counter == 1:
-            with suppress(OSError):  # Windows removes it when it lets go
-                place.unlink()
+            with suppress(OSError):  # Windows removes it on release
+                lock_file.unlink()
         lock.release()
 
 
 @contextmanager
 def new_file(path: Path) -> Iterator[BinaryIO]:
-    """Write a file in parts, whole or not at all; an existing one is replaced only once the new one is on the disk.
+    """Write a file in parts, whole or not at all; an existing one is replaced once the new one is on the disk.
 
-    What a killed process left under the temporary name, `.NAME.tmp`, is written over by the next one. In a folder that
-    is being built, files are neither locked nor flushed to the disk.
+    A killed process leaves `.NAME.tmp`, which the next one overwrites. In a folder that is being built, files are
+    neither locked nor flushed to the disk.
 
     Parameters
     ----------
@@ -105,8 +106,8 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
     Raises
     ------
     SarsplatError
-        If the disk is full or read-only, permission is missing, the folder is not there, another process is writing
-        this file, or what is there is not an ordinary file.
+        If the disk is full or read-only, permission or the folder is missing, another process is writing this file, or
+        the path exists and is not a regular file.
     """
     path = Path(path)
     with plain_os_errors("write", path):
@@ -115,14 +116,14 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
         if os.path.lexists(path) and not path.is_file():
             raise SarsplatError(f"cannot write {path}: it is a device, a pipe or a broken link; give another path")
         temporary = path.with_name(f".{path.name}.tmp")
-        kept = all(folder.suffix != BUILT for folder in path.parents)
-        with locked(path) if kept else nullcontext():
+        final = all(folder.suffix != BUILT for folder in path.parents)
+        with locked(path) if final else nullcontext():
             temporary.unlink(missing_ok=True)
             try:
                 with temporary.open("xb") as file:  # a new file: it follows no link
                     yield file
                     file.flush()
-                    if kept:
+                    if final:
                         os.fsync(file.fileno())
                 temporary.replace(path)
             except BaseException:
@@ -156,9 +157,9 @@ def write_json(path: Path, obj: Any) -> None:
 
 
 def encode_json(obj: Any, path: Path) -> bytes:
-    """The object as indented UTF-8 JSON ending in a newline; `path` is what an error names."""
+    """Encode an object as indented UTF-8 JSON ending in a newline; errors name `path`."""
     try:
-        # not by msgspec, which turns NaN into null without a word
+        # not by msgspec, which silently turns NaN into null
         text = json.dumps(obj, indent=2, ensure_ascii=False, allow_nan=False, default=_struct_as_dict)
         return (text + "\n").encode()
     except UnicodeEncodeError as error:  # a path whose bytes are not UTF-8 carries them as halves of surrogate pairs
@@ -181,7 +182,7 @@ def _struct_as_dict(value: object) -> dict[str, Any]:
 
 @contextmanager
 def open_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a regular file for reading; pipes, sockets and devices may never end, so they are refused unopened.
+    """Open a regular file for reading; reject pipes, sockets and devices, which may never end.
 
     Any OSError or MemoryError in the block becomes a SarsplatError.
     """
@@ -198,19 +199,19 @@ def open_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_json(path: Path, type: type[T]) -> T:
-    """Read a JSON file that may be missing, garbled or hostile.
+    """Read a JSON file, which may be missing, garbled or hostile.
 
     Parameters
     ----------
     path : Path
         The file.
     type : type
-        What it must hold, in msgspec's sense: a `msgspec.Struct`, a dataclass, `dict[str, Any]` …
+        Type of its value, as msgspec knows them: a `msgspec.Struct`, a dataclass, `dict[str, Any]` …
 
     Returns
     -------
     T
-        The value; every number in it is finite and all text can be written as UTF-8.
+        The value; every number in it is finite, and text can be written as UTF-8.
 
     Raises
     ------
@@ -222,12 +223,12 @@ def read_json(path: Path, type: type[T]) -> T:
 
 
 def read_versioned_json(path: Path, type: type[T], *, schema: str, version: int, remedy: str) -> T:
-    """Read a JSON file as `read_json` does, once its fields `schema` and `schema_version` are those wanted.
+    """Read a JSON file like `read_json`, after its fields `schema` and `schema_version` are checked.
 
     Raises
     ------
     SarsplatError
-        As `read_json`, or if it is of another schema or version; `remedy` says what to do then.
+        As `read_json`, or if schema or version differ; that message ends with `remedy`.
     """
     data = _read_text(path)
     kind = decode_json(data, Path(path), _Kind)
@@ -256,35 +257,35 @@ def _read_text(path: Path) -> bytes:
 
 
 def decode_json(data: bytes, path: Path, type: type[T]) -> T:
-    """The value of JSON text, read as `read_json` does; `path` is what an error names."""
+    """Decode JSON text like `read_json`; errors name `path`."""
     try:
         return decode(data, type)
     except msgspec.ValidationError as error:
-        raise SarsplatError(f"{path}: {_what_does_not_fit(data, str(error))}; correct it or create it again") from error
+        raise SarsplatError(f"{path}: {_named_field(data, str(error))}; correct it or create it again") from error
     except RecursionError as error:
         raise SarsplatError(f"{path} is nested too deeply to be a sarsplat file; create it again") from error
     except ValueError as error:  # msgspec.DecodeError and UnicodeDecodeError among them
         raise SarsplatError(f"{path} is not valid JSON ({shown(str(error))}); create it again") from error
 
 
-def _what_does_not_fit(data: bytes, complaint: str) -> str:
+def _named_field(data: bytes, complaint: str) -> str:
     """Turn "Expected `float`, got `str` - at `$.views[1].azimuth_deg`" into "views[1].azimuth_deg is 'north': …"."""
-    what, _, place = complaint.partition(" - at `$")
-    place = place.removesuffix("`").removeprefix(".")
-    what = "".join(letter if letter.isprintable() else "?" for letter in what[:1].lower() + what[1:])[:200]
-    if not place:
-        return what
+    reason, _, field = complaint.partition(" - at `$")
+    field = field.removesuffix("`").removeprefix(".")
+    reason = "".join(letter if letter.isprintable() else "?" for letter in reason[:1].lower() + reason[1:])[:200]
+    if not field:
+        return reason
     try:
         value = msgspec.json.decode(data)
-        for key in re.findall(r"\w+", place):
+        for key in re.findall(r"\w+", field):
             value = value[int(key) if isinstance(value, list) else key]
     except (ValueError, LookupError, TypeError, RecursionError):  # such as 1e999, or a key of any letters
-        return f"{place}: {what}"
-    return f"{place}: {what}" if isinstance(value, dict) else f"{place} is {shown(value)}: {what}"
+        return f"{field}: {reason}"
+    return f"{field}: {reason}" if isinstance(value, dict) else f"{field} is {shown(value)}: {reason}"
 
 
 def inside(folder: Path, name: str) -> Path:
-    """`folder / name`, which must not lead out of the folder, not even by a link."""
+    """Return `folder / name`; raise if that leads out of the folder, also by a link."""
     path = folder / name
     try:
         inside = name.isprintable() and path.resolve().is_relative_to(folder.resolve())

@@ -1,6 +1,6 @@
 """Output folders that are whole or absent, and written by one process at a time.
 
-Nothing is replaced that is of another kind: neither a folder nor the file of an export.
+Folders and exported files of another kind are never replaced.
 """
 
 from __future__ import annotations
@@ -15,17 +15,15 @@ from sarsplat.data.files import BUILT, locked, open_file, plain_os_errors, refus
 from sarsplat.errors import SarsplatError
 
 Recognises = Callable[[bytes, int], bool]
-"""Whether a file that begins with these bytes, and has that many, is of some kind."""
+"""Predicate of a kind of file, by its first bytes and its size."""
 
-_HEAD = 96  # bytes by which a kind of file is recognised
+_HEAD = 96
+"""Number of bytes by which a kind of file is recognised."""
 
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Lock a run, which need not exist yet, against other writers while the block runs (see `locked`).
-
-    What a killed process left beside it is removed.
-    """
+    """Lock a run, which need not exist yet, while the block runs (see `locked`); remove leftovers of a killed one."""
     with plain_os_errors("write", folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         with locked(folder):
@@ -38,23 +36,23 @@ def only_writer(folder: Path) -> Iterator[None]:
 def new_folder(
     path: Path, overwrite: bool, *, marker: str, goes_on: Callable[[Path], bool] | None = None
 ) -> Iterator[Path]:
-    """Build a whole output folder under a temporary sibling name; it takes its place when the block ends well.
+    """Build an output folder under a temporary sibling name, and rename it to `path` when the block ends well.
 
-    If the block raises, KeyboardInterrupt included, the temporary folder is removed and what stood at `path` stays.
-    What a killed process left under the temporary name, `.NAME.tmpdir`, is cleared by the next one that writes there.
+    If the block raises, KeyboardInterrupt included, the temporary folder is removed and an existing `path` stays. A
+    killed process leaves `.NAME.tmpdir`, which the next writer of this path clears.
 
     Parameters
     ----------
     path : Path
         The folder to make; parent folders are made too. An empty folder there counts as absent.
     overwrite : bool
-        Whether an existing folder of the same kind may be replaced, as a whole.
+        True to replace an existing folder of the same kind, as a whole.
     marker : str
         Name of the file that marks this kind of folder: dataset.json, config.json (a run), comparison.html,
         contact-sheet.png or chips.json.
     goes_on : callable, optional
-        Whether what a stopped process has built in a folder can be gone on with. If it is given, what has been built
-        stays when the block raises, and the next call yields it again, unless this says no.
+        Predicate: can an unfinished folder be continued? If it says yes, the temporary folder stays when the block
+        raises, and the next call yields it again.
 
     Yields
     ------
@@ -64,13 +62,13 @@ def new_folder(
     Raises
     ------
     SarsplatError
-        If `path` exists and may not be replaced, another process is writing it, or the disk is full, read-only or
-        closed to us.
+        If `path` exists and may not be replaced, another process is writing it, the disk is full or read-only, or
+        permission is missing.
 
     Notes
     -----
-    The old folder becomes `.NAME.replaced` before the new one takes its place; a process killed just then leaves it
-    there, from where the next call for the same path puts it back.
+    The old folder becomes `.NAME.replaced` before the new one is renamed. If the process is killed in between, the next
+    call for the same path restores it.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     built, old = temporary_folder(path), _old_folder(path)
@@ -80,7 +78,7 @@ def new_folder(
         with locked(path):
             if old.exists() and not path.exists():
                 old.replace(path)
-            _refuse_existing(path, overwrite, marker)  # it may have been put back
+            _refuse_existing(path, overwrite, marker)  # it may have been restored
             if goes_on is None or not goes_on(built):
                 _clear(path)
             built.mkdir(exist_ok=True)
@@ -98,7 +96,7 @@ def new_folder(
 
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
-    """Refuse what `new_folder` would refuse, without making anything."""
+    """Raise if `new_folder` would, without making anything."""
     refuse_unwritable(path)
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     with plain_os_errors("write", path):
@@ -106,7 +104,7 @@ def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
 
 
 def refuse_other_kinds(path: Path, run: Path, recognises: Recognises) -> None:
-    """Refuse to write an export of a run inside its folder, or over a file of another kind."""
+    """Raise if an export of a run would be written inside its folder, or over a file of another kind."""
     if Path(os.path.realpath(path)) == run.resolve():
         raise SarsplatError(f"{path} is the file that is exported; choose another name")
     if Path(os.path.realpath(path)).is_relative_to(run.resolve()):

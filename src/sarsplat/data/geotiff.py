@@ -1,4 +1,4 @@
-"""Rasters on maps: heights and pictures by GDAL (rasterio), maps of runs, and the terrain of datasets."""
+"""Georeferenced rasters by GDAL (rasterio): heights, pictures, maps of runs, and the terrain of datasets."""
 
 from __future__ import annotations
 
@@ -42,23 +42,12 @@ _HARMLESS, _MOST_PACKED = 1 << 27, 64
 _EQUATOR_M = 6378137.0
 """Semi-major axis of the ellipsoids of WGS 84 and GRS 1980."""
 _ELSEWHERE = {
-    "VRT",
-    "WMS",
-    "WCS",
-    "WMTS",
-    "GTI",
-    "STACIT",
-    "STACTA",
-    "MRF",
-    "DAAS",
-    "EEDA",
-    "EEDAI",
-    "PLMOSAIC",
-    "HTTP",
+    *("VRT", "WMS", "WCS", "WMTS", "GTI", "STACIT", "STACTA"),
+    *("MRF", "DAAS", "EEDA", "EEDAI", "PLMOSAIC", "HTTP"),
 }
-"""Drivers of GDAL that read what a file points to, also from the net."""
+"""Drivers of GDAL that follow a file to other files or to the net."""
 
-logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
+logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # sarsplat's errors describe damaged files
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +65,7 @@ class Raster:
     crs : pyproj.CRS or None
         System of x and y; None: the scene's own axes, in metres.
     height_above : {"ellipsoid", "sea level", "unknown"} or None
-        Zero level of heights; None: the file says nothing, or heights are z of the scene.
+        Zero level of heights; None: the file does not name it, or heights are z of the scene.
     """
 
     values: Shaped[np.ndarray, "rows columns"]
@@ -100,11 +89,11 @@ class MapHeights:
     Attributes
     ----------
     raster : Raster
-        Heights, float64, m, NaN where they are not known, and where they lie in the file's own system.
+        Heights, float64, m, NaN where unknown, in the file's system.
     place : Place or None
-        Where their middle is on earth, if that can be said.
+        Position of their middle on earth, if known.
     metres : (float, float)
-        On the ground, for each metre of the map along its x and y; 1 if that is not known.
+        Metres on the ground for each metre of the map along its x and y; 1 if unknown.
     """
 
     raster: Raster
@@ -121,7 +110,7 @@ class Georeference:
     affine : numpy.ndarray, float64 [2, 3]
         (x, y) of the middle of the pixel in a column and a row: `affine @ (column, row, 1)`, in the map's unit.
     crs : pyproj.CRS or None
-        Horizontal system of x and y; None if the file names none, so that its pixels need not lie on a map at all.
+        Horizontal system of x and y; None if the file names none.
     """
 
     affine: Float64[np.ndarray, "2 3"]
@@ -160,9 +149,9 @@ class Georeference:
 
 @contextmanager
 def opened_raster(path: Path) -> Iterator[Any]:
-    """A raster of any format as rasterio reads it; whatever fails raises one `SarsplatError`."""
+    """Open a raster of any format by rasterio; every failure becomes a `SarsplatError`."""
     try:
-        import pyproj  # noqa: F401 (for what is read)
+        import pyproj  # noqa: F401 (callers need it)
         import rasterio
         from rasterio.errors import NotGeoreferencedWarning
         from rasterio.io import DatasetReader
@@ -185,12 +174,12 @@ def opened_raster(path: Path) -> Iterator[Any]:
             yield raster
     except SarsplatError:
         raise
-    except Exception as error:  # of a garbled file GDAL's errors are of many types
+    except Exception as error:  # GDAL raises errors of many types for garbled files
         raise SarsplatError(f"{path} is not a readable raster ({shown(str(error))}); get or write it again") from error
 
 
 def georeference_of(raster: Any) -> Georeference | None:
-    """Map coordinates of a raster that is open; None if it has none."""
+    """Read the map coordinates of an open raster; None without any."""
     matrix = np.array(raster.transform, np.float64).reshape(3, 3)[:2]
     if raster.transform.is_identity or not np.linalg.det(matrix[:, :2]):
         return None
@@ -199,14 +188,14 @@ def georeference_of(raster: Any) -> Georeference | None:
 
 
 def _system(raster: Any) -> Any:
-    """System of a raster that is open, as pyproj's CRS, heights included; None if there is none."""
+    """Return the system of an open raster, heights included, as pyproj.CRS; None without one."""
     from pyproj import CRS
 
     return CRS.from_wkt(raster.crs.to_wkt(version="WKT2_2019")) if raster.crs else None
 
 
 def _horizontal(crs: Any) -> Any:
-    """The system without heights, by its number in EPSG's list if it has one, which tells where it is for."""
+    """Return the system without heights, by its EPSG number if it has one, which adds its area of use."""
     if crs is None:
         return None
     number = crs.to_2d().to_epsg()
@@ -215,35 +204,32 @@ def _horizontal(crs: Any) -> Any:
 
 @checks_arguments
 def read_terrain(path: str | Path) -> Terrain:
-    """Heights of a raster of one band: its middle at the origin, columns (east) along +x, rows upwards along +y.
+    """Read heights of a raster of one band: its middle at the origin, columns (east) along +x, rows upwards along +y.
 
     Parameters
     ----------
     path : str or Path
-        GeoTIFF, or any raster that GDAL reads, in a projected system in metres. Nothing in it is trusted.
+        GeoTIFF, or any raster that GDAL reads, in a projected system in metres.
 
     Returns
     -------
     Terrain
-        Heights as they are stored; `Terrain.centred` measures them from the origin. If its system has a number in
-        EPSG's list, its `place` is that of the middle, x axis along the columns, and its pitch in metres on the ground,
-        not in those of the map.
+        Heights as stored; `Terrain.centred` measures them from the origin. If its system has an EPSG number, `place` is
+        the middle, x axis along the columns, and the pitch is in metres on the ground, not on the map.
 
     Raises
     ------
     SarsplatError
-        If it cannot be read, has several bands, is in degrees or feet, is turned, says nowhere how far its pixels are
-        apart, has fewer than 2 × 2 heights, or there are some that are not known inside of it; or rasterio is missing,
-        which only terrain by `write_terrain` does without.
+        If it cannot be read, has several bands, is in degrees or feet, is rotated, has no pixel size, has fewer than
+        2 × 2 heights, or unknown ones inside; or rasterio is missing (files by `write_terrain` do not need it).
 
     Warns
     -----
     SarsplatWarning
-        If its system has a number, but where that is cannot be found out; or heights at its edges are not known, where
-        it is cut, with the same middle.
+        If its system has an EPSG number but no place on earth is found, or unknown heights at its edges are cut off.
     """
     path = Path(path)
-    heights, pitch, place = _own_terrain(path) or _terrain_of_others(path)
+    heights, pitch, place = _read_own(path) or _read_foreign(path)
     try:
         return Terrain(np.ascontiguousarray(heights[::-1]), pitch, place)
     except SarsplatError as error:
@@ -254,14 +240,15 @@ _Stored = tuple[Float64[np.ndarray, "rows columns"], tuple[float, float], Place 
 """Heights with row 0 in the north, pitch and place."""
 
 
-def _terrain_of_others(path: Path) -> _Stored:
+def _read_foreign(path: Path) -> _Stored:
+    """Read heights and pitch of any raster."""
     found = read_heights(path)
     (x, y), (on_x, on_y) = found.raster.pitch_m, found.metres
     return known_part(path, found.raster.values), (x * on_x, y * on_y), found.place
 
 
-def _own_terrain(path: Path) -> _Stored | None:
-    """Heights and pitch by `write_terrain`; None if the file is another's, or damaged."""
+def _read_own(path: Path) -> _Stored | None:
+    """Read heights and pitch by `write_terrain`; None if the file is another program's, or damaged."""
     with open_file(path) as file:
         data = file.read()
     try:
@@ -277,7 +264,7 @@ def _own_terrain(path: Path) -> _Stored | None:
 
 
 def read_heights(path: str | Path) -> MapHeights:
-    """Heights of a raster of one band as they are; refused as in `read_terrain`, but if some are not known."""
+    """Read heights of a raster of one band, unknown ones as NaN; errors as for `read_terrain`."""
     path = Path(path)
     with opened_raster(path) as file:
         if file.count != 1:
@@ -293,14 +280,14 @@ def read_heights(path: str | Path) -> MapHeights:
     odd = values[(np.abs(values) > _HIGHEST_M) | (values == _USUAL_HOLE)]
     if len(odd):
         raise SarsplatError(
-            f"{path} has {counted(len(odd), 'height')} that the earth does not have, such as {odd[0]:.9g} m; if that "
-            f"means unknown, say so, as by gdal_translate -a_nodata {odd[0]:.9g}"
+            f"{path} has {counted(len(odd), 'height')} beyond the earth's, such as {odd[0]:.9g} m; if that means "
+            f"unknown, set it as no data, as by gdal_translate -a_nodata {odd[0]:.9g}"
         )
     top = transform.f
     if transform.e > 0:  # rows go upwards (north)
         values, top = values[::-1], top + len(values) * transform.e
     pitch = transform.a, abs(transform.e)
-    above = next((name for name, said in LEVELS.items() if said == level), None) or _height_above(crs)
+    above = next((name for name, text in LEVELS.items() if text == level), None) or _height_above(crs)
     horizontal = None if crs is None or crs.is_engineering else _horizontal(crs)
     raster = Raster(values, (transform.c, top), pitch, horizontal, above)
     if horizontal is None or horizontal.to_epsg() is None:
@@ -311,7 +298,7 @@ def read_heights(path: str | Path) -> MapHeights:
 
 
 def terrain_bytes(terrain: Terrain) -> bytes:
-    """A GeoTIFF that `read_terrain` reads to the same bits; the origin of its system is that of the scene."""
+    """Encode terrain as a GeoTIFF that `read_terrain` reads to the same bits; its origin is the scene's."""
     (dx, dy), (half_x, half_y) = terrain.pitch_m, terrain.half_m
     keys = (1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 2, 3072, 0, 1, 32767, 3076, 0, 1, 9001)  # metres, of no known system
     buffer = io.BytesIO()
@@ -345,20 +332,20 @@ def write_raster(
     unit: str = "",
     colours: Mapping[int, tuple[int, int, int]] | None = None,
 ) -> None:
-    """Write a raster as a tiled, compressed GeoTIFF, whole or not at all.
+    """Write a raster as a tiled and compressed GeoTIFF, whole or not at all.
 
     Parameters
     ----------
     path : Path
         File to write.
     raster : Raster
-        What is in it. Floats become float32, with NaN as "no data"; of classes "no data" is 255.
+        Numbers, which become float32 with NaN as "no data", or classes, with 255 as "no data".
     description : str
-        What the numbers are, with their unit (the ImageDescription tag, and the name of the band).
+        Name of the quantity, with its unit (the ImageDescription tag, and the name of the band).
     unit : str, optional
-        Of the band, for programs; none unless given.
+        Unit of the band, for programs; none unless given.
     colours : mapping of int to (red, green, blue), optional
-        Colours of classes, 0 to 255, in which programs show them.
+        Colours of classes, 0 to 255; without them the raster holds numbers.
     """
     try:
         import rasterio
@@ -392,35 +379,35 @@ def write_raster(
 
 
 def _refuse_units(path: Path, crs: Any, unit: str | None) -> None:
-    """Refuse coordinates or heights that are not in metres, and depths."""
+    """Raise if coordinates or heights are not in metres, or are depths."""
     if unit and unit.lower() not in ("m", "metre", "meter", "metres", "meters"):
         raise SarsplatError(f"{path} has heights in {shown(unit)}; convert them to metres")
     if crs is None:
         return
     if crs.is_geographic:
         raise SarsplatError(
-            f"{path} is in degrees of latitude and longitude; bring it into metres, as by "
+            f"{path} is in degrees of latitude and longitude; convert it to metres, as by "
             "gdalwarp -t_srs EPSG:326xx (the UTM zone)"
         )
     for axis in crs.axis_info:
         if axis.unit_conversion_factor != 1 or axis.direction == "down":
             raise SarsplatError(
-                f"{path} is measured {axis.direction} in units called {axis.unit_name}; make metres (upwards) of it"
+                f"{path} is measured {axis.direction} in units called {axis.unit_name}; convert it to metres (upwards)"
             )
 
 
 def _refuse_turned(path: Path, transform: Any) -> None:
     if transform.is_identity:
         raise SarsplatError(
-            f"{path} does not say how far its pixels are apart; write it as a GeoTIFF in metres, as by "
+            f"{path} has no pixel size; write it as a GeoTIFF in metres, as by "
             "gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT BOTTOM"
         )
     if transform.b or transform.d or transform.a < 0:
-        raise SarsplatError(f"{path} is turned against its system's axes; straighten it, as by gdalwarp")
+        raise SarsplatError(f"{path} is rotated against its system's axes; straighten it, as by gdalwarp")
 
 
 def _height_above(crs: Any) -> HeightAbove | None:
-    """Zero level of heights by a system's third axis; None if it has none."""
+    """Return the zero level of heights by a system's third axis; None without such an axis."""
     if crs is None or len(crs.axis_info) < 3:
         return None
     datum = next((part.datum for part in crs.sub_crs_list if part.is_vertical), None)

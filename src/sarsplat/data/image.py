@@ -1,4 +1,4 @@
-"""One SAR image with its view and its grid, and as a picture: decibels in grey, axes in metres, near range on top."""
+"""One SAR image with its view and its grid, and its picture: decibels in grey, axes in metres, near range on top."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from jaxtyping import Complex, Complex64, Float, Float32, Real
+from jaxtyping import Complex, Complex64, Float, Float32, Real, Shaped
 
 from sarsplat.arguments import checks_arguments, expect
 from sarsplat.colours import POWER, colormap
@@ -23,9 +23,11 @@ from sarsplat.radiometry import DYNAMIC_RANGE_DB, amplitude, to_db, white_level
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LARGEST_POWER = 1e18  # 180 dB: beyond any calibration, and its square still fits into float32
+_LARGEST_POWER = 1e18
+"""Maximum β⁰ of a pixel: 180 dB is beyond any calibration, and its square fits into float32."""
 
-_INCHES = 5.0  # the image's longer side
+_INCHES = 5.0
+"""Longer side of an image in its picture."""
 _DPI = 120
 Power = Real[np.ndarray, "rows columns"]
 
@@ -40,9 +42,9 @@ class SarImage:
         β⁰ (or calibrated up to one common factor), linear power, ≥ 0; row 0 is near range. Amplitude is its root.
         A torch.Tensor, such as an image of `render`, is copied to an array.
     view : View
-        From where it was taken.
+        Direction to the radar.
     grid : ImageGrid
-        Where its pixels lie.
+        Its pixels.
     signal : numpy.ndarray, complex64 [rows, columns], or None
         Complex amplitude, if the phase is known: |signal|² is the power. See `of_complex`.
 
@@ -78,7 +80,7 @@ class SarImage:
     @classmethod
     @checks_arguments
     def of_complex(cls, signal: Complex[np.ndarray, "rows columns"], view: View, grid: ImageGrid) -> Self:
-        """An image that keeps its phase.
+        """Make an image that keeps its phase.
 
         Parameters
         ----------
@@ -101,20 +103,20 @@ class SarImage:
         return amplitude(self.power)
 
     def db(self) -> Float[np.ndarray, "rows columns"]:
-        """10·log10 β⁰, dB; −inf where the power is zero."""
+        """Return 10·log10 β⁰, dB; −inf where the power is zero."""
         return to_db(self.power, least=0.0)
 
     @checks_arguments
     def save(self, path: str | Path, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
-        """Write a picture of it as PNG, whole or not at all: decibels in grey, axes in metres, a colour bar.
+        """Write its picture as PNG, whole or not at all: decibels in grey, axes in metres, a colour bar.
 
         Parameters
         ----------
         path : str or Path
-            File to write; it must end in `.png`, and is replaced if it exists. For numbers there are
-            `sarsplat.data.write_tiff` and datasets.
+            File to write; it must end in `.png`, and is replaced if it exists. `sarsplat.data.write_tiff` and datasets
+            store numbers.
         dynamic_range_db : float
-            What is this far below the brightest pixel (`radiometry.white_level`) is black, dB.
+            Distance of black from white (`radiometry.white_level`), dB.
 
         Raises
         ------
@@ -140,7 +142,7 @@ class SarImage:
         open_window(self.power, self.view, self.grid, dynamic_range_db)
 
     def _repr_png_(self) -> bytes | None:
-        """What a notebook shows; nothing without matplotlib."""
+        """Picture for notebooks; None without matplotlib."""
         try:
             return picture_png(self.power, self.view, self.grid, DYNAMIC_RANGE_DB)
         except SarsplatError:
@@ -148,7 +150,7 @@ class SarImage:
 
 
 def check_power(power: Real[np.ndarray, "*shape"], name: str) -> None:
-    """Raise SarsplatError if a pixel is negative, absurdly large or not finite; `name` is what to call the image."""
+    """Raise SarsplatError if a pixel is negative, absurdly large or not finite; the message calls the image `name`."""
     if power.size == 0 or (power.min() >= 0 and power.max() <= _LARGEST_POWER):  # false if there is any NaN
         return
     place = tuple(int(i) for i in np.argwhere(~((power >= 0) & (power <= _LARGEST_POWER)))[0])
@@ -158,22 +160,28 @@ def check_power(power: Real[np.ndarray, "*shape"], name: str) -> None:
 
 
 def as_signal(signal: Complex[np.ndarray, "*shape"], name: str) -> Complex64[np.ndarray, "*shape"]:
-    """Complex amplitudes as they are stored; raises SarsplatError if they are no complex numbers."""
+    """Convert complex amplitudes to complex64; raise SarsplatError if they are not complex numbers."""
     if not isinstance(signal, np.ndarray) or signal.dtype.kind != "c":
         kind = signal.dtype if isinstance(signal, np.ndarray) else type(signal).__name__
         raise SarsplatError(f"{name} is of type {kind}; give an array of complex amplitudes")
-    with np.errstate(over="ignore"):  # what becomes infinite is refused with its place
+    with np.errstate(over="ignore"):  # `check_power` rejects infinite pixels
         return signal.astype(np.complex64, copy=False)
 
 
 def power_of(signal: Complex64[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
-    """|signal|², linear power."""
+    """Return |signal|², linear power."""
     with np.errstate(over="ignore"):
         return np.square(signal.real) + np.square(signal.imag)
 
 
+def in_blocks(images: Shaped[Any, "*v rows columns"], factor: int) -> Shaped[Any, "*v m {factor} n {factor}"]:
+    """Images (array or tensor) as blocks of `factor` × `factor` pixels, without incomplete blocks at the far ends."""
+    m, n = images.shape[-2] // factor, images.shape[-1] // factor
+    return images[..., : m * factor, : n * factor].reshape(*images.shape[:-2], m, factor, n, factor)
+
+
 def power_of_passes(signal: Complex64[np.ndarray, "v *passes rows columns"]) -> Float32[np.ndarray, "v rows columns"]:
-    """Linear power of images, of a stack the mean over its passes."""
+    """Return the linear power of images; of stacks, the mean over the passes."""
     power = power_of(signal)
     return power if power.ndim == 3 else power.mean(1)
 
@@ -182,7 +190,7 @@ def power_of_passes(signal: Complex64[np.ndarray, "v *passes rows columns"]) -> 
 def check_signal(
     signal: Complex64[np.ndarray, "*of_signal"] | None, power: Real[np.ndarray, "*shape"], name: str, passes: int = 0
 ) -> None:
-    """Raise SarsplatError if the power is not that of the signal, where there is one; of stacks, of all `passes`."""
+    """Raise SarsplatError if the power is not |signal|², of stacks its mean over `passes`, or stacks have no signal."""
     if signal is None and not passes:
         return
     if signal is None:
@@ -198,7 +206,7 @@ def check_signal(
 
 
 def picture_png(power: Power, view: View, grid: ImageGrid, dynamic_range_db: float) -> bytes:
-    """β⁰ of one image as a PNG file; parameters and errors as for `SarImage` and its `save`."""
+    """Draw β⁰ of one image as a PNG file; parameters and errors as for `SarImage` and its `save`."""
     with _matplotlib_needed():
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -226,7 +234,7 @@ def _matplotlib_needed() -> Iterator[None]:
 
 
 def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_range_db: float) -> None:
-    """White is the `white_level`, black is `dynamic_range_db` below it and everything darker."""
+    """Draw from white, the `white_level`, to black, `dynamic_range_db` below it."""
     if not 0 < dynamic_range_db < np.inf:
         raise SarsplatError(
             f"a dynamic range of {dynamic_range_db} dB cannot be drawn; give a positive one, such as 40"

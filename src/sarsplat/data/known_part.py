@@ -1,7 +1,4 @@
-"""The part of a raster around its middle in which every height is known.
-
-Rasters that were brought from one system into another have wedges without heights along their edges.
-"""
+"""Crop of a raster to known heights: reprojected rasters have wedges without heights along their edges."""
 
 from __future__ import annotations
 
@@ -15,12 +12,12 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 
 
 def known_part(path: Path, heights: Float64[np.ndarray, "rows columns"]) -> Float64[np.ndarray, "fewer less"]:
-    """The largest part with the same middle in which nothing is NaN.
+    """Return the largest part with the same middle and without NaN.
 
     Raises
     ------
     SarsplatError
-        If what is not known does not reach in from an edge, or leaves fewer than 2 × 2 heights.
+        If NaNs form a hole inside, or fewer than 2 × 2 heights are left.
 
     Warns
     -----
@@ -38,14 +35,13 @@ def known_part(path: Path, heights: Float64[np.ndarray, "rows columns"]) -> Floa
         (first, last), (left, right) = ((int(at.min()) + 1, int(at.max()) + 1) for at in np.nonzero(holes))
         many = int(holes.sum())
         raise SarsplatError(
-            f"{path} has {counted(many, 'height')} of {heights.size} that {'is' if many == 1 else 'are'} not known, "
-            f"within rows {first} to {last} and columns {left} to {right}; fill them in, as by gdal_fillnodata, or cut "
-            "them off"
+            f"{path} has {counted(many, 'unknown height')} of {heights.size}, within rows {first} to {last} and "
+            f"columns {left} to {right}; fill them in, as by gdal_fillnodata, or cut them off"
         )
     warnings.warn(
-        f"{path} has {counted(int(unknown.sum()), 'height')} of {heights.size} at its edges that are not known; it is "
-        f"cut by {counted(rows, 'row')} above and below and {counted(columns, 'column')} left and right, beyond which "
-        "the ground goes on as high as there",
+        f"{path} has {counted(int(unknown.sum()), 'unknown height')} of {heights.size} at its edges; it is cut by "
+        f"{counted(rows, 'row')} above and below and {counted(columns, 'column')} left and right, and its new edges "
+        "are continued outwards",
         SarsplatWarning,
         stacklevel=4,
     )
@@ -53,8 +49,8 @@ def known_part(path: Path, heights: Float64[np.ndarray, "rows columns"]) -> Floa
 
 
 def holes_of(unknown: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
-    """What of it does not hang together with an edge."""
-    from scipy.ndimage import label  # which takes long to import, and is rarely needed
+    """Return the unknown heights that are not connected to an edge."""
+    from scipy.ndimage import label  # slow to import, and rarely needed
 
     parts, _ = label(unknown, np.ones((3, 3)))
     edges = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
@@ -62,12 +58,12 @@ def holes_of(unknown: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "row
 
 
 def _margins(unknown: Bool[np.ndarray, "rows columns"]) -> tuple[int, int]:
-    """Rows and columns to cut off on both sides, so that all that is left is known and as much as can be is."""
+    """Return the rows and columns to cut off on both sides, so that the largest known part is left."""
     rows, columns = unknown.shape
     row, column = np.nonzero(unknown)
     deepest = np.zeros((rows + 1) // 2 + 1, np.int64)  # columns to cut, by how many rows are
     np.maximum.at(deepest, np.minimum(row, rows - 1 - row), np.minimum(column, columns - 1 - column) + 1)
     deepest = np.maximum.accumulate(deepest[::-1])[::-1]
-    left = np.maximum(rows - 2 * np.arange(len(deepest)), 0) * np.maximum(columns - 2 * deepest, 0)
-    best = int(left.argmax())
+    area = np.maximum(rows - 2 * np.arange(len(deepest)), 0) * np.maximum(columns - 2 * deepest, 0)
+    best = int(area.argmax())
     return best, int(deepest[best])

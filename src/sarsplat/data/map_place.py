@@ -1,4 +1,4 @@
-"""Where on earth the middle of a map is, by its number in EPSG's list."""
+"""Conversion of a map point in a projected EPSG system to a place on earth."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from sarsplat.geometry import Place
 from sarsplat.geometry.place import HeightAbove, geodetic_of_ecef
 
 _STEP_M = 50.0
-"""Over which the axes of a map are compared with east and north."""
+"""Distance over which a map's axes are compared with east and north."""
 _SKEWED = 1e-3
+"""Maximum cosine of the angle between a map's axes on the ground."""
 _BEYOND_DEG = 5.0
-"""Of the area that a system is for, beyond which it may be another one; zones are used for their neighbours."""
+"""Tolerance around a system's area of use: UTM zones are also used for their neighbours."""
 
 
 @dataclass(frozen=True)
 class MapPlace:
-    """A point of a map on earth, at height 0, and how long a unit of the map is there.
+    """A point of a map on earth, at height 0, and the map's scale.
 
     Attributes
     ----------
     place : Place
-        Its x axis is that of the map.
+        Its x axis is the map's.
     metres : (float, float)
-        On the ground, for each unit of the map along its x and y.
+        Metres on the ground for each unit of the map along its x and y.
     """
 
     place: Place
@@ -40,10 +41,10 @@ class MapPlace:
 def place_on_map(
     crs: Any, at: tuple[float, float], name: str, height_above: HeightAbove = "unknown"
 ) -> MapPlace | None:
-    """Where a point (x, y) of a projected system of EPSG is; None, with a warning, if that cannot be said of `name`."""
+    """Locate a point (x, y) of a projected EPSG system on earth; None, with a warning about `name`, if that fails."""
     from pyproj import Transformer
 
-    system = f"{name} lies on a map (EPSG:{crs.to_epsg()}), but where on earth that is stays unknown:"
+    system = f"{name} has map coordinates (EPSG:{crs.to_epsg()}), but its place on earth stays unknown:"
     steps = _STEP_M * np.array([[0.0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
     transformer: Any = Transformer.from_crs(crs, "EPSG:4978", always_xy=True)
     corners = np.transpose(transformer.transform(*(np.asarray(at) + steps).T, np.zeros(len(steps))))
@@ -51,18 +52,18 @@ def place_on_map(
         _warn(f"{system} {NOT_RELATED}")
         return None
     if exact_m > INEXACT_M:
-        _warn(f"{name} lies on a map (EPSG:{crs.to_epsg()}), from where WGS 84 is reached to {exact_m:g} m")
+        _warn(f"{name} has map coordinates (EPSG:{crs.to_epsg()}) that convert to WGS 84 to within {exact_m:g} m")
     if not np.isfinite(corners).all():
-        _warn(f"{system} ({at[0]:.10g}, {at[1]:.10g}) is nowhere in that system")
+        _warn(f"{system} ({at[0]:.10g}, {at[1]:.10g}) is outside of that system")
         return None
-    found = _seen_around(corners, system, height_above)
+    found = _from_geocentric(corners, system, height_above)
     if found is not None and (outside := far_outside(crs, found.place)) is not None:
-        _warn(f"{name} lies on a map (EPSG:{crs.to_epsg()}), {outside}")
+        _warn(f"{name} has map coordinates (EPSG:{crs.to_epsg()}), {outside}")
     return found
 
 
-def _seen_around(corners: Float64[np.ndarray, "5 3"], system: str, height_above: HeightAbove) -> MapPlace | None:
-    """The same, of the geocentric coordinates of the point and of four around it."""
+def _from_geocentric(corners: Float64[np.ndarray, "5 3"], system: str, height_above: HeightAbove) -> MapPlace | None:
+    """Make a `MapPlace` from geocentric coordinates of the point and of points `_STEP_M` to +x, +y, −x and −y."""
     latitude, longitude, _ = map(float, geodetic_of_ecef(corners[0]))
     level = Place(latitude, longitude, 0.0)  # x to the east
     along = (level.from_ecef(corners)[1:3, :2] - level.from_ecef(corners)[3:5, :2]) / (2 * _STEP_M)
@@ -76,21 +77,21 @@ def _seen_around(corners: Float64[np.ndarray, "5 3"], system: str, height_above:
 
 
 INEXACT_M = 1.0
-"""Beyond it is said how exactly WGS 84 is reached; ETRS89 and the like are nearer."""
+"""Minimum error of a conversion to WGS 84 that is reported; ETRS89 and its like are more exact."""
 NOT_RELATED = (
-    "nothing that is installed relates its datum to WGS 84, from which it may be some hundred metres away; bring it "
-    "into WGS 84, as by gdalwarp -t_srs EPSG:326xx (the UTM zone)"
+    "no installed transformation relates its datum to WGS 84, and they can differ by some hundred metres; convert it "
+    "to WGS 84, as by gdalwarp -t_srs EPSG:326xx (the UTM zone)"
 )
 
 
 def exactness_m(transformer: Any) -> float | None:
-    """How exact the way is that a transformer went last, m; None if it ignores that two datums are different."""
+    """Return the error of a transformer's last operation, m; None if it ignores a difference of datums."""
     used = transformer.get_last_used_operation()
     return None if "ballpark" in used.description.lower() else float(max(used.accuracy, 0.0))
 
 
 def far_outside(crs: Any, place: Place) -> str | None:
-    """Where a system is for, if a place is so far from there that its number or its coordinates may be others'."""
+    """Return a clause of a warning if a place is far outside of a system's area of use; otherwise None."""
     area = crs.area_of_use
     if area is None or is_within(area.bounds, place, _BEYOND_DEG):
         return None
@@ -102,7 +103,7 @@ def far_outside(crs: Any, place: Place) -> str | None:
 
 
 def is_within(bounds_deg: tuple[float, float, float, float], place: Place, more_deg: float = 0.0) -> bool:
-    """Whether a place lies between west, south, east and north; an area may lie across the date line."""
+    """Return True if a place lies within (west, south, east, north), which may cross the date line."""
     west, south, east, north = bounds_deg
     turns = [place.longitude_deg + turn for turn in (-360.0, 0.0, 360.0)]
     east = east if west <= east else east + 360.0
@@ -115,7 +116,7 @@ def _warn(text: str) -> None:
 
 
 UNCONVERTED = (
-    "heights are not converted: from one level to another they can be up to about 100 m apart, and gdalwarp -s_srs "
-    "EPSG:326xx+5773 (of EGM96; +3855 of EGM2008, +5703 of NAVD88) -t_srs EPSG:4979, and then -s_srs EPSG:4326 -t_srs "
-    "EPSG:326xx, makes ellipsoidal ones of them"
+    "heights are not converted: levels can differ by about 100 m, and gdalwarp -s_srs EPSG:326xx+5773 (EGM96; +3855 "
+    "EGM2008, +5703 NAVD88) -t_srs EPSG:4979, then -s_srs EPSG:4326 -t_srs EPSG:326xx, makes them ellipsoidal"
 )
+"""Sentence about heights above sea level."""

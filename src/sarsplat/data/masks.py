@@ -1,4 +1,4 @@
-"""Files of true masks of target and shadow: a grey 8-bit PNG for each image, named after it."""
+"""Files of true masks of target and shadow: a grey 8-bit PNG for each image, with its name."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 Mask = UInt8[np.ndarray, "rows columns"]
-"""Of an image: 0 clutter, 1 target, 2 shadow."""
+"""Mask of an image: 0 clutter, 1 target, 2 shadow."""
 
 Masks = UInt8[np.ndarray, "v rows columns"]
-"""Of V images: 0 clutter, 1 target, 2 shadow."""
+"""Masks of V images: 0 clutter, 1 target, 2 shadow."""
 
 _NUMBERS = "masks are 0 clutter, 1 target and 2 shadow"
 
 
 def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = None) -> dict[int, Mask]:
-    """True masks of some sets of a dataset: of every training image, of test images as far as the folder has them.
+    """Read true masks of sets of a dataset; test images may lack theirs, training images may not.
 
     Parameters
     ----------
     folder : Path
-        For each image, a grey 8-bit PNG with the image's name (`T72/17deg/hb03333.png` for the chip
-        `T72/17deg/hb03333.jpeg`): 0 clutter, 1 target, 2 shadow. Masks of MSTAR chips lie as the chips were published,
-        and are turned and cut as these were on import; those of other datasets lie as the images do, row 0 near.
+        Grey 8-bit PNGs with the images' names (`T72/17deg/hb03333.png` for the chip `T72/17deg/hb03333.jpeg`):
+        0 clutter, 1 target, 2 shadow. Masks of MSTAR chips are oriented like the published chips, and are turned and
+        cut like them; masks of other datasets have row 0 near, like the images.
     dataset : Dataset
-        Whose images.
+        Dataset with these images.
     splits : collection of str, optional
         Names of the sets; every test set unless given.
 
     Returns
     -------
     dict of int to numpy.ndarray, uint8 [rows, columns]
-        By the index of the image in the dataset, in its order; row 0 near.
+        Masks by the index of the image in the dataset, in its order; row 0 near.
 
     Raises
     ------
@@ -59,14 +59,14 @@ def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = 
         raise SarsplatError(f"{dataset} has no set {split!r}; it has {', '.join(dataset.splits())}")
     masks: dict[int, Mask] = {}
     missing: list[Path] = []
-    asked = folder
+    file = folder
     for index, name in mask_names(dataset, chosen).items():
-        asked = folder / name
+        file = folder / name
         with plain_os_errors("read", folder):
-            if asked.is_file():
-                masks[index] = _read(asked, dataset)
+            if file.is_file():
+                masks[index] = _read(file, dataset)
             elif dataset.entries[index].split == "train":
-                missing.append(asked)
+                missing.append(file)
     if not folder.is_dir():
         raise SarsplatError(f"{folder} is not a folder; give one that holds a mask for each image, as grey 8-bit PNGs")
     if missing:
@@ -76,7 +76,7 @@ def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = 
         )
     if not masks:
         raise SarsplatError(
-            f"{folder} has no mask of any test image of {dataset}; name them after the images, the last {asked}"
+            f"{folder} has no mask of any test image of {dataset}; name them after the images, the last {file}"
         )
     return masks
 
@@ -92,10 +92,10 @@ def _read(path: Path, dataset: Dataset) -> Mask:
         mask = np.asarray(picture)
     except image.UnidentifiedImageError as error:
         raise SarsplatError(f"{path} is not a PNG; give masks as grey 8-bit PNGs") from error
-    except (OSError, SyntaxError, ValueError, image.DecompressionBombError) as error:  # what Pillow says of damage
+    except (OSError, SyntaxError, ValueError, image.DecompressionBombError) as error:  # Pillow's errors for damage
         raise SarsplatError(f"{path} is a damaged PNG ({error}); write it again") from error
     size = mask.shape
-    if dataset.source.get("kind") == "mstar":  # as published, and to be turned and cut as the chips were
+    if dataset.source.get("kind") == "mstar":  # oriented like the published chips
         if dataset.source.get("cut_to_common_size") is True and size[0] >= grid.rows and size[1] >= grid.columns:
             top, left = (size[0] - grid.rows) // 2, (size[1] - grid.columns) // 2
             mask = mask[top : top + grid.rows, left : left + grid.columns]
@@ -111,7 +111,7 @@ def _read(path: Path, dataset: Dataset) -> Mask:
 
 
 def encode_masks(masks: Masks, dataset: Dataset) -> dict[PurePosixPath, bytes]:
-    """PNG files that `read_masks` finds again, by their names in its folder; refused for measured chips."""
+    """Return PNG files for `read_masks`, by their paths in its folder; raise for measured chips."""
     if masks.shape != dataset.power.shape or masks.dtype != np.uint8:
         raise SarsplatError(
             f"the masks are {masks.dtype} of shape {masks.shape}; for the images of {dataset.target} they must be "
@@ -122,8 +122,8 @@ def encode_masks(masks: Masks, dataset: Dataset) -> dict[PurePosixPath, bytes]:
     names = mask_names(dataset, dataset.splits())
     nested = next((name for name in names.values() if len(name.parts) > 1), None)
     if nested is not None or dataset.source.get("kind") == "mstar":
-        what = "these are measured chips" if nested is None else f"the name {shown(str(nested))} has a folder in it"
-        raise SarsplatError(f"masks are written beside simulated images only, but {what}; write them yourself")
+        reason = "these are measured chips" if nested is None else f"the name {shown(str(nested))} has a folder in it"
+        raise SarsplatError(f"masks are written for simulated images only, but {reason}; write them yourself")
     image = pillow()
     files = {}
     for index, name in names.items():
@@ -134,7 +134,7 @@ def encode_masks(masks: Masks, dataset: Dataset) -> dict[PurePosixPath, bytes]:
 
 
 def pillow() -> ModuleType:
-    """Pillow's `Image`, or a SarsplatError that says how to install it."""
+    """Return Pillow's `Image`, or raise with the command that installs it."""
     try:
         from PIL import Image
     except ImportError as error:
@@ -143,7 +143,7 @@ def pillow() -> ModuleType:
 
 
 def mask_names(dataset: Dataset, splits: Collection[str]) -> dict[int, PurePosixPath]:
-    """Name of the mask of each image of some sets, by the image's index in the dataset; all names differ."""
+    """Return a distinct file name for the mask of each image of these sets, by the image's index in the dataset."""
     images: dict[PurePosixPath, str] = {}
     names = {}
     for index, entry in enumerate(dataset.entries):
@@ -153,7 +153,7 @@ def mask_names(dataset: Dataset, splits: Collection[str]) -> dict[int, PurePosix
         if name in images:
             raise SarsplatError(
                 f"the images {shown(images[name])} and {shown(entry.name)} would share the mask {shown(str(name))}; "
-                "give each image a name of its own"
+                "give them different names"
             )
         images[name] = entry.name
     return names

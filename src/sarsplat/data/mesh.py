@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     import trimesh
 
 MESH_FORMATS = (".ply", ".glb", ".obj", ".stl")
-"""How names of mesh files end."""
+"""Suffixes of mesh files."""
 
 _GLTF_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""glTF takes y for up: the turn about x that makes z of the world y there."""
+"""Rotation about x from z up (world) to y up (glTF)."""
 
 
 @checks_arguments
 def write_mesh(path: str | Path, mesh: trimesh.Trimesh) -> None:
-    """Write a mesh with its normals and colours at the vertices, whole or not at all.
+    """Write a mesh with normals and colours of its vertices, whole or not at all.
 
-    A PLY file also holds the vertices' other scalars, such as `gamma0`; an STL file holds triangles alone. Coordinates
-    are the world's, z up, metres; a GLB file turns them by its root node, as y is up there.
+    A PLY file also holds other scalars of the vertices, such as `gamma0`; an STL file holds triangles alone.
+    Coordinates are in the world frame, z up, metres; the root node of a GLB file rotates them to y up.
 
     Parameters
     ----------

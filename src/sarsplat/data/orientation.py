@@ -20,10 +20,7 @@ SIDES: tuple[Side, ...] = get_args(Side)
 def oriented(
     images: Shaped[np.ndarray, "*v rows columns"], near: Side, mirrored: bool = False
 ) -> Shaped[np.ndarray, "*v m n"]:
-    """The pictures with their side `near` at the top, and their columns flipped if they are then mirror images.
-
-    Refused if there is no such side.
-    """
+    """Rotate pictures until their side `near` is at the top, then flip their columns if they are `mirrored`."""
     if near not in SIDES:
         raise SarsplatError(f"near is {near!r}; it must be one of {', '.join(SIDES)}")
     turned = np.rot90(images, SIDES.index(near), axes=(-2, -1))
@@ -32,36 +29,36 @@ def oriented(
 
 @dataclass(frozen=True)
 class Layout:
-    """Orientation of pictures and sense of azimuths, as told to `import folder`."""
+    """Orientation of pictures and sense of azimuths, as options of `import folder`."""
 
     near: Side = "top"
     """Side of the pictures that is near the radar."""
     mirrored: bool = False
-    """Whether the pictures, turned with the near side up, are mirror images."""
+    """True if the pictures, rotated with the near side up, are mirror images."""
     counter_clockwise: bool = False
-    """Whether azimuths run counter-clockwise."""
+    """True if azimuths run counter-clockwise."""
     looks_left: bool = False
-    """Whether the table says that the radar looked to the left, which mirrors the pictures once more."""
+    """True if the table has a radar that looks to the left, which mirrors the pictures once more."""
 
     @classmethod
     def of(cls, source: Mapping[str, Any]) -> Self | None:
-        """The layout that a dataset's `source` states; None if it was imported otherwise."""
+        """Read the layout from a dataset's `source`; None if it was imported by another command."""
         try:
             return convert(source.get("layout"), cls)
         except msgspec.ValidationError:
             return None
 
     def corrected(self, near: Side, opposite: bool) -> Self:
-        """The corrected layout, given that the side `near` of the dataset's images is near range; never mirrored.
+        """Return the unmirrored layout if in truth the side `near` of the dataset's images is near range.
 
-        `opposite` is whether the dataset's azimuths run the other way, or its images are mirrored.
+        `opposite`: the dataset's azimuths run the other way, or its images are mirrored.
         """
         flipped = self.mirrored != self.looks_left
         turns = SIDES.index(self.near) + (-1 if flipped else 1) * SIDES.index(near)
         return type(self)(
             SIDES[turns % 4],
             False,
-            self.counter_clockwise ^ opposite ^ self.mirrored,  # no mirror, but the other sense instead
+            self.counter_clockwise ^ opposite ^ self.mirrored,  # the opposite sense replaces a mirror
             self.looks_left,
         )
 

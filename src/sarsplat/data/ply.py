@@ -5,10 +5,10 @@ A Gaussian's vertex holds, as float32,
 * x y z, nx ny nz (zero), f_dc_0..2, f_rest_0..44, opacity, scale_0..2, rot_0..3 — what viewers read: scales as natural
   logarithms, opacity as the logit of 1 − e^{−κ}, quaternions wxyz, and harmonics of degree 3, channel by channel, whose
   colours show γ⁰ in decibels or the height (see viewer_colours.py);
-* optical_depth, scale_m_0..2, scattering_0.. — κ, the standard deviations (m) and the parameters of the scattering as
-  they are, so that what we read back is what we wrote.
+* optical_depth, scale_m_0..2, scattering_0.. — κ, the standard deviations (m) and the parameters of the scattering,
+  from which sarsplat reads the same bits back.
 
-The header's comments carry the version, as JSON which law of scattering it is, and what the colours stand for.
+The header's comments hold the version, the law of scattering as JSON, and a legend of the colours.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json
+from sarsplat.data.outliers import outliers
 from sarsplat.data.ply_points import named, read_ply, stacked, write_ply
 from sarsplat.data.splat_files import splat_columns
-from sarsplat.data.strays import strays
 from sarsplat.data.viewer_colours import ODD, viewer_colours
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.gaussians import (
@@ -45,12 +45,17 @@ from sarsplat.names import Colour
 
 _VERSION = "sarsplat gaussians 2"
 _LAW = "scattering "
-_FOR_VIEWERS = ("n", "f_", "opacity", "scale_0", "scale_1", "scale_2")  # of our own files; we read none of these
-_FAR = 20.0  # from the origin, in sizes: of images that show both, what is farther fills two pixels of 128
-_OUTLIERS = 0.002  # of the centres, on either side
+_FOR_VIEWERS = ("n", "f_", "opacity", "scale_0", "scale_1", "scale_2")
+"""Prefixes of properties of sarsplat's files that only viewers read."""
+_FAR = 20.0
+"""Distance from the origin, in sizes, beyond which Gaussians are moved: an image of both would show them as a dot."""
+_OUTLIERS = 0.002
+"""Share of the centres on either side that is left out of the size."""
 _UNUSED = ("nx", "ny", "nz")
-_SMALLEST_LOG, _LARGEST_LOG = math.log(MIN_SCALE), 80.0  # of lengths, m; e^80 is near the end of float32
-_MIN_LOGIT = -30.0  # stands for an opacity of zero, whose logit is −∞
+_SMALLEST_LOG, _LARGEST_LOG = math.log(MIN_SCALE), 80.0
+"""Range of logarithms of scales in m; e^80 is near the largest float32."""
+_MIN_LOGIT = -30.0
+"""Logit written for an opacity of zero."""
 
 
 @checks_arguments
@@ -68,13 +73,13 @@ def write_gaussians_ply(
     comments : iterable of str
         Lines for the header.
     colour : "db" or "height"
-        What viewers show: γ⁰ in decibels, or the height. Reading the file back does not depend on it.
+        Quantity that viewers show: γ⁰ in decibels, or the height. It does not affect reading the file.
 
     Raises
     ------
     SarsplatError
-        If a value is not finite or outside its range, the scattering law is not registered, so that the file could not
-        be read again, or the file cannot be written.
+        If a value is not finite or outside its range, the scattering law is not registered, or the file cannot be
+        written.
     """
     law = _stated(gaussians.scattering)
     values = {name: t.detach().cpu().numpy().astype(np.float32) for name, t in gaussians.tensors().items()}
@@ -101,10 +106,10 @@ def write_gaussians_ply(
 
 @checks_arguments
 def read_gaussians_ply(path: str | Path) -> Gaussians:
-    """Read Gaussians: our own files exactly, those of other 3DGS programs as well as they translate.
+    """Read Gaussians: exactly from sarsplat's PLY files, approximately from PLY or `.splat` files of 3DGS programs.
 
-    Of a foreign file, κ = −ln(1 − opacity) and the harmonics are the mean over the three colours; p_min is 0. Those may
-    be PLY or `.splat`, which has no more than a colour: of our own exports, that is a shade of grey for decibels.
+    In files of 3DGS programs, κ = −ln(1 − opacity), the harmonics are the mean over the three colours, and p_min is 0.
+    A `.splat` file has one colour per Gaussian: in sarsplat's exports a shade of grey for decibels.
 
     Returns
     -------
@@ -119,22 +124,22 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
     Warns
     -----
     SarsplatWarning
-        If Gaussians were left out that hold NaN or an infinity or have no orientation.
+        If Gaussians with NaN, an infinity or no orientation were left out.
     """
     return _read(Path(path), ())[0]
 
 
 def read_centred_gaussians(path: Path) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
-    """`read_gaussians_ply` of what is to be seen in images around the origin, and what was subtracted from places, m.
+    """Read Gaussians, moved near the origin if they are far from it for their size, and the vector subtracted, m.
 
-    Gaussians far from it for their size, as in map coordinates or geocentric ones, are moved: their middle above the
-    origin, their lowest onto z = 0. That is done before places become float32, which has steps of 0.5 m at 5·10⁶ m.
+    Gaussians in map or geocentric coordinates are moved: their middle above the origin, their lowest onto z = 0. This
+    precedes rounding to float32, which has steps of 0.5 m at 5·10⁶ m.
     """
     return _read(path, ("x", "y", "z"))
 
 
 def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
-    """Gaussians, and how far they were moved: not at all unless coordinates are read `exact`."""
+    """Read Gaussians and the vector subtracted from their means, which is zero unless coordinates are read `exact`."""
     if path.suffix.lower() == ".splat":
         columns, comments = splat_columns(path), list[str]()
     else:
@@ -149,7 +154,7 @@ def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.nda
     values = {
         "means": stacked(path, columns, ["x", "y", "z"]),
         "quaternions": stacked(path, columns, [f"rot_{k}" for k in range(4)]),
-        **(_our_own(path, columns) if ours else _of_3dgs(path, columns)),
+        **(_exact(path, columns) if ours else _from_3dgs(path, columns)),
     }
     del columns
     _check_gaussians(values, str(path))
@@ -161,9 +166,9 @@ def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.nda
 
 
 def _usable(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Without the Gaussians of which anything that is needed is not a number, which are counted in a warning.
+    """Leave out Gaussians with NaN or infinity in a used property, with a warning.
 
-    An opacity of 0 or 1 has an infinite logit, and a length of 0 an infinite logarithm: both are meant.
+    Infinite logits (opacity 0 or 1) and infinite logarithms (length 0) are valid and clipped.
     """
     needed = {name: column for name, column in columns.items() if not name.startswith(_UNUSED)}
     if "opacity" in needed:
@@ -181,29 +186,30 @@ def _usable(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]
         good &= np.any([turn != 0 for turn in turns], axis=0)
     if good.all():
         return columns
-    said = f"{counted(count - int(good.sum()), 'Gaussian')} of {count:,} hold NaN or an infinity, or no orientation"
+    text = f"{counted(count - int(good.sum()), 'Gaussian')} of {count:,} hold NaN or an infinity, or no orientation"
     if not good.any():
-        raise SarsplatError(f"{path}: {said}, so that none is left; create it again")
-    warnings.warn(f"{path}: {said}; they were left out", SarsplatWarning, stacklevel=4)
+        raise SarsplatError(f"{path}: {text}; create it again")
+    warnings.warn(f"{path}: {text}; they were left out", SarsplatWarning, stacklevel=4)
     return {name: column[good] for name, column in columns.items()}
 
 
 def far_from_origin(means: Float[np.ndarray, "n 3"], scales: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
-    """What to subtract from places (m) for them to lie around the origin: zeros where they do, for their size."""
+    """Return the offset to subtract from means (m) that are far from the origin for their size; zeros otherwise."""
     if not len(means):
         return np.zeros(3)
     middle = np.median(means.astype(np.float64), axis=0)
-    kept = ~strays(means - middle, scales)
-    low, high = np.quantile(means[kept].astype(np.float64), (_OUTLIERS, 1 - _OUTLIERS), axis=0)
-    size = float(np.linalg.norm(high - low)) + 2 * float(np.median(scales[kept].max(axis=1)))
+    inlier = ~outliers(means - middle, scales)
+    low, high = np.quantile(means[inlier].astype(np.float64), (_OUTLIERS, 1 - _OUTLIERS), axis=0)
+    size = float(np.linalg.norm(high - low)) + 2 * float(np.median(scales[inlier].max(axis=1)))
     if np.abs([low, high]).max() <= _FAR * size:
         return np.zeros(3)
-    unit = 10.0 ** math.floor(math.log10(size / 10))  # whole numbers of it are short to say
+    unit = 10.0 ** math.floor(math.log10(size / 10))  # rounded offsets have few digits
     moved: Float64[np.ndarray, " 3"] = unit * np.round(np.array([*(low + high)[:2] / 2, low[2]]) / unit)
     return moved
 
 
-def _our_own(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _exact(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return scales, optical depth and scattering of a sarsplat file."""
     count = sum(name.startswith("scattering_") for name in columns)
     return {
         "scales": stacked(path, columns, [f"scale_m_{k}" for k in range(3)]),
@@ -212,7 +218,8 @@ def _our_own(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray
     }
 
 
-def _of_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _from_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Convert properties of a 3DGS file to scales, optical depth and scattering."""
     rest = sum(name.startswith("f_rest_") for name in columns)
     if rest not in (0, 9, 24, 45):
         raise SarsplatError(f"{path} has {rest} properties f_rest_*; degrees 0 to 3 have 0, 9, 24 or 45")
@@ -228,7 +235,7 @@ def _of_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray
 
 
 def _flip_odd(harmonics: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-    """Coefficients for the opposite direction: Y_k(−u) = (−1)^degree Y_k(u)."""
+    """Return coefficients for the opposite direction: Y_k(−u) = (−1)^degree Y_k(u)."""
     flipped = harmonics.copy()
     flipped[:, [k for k in ODD if k < harmonics.shape[1]]] *= -1
     return flipped
@@ -254,15 +261,15 @@ def _stated(law: Scattering) -> str:
     name = f"the scattering law {type(law).__name__}"
     if (kind := getattr(law, "kind", "")) not in SCATTERINGS or SCATTERINGS[kind] is not type(law):
         raise SarsplatError(
-            f"{name} ({shown(kind)}) is not registered, so that the file could not be read again; decorate the "
-            "class with @sarsplat.gaussians.register_scattering"
+            f"{name} ({shown(kind)}) is not registered, so the file could not be read again; decorate the class with "
+            "@sarsplat.gaussians.register_scattering"
         )
     try:
         text = json.dumps(law.settings())
         type(law)(law.parameters, **json.loads(text))
     except (TypeError, ValueError, SarsplatError) as error:
         raise SarsplatError(
-            f"{name} cannot be made again from its settings ({shown(str(error))}); let their types be those of JSON"
+            f"{name} cannot be made again from its settings ({shown(str(error))}); use JSON types for them"
         ) from error
     return json.dumps({"kind": kind, **law.settings()})
 
@@ -275,7 +282,7 @@ def _named(path: Path, kind: str) -> type[Scattering]:
 
 
 def _law(path: Path, comments: list[str], parameters: Tensor) -> Scattering:
-    """The law of scattering that the header states, with these parameters."""
+    """Make the header's law of scattering with these parameters."""
     stated = [line.removeprefix(_LAW) for line in comments if line.startswith(_LAW)]
     if len(stated) != 1:
         raise SarsplatError(f"{path} does not give exactly one scattering law in its header; create it again")

@@ -1,7 +1,4 @@
-"""PLY files of points with named scalars, binary little endian; meshes are read elsewhere.
-
-The files come from strangers: the counts in a header are trusted only if the file is as long as they say.
-"""
+"""PLY files of points with named scalars, binary little endian; a header's counts must fit the file's length."""
 
 from __future__ import annotations
 
@@ -29,27 +26,29 @@ _TYPES = {
 }
 _FORMAT = "format binary_little_endian 1.0"
 _LONGEST_HEADER = 65_536
-_AT_A_TIME = 1 << 18  # vertices
-
-_FARTHEST = 1e9  # m from the origin: squares of it stay finite
+"""Maximum length of a header, bytes."""
+_CHUNK = 1 << 18
+"""Vertices that are read or written at once."""
+_FARTHEST = 1e9
+"""Maximum distance of a point from the origin, m: its square stays finite."""
 
 
 def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comments: Sequence[str]) -> None:
-    """Write the properties of vertices as float32, and comments as lines of ASCII, whole or not at all."""
+    """Write properties of vertices as float32, and comments as lines of ASCII, whole or not at all."""
     count = len(next(iter(columns.values())))
     lines = [line.encode("ascii", "backslashreplace").decode() for text in comments for line in text.splitlines()]
     header = [
         *("ply", _FORMAT, *(f"comment {line}" for line in lines)),
         *(f"element vertex {count}", *(f"property float {name}" for name in columns), "end_header"),
     ]
-    table = np.empty(min(count, _AT_A_TIME), dtype=[(name, "<f4") for name in columns])
+    table = np.empty(min(count, _CHUNK), dtype=[(name, "<f4") for name in columns])
     with new_file(path) as file:
         file.write("\n".join(header).encode("ascii") + b"\n")
-        for first in range(0, count, _AT_A_TIME):
-            some = table[: count - first]
+        for first in range(0, count, _CHUNK):
+            chunk = table[: count - first]
             for name, column in columns.items():
-                some[name] = column[first : first + len(some)]
-            file.write(some.data)
+                chunk[name] = column[first : first + len(chunk)]
+            file.write(chunk.data)
 
 
 def read_ply(
@@ -57,10 +56,10 @@ def read_ply(
     wanted: Callable[[str, list[str]], bool] | None = None,
     exact: Collection[str] = (),
 ) -> tuple[dict[str, Float[np.ndarray, " n"]], list[str]]:
-    """Read the properties of vertices, by name, as float32 or those named `exact` as float64, and the comments.
+    """Read properties of vertices, by name, as float32, those named `exact` as float64, and the comments.
 
-    `wanted` says, of a name and the comments, what to read; vertices are read some at a time, for a file can be several
-    times as large as what is wanted of it.
+    `wanted(name, comments)` selects properties. Vertices are read in chunks, because a file can be several times as
+    large as the selected properties.
     """
     with open_file(path) as file:
         data = file.read(_LONGEST_HEADER)
@@ -79,22 +78,22 @@ def read_ply(
         comments = [line.removeprefix("comment").strip() for line in header if line.split()[:1] == ["comment"]]
         names = [name for name in dtype.names or () if wanted is None or wanted(name, comments)]
         columns = {name: np.empty(count, np.float64 if name in exact else np.float32) for name in names}
-        for first in range(0, count, _AT_A_TIME):
-            some = min(_AT_A_TIME, count - first)
-            rows = np.ndarray(some, dtype, file.read(some * dtype.itemsize))
+        for first in range(0, count, _CHUNK):
+            chunk = min(_CHUNK, count - first)
+            rows = np.ndarray(chunk, dtype, file.read(chunk * dtype.itemsize))
             with np.errstate(over="ignore"):
                 for name, column in columns.items():
-                    column[first : first + some] = rows[name]
+                    column[first : first + chunk] = rows[name]
     return columns, comments
 
 
 def named(names: Iterable[str], values: Real[np.ndarray, "n k"]) -> dict[str, Real[np.ndarray, " n"]]:
-    """A table's columns by name."""
+    """Return the columns of a table [N, K] by name."""
     return dict(zip(names, values.T, strict=True))
 
 
 def stacked(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Float[np.ndarray, "n {len(names)}"]:
-    """Columns that were read, side by side [N, len(names)]; refused if one is missing or not finite."""
+    """Join columns to a table [N, len(names)]; raise if one is missing or not finite."""
     for name in names:
         if name not in columns:
             raise SarsplatError(f"{path} is missing the vertex property {name!r}; give a PLY file of the right kind")
@@ -108,7 +107,7 @@ def stacked(path: Path, columns: dict[str, np.ndarray], names: list[str]) -> Flo
 
 
 def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[int, int, np.dtype]:
-    """Offset, number and type of the vertices in a file of `size` bytes, in which the data begin at `offset`."""
+    """Return offset, number and type of the vertices in a file of `size` bytes whose data begin at `offset`."""
     elements = _elements(path, header)
     names = [name for name, _, _ in elements]
     if names.count("vertex") != 1:
@@ -119,15 +118,15 @@ def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[in
         raise SarsplatError(
             f"{path} {state}: {size} bytes where its header asks for {offset + sum(sizes)}; create it again"
         )
-    place = names.index("vertex")
-    _, count, properties = elements[place]
+    index = names.index("vertex")
+    _, count, properties = elements[index]
     if len({name for name, _ in properties}) < len(properties):
         raise SarsplatError(f"{path} has two vertex properties with the same name in its PLY header; create it again")
-    return offset + sum(sizes[:place]), count if properties else 0, np.dtype(properties)
+    return offset + sum(sizes[:index]), count if properties else 0, np.dtype(properties)
 
 
 def _elements(path: Path, header: list[str]) -> list[tuple[str, int, list[tuple[str, str]]]]:
-    """Name, count and properties (name, numpy type) of each element."""
+    """Return name, count and properties (name, numpy type) of each element."""
     elements: list[tuple[str, int, list[tuple[str, str]]]] = []
     if header[:1] != [_FORMAT]:
         raise SarsplatError(f"{path} is a PLY of {shown(header[:1])}; only {_FORMAT!r} is read; export it as binary")
@@ -154,7 +153,7 @@ def write_points_ply(
     normals: Real[np.ndarray, "p 3"] | Sequence[Sequence[float]] | None = None,
     **columns: np.ndarray | Sequence[float],
 ) -> None:
-    """Write points with any number of named scalars each, whole or not at all.
+    """Write points with named scalars, whole or not at all.
 
     Parameters
     ----------
@@ -172,15 +171,15 @@ def write_points_ply(
     SarsplatError
         If shapes do not fit, a value is not finite, or the file cannot be written.
     """
-    places = _triples("points", points)
+    positions = _triples("points", points)
     if normals is not None:
         columns = {**named(("nx", "ny", "nz"), _triples("normals", normals)), **columns}
     for name, column in columns.items():
-        if np.shape(column) != (len(places),) or name in ("x", "y", "z"):
+        if np.shape(column) != (len(positions),) or name in ("x", "y", "z"):
             raise SarsplatError(
-                f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(places)},)"
+                f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(positions)},)"
             )
-    table = {**named(("x", "y", "z"), places), **{name: np.asarray(column) for name, column in columns.items()}}
+    table = {**named(("x", "y", "z"), positions), **{name: np.asarray(column) for name, column in columns.items()}}
     for name, column in table.items():
         if not np.isfinite(column).all():
             raise SarsplatError(f"the column {name!r} of the points contains NaN or an infinity; remove those points")
@@ -199,14 +198,14 @@ def _triples(name: str, values: Any) -> Real[np.ndarray, "p 3"]:
 
 @checks_arguments
 def read_points_ply(path: str | Path) -> tuple[Float[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
-    """Read points.
+    """Read points and their scalars.
 
     Returns
     -------
     points : numpy.ndarray, float32 [P, 3]
-        Positions, m; float64 if they are numbers that float32 does not hold, as coordinates of maps may be.
+        Positions, m; float64 if float32 would round them, as with map coordinates.
     columns : dict of str to numpy.ndarray, float32 [P]
-        Every other scalar of the file.
+        Other scalars of the file.
 
     Raises
     ------

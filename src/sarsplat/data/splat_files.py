@@ -1,4 +1,4 @@
-"""`.splat` files of the web viewer antimatter15/splat, as the columns that 3DGS programs write into a PLY."""
+"""Reader of `.splat` files (web viewer antimatter15/splat)."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from sarsplat.gaussians.harmonics import CONSTANTS
 SPLAT = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 """One Gaussian of a `.splat` file: m, standard deviations (m), colour and opacity, and 128 + 128·q of wxyz."""
 
-_SURE = 40.0  # logit of an opacity of 1
+_MAX_LOGIT = 40.0
+"""Logit of an opacity of 1."""
 
 
 def splat_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
-    """The Gaussians of a `.splat` file, by the names that properties have in a PLY."""
+    """Read the Gaussians of a `.splat` file as the properties of a 3DGS PLY."""
     with open_file(path) as file:
         data = file.read()
     if not data or len(data) % SPLAT.itemsize:
         raise SarsplatError(
-            f"{path} has {len(data)} bytes, which are no whole number of Gaussians of {SPLAT.itemsize} bytes as .splat "
-            "files hold them; get it again, or give a PLY"
+            f"{path} has {len(data)} bytes, but a .splat file has {SPLAT.itemsize} for each Gaussian; get it again, or "
+            "give a PLY"
         )
     table = np.frombuffer(data, SPLAT)
     colours = table["rgba"] / 255.0
@@ -34,17 +35,12 @@ def splat_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
     return {
         **named(("x", "y", "z"), table["position"].astype(np.float64)),
         **named((f"scale_{k}" for k in range(3)), scales),
-        **named((f"f_dc_{k}" for k in range(3)), _constant(colours[:, :3])),
+        **named((f"f_dc_{k}" for k in range(3)), (colours[:, :3] - 0.5) / CONSTANTS[0]),  # harmonic of degree 0
         "opacity": _logit(colours[:, 3]),
         **named((f"rot_{k}" for k in range(4)), table["rotation"] / 128.0 - 1.0),
     }
 
 
-def _constant(colours: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """The harmonic of degree 0 of colours from 0 to 1."""
-    return (colours.astype(np.float64) - 0.5) / CONSTANTS[0]
-
-
 def _logit(opacity: Float[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     with np.errstate(divide="ignore"):
-        return np.clip(np.log(opacity) - np.log1p(-opacity), -_SURE, _SURE)
+        return np.clip(np.log(opacity) - np.log1p(-opacity), -_MAX_LOGIT, _MAX_LOGIT)

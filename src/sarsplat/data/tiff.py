@@ -17,13 +17,14 @@ from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.image import check_power, power_of
 from sarsplat.errors import SarsplatError, counted, shown
 
-_LONGEST_HEADER = 1 << 20  # bytes of a TIFF that are not pixels: tags, descriptions
+_LONGEST_HEADER = 1 << 20
+"""Maximum size of tags and descriptions of a TIFF, bytes."""
 
-logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
+logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # sarsplat's errors describe damaged files
 
 
 def write_tiff(path: Path, image: Shaped[np.ndarray, "*passes rows columns"], description: str) -> None:
-    """Write an image as an uncompressed TIFF, whole or not at all.
+    """Write an image or a stack as an uncompressed TIFF, whole or not at all.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ def write_tiff(path: Path, image: Shaped[np.ndarray, "*passes rows columns"], de
         Linear power, stored as float32, or complex amplitudes, stored as complex64; row 0 near range. A page for each
         pass of a stack.
     description : str
-        What it shows, for other programs (ASCII; the ImageDescription tag).
+        Text of the ImageDescription tag, ASCII.
     """
     buffer = io.BytesIO()
     pixels = np.ascontiguousarray(image, dtype=np.complex64 if np.iscomplexobj(image) else np.float32)
@@ -75,8 +76,8 @@ def read_tiff(path: Path, shape: tuple[int, ...], pixel: DTypeLike = np.float32)
         data = file.read()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            few = itertools.islice(tiff.pages, pages + 1)  # of a file that lists millions, no more are looked at
-            layouts = [(page.shape, page.dtype, page.compression) for page in few]
+            checked = itertools.islice(tiff.pages, pages + 1)  # a hostile file may list millions
+            layouts = [(page.shape, page.dtype, page.compression) for page in checked]
             fits = layouts == [(shape[-2:], dtype, tifffile.COMPRESSION.NONE)] * pages
             image = tiff.asarray(key=slice(None)).reshape(shape) if fits else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64, Real
 from scipy.fft import irfft2, next_fast_len, rfft2
 
+from sarsplat.data.image import in_blocks
 from sarsplat.data.orientation import SIDES, oriented
 from sarsplat.examination.neighbouring_views import (
     as_grazing_and_incidence,
@@ -180,8 +181,7 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[
 
 def _coarse(image: Float64[np.ndarray, "rows columns"], step: int) -> Float64[np.ndarray, "m n"]:
     """Means of squares of pixels; what is left over at the ends is left out."""
-    rows, columns = (pixels // step for pixels in image.shape)
-    return image[: rows * step, : columns * step].reshape(rows, step, columns, step).mean(axis=(1, 3))
+    return in_blocks(image, step).mean(axis=(1, 3))
 
 
 def edge_sides(levels: Float64[np.ndarray, "v rows columns"], outlines: Sequence[Outline]) -> SideEvidence:

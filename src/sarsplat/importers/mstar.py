@@ -26,10 +26,10 @@ import numpy as np
 from jaxtyping import Float32, Num
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.beside import UNPLACED
 from sarsplat.data.coverage import nearest_to
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.orientation import oriented
+from sarsplat.data.sidecar import UNPLACED
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.importers.files import warn_caller
 from sarsplat.importers.images import AboutScene, dataset_of, write_imported

@@ -10,6 +10,7 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
+from sarsplat.data.image import in_blocks
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.learning.image_windows import Windows
@@ -75,9 +76,7 @@ class TrainingImages:
         looked.views = views
         if factor > 1:
             looked.grid = self.grid.multilooked(factor)
-            rows, columns = looked.grid.rows, looked.grid.columns
-            whole = self.truth[:, : rows * factor, : columns * factor]
-            looked.truth = whole.reshape(len(whole), rows, factor, columns, factor).mean(4).mean(2)
+            looked.truth = in_blocks(self.truth, factor).mean(4).mean(2)
             looked.samples = self.samples * looked.grid.independent_samples / self.grid.independent_samples
         return looked
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
 from scipy.ndimage import affine_transform, label, maximum
 
+from sarsplat.data.image import in_blocks
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.regions.image_levels import above_ground_db, seen_by_all, typical
@@ -143,9 +144,7 @@ def _levels(
             "target is looked for; give target_box_m, or images that show the origin"
         )
     if (factor := math.ceil(4 * half / grid.cell_m / _SIDE)) > 1:
-        grid = grid.multilooked(factor)
-        cropped = power[:, : grid.rows * factor, : grid.columns * factor]
-        power = cropped.reshape(len(power), grid.rows, factor, grid.columns, factor).mean(axis=(2, 4))
+        grid, power = grid.multilooked(factor), in_blocks(power, factor).mean(axis=(2, 4))
     axis = np.linspace(-half, half, 2 * math.ceil(2 * half / grid.cell_m) + 1)
     return above_ground_db(power, grid), grid, axis
 

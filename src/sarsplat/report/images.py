@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Real, UInt8
 
 from sarsplat.colours import DIFFERENCE, POWER, Palette, ramp
+from sarsplat.data.image import in_blocks
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, brighter, shade
 from sarsplat.report.figure import ColourBar, Panel, axis, colour_bar, scale_bar
@@ -47,11 +48,7 @@ def block_means(
     images: Real[np.ndarray, "v rows columns"], factor: int
 ) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
     """Means over blocks of `factor` × `factor` pixels; incomplete blocks at the far edges are cut off."""
-    if factor == 1:
-        return images
-    count, rows, columns = len(images), images.shape[1] // factor, images.shape[2] // factor
-    cropped = images[:, : rows * factor, : columns * factor]
-    return cropped.reshape(count, rows, factor, columns, factor).mean(axis=(2, 4))
+    return images if factor == 1 else in_blocks(images, factor).mean(axis=(2, 4))
 
 
 def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margin: int = 0) -> tuple[slice, slice]:

@@ -9,8 +9,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from sarsplat.data.outliers import SIGMAS, outliers
 from sarsplat.data.ply import far_from_origin
-from sarsplat.data.strays import SIGMAS, strays
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.covariance import rotation_matrix
@@ -83,7 +83,7 @@ def without_strays(gaussians: Gaussians) -> tuple[Gaussians, str]:
 
 def _strays(gaussians: Gaussians) -> Tensor:
     parts = (gaussians.means, gaussians.scales, gaussians.quaternions)
-    return torch.from_numpy(strays(*(part.detach().cpu().numpy() for part in parts)))
+    return torch.from_numpy(outliers(*(part.detach().cpu().numpy() for part in parts)))
 
 
 def _described(gaussians: Gaussians, outside: Tensor) -> str:

@@ -15,9 +15,9 @@ from jaxtyping import Complex64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, new_folder, read_dataset
-from sarsplat.data.beside import UNPLACED, read_unplaced, unplaced_in
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.files import write_bytes, write_json
+from sarsplat.data.sidecar import UNPLACED, read_unplaced, unplaced_in
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.progress import progress

@@ -1,7 +1,4 @@
-"""Truth for experiments, independent of the renderer: targets, the ray-cast simulator, speckle, protocols.
-
-Each is loaded when first used.
-"""
+"""Truth for experiments, independent of the renderer: targets, ray caster, speckle, protocols; loaded lazily."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Deposits point cross-sections on a fine grid, and convolves them with the power response to β⁰ at pixel centres."""
+"""Deposition of cross-sections on a grid finer than the pixels, and their convolution with the power response to β⁰."""
 
 from __future__ import annotations
 
@@ -14,10 +14,7 @@ from sarsplat.geometry.responses import Response, variance_of, width_of
 
 
 class NodeGrid:
-    """Nodes finer than the pixels, `oversample` per pixel and axis, and the response from them to the pixels.
-
-    Pixel centres are nodes.
-    """
+    """Grid of `oversample` nodes per pixel and axis, pixel centres included, with the response from nodes to pixels."""
 
     def __init__(self, grid: ImageGrid, oversample: int) -> None:
         if oversample < 1 or oversample != int(oversample):
@@ -40,7 +37,7 @@ class Deposit:
         slant_range: Float64[np.ndarray, " hits"],
         cross_section: Float64[np.ndarray, " hits"],
     ) -> None:
-        """Add cross-sections (m², of either sign) at positions (m), best close to each other."""
+        """Add cross-sections (m², of either sign) at positions (m); nearby positions are fastest."""
         # Bilinear sharing between four nodes keeps the centre of gravity: rays and nodes do not beat into moiré.
         rows, columns = self._rows, self._columns
         v, u = (slant_range - rows.first) / rows.step, (azimuth - columns.first) / columns.step
@@ -54,13 +51,13 @@ class Deposit:
         u -= column
         top, left = int(row.min()), int(column.min())
         height, width = int(row.max()) + 2 - top, int(column.max()) + 2 - left
-        place = (row - top) * width + (column - left)
+        node = (row - top) * width + (column - left)
         far = cross_section * v
         nearer = cross_section - far
         far_right, near_right = far * u, nearer * u
         shares = np.concatenate([nearer - near_right, near_right, far - far_right, far_right])
-        places = np.concatenate([place, place + 1, place + width, place + width + 1])
-        nodes = np.bincount(places, shares, minlength=height * width).reshape(height, width)
+        corners = np.concatenate([node, node + 1, node + width, node + width + 1])
+        nodes = np.bincount(corners, shares, minlength=height * width).reshape(height, width)
         row_pixels, row_response = rows.near(top, height)
         column_pixels, column_response = columns.near(left, width)
         self.image[row_pixels, column_pixels] += (column_response @ (row_response @ nodes).T).T
@@ -93,11 +90,11 @@ class _Axis:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """First and last place that reaches the image, m."""
+        """First and last position that contributes to the image, m."""
         return self.first, self.first + (self.count - 1) * self.step
 
     def near(self, first: int, count: int) -> tuple[slice, csr_matrix]:
-        """The pixels that `count` nodes from the `first` reach, and the response [pixels, nodes], 1/m."""
+        """Return the pixels within reach of `count` nodes from `first`, and the response [pixels, nodes], 1/m."""
         begin = max(0, -((2 * self._margin - first) // self._oversample))
         end = min(self.pixels, (first + count - 1) // self._oversample + 1)
         pixel = np.arange(begin, max(begin, end))

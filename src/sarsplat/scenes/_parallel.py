@@ -1,4 +1,4 @@
-"""Images from several views at once, in their order, with progress within each; Ctrl-C ends it at once."""
+"""Ordered results of work on several threads, with progress within each item; Ctrl-C ends it at once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SECONDS_BETWEEN_REPORTS = 0.2
 
 
 class _Ended(Exception):
-    """Nobody wants the result any more."""
+    """Signal to a thread that its result is no longer needed."""
 
 
 def in_order(
@@ -24,9 +24,9 @@ def in_order(
     items: Sequence[Item],
     progress: Callable[[float], object] | None = None,
 ) -> Iterator[Result]:
-    """The result of `work(item, report)` for each item, on as many threads as PyTorch has.
+    """Yield `work(item, report)` for each item, computed on as many threads as PyTorch has.
 
-    `work` calls `report` with the share that is done, often; `progress` gets the sum of these shares.
+    `work` calls `report` often with its finished share; `progress` gets the sum of these shares.
     """
     done, end = [0.0] * len(items), Event()
 
@@ -34,7 +34,7 @@ def in_order(
         def report(share: float) -> None:
             if end.is_set():
                 raise _Ended
-            done[index] = min(share, 0.99)  # the image itself is counted when it is handed over
+            done[index] = min(share, 0.99)  # 1 once the result is yielded
 
         return work(items[index], report)
 

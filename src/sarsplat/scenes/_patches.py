@@ -1,4 +1,4 @@
-"""Flat patches of a mesh; where their outlines do not pass, one ray stands for many."""
+"""Flat patches of a mesh: away from their outlines, one ray represents many."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from scipy.sparse.csgraph import connected_components
 if TYPE_CHECKING:
     import trimesh
 
-_ROUNDINGS = 32  # of float32, in which meshes are stored and rays are traced: how far from a plane a flat patch may be
+_ROUNDINGS = 32
+"""Tolerance of a flat patch, in roundings of float32, in which meshes are stored and rays are traced."""
 _STEPS_AT_ONCE = 1 << 20
 
 
@@ -21,12 +22,12 @@ _STEPS_AT_ONCE = 1 << 20
 class Patches:
     """Connected faces in one plane and of one reflectivity, and the edges between them.
 
-    A square that no outline enters, and whose corners see one patch, sees nothing else: whatever hides a part of it has
-    an outline there, and two planes that cross in it leave a corner on either side.
+    A square without outlines whose corners see one patch sees nothing else: anything in front has an outline there, and
+    two planes that intersect in it leave a corner on either side.
     """
 
     of_face: Int64[np.ndarray, " f"]
-    largest_face: Int64[np.ndarray, " patches"]  # its plane is the least affected by rounding
+    largest_face: Int64[np.ndarray, " patches"]  # defines the plane with the least rounding
     outlines: Int64[np.ndarray, "e 2"]  # vertices
     inner: Int64[np.ndarray, "i 4"]  # vertices of an edge within a patch, and those opposite to it on both sides
 
@@ -34,7 +35,7 @@ class Patches:
     def of(cls, mesh: trimesh.Trimesh, reflectivity: Float64[np.ndarray, " f"]) -> Patches:
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)[1:]
-        corners = first[same.reshape(-1)][np.asarray(mesh.faces)]  # vertices at one place are one
+        corners = first[same.reshape(-1)][np.asarray(mesh.faces)]  # merges coincident vertices
         a, b, c = (vertices[corners[:, k]] for k in range(3))
         normals = np.cross(b - a, c - a)
         double_area = np.linalg.norm(normals, axis=1)
@@ -49,7 +50,7 @@ class Patches:
         begins = np.flatnonzero(np.r_[True, (ends[1:] != ends[:-1]).any(axis=1)])
         pair = begins[np.diff(np.r_[begins, len(ends)]) == 2]
         f, g = face[pair], face[pair + 1]
-        # the plane of a sliver says little, so either may tell
+        # slivers have inaccurate planes, so one of both planes must fit
         off = [
             np.abs(((vertices[opposite[other]] - vertices[ends[pair, 0]]) * normals[face[own]]).sum(axis=1))
             for own, other in ((pair, pair + 1), (pair + 1, pair))
@@ -62,7 +63,7 @@ class Patches:
         largest = np.zeros(count, dtype=np.int64)
         largest[of_face[by_area]] = by_area
 
-        # A surface of fine facets bends a little at every edge: it is not flat, and its faces stand alone.
+        # A surface of fine facets bends slightly at every edge: each of its faces becomes a patch.
         plane = largest[of_face]
         distance = ((vertices[corners] - vertices[corners[plane, 0]][:, None]) * normals[plane][:, None]).sum(axis=2)
         bent = np.zeros(count, dtype=bool)
@@ -78,7 +79,7 @@ class Patches:
         return cls(of_face, np.concatenate([largest, alone]), outlines, inner)
 
     def outlines_from(self, position: Float64[np.ndarray, "v 2"]) -> Int64[np.ndarray, "e 2"]:
-        """Outlines and folds of vertices at these positions across the line of sight: all edges of what may hide."""
+        """Return all edges that may occlude, given vertex positions across the line of sight: outlines and folds."""
         start, end, left, right = (position[self.inner[:, k]] for k in range(4))
         along = end - start
         sides = [along[:, 0] * (at - start)[:, 1] - along[:, 1] * (at - start)[:, 0] for at in (left, right)]
@@ -89,18 +90,18 @@ class Patches:
 def entered_cells(
     start: Float64[np.ndarray, "e 2"], end: Float64[np.ndarray, "e 2"], shape: tuple[int, int]
 ) -> Bool[np.ndarray, "{shape[0]} {shape[1]}"]:
-    """Which unit squares of [0, columns] × [0, rows] segments enter; positions (column, row), shape (rows, columns)."""
+    """Mark unit squares of [0, columns] × [0, rows] that segments enter; positions (column, row)."""
     entered = np.zeros(shape, dtype=bool)
     limits = np.array([shape[1], shape[0]], dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = np.stack([(edge - start) / (end - start) for edge in (-1.0, limits + 1.0)])
-    still = start == end
-    crossings[:, still] = np.array([-np.inf, np.inf])[:, None]
-    beside = (still & ((start < -1) | (start > limits + 1))).any(axis=1)
+    parallel = start == end
+    crossings[:, parallel] = np.array([-np.inf, np.inf])[:, None]
+    outside = (parallel & ((start < -1) | (start > limits + 1))).any(axis=1)
     first = np.clip(crossings.min(axis=0).max(axis=1), 0, 1)
     last = np.clip(crossings.max(axis=0).min(axis=1), 0, 1)
-    kept = (first <= last) & ~beside
-    start, along, first, last = start[kept], (end - start)[kept], first[kept, None], last[kept, None]
+    near = (first <= last) & ~outside
+    start, along, first, last = start[near], (end - start)[near], first[near, None], last[near, None]
     start, along = start + first * along, (last - first) * along
     steps = np.ceil(2 * np.abs(along).max(axis=1, initial=0.0)).astype(np.int64) + 1
     blocks = np.searchsorted(np.cumsum(steps), np.arange(0, steps.sum(), _STEPS_AT_ONCE), side="right")

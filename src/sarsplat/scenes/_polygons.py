@@ -77,7 +77,7 @@ def are_fans(corners: Float64[np.ndarray, "m n 3"]) -> Bool[np.ndarray, " m"]:
 
 
 def triangulated(corners: Float64[np.ndarray, "m n 3"]) -> tuple[list[list[list[int]]], int]:
-    """Return triangles of each polygon, as numbers of its corners, and how many outlines cross themselves."""
+    """Return triangles of each polygon, as numbers of its corners, and the number of self-crossing outlines."""
     from mapbox_earcut import triangulate_float64
 
     count, number, _ = corners.shape
@@ -103,7 +103,7 @@ def triangulated(corners: Float64[np.ndarray, "m n 3"]) -> tuple[list[list[list[
 def _in_its_plane(
     corners: Float64[np.ndarray, "m n 3"],
 ) -> tuple[Float64[np.ndarray, "m n 2"], Float64[np.ndarray, "m n"], Float64[np.ndarray, " m"]]:
-    """Each polygon as seen along its normal, counter-clockwise; distances from its mean plane; and its size."""
+    """Project polygons along their normals, counter-clockwise; return also distances from their planes, and sizes."""
     centred = corners - corners.mean(axis=1, keepdims=True)
     size = np.abs(centred).max(axis=(1, 2))
     normal = np.cross(centred, np.roll(centred, -1, axis=1)).sum(axis=1)
@@ -113,14 +113,14 @@ def _in_its_plane(
     first = np.cross(least, normal)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normal, first)
-    seen = np.stack([np.einsum("mnk,mk->mn", centred, axis) for axis in (first, second)], axis=2)
-    return seen, np.einsum("mnk,mk->mn", centred, normal), size
+    flat = np.stack([np.einsum("mnk,mk->mn", centred, axis) for axis in (first, second)], axis=2)
+    return flat, np.einsum("mnk,mk->mn", centred, normal), size
 
 
 def _area(
     a: Float64[np.ndarray, "*#t 2"], b: Float64[np.ndarray, "*#t 2"], c: Float64[np.ndarray, "*#t 2"]
 ) -> Float64[np.ndarray, "*#t"]:
-    """Twice the area of triangles, negative where they are clockwise."""
+    """Return twice the area of triangles, negative where they are clockwise."""
     area: Float64[np.ndarray, "*#t"]
     area = (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
     return area
@@ -189,7 +189,7 @@ def _ply(data: bytes) -> Polygons:
 
 
 def _uniform_rows(body: bytes, order: str, place: int, number: int, properties: Properties) -> np.ndarray | None:
-    """Rows of an element of a binary PLY file, or None if its lists differ in length."""
+    """Read rows of an element of a binary PLY file; None if its lists differ in length."""
     fields, end = list[Any](), place
     for length, kind, name in properties:
         fields.append((name, order + kind))

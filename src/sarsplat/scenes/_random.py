@@ -12,7 +12,7 @@ _STREAMS: dict[str, tuple[int, ...]] = {"speckle": (), "reflectivity": (1,), "vi
 
 
 def generator(seed: int, purpose: Literal["speckle", "reflectivity", "views", "scatterers"]) -> np.random.Generator:
-    """The source of random numbers for one purpose; refuses a negative seed."""
+    """Make the random generator for one purpose; raise if the seed is negative."""
     if seed < 0:
         raise SarsplatError(f"seed {seed} must be at least 0")
     return np.random.default_rng([seed, *_STREAMS[purpose]])

@@ -1,7 +1,4 @@
-"""Parallel rays along the line of sight: the lattice on which they stand, and what each meets first.
-
-They are dense near outlines, and sparse within flat patches.
-"""
+"""Parallel rays along the line of sight: a lattice, dense near outlines and sparse in flat patches, and first hits."""
 
 from __future__ import annotations
 
@@ -27,22 +24,25 @@ if TYPE_CHECKING:
 _LATTICE_TILT = math.atan((math.sqrt(5) - 1) / 2)
 
 _RAYS_PER_BATCH = 1 << 20
-_MAX_RAYS = 1e8  # half a minute a view
+_MAX_RAYS = 1e8
+"""Maximum number of rays of a view: half a minute."""
 
 Trace = Callable[[Float64[np.ndarray, "k 2"]], Int32[np.ndarray, " k"]]
-"""From positions (x_r, y_r) to the first faces that rays there meet, −1 for none."""
+"""Function from positions (x_r, y_r) of rays to the first faces that they hit, −1 without a hit."""
 
-_RAYS_PER_SIDE = 8  # of a square
-_SQUARES_PER_TILE = 128  # along a side
+_RAYS_PER_SIDE = 8
+"""Rays along each side of a square."""
+_SQUARES_PER_TILE = 128
+"""Squares along each side of a tile."""
 _SQUARES_PER_BATCH = 1 << 12
-# Cross-section of a flat patch is deposited in steps of at most this part of the resolution. Responses show no moiré of
-# them up to .6, nor the sharing of each deposit between nodes up to .2: shadows stay dark to a thousandth.
 _FLAT_STEP = 0.2
+"""Maximum distance of deposits on a flat patch, relative to the resolution: up to 0.6 images show no moiré, and up to
+0.2 shadows stay dark to a thousandth."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """Part of the computation plane on which rays stand, m."""
+    """Rectangle of the computation plane that rays cover, m."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -52,7 +52,7 @@ class Region:
         return self.x[0] > self.x[1] or self.y[0] > self.y[1]
 
     def check(self, spacing: float, rays_per_side: int) -> None:
-        """Refuse more rays, or squares of this many rays along a side, than can be traced."""
+        """Raise if rays, or squares of `rays_per_side`² rays, are too many to trace."""
         height = self.y[1] - self.y[0]
         rays = (self.x[1] - self.x[0]) * height / (spacing * rays_per_side) ** 2
         if rays > _MAX_RAYS:
@@ -89,8 +89,8 @@ class Facets:
         return cls(vertices, faces, z0, slope, np.stack([depths.min(axis=1), depths.max(axis=1)]), cos_incidence)
 
     def depth(self, face: Int32[np.ndarray, " k"], position: Float64[np.ndarray, "k 2"]) -> Float64[np.ndarray, " k"]:
-        """Range z_r of the planes of faces [K] at positions (x_r, y_r) [K, 2], kept within each triangle."""
-        # In float64 from the plane, not from the intersector's float32; the clip tames planes seen almost edge-on.
+        """Return the range z_r of faces [K] at positions (x_r, y_r) [K, 2], clipped to each triangle's range."""
+        # In float64 from the plane, not from the intersector's float32; the clip limits planes seen almost edge-on.
         z = self.z0[face] + (self.slope[face] * position).sum(axis=1)
         return np.clip(z, *self.z_span[:, face])
 
@@ -98,7 +98,7 @@ class Facets:
 def first_hits(
     facets: Facets, azimuth_reach: tuple[float, float], spacing: float, offset: tuple[float, float]
 ) -> Iterator[tuple[Float64[np.ndarray, "k 2"], Int32[np.ndarray, " k"]]]:
-    """Batches of rays that hit the mesh: positions (x_r, y_r) float64 [K, 2] and first-hit faces [K]."""
+    """Yield rays that hit the mesh in batches: positions (x_r, y_r) float64 [K, 2] and first-hit faces [K]."""
     lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
     region = Region(
         (max(lower[0], azimuth_reach[0]), min(upper[0], azimuth_reach[1])), (float(lower[1]), float(upper[1]))
@@ -114,14 +114,14 @@ def first_hits(
 
 
 def turned(points: Float64[np.ndarray, "k 2"], back: bool = False) -> Float64[np.ndarray, "k 2"]:
-    """Points along the axes of the lattice as (x_r, y_r), or `back`."""
+    """Rotate points from the axes of the lattice to (x_r, y_r), or `back`."""
     cos, sin = math.cos(_LATTICE_TILT), math.sin(_LATTICE_TILT)
     turn = np.array([[cos, sin], [-sin, cos]])
     return points @ (turn.T if back else turn)
 
 
 def tracer(facets: Facets) -> Trace:
-    """What rays along the line of sight meet first; needs embreex."""
+    """Make the function that traces rays along the line of sight; needs embreex."""
     try:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
@@ -132,12 +132,12 @@ def tracer(facets: Facets) -> Trace:
     scene = EmbreeScene(robust=True)  # watertight along shared edges
     TriangleMesh(scene=scene, vertices=(facets.vertices - center).astype(np.float32), indices=facets.faces)
     direction = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
-    before = lower[2] - 1.0
+    start = lower[2] - 1.0
 
     def trace(position: Float64[np.ndarray, "k 2"]) -> Int32[np.ndarray, " k"]:
         origins = np.empty((len(position), 3), dtype=np.float32)
         origins[:, :2] = position - center[:2]
-        origins[:, 2] = before - center[2]
+        origins[:, 2] = start - center[2]
         return scene.run(origins, direction)
 
     return trace
@@ -146,7 +146,7 @@ def tracer(facets: Facets) -> Trace:
 def _lattice(
     x: tuple[float, float], y: tuple[float, float], spacing: float, offset: tuple[float, float]
 ) -> Iterator[Float64[np.ndarray, "k 2"]]:
-    """Points of the tilted square lattice within a rectangle, in batches, float64 [K, 2]."""
+    """Yield points of the tilted square lattice within a rectangle in batches, float64 [K, 2]."""
     corners = turned(np.array([(a, b) for a in x for b in y]), back=True) / spacing - offset
     first, last = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
     along = np.arange(first[0], last[0] + 1) + offset[0]
@@ -161,7 +161,7 @@ def _lattice(
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of rays, each for an area across the line of sight."""
+    """First hits of rays, each representing an area across the line of sight."""
 
     position: Float64[np.ndarray, "k 2"]  # (x_r, y_r), m
     slant_range: Float64[np.ndarray, " k"]  # z_r, m
@@ -180,12 +180,12 @@ def sparse_hits(
     least_slope: float,
     progress: Callable[[float], object],
 ) -> Iterator[Hits]:
-    """First hits in a region: `spacing` apart near outlines of patches, sparser within them.
+    """Yield first hits in a region: `spacing` apart near outlines of patches, sparser within them.
 
-    The region is divided into squares of 8 × 8 rays. A square that no outline enters and whose corners see the same
-    patch needs no further ray: it is deposited in as many steps as the slope of the patch, or `least_slope` along y_r,
-    needs to look continuous at the resolution (azimuth, range). The others get all of their rays. `progress` is called
-    with the share that is done.
+    The region is divided into squares of 8 × 8 rays. A square without outlines whose corners see the same patch needs
+    no further ray: it is split into as many parts as the slope of the patch, or `least_slope` along y_r, needs to look
+    continuous at the resolution (azimuth, range). Other squares get all of their rays. `progress` is called with the
+    finished share.
     """
     side = _RAYS_PER_SIDE * spacing
     origin = np.array(offset) - 0.5
@@ -198,11 +198,11 @@ def sparse_hits(
 
     region.check(spacing, _RAYS_PER_SIDE)
     (left, right), (low, high) = region.x, region.y
-    around = square(np.array([(x, y) for x in region.x for y in region.y]))
-    first = np.floor(around.min(axis=0)).astype(np.int64)
-    columns, rows = (int(count) for count in np.ceil(around.max(axis=0)).astype(np.int64) - first)
-    places, edges = square(facets.vertices[:, :2]) - first, patches.outlines_from(facets.vertices[:, :2])
-    outlined = entered_cells(places[edges[:, 0]], places[edges[:, 1]], (max(rows, 1), max(columns, 1)))
+    bounds = square(np.array([(x, y) for x in region.x for y in region.y]))
+    first = np.floor(bounds.min(axis=0)).astype(np.int64)
+    columns, rows = (int(count) for count in np.ceil(bounds.max(axis=0)).astype(np.int64) - first)
+    vertices, edges = square(facets.vertices[:, :2]) - first, patches.outlines_from(facets.vertices[:, :2])
+    outlined = entered_cells(vertices[edges[:, 0]], vertices[edges[:, 1]], (max(rows, 1), max(columns, 1)))
     parts = _parts(facets, patches, side, resolution, least_slope)
     tiles = [
         (row, column) for row in range(0, rows, _SQUARES_PER_TILE) for column in range(0, columns, _SQUARES_PER_TILE)
@@ -215,16 +215,16 @@ def sparse_hits(
         if (corners.max(axis=0) < (left, low)).any() or (corners.min(axis=0) > (right, high)).any():
             continue
         face = trace(corners)
-        seen = np.where(face >= 0, patches.of_face[face], -1).reshape(u.shape)
-        patch = seen[:-1, :-1]
-        whole = (patch == seen[1:, :-1]) & (patch == seen[:-1, 1:]) & (patch == seen[1:, 1:]) & ~tile
+        hit_patch = np.where(face >= 0, patches.of_face[face], -1).reshape(u.shape)
+        patch = hit_patch[:-1, :-1]
+        uniform = (patch == hit_patch[1:, :-1]) & (patch == hit_patch[:-1, 1:]) & (patch == hit_patch[1:, 1:]) & ~tile
         squares = np.stack([u[:-1, :-1], v[:-1, :-1]], axis=-1) + first
-        flat = whole & (patch >= 0)
+        flat = uniform & (patch >= 0)
         if flat.any():
             yield _flat(facets, patches, patch[flat], squares[flat], parts, position, side)
-        broken = squares[~whole]
-        for begin in range(0, len(broken), _SQUARES_PER_BATCH):
-            at = position(_centers(broken[begin : begin + _SQUARES_PER_BATCH], np.full(2, _RAYS_PER_SIDE))[0])
+        mixed = squares[~uniform]
+        for begin in range(0, len(mixed), _SQUARES_PER_BATCH):
+            at = position(_centers(mixed[begin : begin + _SQUARES_PER_BATCH], np.full(2, _RAYS_PER_SIDE))[0])
             face = trace(at)
             hit = face >= 0
             at, face = at[hit], face[hit]
@@ -235,7 +235,7 @@ def sparse_hits(
 def _parts(
     facets: Facets, patches: Patches, side: float, resolution: tuple[float, float], least_slope: float
 ) -> Int64[np.ndarray, "patches 2"]:
-    """Number of parts along each side into which a square within a patch is divided."""
+    """Return the number of parts along each side of a square, for each patch."""
     axes = turned(np.eye(2))  # unit vectors along the sides
     slope = facets.slope[patches.largest_face]
     along_range = np.maximum(np.abs(slope @ axes.T), least_slope * np.abs(axes[:, 1])) / resolution[1]
@@ -252,7 +252,7 @@ def _flat(
     position: Callable[[Float64[np.ndarray, "n 2"]], Float64[np.ndarray, "n 2"]],
     side: float,
 ) -> Hits:
-    """Squares within patches as hits."""
+    """Convert squares within patches to hits of their parts."""
     centers, square = _centers(squares, parts[patch])
     at = position(centers)
     face = patches.largest_face[patch][square]
@@ -263,7 +263,7 @@ def _flat(
 def _centers(
     squares: Int64[np.ndarray, "k 2"], parts: Int64[np.ndarray, "*k 2"]
 ) -> tuple[Float64[np.ndarray, "n 2"], Int64[np.ndarray, " n"]]:
-    """Centres of the parts of squares, in sides, and the square of each."""
+    """Return the centres of the parts of squares, in sides, and the square of each part."""
     parts = np.broadcast_to(parts, squares.shape)
     count = parts.prod(axis=1)
     square = np.repeat(np.arange(len(squares)), count)

@@ -1,12 +1,12 @@
-"""What a mesh returns after two bounces: by way of level ground, or from facet to facet; every leg is traced.
+"""Second bounces of a mesh: facet and level ground, or facet and facet; every leg is traced.
 
-A rough facet sends on what its `ScatteringLaw` says of the bisector h of the two directions: a small facet of area A
-and normal n has the cross-section γ(|n·h|)·A·√((n·a)(n·b)) from direction a to b, which is γ⁰·A·cos i where a = b. The
-ground is a mirror, of |Γ|² of the power. Every way is also gone backwards, over the same length, so that its amplitude
-counts twice and its power four times.
+A small rough facet of area A and normal n has the cross-section γ(|n·h|)·A·√((n·a)(n·b)) from direction a to b, with
+the bisector h of both and γ of the `ScatteringLaw`; this is γ⁰·A·cos i where a = b. The ground is a mirror with |Γ|² of
+the power. Every path is also travelled backwards, over the same length, so its amplitude counts twice and its power
+four times.
 
-Rays find a point of the surface either way round: straight from the radar, or as the second of two. Each sample is
-weighted by how likely both are together, so that no sample weighs more than the patch that it stands for.
+Rays find a point of the surface directly from the radar or as the second point of a path. Samples are weighted by the
+probability of both together (multiple importance sampling), so that no sample weighs more than its patch.
 """
 
 from __future__ import annotations
@@ -33,27 +33,31 @@ if TYPE_CHECKING:
 Points = Float64[np.ndarray, "k 3"]
 
 BY_GROUND, BETWEEN_FACETS = "by way of the ground", "between facets"
-"""Kinds of second bounces, in words."""
+"""Names of the kinds of second bounces."""
 
-_LIFT = 1e-5  # of the mesh's extent: legs begin so far from the surface, some hundred roundings of float32
-_COHERENT = 4.0  # two equal amplitudes, there and back, over the power of one
-_DIRECTIONS = 4  # of legs from facet to facet, for each square between rays
-_STEEPEST = 1.0  # least slope for the steps within flat patches: a foot moves with elevation, too
-# of the plastic number: points (i a, i b) modulo 1 fill the square evenly, however many there are
+_LIFT = 1e-5
+"""Distance of the start of a leg from the surface, relative to the mesh: a hundred roundings of float32."""
+_COHERENT = 4.0
+"""Power of two equal amplitudes (both senses of a path), relative to one."""
+_DIRECTIONS = 4
+"""Directions from facet to facet for each square between rays."""
+_STEEPEST = 1.0
+"""`least_slope` of `sparse_hits`, because the foot of a point moves with its elevation."""
 _EVENLY = 0.7548776662466927, 0.5698402909980532
+"""Steps a, b from the plastic number: points (i a, i b) modulo 1 fill the unit square evenly."""
 
 
 @dataclass(frozen=True)
 class _Points:
-    """Places on the surface that rays found from one direction."""
+    """Points of the surface hit by rays from one direction."""
 
-    place: Points
-    normal: Points  # on the side of that direction
+    position: Points
+    normal: Points  # towards that direction
     face: Int32[np.ndarray, " k"]
     area: Float64[np.ndarray, " k"]  # across that direction, m²
 
     def __getitem__(self, which: np.ndarray) -> _Points:
-        return _Points(self.place[which], self.normal[which], self.face[which], self.area[which])
+        return _Points(self.position[which], self.normal[which], self.face[which], self.area[which])
 
 
 class SecondBounce:
@@ -62,13 +66,13 @@ class SecondBounce:
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Without ground.
+        Target without ground.
     law, factors
         γ of its facets, and the factor of each.
     patches : Patches
-        Of the mesh.
+        Patches of the mesh.
     spacing, offset, resolution_m
-        Of the rays, and of the images (azimuth, range), m.
+        Spacing and offset of the rays, and resolution of the images (azimuth, range), m.
     ground_reflectivity : float or None
         |Γ|² of level ground at z = 0; None where there is no ground.
     """
@@ -97,7 +101,7 @@ class SecondBounce:
     def images(
         self, view: View, facets: Facets, trace: Trace, nodes: NodeGrid, progress: Callable[[float], object]
     ) -> dict[str, Float64[np.ndarray, "rows columns"]]:
-        """β⁰ by kind; `facets` and `trace` are of the rays that come straight from the radar."""
+        """Return β⁰ by kind; `facets` and `trace` are those of the rays from the radar."""
         kinds = {BY_GROUND: self.by_ground} if self._reflectivity else {}
         kinds |= {BETWEEN_FACETS: self.between_facets}
         images = {}
@@ -116,27 +120,28 @@ class SecondBounce:
         deposit: Deposit,
         progress: Callable[[float], object] = lambda share: None,
     ) -> None:
-        """Facet–ground and ground–facet: every place is imaged at its foot, whatever its height."""
+        """Deposit facet–ground and ground–facet paths: a point is imaged at its foot on the ground, at any height."""
         u = view.look.facing
         mirrored, legs = u * (1.0, 1.0, -1.0), _Legs(self._mesh)
         bisector = np.array([u[0], u[1], 0.0]) / math.hypot(u[0], u[1])
         look = view.look
 
-        def add(points: _Points, from_there: Points, to_there: Points) -> None:
-            p, q = points.normal @ from_there, points.normal @ to_there
+        def add(points: _Points, incoming: Points, outgoing: Points) -> None:
+            p, q = points.normal @ incoming, points.normal @ outgoing
             gamma = self._factors[points.face] * self._law.gamma0(points.normal @ bisector)
             share = _COHERENT * (self._reflectivity or 0.0) * gamma * np.sqrt(p * q) / (p + q)
-            azimuth, slant_range = look.gradients[:, :2] @ points.place[:, :2].T
+            azimuth, slant_range = look.gradients[:, :2] @ points.position[:, :2].T
             deposit.add(azimuth, slant_range, share * points.area)
 
         for points in self._found(facets, trace, view, u, lambda share: progress(share / 2)):
-            points = points[(points.place[:, 2] > legs.lift) & (points.normal @ mirrored > 0)]
-            way = points.place[:, 2] / u[2]
-            feet = points.place + way[:, None] * mirrored
-            free = legs.free(points.place + legs.lift * points.normal, mirrored, way) & legs.free_above(feet, u)
+            points = points[(points.position[:, 2] > legs.lift) & (points.normal @ mirrored > 0)]
+            length = points.position[:, 2] / u[2]
+            feet = points.position + length[:, None] * mirrored
+            free = legs.free(points.position + legs.lift * points.normal, mirrored, length)
+            free &= legs.free_above(feet, u)
             add(points[free], u, mirrored)
 
-        image = Facets.of(self._mirrored, view)  # what the ground shows of the mesh
+        image = Facets.of(self._mirrored, view)  # mirror image in the ground
 
         def by_mirror(position: Float64[np.ndarray, "k 2"]) -> Int32[np.ndarray, " k"]:
             ground = np.column_stack([position, look.range_on_ground(*position.T)]) @ look.frame
@@ -146,8 +151,8 @@ class SecondBounce:
             return face
 
         for points in self._found(image, by_mirror, view, u, lambda share: progress((1 + share) / 2), (1.0, 1.0, -1.0)):
-            points = points[(points.place[:, 2] > legs.lift) & (points.normal @ u > 0)]
-            free = legs.free(points.place + legs.lift * points.normal, u)
+            points = points[(points.position[:, 2] > legs.lift) & (points.normal @ u > 0)]
+            free = legs.free(points.position + legs.lift * points.normal, u)
             add(points[free], mirrored, u)
 
     # ---- facet and facet ---------------------------------------------------------------------------------------------
@@ -159,41 +164,41 @@ class SecondBounce:
         deposit: Deposit,
         progress: Callable[[float], object] = lambda share: None,
     ) -> None:
-        """From one rough facet to another, in directions spread evenly over the half space of the first."""
+        """Deposit paths from one rough facet to another, in directions spread evenly over the first's half space."""
         look, legs, count = view.look, _Legs(self._mesh), 0
         u = look.facing
         for points in self._found(facets, trace, view, u, progress):
-            several = np.maximum(np.rint(_DIRECTIONS * points.area / self._spacing**2), 1).astype(np.int64)
-            points = points[np.repeat(np.arange(len(several)), several)]
-            area = points.area / np.repeat(several, several)
+            directions = np.maximum(np.rint(_DIRECTIONS * points.area / self._spacing**2), 1).astype(np.int64)
+            points = points[np.repeat(np.arange(len(directions)), directions)]
+            area = points.area / np.repeat(directions, directions)
             number = count + np.arange(len(points.face))
             count += len(number)
             away = _half_sphere(points.normal, *((number * step + at) % 1 for step, at in zip(_EVENLY, self._offset)))
-            face = legs.first(points.place + legs.lift * points.normal, away)
+            face = legs.first(points.position + legs.lift * points.normal, away)
             hit = face >= 0
             points, area, away, face = points[hit], area[hit], away[hit], face[hit]
             normal = self._normals[face]
             facing = -(normal * away).sum(axis=1)
             normal, facing = normal * np.sign(facing)[:, None], np.abs(facing)
-            way = -(((self._corner(face) - points.place) * normal).sum(axis=1)) / np.maximum(facing, 1e-12)
-            place = points.place + way[:, None] * away
-            seen = (normal @ u > 0) & (facing > 1e-6) & (way > 0)
+            length = -(((self._corner(face) - points.position) * normal).sum(axis=1)) / np.maximum(facing, 1e-12)
+            second = points.position + length[:, None] * away
+            visible = (normal @ u > 0) & (facing > 1e-6) & (length > 0)
             if self._reflectivity is not None:
-                seen &= place[:, 2] > 0
-            seen[seen] = legs.free(place[seen] + legs.lift * normal[seen], u)
-            points, area, away, face = points[seen], area[seen], away[seen], face[seen]
-            normal, facing, way, place = normal[seen], facing[seen], way[seen], place[seen]
-            there, back = (points.normal @ u) * facing, (normal @ u) * (points.normal * away).sum(axis=1)
-            gamma = self._sent_on(points.face, points.normal, u + away) * self._sent_on(face, normal, u - away)
-            # twice for the amplitude of both ways; a direction stands for 2π, and a cross-section spreads over 4π
-            section = 2 * area * gamma * np.sqrt(there * back) / (there + back)
-            middle = (points.place + place) / 2
+                visible &= second[:, 2] > 0
+            visible[visible] = legs.free(second[visible] + legs.lift * normal[visible], u)
+            points, area, away, face = points[visible], area[visible], away[visible], face[visible]
+            normal, facing, length, second = normal[visible], facing[visible], length[visible], second[visible]
+            p, q = (points.normal @ u) * facing, (normal @ u) * (points.normal * away).sum(axis=1)
+            gamma = self._gamma(points.face, points.normal, u + away) * self._gamma(face, normal, u - away)
+            # twice for the amplitude of both senses; a direction represents 2π, and a cross-section spreads over 4π
+            section = 2 * area * gamma * np.sqrt(p * q) / (p + q)
+            middle = (points.position + second) / 2
             azimuth, slant_range = look.gradients @ middle.T
-            deposit.add(azimuth, slant_range + way / 2, section)
+            deposit.add(azimuth, slant_range + length / 2, section)
 
-    def _sent_on(self, face: Int32[np.ndarray, " k"], normal: Points, both: Points) -> Float64[np.ndarray, " k"]:
-        """γ of facets between two directions of this sum."""
-        return self._factors[face] * self._law.gamma0((normal * both).sum(axis=1) / np.linalg.norm(both, axis=1))
+    def _gamma(self, face: Int32[np.ndarray, " k"], normal: Points, total: Points) -> Float64[np.ndarray, " k"]:
+        """Return γ of facets between two directions with this sum."""
+        return self._factors[face] * self._law.gamma0((normal * total).sum(axis=1) / np.linalg.norm(total, axis=1))
 
     def _corner(self, face: Int32[np.ndarray, " k"]) -> Points:
         return np.asarray(self._mesh.vertices, dtype=np.float64)[np.asarray(self._mesh.faces)[face, 0]]
@@ -207,21 +212,20 @@ class SecondBounce:
         progress: Callable[[float], object],
         turned: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> Iterator[_Points]:
-        """What rays along the line of sight find, in the world, of which the facets are `turned`."""
+        """Yield points hit by rays along the line of sight; `turned` is the reflection from `facets` to the world."""
         low, high = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
         region = Region((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
-        how = (region, self._spacing, self._offset, self._resolution_m, _STEEPEST, progress)
-        for hits in sparse_hits(facets, self._patches, trace, *how):
-            place = np.column_stack([hits.position, hits.slant_range]) @ view.look.frame * turned
+        settings = (region, self._spacing, self._offset, self._resolution_m, _STEEPEST, progress)
+        for hits in sparse_hits(facets, self._patches, trace, *settings):
+            position = np.column_stack([hits.position, hits.slant_range]) @ view.look.frame * turned
             normal = self._normals[hits.face]
             side = np.sign(normal @ (u * turned))
-            kept = side != 0
             area = np.broadcast_to(np.asarray(hits.area), side.shape)
-            yield _Points(place, normal * side[:, None], hits.face, area)[kept]
+            yield _Points(position, normal * side[:, None], hits.face, area)[side != 0]
 
 
 class _Legs:
-    """Whether ways between places of a mesh are free, and what they end on; needs embreex."""
+    """Rays from points of a mesh: occlusion tests and first hits; needs embreex."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         try:
@@ -241,22 +245,22 @@ class _Legs:
         )
 
     def first(self, origin: Points, direction: Float64[np.ndarray, "*k 3"]) -> Int32[np.ndarray, " k"]:
-        """The first faces on the way, −1 for none."""
+        """Return the first faces hit, −1 without a hit."""
         return np.asarray(self._scene.run(*self._rays(origin, direction)))
 
     def free(
         self, origin: Points, direction: Float64[np.ndarray, "*k 3"], length: Float64[np.ndarray, " k"] | None = None
     ) -> Bool[np.ndarray, " k"]:
-        """Whether nothing is on the way, as far as it is so long."""
+        """Return True for unoccluded rays, of this length if it is given."""
         until = None if length is None else length.astype(np.float32)
         return np.asarray(self._scene.run(*self._rays(origin, direction), until, "OCCLUDED")) < 0
 
     def free_above(self, ground: Points, direction: Float64[np.ndarray, " 3"]) -> Bool[np.ndarray, " k"]:
-        """Whether nothing is on the way from places of the ground."""
+        """Return True for unoccluded rays from points of the ground."""
         return self.free(self.above(ground), direction)
 
     def above(self, ground: Points) -> Points:
-        """Just above places of the ground."""
+        """Lift points of the ground by `lift`."""
         return ground + np.array([0.0, 0.0, self.lift])
 
     def _rays(self, origin: Points, direction: Float64[np.ndarray, "*k 3"]) -> tuple[np.ndarray, np.ndarray]:
@@ -264,15 +268,13 @@ class _Legs:
 
 
 def _half_sphere(normal: Points, height: Float64[np.ndarray, " k"], turn: Float64[np.ndarray, " k"]) -> Points:
-    """Unit vectors with these cosines to the normals, turned around them by these parts of a turn."""
-    sign = np.where(normal[:, 2] >= 0, 1.0, -1.0)  # two vectors across, without a branch that the poles break
+    """Return unit vectors with these cosines to the normals, rotated about them by these parts of a turn."""
+    sign = np.where(normal[:, 2] >= 0, 1.0, -1.0)  # a basis across the normal that is stable at both poles
     x, y, z = normal.T
     a = -1 / (sign + z)
     b = x * y * a
     first = np.column_stack([1 + sign * x * x * a, sign * b, -sign * x])
     second = np.column_stack([b, sign + y * y * a, -y])
     across = np.sqrt(1 - height**2)
-    along = (across * np.cos(2 * math.pi * turn))[:, None] * first + (across * np.sin(2 * math.pi * turn))[
-        :, None
-    ] * second
-    return along + height[:, None] * normal
+    u, v = (across * np.cos(2 * math.pi * turn))[:, None], (across * np.sin(2 * math.pi * turn))[:, None]
+    return u * first + v * second + height[:, None] * normal

@@ -24,7 +24,7 @@ def satellite() -> trimesh.Trimesh:
 
 
 def _wing(side: int) -> list[trimesh.Trimesh]:
-    """Three panels on a yoke, turned a little towards the sun."""
+    """Three panels on a yoke, tilted towards the sun."""
     bodies = [cylinder(0.06, (0.0, side * 0.8, 0.2), (0.0, side * 1.7, 0.2), sections=12)]
     slope = math.tan(math.radians(20.0))
     for k in range(3):
@@ -71,7 +71,7 @@ def aircraft() -> trimesh.Trimesh:
 def _plane(
     root: Point, half_span: float, chords: tuple[float, float], sweep: float, rise: float, thickness: float
 ) -> trimesh.Trimesh:
-    """Both halves of a wing: from the leading edge of its root, swept back and raised by so much at its tips."""
+    """Both halves of a wing from the leading edge of its root; `sweep` and `rise` move the tips back and up, m."""
     x, _, z = root
     halves = []
     for side in (+1, -1):

@@ -1,4 +1,4 @@
-"""Box-shaped buildings on flat ground: their meshes, and their images, in closed form and as they are measured.
+"""Box-shaped buildings on flat ground: their meshes, and their images, in closed form and measured.
 
 Ground range g counts from the foot of the near wall, away from the radar: g = slant range / cosθ. The radar stands at
 azimuth 0, square to that wall. A point at height z and horizontal distance x behind the foot appears at
@@ -23,7 +23,8 @@ from sarsplat.geometry.responses import variance_of
 if TYPE_CHECKING:
     import trimesh
 
-_CLEAR = 2.0  # 3 dB widths from every edge to where levels are measured: there the response has settled to 10⁻⁶
+_CLEAR = 2.0
+"""Distance from edges at which levels are measured, 3 dB widths: the response has settled to 10⁻⁶ there."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Building:
     length: float = 16.0
 
     def mesh(self) -> trimesh.Trimesh:
-        """Four walls, then the roof, two triangles each; no floor, which nothing sees."""
+        """Make four walls, then the roof, two triangles each, without a floor."""
         import trimesh
 
         left, right, back = -self.length / 2, self.length / 2, -self.depth
@@ -68,11 +69,11 @@ class Building:
         return trimesh.Trimesh(corners, faces, process=False)
 
     def reflectivity(self, gamma0: Gamma0) -> Float64[np.ndarray, " faces"]:
-        """γ⁰ of the mesh's faces, float64 [10]: a factor for a law that is 1 at every angle."""
+        """Return γ⁰ of the mesh's faces, float64 [10]: factors on a law that is 1 at every angle."""
         return np.array([gamma0.wall] * 8 + [gamma0.roof] * 2)
 
     def regions(self, grazing_deg: float, gamma0: Gamma0) -> list[Region]:
-        """Every region from near to far, including the free ground on both sides."""
+        """Return all regions from near to far, including the free ground on both sides."""
         look = View(0.0, grazing_deg).look
         tan = look.slope
         top = -self.height * tan
@@ -94,7 +95,7 @@ class Building:
     def profile(
         self, slant_range: Float[np.ndarray, " n"], grazing_deg: float, gamma0: Gamma0, resolution: float
     ) -> Float64[np.ndarray, " n"]:
-        """β⁰ across the building at slant ranges from the scene centre (m), seen through the power response.
+        """Return β⁰ across the building at slant ranges from the scene centre (m), through a Gaussian response.
 
         `resolution` is the 3 dB width of that response in range, m.
         """
@@ -112,12 +113,12 @@ BUILDINGS = {
     "building-b": Building(height=8.0, depth=8.0),
     "building-c": Building(height=6.0, depth=10.0),
 }
-"""The paper's three; at 45° the image of the roof ends before, at and behind the foot of the near wall."""
+"""Buildings of the paper; at 45° the image of the roof ends before, at and behind the foot of the near wall."""
 
 
 @dataclass(frozen=True)
 class MeasuredRegion:
-    """A region and its mean level in an image, None if no pixel is clear of the edges."""
+    """A region and its mean level in an image; None if all pixels are close to its edges."""
 
     region: Region
     beta0: float | None
@@ -125,7 +126,7 @@ class MeasuredRegion:
 
 @dataclass(frozen=True)
 class MeasuredEdge:
-    """An edge at a ground range, and how much farther from the radar it is in the image, m of slant range."""
+    """An edge at a ground range (m), and its error in the image, m of slant range, positive away from the radar."""
 
     ground_range: float
     error: float
@@ -163,7 +164,7 @@ def building_profile(
     image : numpy.ndarray [rows, columns]
         β⁰, linear power.
     grid, building, grazing_deg, gamma0
-        What `image` shows, and from where.
+        Pixels, target and view of `image`.
 
     Returns
     -------
@@ -192,7 +193,7 @@ def building_profile(
 def _crossing(
     position: Float64[np.ndarray, " rows"], profile: Float64[np.ndarray, " rows"], level: float, near: float
 ) -> float:
-    """Position nearest to `near` at which the profile crosses the level; NaN if it never does."""
+    """Return the position nearest to `near` at which the profile crosses the level; NaN if it never does."""
     above = profile - level
     k = np.flatnonzero(np.sign(above[:-1]) != np.sign(above[1:]))
     if len(k) == 0:

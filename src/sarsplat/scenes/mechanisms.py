@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 POLARISATIONS = ("HH", "HV", "VV")
 
 SURFACE, DOUBLE_BOUNCE, VOLUME = range(3)
-"""Places in `MATRICES`."""
+"""Indices into `MATRICES`."""
 
 MATRICES: Complex128[np.ndarray, "3 3 3"] = np.array(
     [
@@ -29,25 +29,26 @@ MATRICES: Complex128[np.ndarray, "3 3 3"] = np.array(
     ],
     np.complex128,
 )
-"""E[y yᴴ] / γ⁰ in HH, HV, VV: HH and VV are alike after one bounce and opposite after two; thin dipoles at random lie
-between, with an eighth of their power in each cross-polarised channel."""
+"""E[y yᴴ] / γ⁰ in HH, HV, VV: HH and VV have equal signs after one bounce and opposite ones after two; random thin
+dipoles are in between, with an eighth of their power in each cross-polarised channel."""
 
 _LEVEL, _UPRIGHT = 0.9, 0.1
-"""Of a normal's vertical part: above, a facet is level; below, it is upright."""
+"""Minimum vertical component of the normals of level facets, and maximum one of upright facets."""
 
-_TOLERATED = 1e-9
+_TOLERANCE = 1e-9
+"""Tolerance of negative eigenvalues of a matrix."""
 
 
 @dataclass(frozen=True)
 class Mechanisms:
-    """How each facet of a mesh, and the ground, return several polarisations together.
+    """Polarimetric covariance of each facet of a mesh and of the ground.
 
     Parameters
     ----------
     of_faces : numpy.ndarray, int64 [F]
-        Which of the matrices is each facet's.
+        Index of each facet's matrix.
     of_ground : int
-        Which is the ground's.
+        Index of the ground's matrix.
     matrices : numpy.ndarray, complex128 [M, P, P]
         E[y yᴴ] / γ⁰ of the polarisations, Hermitian and positive semi-definite; if γ⁰ is to be the mean power, their
         mean diagonal is 1.
@@ -57,7 +58,7 @@ class Mechanisms:
     Raises
     ------
     SarsplatError
-        If shapes do not fit, or a matrix is not the covariance of anything.
+        If shapes do not fit, or a matrix is not a covariance.
     """
 
     of_faces: Int64[np.ndarray, " f"]
@@ -69,11 +70,8 @@ class Mechanisms:
         expect(np.ndarray, of_faces=self.of_faces, matrices=self.matrices)
         expect(int, of_ground=self.of_ground)
         names = self.polarisations
-        if (
-            not isinstance(names, tuple | list)
-            or len({*map(str, names)}) < len(names)
-            or not {*map(str, names)} <= {*KNOWN_POLARISATIONS}
-        ):
+        distinct = {*map(str, names)} if isinstance(names, tuple | list) else {""}
+        if not distinct <= {*KNOWN_POLARISATIONS} or len(distinct) < len(names):
             raise SarsplatError(
                 f"polarisations is {shown(names)}; give different ones of {', '.join(KNOWN_POLARISATIONS)}"
             )
@@ -92,24 +90,22 @@ class Mechanisms:
             wrong = numbers.min() if numbers.min() < 0 else numbers.max()
             raise SarsplatError(f"a facet has matrix {shown(int(wrong))} of {len(matrices)}; number them from 0")
         for matrix in matrices:
-            finite = bool(np.isfinite(matrix).all())
-            if not finite or not np.allclose(matrix, matrix.conj().T) or np.linalg.eigvalsh(matrix)[0] < -_TOLERATED:
-                raise SarsplatError(
-                    f"a matrix is {shown(matrix.tolist())}; give a Hermitian, positive semi-definite one"
-                )
+            hermitian = np.isfinite(matrix).all() and np.allclose(matrix, matrix.conj().T)
+            if not hermitian or np.linalg.eigvalsh(matrix)[0] < -_TOLERANCE:
+                raise SarsplatError(f"a matrix is {shown(matrix.tolist())}; give Hermitian, semi-definite ones")
 
     @classmethod
     def by_slope(cls, mesh: trimesh.Trimesh) -> Mechanisms:
-        """Level facets and the ground return by one bounce, upright ones by two, all others as volumes do.
+        """Assign one bounce to level facets and the ground, two bounces to upright facets, volumes to all others.
 
-        That is no physics of a target, but scenes to try polarimetry on: rays here meet one facet and no second.
+        This is not the physics of a target, as rays meet one facet only, but makes scenes for polarimetry.
         """
         upward = np.abs(mesh.face_normals[:, 2])
         return cls(np.select([upward > _LEVEL, upward < _UPRIGHT], [SURFACE, DOUBLE_BOUNCE], VOLUME).astype(np.int64))
 
     @property
     def roots(self) -> Complex128[np.ndarray, "n p p"]:
-        """L of each facet and, at the end, of the ground: the matrix is L Lᴴ."""
+        """Factor L of each facet's matrix L Lᴴ, and of the ground's at the end."""
         values, vectors = np.linalg.eigh(self.matrices)
         roots: Complex128[np.ndarray, "m p p"] = vectors * np.sqrt(values.clip(min=0))[:, None]
         return roots[np.append(self.of_faces, self.of_ground)]

@@ -1,7 +1,7 @@
-"""Targets from mesh files, dirty ones and untrusted ones included.
+"""Targets from mesh files, which may be dirty or hostile.
 
-trimesh reads many formats, follows names in a file to other files, unpacks archives, and allocates what a glTF header
-asks for. Here it reads the bytes of one regular file in one of five formats, and nothing else.
+trimesh reads many formats, follows names in a file to other files, unpacks archives, and allocates whatever a glTF
+header demands. Here it reads the bytes of one regular file in one of five formats, and nothing else.
 """
 
 from __future__ import annotations
@@ -28,19 +28,24 @@ if TYPE_CHECKING:
     import trimesh
 
 
-# Plausible sizes of a target, in image sides and in resolution widths. A vehicle in inches, centimetres, millimetres or
-# kilometres is outside.
 _LARGEST_TARGET, _SMALLEST_TARGET = 1.0, 2.0
+"""Plausible sizes of a target, in image sides and in resolution widths: vehicles in other units are outside."""
 
 _FORMATS = (".obj", ".stl", ".ply", ".off", ".glb")
-_FARTHEST = 1e9  # m from the origin: beyond any unit mistaken for the metre, with squares that are finite
-_LARGEST_FILE = 1 << 28  # bytes
-# Bytes of text: trimesh takes up to fifty times as much memory for the first two, eighty times for the others.
+_FARTHEST = 1e9
+"""Maximum distance of a vertex from the origin, m: beyond any mistaken unit, with a finite square."""
+_LARGEST_FILE = 1 << 28
+"""Maximum size of a file, bytes."""
 _LONGEST_TEXT = {".obj": 1 << 25, ".stl": 1 << 25, ".off": 1 << 24, ".ply": 1 << 24}
-_FREE_NUMBERS = 100_000  # to which a .glb file of any size may expand
-_LONGEST_SCENE = 1 << 20  # bytes of JSON in a .glb file
-_MAX_PARTS = 2_000  # nodes and primitives of a glTF scene: trimesh takes about a tenth of a millisecond for each
-_MAX_SOLIDS = 1_000  # in an ASCII .stl file: half a millisecond for each
+"""Maximum length of text files, bytes: trimesh needs 50 times (.obj, .stl) to 80 times as much memory."""
+_FREE_NUMBERS = 100_000
+"""Count of numbers to which a .glb file of any size may expand."""
+_LONGEST_SCENE = 1 << 20
+"""Maximum length of the JSON in a .glb file, bytes."""
+_MAX_PARTS = 2_000
+"""Maximum number of nodes and primitives of a glTF scene: trimesh takes 0.1 ms for each."""
+_MAX_SOLIDS = 1_000
+"""Maximum number of solids in an ASCII .stl file: 0.5 ms for each."""
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 _MISSING = "has faces that refer to missing vertices; repair the mesh"
@@ -50,16 +55,16 @@ _RELATIVE = re.compile(rb"^f[^\n]*[ \t/]-", re.MULTILINE)
 _ZERO = re.compile(rb"^f[^\n]*[ \t]0+(?![0-9])", re.MULTILINE)
 _BACK = re.compile(rb"-[0-9]{1,12}")
 
-logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # our own errors report what is wrong with a file
+logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # sarsplat's errors describe damaged files
 
 
 @checks_arguments
 def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
-    """Triangle mesh of an .obj, .stl, .ply, .off or .glb file; a scene's parts become one mesh.
+    """Read a triangle mesh from an .obj, .stl, .ply, .off or .glb file; a scene's parts become one mesh.
 
-    Open, intersecting and inconsistently oriented surfaces are accepted unchanged. Faces that are degenerate or have a
-    vertex that is not finite are dropped with one warning; one of several equal faces, such as where two closed bodies
-    touch, is kept, so the surface does not change.
+    Open, intersecting and inconsistently oriented surfaces are accepted unchanged. Degenerate faces and faces with a
+    vertex that is not finite are dropped with one warning; of several equal faces, such as where two closed bodies
+    touch, the first is kept.
 
     Parameters
     ----------
@@ -100,19 +105,19 @@ def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
 
 
 def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
-    """The mesh with every coordinate multiplied by a factor, which must be positive and finite."""
+    """Multiply every coordinate of a mesh by a positive, finite factor."""
     if not (math.isfinite(factor) and factor > 0):
         raise SarsplatError(f"scale {factor} must be positive and finite; 0.001 makes metres of millimetres")
     return mesh.copy().apply_scale(factor)
 
 
 def is_larger(mesh: trimesh.Trimesh, grid: ImageGrid) -> bool:
-    """Whether a mesh is longer than its images are wide, along their shorter side."""
+    """Return True if a mesh is longer than the shorter side of its images."""
     return float(mesh.extents.max()) > _LARGEST_TARGET * side_m(grid)
 
 
 def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
-    """A sentence if a mesh is larger than its images or hardly larger than a resolution cell, otherwise nothing."""
+    """Return a warning if a mesh is larger than its images or hardly larger than a resolution cell."""
     extent = float(mesh.extents.max())
     cell = max(grid.resolution_m)
     if _SMALLEST_TARGET * cell <= extent and not is_larger(mesh, grid):
@@ -124,31 +129,31 @@ def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
 
 
 def side_m(grid: ImageGrid) -> float:
-    """Shorter side of an image, m."""
+    """Return the shorter side of an image, m."""
     return min(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
 
 
 def _have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Mask of the faces [F] that are finite and have an area."""
+    """Mark faces [F] that are finite and have an area."""
     first, second, third = (vertices[faces[:, k]] for k in range(3))
-    with np.errstate(invalid="ignore"):  # infinite vertices; the squares of finite ones do not overflow
+    with np.errstate(invalid="ignore"):  # infinite vertices; squares of finite ones do not overflow
         area2 = np.linalg.norm(np.cross(second - first, third - first), axis=1)
     return np.isfinite(area2) & (area2 > 0)
 
 
 def _first_of_equals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Mask of the faces [F] that do not repeat an earlier triangle, in any order and numbering of vertices."""
+    """Mark faces [F] that do not repeat an earlier triangle, in any order and numbering of vertices."""
     _, number = np.unique(vertices, axis=0, return_inverse=True)
     _, first = np.unique(np.sort(number.reshape(-1)[faces], axis=1), axis=0, return_index=True)
     return np.isin(np.arange(len(faces)), first)
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """All triangles of a self-contained .obj, .stl, .ply, .off or .glb file, unchanged; parts of a scene become one.
+    """Read all triangles of a self-contained .obj, .stl, .ply, .off or .glb file; parts of a scene become one mesh.
 
-    Polygons become triangles, the same ones wherever their outline begins, concave ones too.
-    Materials and textures are ignored. Every face refers to existing vertices, which may be NaN or infinite. Raises
-    `SarsplatError` if the file is missing, of another format or damaged, or expands to far more than its size.
+    Polygons, also concave ones, become triangles that do not depend on where their outline begins. Materials and
+    textures are ignored. Faces refer to existing vertices, which may be NaN or infinite. Raise `SarsplatError` if the
+    file is missing, of another format or damaged, or expands to far more than its size.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -157,7 +162,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     import trimesh
 
     try:
-        if not path.is_file():  # nor a pipe or a device, which may never end
+        if not path.is_file():  # pipes and devices may never end
             raise SarsplatError(f"there is no mesh file at '{path}'; give the path of an {', '.join(_FORMATS)} file")
         if (size := path.stat().st_size) > _LARGEST_FILE:
             raise SarsplatError(f"'{path}' has {size} bytes, more than is sensible for a target; simplify the mesh")
@@ -206,10 +211,10 @@ def _read_with_trimesh(path: Path, kind: str, data: bytes) -> trimesh.Trimesh:
             # Unprocessed: merging vertices would move them. A stream without resolver: no other file can be named.
             scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True)
             mesh = scene.to_mesh()
-    except Exception as error:  # the readers behind trimesh raise whatever their parsers raise
+    except Exception as error:  # parsers behind trimesh raise any exception
         reason = repr(str(error) or type(error).__name__)[:200]
         raise SarsplatError(f"'{path}' cannot be read as a mesh ({reason}); repair it or give another file") from error
-    if kind == ".glb":  # y is up there
+    if kind == ".glb":  # from y up to z up
         mesh.vertices = mesh.vertices[:, [0, 2, 1]] * (1, -1, 1)
     return mesh
 
@@ -222,11 +227,11 @@ def _check_length(path: Path, size: int) -> None:
 def _is_binary(kind: str, data: bytes) -> bool:
     if kind == ".stl":
         return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
-    return kind == ".ply" and not re.match(rb"[^\n]*\n[^\n]*ascii", data, re.IGNORECASE)  # as trimesh tells them apart
+    return kind == ".ply" and not re.match(rb"[^\n]*\n[^\n]*ascii", data, re.IGNORECASE)  # trimesh's criterion
 
 
 def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
-    """UTF-8 without what is far more expensive for trimesh than its size: materials, comments, empty lines."""
+    """Return UTF-8 text without materials, comments and empty lines, which are expensive for trimesh."""
     _check_length(path, len(data))
     if kind == ".stl" and b"\0" in data:
         faces = int.from_bytes(data[80:84], "little")
@@ -241,16 +246,17 @@ def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
             data = _plain_obj(data)
         except SarsplatError as error:
             raise SarsplatError(f"'{path}' {error}") from error
-        return data.replace(b"usemtl", b"#")  # each change of material would be a mesh, for milliseconds
+        return data.replace(b"usemtl", b"#")  # each change of material would take milliseconds for a mesh
     if kind == ".off":
         return re.sub(rb"(?:[\n-\r\x1c-\x1e]|#[^\n]*)(?:[\s\x1c-\x1e]+|#[^\n]*)*+", b"\n", data)
     return re.sub(rb"[\n-\r\x1c-\x1e][\s\x1c-\x1e]*", b"\n", data)
 
 
 def _plain_obj(data: bytes) -> bytes:
-    """The same OBJ file without comments, continued lines and indentation; refused if a face refers to no vertex.
+    """Remove comments, continued lines and indentation, and resolve relative indices of faces.
 
-    A comment may end with a backslash, as a folder of Windows does, without going on in the next line.
+    A comment that ends with a backslash, such as a Windows folder, does not continue in the next line. Raise if a face
+    refers to a missing vertex.
     """
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     data = _COMMENT.sub(b"", data).replace(b"\\\n", b" ")
@@ -259,31 +265,31 @@ def _plain_obj(data: bytes) -> bytes:
         raise SarsplatError(_MISSING)
     if not _RELATIVE.search(data):
         return data
-    seen = {b"v": 0, b"vt": 0, b"vn": 0}
+    counts = {b"v": 0, b"vt": 0, b"vn": 0}
     lines = []
     for line in data.split(b"\n"):
         words = line.split()
-        if words and words[0] in seen:
-            seen[words[0]] += 1
+        if words and words[0] in counts:
+            counts[words[0]] += 1
         elif words and words[0] == b"f":
-            line = b" ".join([b"f", *(_corner(word, [*seen.values()]) for word in words[1:])])
+            line = b" ".join([b"f", *(_corner(word, [*counts.values()]) for word in words[1:])])
         lines.append(line)
     return b"\n".join(lines)
 
 
-def _corner(word: bytes, seen: list[int]) -> bytes:
-    """A corner of a face, vertex/texture/normal, of which so many came before it: −1 is the last of them."""
+def _corner(word: bytes, counts: list[int]) -> bytes:
+    """Make relative indices (−1: the last one) of a corner vertex/texture/normal absolute, given the counts so far."""
     numbers = word.split(b"/")
-    for place, (number, count) in enumerate(zip(numbers, seen, strict=False)):
+    for kind, (number, count) in enumerate(zip(numbers, counts, strict=False)):
         if _BACK.fullmatch(number):
             if not -count <= int(number) < 0:
                 raise SarsplatError(_MISSING)
-            numbers[place] = b"%d" % (count + 1 + int(number))
+            numbers[kind] = b"%d" % (count + 1 + int(number))
     return b"/".join(numbers)
 
 
 def _check_glb(path: Path, data: bytes) -> None:
-    """Refuse a scene whose JSON describes far more data than the file holds."""
+    """Raise if the JSON of a scene describes far more data than the file holds."""
     length = int.from_bytes(data[12:16], "little")
     if data[:4] != b"glTF" or data[16:20] != b"JSON" or length > len(data) - 20:
         raise SarsplatError(f"'{path}' is not a whole .glb file; export it again")
@@ -297,8 +303,7 @@ def _check_glb(path: Path, data: bytes) -> None:
         raise SarsplatError(f"'{path}' has a garbled scene ({repr(error)[:200]}); export it again") from error
     if gaussians:
         raise SarsplatError(
-            f"'{path}' holds Gaussians (KHR_gaussian_splatting), which are not read from .glb; give the PLY that it "
-            "was made from"
+            f"'{path}' holds Gaussians (KHR_gaussian_splatting), which are not read from .glb; give their PLY"
         )
     if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MAX_PARTS:
         raise SarsplatError(
@@ -307,7 +312,7 @@ def _check_glb(path: Path, data: bytes) -> None:
 
 
 def _unfolded(scene: dict[str, Any]) -> tuple[int, int]:
-    """How many numbers trimesh would hold, counting every instance of every part, and how many instances."""
+    """Return the count of numbers in trimesh's memory, every instance of every part included, and of instances."""
     views, accessors, meshes, nodes = (scene.get(key, []) for key in ("bufferViews", "accessors", "meshes", "nodes"))
     numbers = sum(_natural(view["byteLength"]) // 4 for view in views)
     for accessor in accessors:

@@ -1,4 +1,4 @@
-"""Where a mesh stands: in its images, which are centred on the origin, and on the ground."""
+"""Placement of a mesh: within its images, which are centred on the origin, and on the ground."""
 
 from __future__ import annotations
 
@@ -16,18 +16,24 @@ from sarsplat.scenes.meshes import is_larger
 if TYPE_CHECKING:
     import trimesh
 
-_SUNK_CELLS = 0.5  # resolution cells below the ground: wheels and tracks may sink in
-_LITTLE = 0.01  # of the surface
-_FOUNDATIONS = 0.25  # of the surface: on terrain, what houses have below it
-_CUT_OFF = 0.25  # of the surface
-_LEANS = 0.02  # of the height: how well a mesh stands on y = 0, and lies evenly about z = 0, if y is up in it
-_ROUNDED = 0.1  # resolution cells that float32 may be off
+_SUNK_CELLS = 0.5
+"""Depth below the ground without a warning, resolution cells: wheels and tracks may sink in."""
+_LITTLE = 0.01
+"""Share of the surface below level ground without a warning."""
+_FOUNDATIONS = 0.25
+"""Share of the surface below terrain without a warning: houses have foundations."""
+_CUT_OFF = 0.25
+"""Share of the surface outside of an image without a warning."""
+_LEANS = 0.02
+"""Tolerance of y up, relative to the size: the mesh stands on y = 0 and is centred on z = 0."""
+_ROUNDED = 0.1
+"""Rounding of float32 without a warning, resolution cells."""
 
 
 def recentred(mesh: trimesh.Trimesh, *, aloft: bool = False) -> tuple[trimesh.Trimesh, tuple[float, float, float]]:
-    """The mesh with its middle above the origin and its lowest place at z = 0, and what was subtracted, m.
+    """Move a mesh: its middle above the origin, its lowest point to z = 0; aloft, its middle to the origin.
 
-    Aloft, where there is no ground, its middle is brought to the origin.
+    Return also the vector that was subtracted, m.
     """
     low, high = mesh.bounds
     x, y, z = (float(value) for value in (low + high) / 2)
@@ -36,7 +42,7 @@ def recentred(mesh: trimesh.Trimesh, *, aloft: bool = False) -> tuple[trimesh.Tr
 
 
 def shown_in(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[bool]:
-    """Whether each image could show any of a mesh: whether the box around it reaches into the image."""
+    """Return, for each image, True if the bounding box of a mesh reaches into it."""
     left, right, far, near = grid.extent_m
     corners = np.stack(np.meshgrid(*mesh.bounds.T), axis=-1).reshape(-1, 3)
     shown = []
@@ -48,35 +54,29 @@ def shown_in(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> l
 
 
 def outside_images(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]:
-    """A sentence if some images cannot show a mesh, or nothing; refused if none can.
-
-    Raises
-    ------
-    SarsplatError
-        If the mesh is outside of every image.
-    """
+    """Return a warning if a mesh is outside of some images, or partly outside of one; raise if outside of all."""
     shown = shown_in(mesh, views, grid)
     if all(shown):
         return _cut_off(mesh, views, grid)
-    where = "the target lies around (" + ", ".join(f"{value:.10g}" for value in mesh.bounds.mean(axis=0)) + ") m"
+    where = "the target is around (" + ", ".join(f"{value:.10g}" for value in mesh.bounds.mean(axis=0)) + ") m"
     if not any(shown):
         raise SarsplatError(
-            f"{where}, outside of all images, which are centred on the origin; give --recentre, which brings it there, "
-            "or subtract that from its coordinates"
+            f"{where}, outside of all images, which are centred on the origin; give --recentre, or subtract that from "
+            "its coordinates"
         )
     return [
-        f"{where}: {counted(shown.count(False), 'image')} of {len(shown)} cannot show it, for they are centred on the "
+        f"{where}: {counted(shown.count(False), 'image')} of {len(shown)} cannot show it, as they are centred on the "
         "origin; give --recentre, or more --pixels"
     ]
 
 
 def _cut_off(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]:
-    """A sentence if a good part of a mesh that would fit is outside of an image, or nothing."""
+    """Return a warning if a good part of a mesh that would fit is outside of an image."""
     left, right, far, near = grid.extent_m
-    places = np.concatenate([np.asarray(mesh.triangles), np.asarray(mesh.triangles_center)[:, None]], axis=1)
+    points = np.concatenate([np.asarray(mesh.triangles), np.asarray(mesh.triangles_center)[:, None]], axis=1)
     outside = []
     for view in views:
-        azimuth, slant_range = np.moveaxis(places @ view.look.gradients.T, -1, 0)
+        azimuth, slant_range = np.moveaxis(points @ view.look.gradients.T, -1, 0)
         out = (azimuth < min(left, right)) | (azimuth > max(left, right))
         out |= (slant_range < min(near, far)) | (slant_range > max(near, far))
         outside.append(float(out.mean(axis=1) @ mesh.area_faces / mesh.area))
@@ -89,13 +89,13 @@ def _cut_off(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> l
 
 
 def lost_digits(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
-    """A sentence if coordinates of a mesh are float32 and so far from the origin that this is coarse, or nothing."""
+    """Return a warning if the coordinates of a mesh are float32 and coarse, because it is far from the origin."""
     vertices = np.asarray(mesh.vertices)
     step = float(np.spacing(np.float32(np.abs(vertices).max())))
     if step <= _ROUNDED * min(grid.resolution_m) or (vertices != vertices.astype(np.float32)).any():
         return []
     return [
-        f"the coordinates of the target are multiples of {step:.3g} m, as float32 is so far from the origin; subtract "
+        f"the coordinates of the target are multiples of {step:.3g} m, like float32 far from the origin; subtract "
         f"{np.abs(mesh.bounds.mean(axis=0)).max():.3g} m or so before it is exported"
     ]
 
@@ -103,14 +103,14 @@ def lost_digits(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
 def warn_below_ground(
     mesh: trimesh.Trimesh, grid: ImageGrid, ground_gamma0: float | None, terrain: Terrain | None
 ) -> None:
-    """Warn if a good part of a mesh is below the ground, if there is one, which hides it."""
+    """Warn if a good part of a mesh is hidden below the ground."""
     if ground_gamma0 is not None and len(mesh.faces):
         for text in _below_ground(mesh, grid, terrain):
-            warnings.warn(text, SarsplatWarning, stacklevel=1)  # one place, so that Python knows repetitions
+            warnings.warn(text, SarsplatWarning, stacklevel=1)  # one location, so that Python suppresses repetitions
 
 
 def _below_ground(mesh: trimesh.Trimesh, grid: ImageGrid, terrain: Terrain | None) -> list[str]:
-    """A sentence, or nothing."""
+    """Return a warning if a good part of a mesh is below the ground."""
     corners = np.asarray(mesh.triangles, np.float64)
     height = corners[..., 2]
     if terrain is not None:
@@ -125,13 +125,13 @@ def _below_ground(mesh: trimesh.Trimesh, grid: ImageGrid, terrain: Terrain | Non
     remedy = "if y is up in the file, export it with z up; otherwise " if lying else ""
     share = f"{hidden / mesh.area:.0%} of the target's surface"
     return [
-        f"{share} is below the ground, up to {deepest:.3g} m, where nothing shows it; {remedy}raise it by "
+        f"{share} is below the ground, up to {deepest:.3g} m, and hidden; {remedy}raise it by "
         f"{deepest:.3g} m, or simulate it with --recentre"
     ]
 
 
 def _share_below(height: Float64[np.ndarray, "f 3"]) -> Float64[np.ndarray, " f"]:
-    """Which part of each triangle's area is below 0, of the heights of its corners."""
+    """Return the share of each triangle's area below 0, given the heights of its corners."""
     low, middle, high = np.sort(height, axis=1).T
     with np.errstate(divide="ignore", invalid="ignore"):
         one_above = 1 - high**2 / ((high - low) * (high - middle))

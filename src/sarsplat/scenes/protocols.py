@@ -12,7 +12,7 @@ _MAX_VIEWS = 10_000
 
 
 def paper_views() -> list[tuple[View, str]]:
-    """Views of the paper's rendered sets and their split: 24 'train' and 48 'test'.
+    """Return the views of the paper's rendered sets with their sets: 24 'train' and 48 'test'.
 
     Incidence 15, 45 and 75°; training azimuths 0, 45, …, 315°, test azimuths the other 16 of the 15° raster.
     Source: SAR-GS, Tables I–III. The paper also prints "every third of 24", which would overlap.
@@ -25,14 +25,14 @@ def paper_views() -> list[tuple[View, str]]:
 
 
 def paper_grid() -> ImageGrid:
-    """128 × 128 pixels, spacing and resolution 0.3 m."""
+    """Return 128 × 128 pixels, spacing and resolution 0.3 m."""
     return ImageGrid(128, 128, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 
 
 def mstar_views() -> list[tuple[View, str]]:
-    """Views like those of the measured MSTAR sets: 36 training azimuths at 17° grazing, test azimuths in between.
+    """Return views like those of measured MSTAR sets: 36 training azimuths at 17° grazing, test azimuths in between.
 
-    Splits: 'train' (0, 10, …, 350° at 17°), 'test-17' and 'test-15' (5, 15, …, 355° at 17° and at 15°).
+    Sets: 'train' (0, 10, …, 350° at 17°), 'test-17' and 'test-15' (5, 15, …, 355° at 17° and at 15°).
     """
     return [
         (View(float(azimuth), grazing), split)
@@ -42,7 +42,7 @@ def mstar_views() -> list[tuple[View, str]]:
 
 
 def random_views(count: int, lowest_deg: float, highest_deg: float, seed: int) -> list[View]:
-    """1 to 10,000 directions evenly distributed over the part of the sky between two grazing angles, degrees."""
+    """Draw 1 to 10,000 directions, uniform over the part of the sky between two grazing angles, degrees."""
     if not 1 <= count <= _MAX_VIEWS:
         raise SarsplatError(f"{counted(count, 'random view')} cannot be drawn; give 1 to {_MAX_VIEWS}")
     low, high = (math.sin(math.radians(angle)) for angle in (lowest_deg, highest_deg))
@@ -54,5 +54,5 @@ def random_views(count: int, lowest_deg: float, highest_deg: float, seed: int) -
 
 
 def mstar_grid() -> ImageGrid:
-    """128 × 128 pixels with the spacing and the true 3 dB widths of the public MSTAR chips."""
+    """Return 128 × 128 pixels with the spacing and the true 3 dB widths of the public MSTAR chips."""
     return ImageGrid(128, 128, spacing_m=(0.203125, 0.202148), resolution_m=(0.3229, 0.3013))

@@ -1,9 +1,8 @@
-"""Truth for experiments: β⁰ images and masks of a mesh by ray casting, which shares no code with the renderer.
+"""Images (β⁰) and masks of a mesh by ray casting, which shares no code with the renderer.
 
-Parallel rays along the line of sight stand on the computation plane (x_r, y_r), dense along the edges of flat surfaces
+Parallel rays along the line of sight start on the computation plane (x_r, y_r), dense along the edges of flat surfaces
 and sparse within them; each deposits the cross-section γ⁰(i)·δx·δy of its first hit on the imaging plane (x_r, z_r),
-which is then seen through the system's power response.
-Direct scattering, and second bounces if they are asked for; no further ones, no phase.
+which is convolved with the power response. Direct scattering, and optionally second bounces; no phase.
 """
 
 from __future__ import annotations
@@ -26,29 +25,26 @@ from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, first_hits, sparse_hits, tracer
 from sarsplat.scenes._second_bounce import SecondBounce
 from sarsplat.scenes.placement import warn_below_ground
-from sarsplat.scenes.scattering import (
-    ScatteringLaw,
-    check_bounces,
-    check_ground,
-    check_reflectivity,
-    check_terrain,
-)
+from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
 
 if TYPE_CHECKING:
     import trimesh
 
 _OFFSETS = (0.5, 0.5), (0.0, 0.0)
-_FAINTEST = 1e-3  # of the brightest pixel, where the error of the rays is measured
-_NO_TARGET = -1.0  # reflectivity of terrain: no patch is both
-_RAYS_PER_RESOLUTION, _RAYS_PER_MESH = 15.0, 100.0  # across a resolution cell, and along the mesh
-
-_STEEPEST_DEG = 85.0  # grazing angle of views whose images are to be full of ground
-
-_PARTS = 5  # along each side of a pixel, each lit or not
-_RAYS = 2  # along the shorter side of a part, so that every part of a surface has one
+"""Ray offsets whose images are compared for the error of the rays."""
+_FAINTEST = 1e-3
+"""Minimum power of pixels for the error of the rays, relative to the brightest."""
+_NO_TARGET = -1.0
+"""Sentinel: reflectivity of terrain, so that no patch joins target and terrain."""
+_RAYS_PER_RESOLUTION, _RAYS_PER_MESH = 15.0, 100.0
+"""Minimum number of rays across a resolution cell, and along the mesh."""
+_STEEPEST_DEG = 85.0
+"""Maximum grazing angle of views whose images are full of terrain."""
+_PARTS, _RAYS = 5, 2
+"""Parts of a mask along each side of a pixel, and rays along the shorter side of a part."""
 _OFFSET = 0.5, 0.5
-
-_DIRECT = 0.1  # of the time of an image with second bounces, about
+_DIRECT = 0.1
+"""Share of the direct image in the time of an image with second bounces."""
 
 
 @checks_arguments
@@ -67,32 +63,31 @@ def simulate_raycast(
     ray_offset: tuple[float, float] = (0.5, 0.5),
     oversample: int = 9,
 ) -> Float[np.ndarray, "{grid.rows} {grid.columns}"]:
-    """SAR image of a mesh, by ray casting.
+    """Simulate a SAR image of a mesh by ray casting.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
         Opaque triangles, m; orientation and closedness do not matter.
     view, grid
-        Direction to the radar, and where the pixels lie.
+        Direction to the radar, and pixels.
     law : ScatteringLaw
         γ⁰ of the mesh's facets against incidence angle.
     reflectivity : numpy.ndarray [F], or a list, optional
         Factor on the law's γ⁰ for each face; 1 unless given.
     ground_gamma0 : float, optional
-        γ⁰ (linear) of an infinite flat ground at z = 0; without it nothing lies behind the mesh. What lies below the
-        ground is not seen.
+        γ⁰ (linear) of an infinite flat ground at z = 0, which hides everything below; no ground unless given.
     terrain : Terrain, optional
         Heights of that ground, instead of z = 0; each of its squares is two triangles.
     bounces : {1, 2}
-        2: also what returns by way of two facets, or of a facet and flat ground.
+        2: with second bounces, from facet to facet or between a facet and flat ground.
     ground_reflectivity : float, optional
         With second bounces on ground: |Γ|², the share of the power that it reflects like a mirror, 0 to 1.
     ray_spacing : float, optional
-        Spacing δ of the square ray lattice where there are edges, m; `default_ray_spacing` unless given. Flat surfaces
-        between them, which one ray in 64 recognises, are deposited as finely as the resolution needs.
+        Spacing δ of the square ray lattice near edges, m; `default_ray_spacing` unless given. Flat surfaces between
+        edges need one ray in 64, and are deposited as finely as the resolution needs.
     ray_offset : (float, float)
-        Offset of the lattice along its two axes, in spacings. Comparing two shows how far the rays have converged.
+        Offset of the lattice along its two axes, in spacings. Images of two offsets show the error of the rays.
     oversample : int
         Histogram nodes per pixel and axis; pixel centres are nodes. A hit is shared between the four nodes around it.
 
@@ -112,9 +107,9 @@ def simulate_raycast(
         If a good part of the mesh is below the ground.
     """
     spacing = default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing
-    known: dict[str, Any] = {"reflectivity": reflectivity, "ground_gamma0": ground_gamma0, "terrain": terrain}
-    known |= {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
-    caster = RayCaster(mesh, grid, law, **known, ray_spacing=spacing, ray_offset=ray_offset, oversample=oversample)
+    scene: dict[str, Any] = {"reflectivity": reflectivity, "ground_gamma0": ground_gamma0, "terrain": terrain}
+    scene |= {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
+    caster = RayCaster(mesh, grid, law, **scene, ray_spacing=spacing, ray_offset=ray_offset, oversample=oversample)
     warn_below_ground(mesh, grid, ground_gamma0, terrain)
     return caster.image(view)
 
@@ -138,8 +133,7 @@ class RayCaster:
         oversample: int = 9,
     ) -> None:
         check_rays(mesh, ground_gamma0, ray_spacing, ray_offset)
-        check_terrain(terrain, ground_gamma0)
-        check_bounces(bounces, ground_reflectivity, ground_gamma0, terrain)
+        check_ground(ground_gamma0, terrain, bounces, ground_reflectivity)
         self._grid, self._law = grid, law
         self._reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
         self._terrain_gamma0: Float64[np.ndarray, " t"] = np.empty(0)
@@ -154,23 +148,23 @@ class RayCaster:
         self._nodes = NodeGrid(grid, oversample)
         self._patches = Patches.of(mesh, self._reflectivity)
         self.power_by_echo: dict[View, dict[str, float]] = {}
-        """Of each image with second bounces so far: what of the sum of its pixels, β⁰, returned which way."""
+        """Sum of the pixels (β⁰) of each image with second bounces so far, by kind of echo."""
         self._second: SecondBounce | None = None
         if bounces == 2:
-            how = (self._patches, ray_spacing, ray_offset, grid.resolution_m, ground_reflectivity)
-            self._second = SecondBounce(mesh, law, self._reflectivity, *how)
+            settings = (self._patches, ray_spacing, ray_offset, grid.resolution_m, ground_reflectivity)
+            self._second = SecondBounce(mesh, law, self._reflectivity, *settings)
 
     def image(
         self, view: View, progress: Callable[[float], object] = lambda share: None
     ) -> Float[np.ndarray, "rows columns"]:
-        """The image of a view; `progress` is called with the share that is done, several times a second."""
+        """Simulate the image of a view; `progress` is called with the finished share, several times a second."""
         check_unstretched([view])
         facets = Facets.of(self._mesh, view)
         gamma0 = self._reflectivity * self._law.gamma0(facets.cos_incidence)
         gamma0[len(gamma0) - len(self._terrain_gamma0) :] = self._terrain_gamma0
         look, ground = view.look, self._ground_gamma0
         if view.aloft and (ground is not None or len(self._terrain_gamma0)):
-            raise SarsplatError("the view is of a target aloft, where there is no ground; leave out the ground")
+            raise SarsplatError("the view is of a target aloft, without ground; leave out ground_gamma0")
         trace = self._trace(facets, look)
         deposit, target = Deposit(self._nodes), Deposit(self._nodes)
         region = self._region(facets, view)
@@ -192,8 +186,7 @@ class RayCaster:
             if self._second is not None:
                 target.add(x, hit.slant_range, gamma0[hit.face] * hit.area)
             if ground is not None:
-                # Free ground has a closed form, without moiré; a ray that the target stops subtracts what it would
-                # have contributed there.
+                # Free ground has a closed form, without moiré; a ray that hits the target subtracts its contribution.
                 deposit.add(x, look.range_on_ground(x, y), np.full(x.shape, -ground) * hit.area)
         image = deposit.image + (0.0 if ground is None else look.beta0_of_gamma0(ground))
         if self._second is not None:
@@ -205,12 +198,12 @@ class RayCaster:
             second = self.second_bounces(view, report)
             self.power_by_echo[view] = {kind: float(one.sum()) for kind, one in (echoes | second).items()}
             image = sum(second.values(), image)
-        return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 where the shadow is full
+        return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 in full shadow
 
     def second_bounces(
         self, view: View, progress: Callable[[float], object] = lambda share: None
     ) -> dict[str, Float64[np.ndarray, "rows columns"]]:
-        """What second bounces alone show, β⁰, by kind; none unless they were asked for."""
+        """Return β⁰ of second bounces by kind; empty with `bounces=1`."""
         if self._second is None:
             return {}
         facets = Facets.of(self._mesh, view)
@@ -221,19 +214,17 @@ class RayCaster:
         return trace if self._ground_gamma0 is None else _above_ground(facets, trace, look)
 
     def _region(self, facets: Facets, view: View) -> Region:
-        """Where rays can meet the mesh, or shade the ground, within the image."""
+        """Return the region where rays can hit the mesh, or its shadow on the ground, within the image."""
         lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
         heights = self._mesh.vertices[:, 2].min(), self._mesh.vertices[:, 2].max()
         if self._ground_gamma0 is not None:
             heights = min(heights[0], 0.0), max(heights[1], 0.0)
-        reach, seen = view.look.rays_to_ground(self._nodes.columns.reach, self._nodes.rows.reach, heights)
-        return Region(
-            (max(lower[0], reach[0]), min(upper[0], reach[1])), (max(lower[1], seen[0]), min(upper[1], seen[1]))
-        )
+        x, y = view.look.rays_to_ground(self._nodes.columns.reach, self._nodes.rows.reach, heights)
+        return Region((max(lower[0], x[0]), min(upper[0], x[1])), (max(lower[1], y[0]), min(upper[1], y[1])))
 
 
 def _above_ground(facets: Facets, trace: Trace, look: Look) -> Trace:
-    """Rays that end on flat ground at z = 0."""
+    """Make a trace of rays that end on flat ground at z = 0."""
 
     def above(position: Float64[np.ndarray, "k 2"]) -> Int32[np.ndarray, " k"]:
         face = trace(position)
@@ -252,25 +243,24 @@ def ray_error_db(
     law: ScatteringLaw,
     **settings: Any,
 ) -> float | None:
-    """Error of an image by its rays: RMS, in dB, over pixels within 30 dB of the brightest; None if it is empty.
+    """Estimate the error of an image by its rays: RMS, dB, over pixels within 30 dB of the brightest; None if empty.
 
-    Estimated from two images with other rays of the same spacing, each of which has this error; `settings` are those of
-    the `RayCaster`.
+    It compares two images with different rays of the same spacing; `settings` are those of `RayCaster`.
     """
     casters = [RayCaster(mesh, grid, law, **settings, ray_offset=offset) for offset in _OFFSETS]
     first, second = in_order(lambda caster, report: caster.image(view, report), casters)
-    seen = np.minimum(first, second) > _FAINTEST * max(first.max(), second.max())
-    if not seen.any():
+    bright = np.minimum(first, second) > _FAINTEST * max(first.max(), second.max())
+    if not bright.any():
         return None
-    difference = to_db(first[seen].astype(np.float64)) - to_db(second[seen].astype(np.float64))
+    difference = to_db(first[bright].astype(np.float64)) - to_db(second[bright].astype(np.float64))
     return math.sqrt(float((difference**2).mean()) / 2)
 
 
 def default_ray_spacing(mesh: trimesh.Trimesh, grid: ImageGrid) -> float:
-    """Spacing of the rays that images of a mesh need where there are edges, m.
+    """Return the spacing of rays near edges, m.
 
-    A fifteenth of the finer resolution: two offsets of the lattice then agree to 65 dB on a vehicle. It is at most a
-    hundredth of the mesh's extent, so that something smaller than a resolution cell is not missed.
+    It is a fifteenth of the finer resolution: two offsets of the lattice then agree to 65 dB on a vehicle. It is at
+    most a hundredth of the mesh's extent, so that a target smaller than a resolution cell is not missed.
     """
     finest = min(grid.resolution_m) / _RAYS_PER_RESOLUTION
     extent = 0.0 if mesh.extents is None else float(mesh.extents.max())
@@ -280,38 +270,38 @@ def default_ray_spacing(mesh: trimesh.Trimesh, grid: ImageGrid) -> float:
 def check_rays(
     mesh: trimesh.Trimesh, ground_gamma0: float | None, ray_spacing: float, ray_offset: tuple[float, float]
 ) -> None:
-    """Refuse a mesh or settings that cannot be imaged."""
-    if len(mesh.faces) == 0:
-        raise SarsplatError("the mesh has 0 faces, so there is nothing to image; give a mesh with triangles")
-    if not np.isfinite(mesh.vertices).all():
-        raise SarsplatError("the mesh has a vertex that is not finite; read it with load_mesh, which drops such faces")
+    """Raise if a mesh, a ground or rays are invalid."""
+    finite = bool(np.isfinite(mesh.vertices).all())
+    for valid, message in (
+        (len(mesh.faces) > 0, "the mesh has 0 faces; give a mesh with triangles"),
+        (finite, "the mesh has a vertex that is not finite; read it with load_mesh, which drops such faces"),
+        (0 < ray_spacing < math.inf, f"ray_spacing {ray_spacing} must be positive and finite, in metres"),
+        (np.isfinite(ray_offset).all(), f"ray_offset {ray_offset} must be two finite numbers, in ray spacings"),
+    ):
+        if not valid:
+            raise SarsplatError(message)
     check_ground(ground_gamma0)
-    if not (math.isfinite(ray_spacing) and ray_spacing > 0):
-        raise SarsplatError(f"ray_spacing {ray_spacing} must be positive and finite, in metres")
-    if not np.isfinite(ray_offset).all():
-        raise SarsplatError(f"ray_offset {ray_offset} must be two finite numbers, in ray spacings")
 
 
 def on_terrain(mesh: trimesh.Trimesh, terrain: Terrain, grid: ImageGrid) -> trimesh.Trimesh:
-    """The mesh and, after its faces, two for each square of the terrain, level beyond its end."""
+    """Append two faces for each square of the terrain to a mesh; the terrain continues level beyond its edges."""
     import trimesh
 
     sides = (grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
     reach = (math.hypot(*sides) + math.hypot(*grid.center_m)) / math.cos(math.radians(_STEEPEST_DEG))
-    places = terrain.padded(reach)
-    rows, columns = places.shape[:2]
+    points = terrain.padded(reach)
+    rows, columns = points.shape[:2]
     at = np.arange(rows * columns).reshape(rows, columns) + len(mesh.vertices)
     corner, right, up, both = (part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]))
     faces = np.concatenate([np.column_stack(three) for three in ((corner, right, both), (corner, both, up))])
-    return trimesh.Trimesh(
-        np.concatenate([mesh.vertices, places.reshape(-1, 3)]), np.concatenate([mesh.faces, faces]), process=False
-    )
+    vertices = np.concatenate([mesh.vertices, points.reshape(-1, 3)])
+    return trimesh.Trimesh(vertices, np.concatenate([mesh.faces, faces]), process=False)
 
 
 def raycast_masks(
     mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, *, progress: Callable[[int], object] | None = None
 ) -> UInt8[np.ndarray, "v {grid.rows} {grid.columns}"]:
-    """Masks of a mesh from every view, see `raycast_mask`; `progress` gets the number of finished ones after each."""
+    """Make `raycast_mask` of a mesh from every view; `progress` gets the number of finished ones after each."""
     masks = np.empty((len(views), grid.rows, grid.columns), np.uint8)
     for index, view in enumerate(views):
         masks[index] = raycast_mask(mesh, view, grid)
@@ -321,14 +311,14 @@ def raycast_masks(
 
 
 def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np.ndarray, "{grid.rows} {grid.columns}"]:
-    """Mask of a mesh that stands on flat ground at z = 0: 0 clutter, 1 target (lit), 2 shadow; row 0 near range.
+    """Make the mask of a mesh on flat ground at z = 0: 0 clutter, 1 target (lit), 2 shadow; row 0 near range.
 
     A pixel is target if visible surfaces cover at least half of it, or if their area across the line of sight is at
-    least half that of flat ground: what faces the radar covers little of the image. Layover counts; neither brightness
-    nor resolution nor the orientation of the triangles matters. Otherwise it is shadow if the mesh hides at least half
-    of its ground. Nothing below the ground is seen. Aloft, there is no shadow, and instead of flat ground it is a plane
-    seen at a grazing angle of 27°. Raises `SarsplatError` if the mesh has no faces, is not finite or
-    needs too many rays, or embreex is missing.
+    least half that of flat ground, because surfaces that face the radar cover little of the image. Layover counts;
+    neither brightness nor resolution nor the orientation of triangles matters. Otherwise it is shadow if the mesh hides
+    at least half of its ground. The ground hides everything below. Aloft, there is no shadow, and a plane at a grazing
+    angle of 27° replaces flat ground. Raise `SarsplatError` if the mesh has no faces, is not finite or needs too many
+    rays, or embreex is missing.
     """
     spacing = min(grid.spacing_m) / _PARTS / _RAYS
     check_rays(mesh, None, spacing, _OFFSET)
@@ -338,7 +328,7 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
     width, depth = grid.spacing_m
     left, near = grid.azimuth_m[0] - width / 2, grid.range_m[0] - depth / 2
     rows, columns = grid.rows * _PARTS, grid.columns * _PARTS
-    begun = np.zeros((rows + 1) * columns, dtype=np.int64)  # surfaces that begin in a part, less those that have ended
+    begun = np.zeros((rows + 1) * columns, dtype=np.int64)  # surfaces that begin in a part, minus those that end
     appearing, hidden = np.zeros((2, grid.rows, grid.columns), dtype=np.int64)  # rays
     facets = Facets.of(mesh, view)
     for position, face in first_hits(facets, (left, left + grid.columns * width), spacing, _OFFSET):
@@ -347,8 +337,8 @@ def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np
         column = np.floor((x - left) / width * _PARTS)
         if view.aloft:
             z_ground = np.full(z.shape, np.inf)
-        seen = (z < z_ground + 1e-6) & (column >= 0) & (column < columns)
-        z, z_ground, face, column = z[seen], z_ground[seen], face[seen], column[seen].astype(np.int64)
+        visible = (z < z_ground + 1e-6) & (column >= 0) & (column < columns)
+        z, z_ground, face, column = z[visible], z_ground[visible], face[visible], column[visible].astype(np.int64)
         # one ray represents a square, which on a steep surface spans several parts in range
         reach = np.abs(facets.slope[face]).sum(axis=1) * spacing / 2
         ends = (np.clip(end, *facets.z_span[:, face]) for end in (z - reach, z + reach))

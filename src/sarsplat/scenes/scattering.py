@@ -1,4 +1,4 @@
-"""How strongly a surface scatters back to the radar at a given incidence angle, and the speckle on it."""
+"""Scattering law of surfaces (γ⁰ against incidence angle), speckle, and checks of ground and bounces."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     import trimesh
 
 _MAX_GAMMA0 = 1e6
-_MAX_SPREAD_DB = 10.0  # factors over six orders of magnitude
+_MAX_SPREAD_DB = 10.0
+"""Maximum standard deviation of factors on γ⁰: they span six orders of magnitude."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,9 @@ class ScatteringLaw:
     floor : float
         γ⁰ at grazing incidence on the facet, ≥ 0.
     lobe : float
-        What normal incidence adds to it, ≥ 0.
+        γ⁰ at normal incidence beyond the floor, ≥ 0.
     exponent : float
-        How narrow the lobe is, ≥ 0; −3 dB at i = arccos(2^(−1/exponent)): 60° for 1, 45° for 2, 24° for 8.
+        Narrowness of the lobe, ≥ 0; −3 dB at i = arccos(2^(−1/exponent)): 60° for 1, 45° for 2, 24° for 8.
 
     Raises
     ------
@@ -63,18 +64,18 @@ class ScatteringLaw:
                 raise SarsplatError(f"the scattering law's {name} {value} must be from 0 to {_MAX_GAMMA0:g}{unit}")
 
     def gamma0(self, cos_incidence: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """γ⁰ for the cosine of the incidence angle, of either sign; same shape and dtype."""
+        """Return γ⁰ for the cosine of the incidence angle, of either sign; same shape and dtype."""
         return self.floor + self.lobe * np.abs(cos_incidence) ** self.exponent
 
     def as_dict(self) -> dict[str, float]:
-        """The coefficients by name, to be recorded with a dataset; `ScatteringLaw(**d)` restores the law."""
+        """Return the coefficients by name, for the record of a dataset; `ScatteringLaw(**d)` restores the law."""
         return asdict(self)
 
 
 def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Float64[np.ndarray, " faces"]:
-    """For each face, the factor of its part on the law's γ⁰: `reflectivity` of the simulators.
+    """Draw a factor on γ⁰ for each part of a mesh, and return that of each face: `reflectivity` of the simulators.
 
-    Faces that share a corner belong to the same part; factors are log-normal around 1 with this standard deviation.
+    Faces that share a corner belong to one part; factors are log-normal around 1 with this standard deviation.
     """
     if not 0 <= spread_db <= _MAX_SPREAD_DB:
         raise SarsplatError(f"the reflectivity's spread {spread_db} dB must be between 0 and {_MAX_SPREAD_DB:g} dB")
@@ -90,7 +91,7 @@ def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Flo
 def add_speckle(
     power: Real[np.ndarray, "*shape"], looks: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "*shape"]:
-    """Fully developed, spatially white speckle on an intensity image.
+    """Multiply an intensity image by fully developed, spatially white speckle.
 
     Parameters
     ----------
@@ -117,52 +118,42 @@ def add_speckle(
     return (power * rng.gamma(looks, 1 / looks, size=power.shape)).astype(power.dtype)
 
 
-def check_ground(gamma0: float | None) -> None:
-    """Refuse a γ⁰ of the ground that is negative or not finite."""
-    if gamma0 is not None and not 0 <= gamma0 <= _MAX_GAMMA0:
-        raise SarsplatError(f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)")
-
-
-def check_terrain(terrain: Terrain | None, gamma0: float | None) -> None:
-    """Refuse terrain without a γ⁰."""
-    if terrain is not None and gamma0 is None:
-        raise SarsplatError("terrain is the shape of the ground, which has no γ⁰; give that too, with --ground")
-
-
-def check_bounces(
-    bounces: int, ground_reflectivity: float | None, gamma0: float | None, terrain: Terrain | None
+def check_ground(
+    gamma0: float | None, terrain: Terrain | None = None, bounces: int = 1, reflectivity: float | None = None
 ) -> None:
-    """Refuse a number of bounces other than 1 and 2, and a mirror that is missing, or that nothing would use."""
-    if bounces not in (1, 2):
-        raise SarsplatError(f"bounces {bounces} is unknown; choose 1, or 2 for second bounces as well")
-    if bounces == 1:
-        if ground_reflectivity is not None:
-            raise SarsplatError(
-                f"the ground's reflectivity {ground_reflectivity} is of second bounces; ask for 2 bounces, or leave it "
-                "out"
-            )
-        return
-    if terrain is not None:
-        raise SarsplatError("second bounces are on flat ground; leave out the terrain, or ask for 1 bounce")
-    if gamma0 is None:
-        if ground_reflectivity is not None:
-            raise SarsplatError(
-                f"the ground's reflectivity is {ground_reflectivity}, but there is no ground by which anything could "
-                "return; give its γ⁰ too (0 for a dark mirror), with --ground, or leave it out"
-            )
-        return
-    if ground_reflectivity is None or not 0 <= ground_reflectivity <= 1:  # also catches NaN
-        found = "nowhere said" if ground_reflectivity is None else str(ground_reflectivity)
-        raise SarsplatError(
-            f"the share of the power that the ground reflects like a mirror is {found}; give 0 to 1 (|Γ|², not "
-            "decibels), with --ground-reflectivity"
-        )
+    """Raise if γ⁰, terrain, number of bounces or mirror reflectivity |Γ|² of the ground are invalid or do not fit."""
+    mirror = bounces == 2 and gamma0 is not None
+    for wrong, message in (
+        (
+            gamma0 is not None and not 0 <= gamma0 <= _MAX_GAMMA0,
+            f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)",
+        ),
+        (terrain is not None and gamma0 is None, "terrain needs the γ⁰ of the ground; give that too, with --ground"),
+        (bounces not in (1, 2), f"bounces {bounces} is unknown; choose 1, or 2 for second bounces"),
+        (
+            bounces == 1 and reflectivity is not None,
+            f"the ground's reflectivity {reflectivity} is for second bounces; ask for 2 bounces, or leave it out",
+        ),
+        (bounces == 2 and terrain is not None, "second bounces need flat ground; leave out the terrain"),
+        (
+            bounces == 2 and gamma0 is None and reflectivity is not None,
+            f"the ground's reflectivity is {reflectivity}, but there is no ground; give its γ⁰ too (0 for a dark "
+            "mirror), with --ground, or leave it out",
+        ),
+        (
+            mirror and (reflectivity is None or not 0 <= reflectivity <= 1),  # also catches NaN
+            f"the ground's mirror reflectivity is {reflectivity}; give 0 to 1 (|Γ|², not decibels), with "
+            "--ground-reflectivity",
+        ),
+    ):
+        if wrong:
+            raise SarsplatError(message)
 
 
 def check_reflectivity(
     reflectivity: Real[np.ndarray, " {faces}"] | Sequence[float] | None, faces: int
 ) -> Float64[np.ndarray, " {faces}"]:
-    """Factors on the law's γ⁰ as float64: 1 unless given; refused if their number or a value is wrong."""
+    """Return factors on the law's γ⁰ as float64, 1 unless given; raise if their number or a value is invalid."""
     if reflectivity is None:
         return np.ones(faces)
     factors = np.asarray(reflectivity, dtype=np.float64)
@@ -174,13 +165,7 @@ def check_reflectivity(
 
 
 class ResponseSpeckle:
-    """Fully developed single-look speckle on the pixels of a grid, correlated as its response has it.
-
-    Parameters
-    ----------
-    grid : ImageGrid
-        Pixels, resolution and response.
-    """
+    """Fully developed single-look speckle on the pixels of a grid, correlated by its response."""
 
     def __init__(self, grid: ImageGrid) -> None:
         sizes = zip((grid.rows, grid.columns), grid.spacing_m[::-1], grid.resolution_m[::-1], strict=True)
@@ -188,28 +173,28 @@ class ResponseSpeckle:
         self._weights = (weights / math.sqrt(np.mean(weights**2))).astype(np.float32)  # white noise keeps its power
         power = np.abs(fft.ifft2(self._weights)) ** 2
         self.pixels = float(power.sum() ** 2 / (power**2).sum())
-        """How many pixels a pixel sees through the response: of so many equal ones, powers would vary as of those."""
+        """Equivalent number of equally weighted pixels within the response."""
 
     def draw(self, rng: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
-        """Complex amplitudes of mean power 1; it goes on across opposite edges."""
-        noise = rng.standard_normal((2, *self._weights.shape), np.float32)  # white in frequency as it is in space
+        """Draw complex amplitudes of mean power 1, periodic across opposite edges."""
+        noise = rng.standard_normal((2, *self._weights.shape), np.float32)  # white in frequency and in space
         weights = self._weights * np.float32(math.sqrt(noise[0].size / 2))  # of power 1 after `ifft2`
         drawn: Complex64[np.ndarray, "rows columns"] = fft.ifft2((noise[0] + 1j * noise[1]) * weights)
         return drawn
 
     def seen(self, scattered: Complex64[np.ndarray, "rows columns"]) -> Complex64[np.ndarray, "rows columns"]:
-        """Complex amplitudes that are scattered in each pixel, as the radar images them; as `draw` at the edges."""
+        """Image complex amplitudes scattered in each pixel; periodic across opposite edges."""
         imaged: Complex64[np.ndarray, "rows columns"] = fft.ifft2(fft.fft2(scattered) * self._weights)
         return imaged
 
 
 def white_speckle(shape: tuple[int, int], rng: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
-    """Single-look speckle of mean power 1 without correlation, as no radar has it: complex amplitudes."""
+    """Draw uncorrelated single-look speckle of mean power 1 as complex amplitudes; no radar has such speckle."""
     noise: Float32[np.ndarray, "rows columns 2"] = rng.standard_normal((*shape, 2), np.float32) * np.float32(0.5**0.5)
     return noise.view(np.complex64)[..., 0]
 
 
 def _transfer(response: Response, count: int, spacing_m: float, width_m: float) -> Float64[np.ndarray, " n"]:
-    """What the response lets through of each frequency of `count` samples; real, for the response is symmetric."""
+    """Return the transfer function of a response at the frequencies of `count` samples; real, by symmetry."""
     distance = np.fft.fftfreq(count, 1 / count) * (spacing_m / width_m)
     return np.fft.fft(response.amplitude(distance)).real

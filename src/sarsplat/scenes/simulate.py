@@ -21,14 +21,7 @@ from sarsplat.scenes._random import generator
 from sarsplat.scenes._second_bounce import BY_GROUND
 from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
-from sarsplat.scenes.scattering import (
-    ScatteringLaw,
-    add_speckle,
-    check_bounces,
-    check_ground,
-    check_reflectivity,
-    check_terrain,
-)
+from sarsplat.scenes.scattering import ScatteringLaw, add_speckle, check_ground, check_reflectivity
 from sarsplat.scenes.splat_truth import law_by_ground, law_scattering, surface_gaussians
 
 if TYPE_CHECKING:
@@ -60,17 +53,17 @@ def simulate_images(
     progress: Callable[[float], object] | None = None,
     power_by_echo: dict[str, float] | None = None,
 ) -> Float32[np.ndarray, "v {grid.rows} {grid.columns}"]:
-    """SAR images of a mesh from every view.
+    """Simulate SAR images of a mesh from every view.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
         Target, m.
     views, grid
-        V views, and where the pixels of each image lie.
+        V views, and the pixels of each image.
     source : {"raycast", "splat"}
-        Ray casting of the mesh (R-ray: shares nothing with the renderer), or our own forward model from Gaussians on
-        its surface (R-self, as in the paper).
+        Ray casting of the mesh (R-ray: shares nothing with the renderer), or the renderer with Gaussians on the surface
+        (R-self, as in the paper).
     law : ScatteringLaw, optional
         γ⁰ of the surface against incidence angle; 0.1 + 0.9 cos² i unless given.
     reflectivity : numpy.ndarray [F], or a list, optional
@@ -80,7 +73,7 @@ def simulate_images(
     terrain : Terrain, optional
         Heights of that ground, instead of z = 0. The mesh is not moved.
     bounces : {1, 2}
-        2: also what returns by way of flat ground and the mesh, and, by ray casting, of two of its facets.
+        2: with second bounces between flat ground and the mesh and, by ray casting, from facet to facet.
     ground_reflectivity : float, optional
         With second bounces on ground: |Γ|², the share of the power that it reflects like a mirror, 0 to 1.
     ray_spacing : float, optional
@@ -92,10 +85,10 @@ def simulate_images(
     seed : int
         Seed of the speckle.
     progress : callable, optional
-        Called with the number of finished images after each, and by ray casting, which works on as many views at once
-        as PyTorch has threads, several times a second with the parts that are done.
+        Called with the number of finished images after each. Ray casting of several views at once also calls it several
+        times a second with fractions.
     power_by_echo : dict, optional
-        With second bounces, filled with the share of all images' power, without speckle, that returned each way.
+        With second bounces, filled with the share of each kind of echo in the power of all images without speckle.
 
     Returns
     -------
@@ -114,9 +107,7 @@ def simulate_images(
     """
     law = law or ScatteringLaw()
     reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
-    check_ground(ground_gamma0)
-    check_terrain(terrain, ground_gamma0)
-    check_bounces(bounces, ground_reflectivity, ground_gamma0, terrain)
+    check_ground(ground_gamma0, terrain, bounces, ground_reflectivity)
     warn_below_ground(mesh, grid, ground_gamma0, terrain)
     speckle = generator(seed, "speckle")
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
@@ -138,23 +129,20 @@ def simulate_images(
     elif source != "splat":
         raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
     elif ray_spacing is not None:
-        raise SarsplatError(
-            f"the ray spacing {ray_spacing} m is for ray casting, but the source is 'splat', where the pixels "
-            "determine the rays; leave it out"
-        )
+        raise SarsplatError(f"ray_spacing {ray_spacing} is for ray casting, but the source is 'splat'; leave it out")
     elif grid.response != GAUSSIAN:
         raise SarsplatError(
-            f"the renderer's response is a Gaussian, but the grid's is {grid.response}; choose the source 'raycast'"
+            f"the renderer's response is Gaussian, but the grid's is {grid.response}; choose the source 'raycast'"
         )
     elif bounces == 2 and not ground_reflectivity:
         raise SarsplatError(
-            "the renderer's second bounces are by way of the ground alone, which reflects nothing here; give the "
-            "ground's reflectivity, or choose the source 'raycast'"
+            "the renderer's second bounces need a ground that reflects; give ground_reflectivity, or choose the source "
+            "'raycast'"
         )
     else:
         images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain, ground_reflectivity, powers)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
-    if looks is not None:  # first, so that a bad number of looks is refused before minutes of ray casting
+    if looks is not None:  # first, so that an invalid number of looks raises before minutes of ray casting
         stack = add_speckle(stack, looks, speckle)
         stack[list(clean)] = 1.0
     for index, image in enumerate(images):
@@ -180,10 +168,10 @@ def simulation_record(
     power_by_echo: dict[str, float] | None = None,
     ray_error_db: float | None = None,
 ) -> dict[str, Any]:
-    """How `simulate_images` makes images with these arguments, except speckle, as JSON for a dataset's `source`.
+    """Return the arguments of `simulate_images`, except speckle, as JSON for a dataset's `source`.
 
-    `ray_error_db` is what `ray_error_db` has estimated, and `power_by_echo` what `simulate_images` has found. Of
-    bounces nothing is said unless there are second ones.
+    `ray_error_db` is the result of `ray_error_db`, and `power_by_echo` that of `simulate_images`. Bounces are left out
+    unless there are second ones.
     """
     sampling: dict[str, dict[str, Any]] = {
         "raycast": {
@@ -230,11 +218,12 @@ def _splat(
         gamma0 = torch.from_numpy(face_gamma0[:, faces, None]).float()
         echoes = []
         if ground is not None and ground_reflectivity:
-            sent_on = torch.from_numpy((reflectivity * law_by_ground(mesh.face_normals, [view], law))[:, faces]).float()
-            echoes.append(GroundBounce(ground, torch.tensor(ground_reflectivity), sent_on))
+            to_ground = reflectivity * law_by_ground(mesh.face_normals, [view], law)
+            amplitudes = torch.from_numpy(to_ground[:, faces]).float()
+            echoes.append(GroundBounce(ground, torch.tensor(ground_reflectivity), amplitudes))
         with torch.no_grad():
             rendering = render(gaussians, [view], grid, rays=rays, amplitudes=gamma0, ground=ground, echoes=echoes)
         if echoes:
-            shown = dict(zip(("ground", BY_GROUND), (float(one.sum()) for one in rendering.echoes), strict=True))
-            powers[view] = {"target": float(rendering.images.sum()) - sum(shown.values()), **shown}
+            sums = dict(zip(("ground", BY_GROUND), (float(echo.sum()) for echo in rendering.echoes), strict=True))
+            powers[view] = {"target": float(rendering.images.sum()) - sum(sums.values()), **sums}
         yield rendering.channel(0)[0].numpy()

@@ -1,8 +1,8 @@
-"""Simulates the signals of a stack from point scatterers; shares no code with the renderer.
+"""Simulation of the signals of a stack from point scatterers; shares no code with the renderer.
 
-Points with random complex amplitudes lie where rays first meet the mesh or the ground; every pass adds up the same
-points, each through the amplitude response and with the phase of its own distance. So speckle, layover, shadow and
-decorrelation come out by themselves.
+Points with random complex amplitudes are placed at the first hits of rays on mesh or ground. Every pass sums the same
+points through the amplitude response, with the phase of their distance in that pass; this produces speckle, layover,
+shadow and decorrelation.
 """
 
 from __future__ import annotations
@@ -34,12 +34,13 @@ _PER_CELL = 8
 """Scatterers along each side of a resolution cell: their sum is speckle to a few per cent."""
 
 _NODES = 5
-"""Per pixel and axis, where points are added up before the response: phases are exact, places to a tenth of a pixel."""
+"""Nodes per pixel and axis on which points are summed: phases are exact, positions to a tenth of a pixel."""
 
 _REACH = 8.0
-"""Of the response, 3 dB widths: side lobes beyond are left out."""
+"""Reach of the response, 3 dB widths; side lobes beyond are left out."""
 
-_AT_A_TIME = 1 << 19
+_BATCH = 1 << 19
+"""Rays at once."""
 
 
 @checks_arguments
@@ -56,24 +57,24 @@ def simulate_stack(
     seed: int = 0,
     spacing_m: float | None = None,
 ) -> Complex64[np.ndarray, "p {grid.rows} {grid.columns}"]:
-    """Single-look complex images of every channel: passes over a mesh, or polarisations.
+    """Simulate single-look complex images of every channel of a mesh: passes or polarisations.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
         Opaque triangles, m.
     view, grid, stack
-        Direction to the radar, where the pixels lie, and the channels, which are coregistered to them.
+        Direction to the radar, pixels, and the channels, which are coregistered to them.
     law : ScatteringLaw
         γ⁰ of the mesh's facets against incidence angle.
     ground_gamma0 : float, optional
-        γ⁰ of an infinite flat ground at z = 0; without it nothing lies behind the mesh.
+        γ⁰ of an infinite flat ground at z = 0; no ground unless given.
     mechanisms : Mechanisms, optional
-        How polarisations go together, for stacks of several.
+        Polarimetric covariances, for stacks of several polarisations.
     noise : float
-        Power of each pass's own noise, β⁰.
+        Power of the independent noise of each pass, β⁰.
     seed : int
-        Of the scatterers and the noise, at least 0.
+        Seed of the scatterers and the noise, at least 0.
     spacing_m : float, optional
         Mean distance between scatterers across the line of sight; an eighth of the finer resolution unless given.
 
@@ -111,32 +112,32 @@ def simulate_stack(
         if ground_gamma0 is not None:
             of_ground = look.range_on_ground(*position.T)
             face, depth = np.where(depth < of_ground, face, -1), np.minimum(depth, of_ground)
-        met = np.isfinite(depth)
-        place, face = np.column_stack([position, depth])[met], face[met]
+        hit = np.isfinite(depth)
+        point, face = np.column_stack([position, depth])[hit], face[hit]
         amplitude = np.sqrt(gamma0[face] * spacing**2 / 2)[:, None] * _drawn(roots, face, rng)
-        node = axes[1].of(place[:, 2]), axes[0].of(place[:, 0])
-        inside = (node[0] >= 0) & (node[0] < axes[1].count) & (node[1] >= 0) & (node[1] < axes[0].count)
-        at = (node[0] * axes[0].count + node[1])[inside]
-        for total, vector, own in zip(nodes, vectors, _places(stack), strict=True):
-            signal = (amplitude[:, own] * np.exp(1j * place @ vector))[inside]
-            total += _summed(at, signal, total.size).reshape(total.shape)
+        row, column = axes[1].nearest(point[:, 2]), axes[0].nearest(point[:, 0])
+        inside = (row >= 0) & (row < axes[1].count) & (column >= 0) & (column < axes[0].count)
+        node = (row * axes[0].count + column)[inside]
+        for total, vector, polarisation in zip(nodes, vectors, _polarisations(stack), strict=True):
+            signal = (amplitude[:, polarisation] * np.exp(1j * point @ vector))[inside]
+            total += _summed(node, signal, total.size).reshape(total.shape)
     images = axes[1].response @ nodes @ axes[0].response.T
     images += math.sqrt(noise / 2) * (rng.standard_normal((*images.shape, 2)) @ [1, 1j])
     return images.astype(np.complex64)
 
 
-def _places(stack: Stack) -> list[int]:
-    """Of each channel, which of the polarisations it is, in order of appearance."""
+def _polarisations(stack: Stack) -> list[int]:
+    """Return the index of each channel's polarisation, in order of appearance."""
     names = list(dict.fromkeys(stack.of_channels))
     return [names.index(name) for name in stack.of_channels]
 
 
 def _roots(mechanisms: Mechanisms | None, stack: Stack, faces: int) -> Complex128[np.ndarray, "f p p"]:
-    """L of each facet and of the ground, the last, with E[a aᴴ] = γ⁰ L Lᴴ."""
+    """Return L of each facet and, at the end, of the ground, with E[a aᴴ] = γ⁰ L Lᴴ."""
     if not stack.polarimetric:
         return np.ones((faces + 1, 1, 1), np.complex128)
     if mechanisms is None:
-        raise SarsplatError("the stack has several polarisations; give mechanisms, which say how they go together")
+        raise SarsplatError("the stack has several polarisations; give mechanisms, their covariances")
     if mechanisms.polarisations != tuple(dict.fromkeys(stack.of_channels)) or len(mechanisms.of_faces) != faces:
         raise SarsplatError(
             f"mechanisms are of {len(mechanisms.of_faces)} facets in {', '.join(mechanisms.polarisations)}; give those "
@@ -148,14 +149,14 @@ def _roots(mechanisms: Mechanisms | None, stack: Stack, faces: int) -> Complex12
 def _drawn(
     roots: Complex128[np.ndarray, "f p p"], face: np.ndarray, rng: np.random.Generator
 ) -> Complex128[np.ndarray, "k p"]:
-    """Circular amplitudes of facets with E[a aᴴ] = 2 L Lᴴ."""
-    own = rng.standard_normal((2, len(face) * roots.shape[1])).T @ [1, 1j]
-    drawn: Complex128[np.ndarray, "k p"] = np.einsum("kij,kj->ki", roots[face], own.reshape(len(face), -1))
+    """Draw circular amplitudes of facets with E[a aᴴ] = 2 L Lᴴ."""
+    white = rng.standard_normal((2, len(face) * roots.shape[1])).T @ [1, 1j]
+    drawn: Complex128[np.ndarray, "k p"] = np.einsum("kij,kj->ki", roots[face], white.reshape(len(face), -1))
     return drawn
 
 
 class _Axis:
-    """Nodes along azimuth (0) or slant range (1), and what each gives to the pixels."""
+    """Nodes along azimuth (0) or slant range (1), and the amplitude response from nodes to pixels."""
 
     def __init__(self, grid: ImageGrid, axis: int) -> None:
         pixels = (grid.azimuth_m, grid.range_m)[axis]
@@ -168,20 +169,20 @@ class _Axis:
         distance = np.subtract.outer(pixels, self.first + self.step * np.arange(self.count)) / width
         self.response = _amplitude(grid.response, distance) / math.sqrt(width)
 
-    def of(self, places: Float64[np.ndarray, " k"]) -> np.ndarray:
-        """The nearest node of each place, perhaps beyond the last."""
-        return np.rint((places - self.first) / self.step).astype(np.int64)
+    def nearest(self, position: Float64[np.ndarray, " k"]) -> np.ndarray:
+        """Return the index of the node nearest to each position, possibly beyond both ends."""
+        return np.rint((position - self.first) / self.step).astype(np.int64)
 
 
 def _amplitude(response: Response, distance: Float64[np.ndarray, "n k"]) -> Float64[np.ndarray, "n k"]:
-    """The amplitude at distances in 3 dB widths; its square has the integral 1."""
+    """Return the amplitude at distances in 3 dB widths; its square integrates to 1."""
     return response.amplitude(distance) * math.sqrt(float(response.density(np.zeros(1))[0]))
 
 
 def _region(
     facets: Facets, grid: ImageGrid, axes: tuple[_Axis, _Axis], ground_gamma0: float | None, view: View
 ) -> Region:
-    """Where rays meet what the image shows."""
+    """Return the region of rays that hit mesh or ground within the image."""
     lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
     low, high = [lower[0], lower[1]], [upper[0], upper[1]]
     if ground_gamma0 is not None:
@@ -192,20 +193,20 @@ def _region(
 
 
 def _scattered(region: Region, spacing: float, rng: np.random.Generator) -> Iterator[Float64[np.ndarray, "k 2"]]:
-    """One point at random in each square of the region, some at a time."""
+    """Draw one point at random in each square of a region, in batches."""
     if region.empty:
         return
     region.check(spacing, 1)
     columns, rows = (math.ceil((high - low) / spacing) for low, high in (region.x, region.y))
-    together = max(1, _AT_A_TIME // columns)
-    for first in range(0, rows, together):
-        some = min(together, rows - first)
-        u = np.arange(columns) + rng.random((some, columns))
-        v = first + np.arange(some)[:, None] + rng.random((some, columns))
+    rows_per_batch = max(1, _BATCH // columns)
+    for first in range(0, rows, rows_per_batch):
+        count = min(rows_per_batch, rows - first)
+        u = np.arange(columns) + rng.random((count, columns))
+        v = first + np.arange(count)[:, None] + rng.random((count, columns))
         yield np.column_stack([region.x[0] + spacing * u.ravel(), region.y[0] + spacing * v.ravel()])
 
 
-def _summed(at: np.ndarray, signal: Complex128[np.ndarray, " k"], size: int) -> Complex128[np.ndarray, " n"]:
-    real, imaginary = (np.bincount(at, weights, size) for weights in (signal.real, signal.imag))
+def _summed(node: np.ndarray, signal: Complex128[np.ndarray, " k"], size: int) -> Complex128[np.ndarray, " n"]:
+    real, imaginary = (np.bincount(node, weights, size) for weights in (signal.real, signal.imag))
     total: Complex128[np.ndarray, " n"] = real + 1j * imaginary
     return total

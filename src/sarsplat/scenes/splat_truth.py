@@ -1,4 +1,4 @@
-"""Truth from our own forward model (protocol R-self): a surface covered with small, flat Gaussians."""
+"""Truth from the renderer (protocol R-self): a surface covered with small, flat Gaussians."""
 
 from __future__ import annotations
 
@@ -20,21 +20,24 @@ from sarsplat.scenes.scattering import ScatteringLaw
 if TYPE_CHECKING:
     import trimesh
 
-# Measured against the ray caster (docs/reference/forward-model.md): wider or denser discs bulge over edges and appear
+# Tuned against the ray caster (docs/reference/forward-model.md): wider or denser discs bulge over edges and appear
 # nearer than the surface, narrower or thinner ones leak.
-_WIDENING = 1.2  # standard deviations of a Gaussian, in those of a uniform density on its piece
-_SHEET_DEPTH = 7.0  # mean two-way optical depth of the surface
-_THICKNESS = 0.01  # standard deviation along the normal, in sizes of a piece
+_WIDENING = 1.2
+"""Standard deviations of a Gaussian, relative to those of a uniform density on its piece."""
+_SHEET_DEPTH = 7.0
+"""Mean two-way optical depth of the surface."""
+_THICKNESS = 0.01
+"""Standard deviation along the normal, relative to the size of a piece."""
 _MAX_GAUSSIANS = 1e7
 
 
 @checks_arguments
 def surface_gaussians(mesh: trimesh.Trimesh, size: float) -> tuple[Gaussians, Int[np.ndarray, " n"]]:
-    """Flat Gaussians that cover a mesh's surface.
+    """Cover a mesh's surface with flat Gaussians.
 
-    Every triangle is bisected until its edges are no longer than `size`. Each piece becomes a Gaussian with the piece's
-    centre and the piece's own second moments, widened by a constant factor so that neighbours close the gaps between
-    them; its optical depth spreads the same mean depth over every piece, so that the surface is opaque from all sides.
+    Every triangle is bisected until its edges are no longer than `size`. Each piece becomes a Gaussian with its centre
+    and second moments, widened by a constant factor so that neighbours overlap. The mean optical depth of every piece
+    is the same, so that the surface is opaque from all sides.
 
     Parameters
     ----------
@@ -48,7 +51,7 @@ def surface_gaussians(mesh: trimesh.Trimesh, size: float) -> tuple[Gaussians, In
     Gaussians
         float32; harmonics and p_min are zero: γ⁰ is given per view (`law_scattering`).
     numpy.ndarray, int64 [N]
-        The face that each Gaussian lies on.
+        Face of each Gaussian.
 
     Raises
     ------
@@ -87,7 +90,7 @@ def surface_gaussians(mesh: trimesh.Trimesh, size: float) -> tuple[Gaussians, In
 def _bisected(
     triangles: Float64[np.ndarray, "t 3 3"], size: float
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Int[np.ndarray, " n"]]:
-    """Pieces [N, 3, 3] with edges up to `size`, by halving longest edges, and the triangle each comes from [N]."""
+    """Halve longest edges until none exceeds `size`; return pieces [N, 3, 3] and the triangle of each [N]."""
     origin = np.arange(len(triangles))
     done, origins = [], []
     while len(triangles):
@@ -108,7 +111,7 @@ def _bisected(
 def law_scattering(
     normals: Float[np.ndarray, "n 3"] | Sequence[Sequence[float]], views: Sequence[View], law: ScatteringLaw
 ) -> Float64[np.ndarray, "v n"]:
-    """γ⁰ of surface points in every view, two-sided.
+    """Return γ⁰ of surface points in every view, two-sided.
 
     Parameters
     ----------
@@ -133,13 +136,13 @@ def law_scattering(
 def law_by_ground(
     normals: Float[np.ndarray, "n 3"] | Sequence[Sequence[float]], views: Sequence[View], law: ScatteringLaw
 ) -> Float64[np.ndarray, "v n"]:
-    """What surface points send from the radar to the ground or back, per lit area: `GroundBounce.amplitudes`.
+    """Return γ of surface points between the radar and the ground, per lit area: `GroundBounce.amplitudes`.
 
-    It is the law's γ of the direction in the middle, which is level; none where the two ways are on different sides.
-    Arguments are those of `law_scattering`.
+    It is the law's γ at the bisector of both directions, which is level; 0 where they are on different sides of the
+    surface. Arguments are those of `law_scattering`.
     """
     normals = np.asarray(normals, dtype=np.float64)
     u = np.array([view.look.facing for view in views]).reshape(-1, 3)
     level, mirrored = u * (1.0, 1.0, 0.0), u * (1.0, 1.0, -1.0)
-    middle = level / np.linalg.norm(level, axis=1, keepdims=True)
-    return law.gamma0(middle @ normals.T) * ((u @ normals.T) * (mirrored @ normals.T) > 0)
+    bisector = level / np.linalg.norm(level, axis=1, keepdims=True)
+    return law.gamma0(bisector @ normals.T) * ((u @ normals.T) * (mirrored @ normals.T) > 0)

@@ -1,4 +1,4 @@
-"""Random points of a mesh's surface: those of `trimesh.sample.sample_surface`, in a fraction of its time and memory."""
+"""Random points of a mesh's surface: the bits of `trimesh.sample.sample_surface` in a fraction of time and memory."""
 
 from __future__ import annotations
 
@@ -11,51 +11,53 @@ from jaxtyping import Float64, Int64, Real
 if TYPE_CHECKING:
     import trimesh
 
-_AT_ONCE = 1 << 14  # points: what is calculated of them stays in the processor's cache
-_MOST_STARTS = 1 << 20
+_BATCH = 1 << 14
+"""Points at once: intermediate results stay in the processor's cache."""
+_MAX_STARTS = 1 << 20
+"""Maximum length of the lookup table."""
 
 
 def surface_samples(
     mesh: trimesh.Trimesh, count: int, rng: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
 ) -> Float64[np.ndarray, "{count} 3"]:
-    """Points spread by area, or as often on each face as it weighs; the same bits as trimesh's with that generator."""
-    places = np.empty((count, 3))
-    for first, some, _ in blocks_of_samples(mesh, count, rng, weight):
-        places[first : first + some.shape[1]] = some.T
-    return places
+    """Draw points uniformly by area, or by the weight of each face; same bits as trimesh's with this generator."""
+    points = np.empty((count, 3))
+    for first, batch, _ in blocks_of_samples(mesh, count, rng, weight):
+        points[first : first + batch.shape[1]] = batch.T
+    return points
 
 
 def blocks_of_samples(
     mesh: trimesh.Trimesh, count: int, rng: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
 ) -> Iterator[tuple[int, Float64[np.ndarray, "3 s"], Int64[np.ndarray, " s"]]]:
-    """Number of the first point, coordinates and faces of some of these points at a time."""
+    """Yield these points in batches: index of the first one, coordinates and faces."""
     ends = np.cumsum(mesh.area_faces if weight is None else weight)
     shares = rng.random(count)
     starts = _starts(ends)
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
     origin = vertices[faces[:, 0]].T.copy()
     one, other = (vertices[faces[:, k]].T - origin for k in (1, 2))
-    for first in range(0, count, _AT_ONCE):
-        face = _faces_at(shares[first : first + _AT_ONCE], ends, starts)
+    for first in range(0, count, _BATCH):
+        face = _faces_at(shares[first : first + _BATCH], ends, starts)
         along = rng.random((len(face), 2)).T.copy()
         beyond = along[0] + along[1] > 1.0  # in the other half of a parallelogram
         np.subtract(1.0, along, out=along, where=beyond)
-        places = np.empty((3, len(face)))
+        points = np.empty((3, len(face)))
         for axis in range(3):
-            places[axis] = one[axis][face] * along[0] + other[axis][face] * along[1] + origin[axis][face]
-        yield first, places, face
+            points[axis] = one[axis][face] * along[0] + other[axis][face] * along[1] + origin[axis][face]
+        yield first, points, face
 
 
 def _starts(ends: Real[np.ndarray, " faces"]) -> Int64[np.ndarray, " starts"]:
-    """Lookup table: the face at each of 2ⁿ equally spaced shares of the cumulative area."""
-    count = min(1 << (4 * len(ends)).bit_length(), _MOST_STARTS)
+    """Make a lookup table: the face at each of 2ⁿ equally spaced shares of the cumulative area."""
+    count = min(1 << (4 * len(ends)).bit_length(), _MAX_STARTS)
     return np.searchsorted(ends, np.arange(count) / count * ends[-1])
 
 
 def _faces_at(
     shares: Real[np.ndarray, " s"], ends: Real[np.ndarray, " faces"], starts: Int64[np.ndarray, " starts"]
 ) -> Int64[np.ndarray, " s"]:
-    """`searchsorted`, which is slow where what is sought is in no order: only for what another face begins before."""
+    """Return the face at shares of the cumulative area; `searchsorted` is slow, so only where the table is too low."""
     sought = shares * ends[-1]
     face = starts[(shares * len(starts)).astype(np.int64)]
     left = np.flatnonzero(ends[face] < sought)

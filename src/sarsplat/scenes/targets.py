@@ -1,4 +1,4 @@
-"""Built-in targets by name: vehicles, a test object, buildings, a village, and what flies."""
+"""Built-in targets by name: vehicles, a test object, buildings, a village, a satellite and an aircraft."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ VEHICLES: dict[str, Callable[[], trimesh.Trimesh]] = {"t72": t72, "btr70": btr70
 """Vehicles and the functions that build them: closed bodies that may intersect, centred on the hull."""
 
 ALOFT: dict[str, Callable[[], trimesh.Trimesh]] = {"satellite": satellite, "aircraft": aircraft}
-"""Targets around the origin, which stand on no ground, and the functions that build them."""
+"""Targets around the origin, without ground, and the functions that build them."""
 
 TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = {
     **VEHICLES,
@@ -37,7 +37,7 @@ TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = {
 
 @checks_arguments
 def target_mesh(name: str) -> trimesh.Trimesh:
-    """Triangle mesh of a built-in target; `village` makes villages of any size.
+    """Build the triangle mesh of a built-in target; `village` makes villages of any size.
 
     Parameters
     ----------
@@ -47,8 +47,7 @@ def target_mesh(name: str) -> trimesh.Trimesh:
     Returns
     -------
     trimesh.Trimesh
-        Metres, z up, ground at z = 0 but for those of `ALOFT`; a nose, SLICY's step, or a building's near wall, towards
-        +x.
+        Metres, z up, ground at z = 0 except for `ALOFT`; noses, SLICY's step and buildings' near walls towards +x.
 
     Raises
     ------

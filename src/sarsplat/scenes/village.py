@@ -1,35 +1,38 @@
-"""A village of any size: houses with gabled and flat roofs, chimneys and cars, one lot beside the other."""
+"""A village of any size: houses with gabled and flat roofs, chimneys and cars on a raster of lots."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.scenes._shapes import assembled
 
 if TYPE_CHECKING:
     import trimesh
 
 LOT_M = 18.0
+"""Side of a lot."""
 FITTING = 0.64
-"""Share of an image's side that a village may be wide, so that all of it is seen from all sides."""
-
-_EMPTY = 0.12  # share of the lots
+"""Maximum side of a village that images show whole from all sides, relative to the image's side."""
+_EMPTY = 0.12
+"""Share of empty lots."""
 _LARGEST_M = 10_000.0
+"""Maximum side of a village."""
 
 
 @checks_arguments
 def village(side_m: float = 123.0, seed: int = 0, edge_m: float = 1.0) -> trimesh.Trimesh:
-    """A village of any size, the same for the same seed.
+    """Build a village of any size, the same for the same seed.
 
     Parameters
     ----------
     side_m : float
-        Side of the square that it stands on, m; one house on every 18 m × 18 m, of which some are empty.
+        Side of its square, m; one house on each lot of 18 m × 18 m, of which some are empty.
     seed : int
-        Of all that is drawn, at least 0.
+        Seed of houses and lots, at least 0.
     edge_m : float
         Faces are divided until no edge is longer, m.
 
@@ -47,8 +50,8 @@ def village(side_m: float = 123.0, seed: int = 0, edge_m: float = 1.0) -> trimes
 
     if not (0 < side_m <= _LARGEST_M and edge_m > 0 and seed >= 0):
         raise SarsplatError(
-            f"side_m is {side_m:g}, edge_m {edge_m:g} and seed {seed}; give a side of at most {_LARGEST_M:g} m, and "
-            "nothing that is negative"
+            f"side_m is {side_m:g}, edge_m {edge_m:g} and seed {seed}; give a side of at most {_LARGEST_M:g} m, a "
+            "positive edge_m and a seed of at least 0"
         )
     chance, lots = np.random.default_rng(seed), max(1, round(side_m / LOT_M))
     parts = []
@@ -60,7 +63,7 @@ def village(side_m: float = 123.0, seed: int = 0, edge_m: float = 1.0) -> trimes
         house.apply_transform(trimesh.transformations.rotation_matrix(np.radians(turn), (0, 0, 1)))
         house.apply_translation([*((np.array(place) + 0.5) * side_m / lots - side_m / 2 + shift), 0])
         parts.append(house)
-    divided = _together(parts).subdivide_to_size(edge_m)
+    divided = assembled(parts).subdivide_to_size(edge_m)
     assert isinstance(divided, trimesh.Trimesh)  # no indices are asked for
     return divided
 
@@ -78,13 +81,7 @@ def _house(chance: np.random.Generator) -> trimesh.Trimesh:
         parts = [_box(width, depth, height, (0, 0)), _box(width / 3, depth / 3, height + 1.5, (0, 0))]
     if chance.random() < 0.5:
         parts.append(_box(4.2, 1.8, 1.4, (width / 2 + 1.6, -depth / 4)))
-    return _together(parts)
-
-
-def _together(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
-    import trimesh
-
-    return cast("trimesh.Trimesh", trimesh.util.concatenate(parts))
+    return assembled(parts)
 
 
 def _box(width: float, depth: float, height: float, at: tuple[float, float]) -> trimesh.Trimesh:

@@ -14,7 +14,7 @@ from jaxtyping import Float, Float32
 from scipy.spatial import cKDTree
 
 from sarsplat.data import Dataset
-from sarsplat.data.strays import strays
+from sarsplat.data.outliers import outliers
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
@@ -203,7 +203,7 @@ class Subject:
         if not self.clouds or len(self.clouds[0].places_m) == 0:
             return self._box_of_images()
         cloud = self.clouds[0].places_m
-        cloud = cloud[~strays(cloud)]
+        cloud = cloud[~outliers(cloud)]
         low, high = np.quantile(cloud.astype(np.float64), (0.002, 0.998), axis=0)
         return np.minimum(low - self.grid.cell_m, [np.inf, np.inf, 0.0]), high + self.grid.cell_m
 

@@ -1,6 +1,6 @@
-"""What lies in a dataset's folder beside its images: chips whose azimuth is not known, and masks.
+"""Sidecar files of datasets: chips of unknown azimuth, and masks.
 
-They travel with a dataset that is read and written again, as long as its images are those that lie there.
+Writing a dataset that was read from a folder copies them, as long as its images are unchanged.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from sarsplat.data.tiff import read_tiff
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 
 UNPLACED = "unplaced"
-"""Folder in a dataset of chips without azimuth, and where its `source` lists them."""
+"""Folder of chips without azimuth, and key of their list in a dataset's `source`."""
 MASKS = "masks"
-"""Folder in a dataset of true masks."""
+"""Folder of true masks."""
 _FILE = re.compile(rf"{UNPLACED}/\d+\.tif")
 _KINDS = {"name": str, "file": str, "set": str, "grazing_deg": int | float}
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Files to be written beside the images of a dataset, by their names in its folder.
+class Sidecars:
+    """Sidecar files of a dataset.
 
     Attributes
     ----------
     source : dict
-        What the dataset then says of where it comes from.
+        The dataset's `source` with a list of these chips.
     pictures : dict of str to numpy.ndarray, float32 [rows, columns]
-        Linear power of chips without azimuth.
+        Linear power of chips without azimuth, by their paths in the dataset.
     masks : dict of PurePosixPath to bytes
-        PNGs, by their names in the folder of masks.
+        PNGs, by their paths in the folder of masks.
     """
 
     source: dict[str, Any]
@@ -50,49 +50,49 @@ class Beside:
 
 
 def unplaced_in(source: dict[str, Any], where: object) -> list[dict[str, Any]]:
-    """What a dataset's source says of chips without azimuth; nothing in it is trusted, as it names files and sets."""
+    """Return the list of chips without azimuth in a dataset's source; raise if an entry is invalid."""
     listed: list[Any] = source.get(UNPLACED, [])
-    for one in listed if isinstance(listed, list) else [listed]:
-        whole = isinstance(one, dict) and all(isinstance(one.get(key), kind) for key, kind in _KINDS.items())
-        if not whole or not _FILE.fullmatch(one["file"]) or not re.fullmatch(SPLIT, one["set"]):
-            raise SarsplatError(f"{where} lists chips without azimuth that are none ({shown(one)}); import it again")
+    for chip in listed if isinstance(listed, list) else [listed]:
+        complete = isinstance(chip, dict) and all(isinstance(chip.get(key), kind) for key, kind in _KINDS.items())
+        if not complete or not _FILE.fullmatch(chip["file"]) or not re.fullmatch(SPLIT, chip["set"]):
+            raise SarsplatError(f"{where} lists an invalid chip without azimuth ({shown(chip)}); import it again")
     return listed
 
 
 def read_unplaced(dataset: Dataset, folder: Path, file: str) -> Float32[np.ndarray, "rows columns"]:
-    """Linear power of a chip without azimuth."""
+    """Read the linear power of a chip without azimuth."""
     power: Float32[np.ndarray, "rows columns"] = read_tiff(
         inside(folder, file), (dataset.grid.rows, dataset.grid.columns)
     )
     return power
 
 
-def beside(dataset: Dataset, unchanged: Callable[[Path], bool]) -> Beside:
-    """What lies beside a dataset in its folder, of the sets that it still has.
+def sidecars_of(dataset: Dataset, unchanged: Callable[[Path], bool]) -> Sidecars:
+    """Read the sidecar files of a dataset's sets from its folder.
 
-    It is left out, with a warning, if the images are not those in that folder, as `unchanged` says of it: nobody knows
-    whether they still have their scale and their place. So are chips without azimuth if there is no folder.
+    They are left out, with a warning, unless `unchanged(folder)`: images that differ from the folder's may have another
+    scale or position. Chips without azimuth are also left out if there is no folder.
     """
     listed, folder = unplaced_in(dataset.source, dataset), dataset.path
     names = mask_names(dataset, set(dataset.splits())) if folder is not None and (folder / MASKS).is_dir() else {}
     if not listed and not names:
-        return Beside(dataset.source, {}, {})
+        return Sidecars(dataset.source, {}, {})
     source = {name: value for name, value in dataset.source.items() if name != UNPLACED}
     if folder is None or not unchanged(folder):
         lost = [counted(len(listed), "chip") + " without azimuth"] * bool(listed) + ["masks"] * bool(names)
         warnings.warn(
-            f"left out {' and '.join(lost)} beside the images of {dataset.target}, because its images are no "
-            "longer those of a folder that was read; copy the folder, or write them yourself",
+            f"left out {' and '.join(lost)} of {dataset.target}, because its images differ from those in its folder; "
+            "copy the folder, or write them yourself",
             SarsplatWarning,
             stacklevel=4,
         )
-        return Beside(source, {}, {})
-    kept = [one for one in listed if one["set"] in dataset.splits()]
+        return Sidecars(source, {}, {})
+    chips = [chip for chip in listed if chip["set"] in dataset.splits()]
     masks = {}
     for name in names.values():
         with plain_os_errors("read", folder):
             if (path := inside(folder, f"{MASKS}/{name}")).is_file():
                 with open_file(path) as file:
                     masks[name] = file.read()
-    pictures = {one["file"]: read_unplaced(dataset, folder, one["file"]) for one in kept}
-    return Beside(source | ({UNPLACED: kept} if kept else {}), pictures, masks)
+    pictures = {chip["file"]: read_unplaced(dataset, folder, chip["file"]) for chip in chips}
+    return Sidecars(source | ({UNPLACED: chips} if chips else {}), pictures, masks)

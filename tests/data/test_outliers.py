@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sarsplat.data.strays import strays
+from sarsplat.data.outliers import outliers
 
 
 def body(count: int, middle: tuple[float, ...] = (0, 0, 1), half: tuple[float, ...] = (3, 1, 1)) -> np.ndarray:
@@ -15,7 +15,7 @@ def found(*parts: np.ndarray, scales: np.ndarray | None = None) -> int:
     means = np.concatenate(parts)
     quaternions = np.tile([1.0, 0, 0, 0], (len(means), 1))
     scales = np.full(means.shape, 0.05) if scales is None else scales
-    stray = strays(means, scales, quaternions)
+    stray = outliers(means, scales, quaternions)
     assert not stray[: len(means) - int(stray.sum())].any()
     return int(stray.sum())
 
