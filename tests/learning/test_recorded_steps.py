@@ -89,7 +89,7 @@ def test_steps_run_again_are_steps(
     name: str, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name == "levels":  # which a scene so small has not
-        monkeypatch.setattr(levels, "_ACROSS", 2)
+        monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
     if name == "azimuths":
         uncertain = (replace(entry, azimuth_std_deg=2.0) for entry in dataset.entries)
         dataset = replace(dataset, entries=tuple(uncertain))

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from sarsplat.errors import SarsplatError
-from sarsplat.learning.windowed_likelihood import ExpectedStacks, packed, windowed, windowed_nats
+from sarsplat.learning.stack_loss import ExpectedStacks, packed, windowed, windowed_nats
 from sarsplat.renderer.planes import Planes
 
 CASES = {  # passes, planes of pairs, window, rows, columns

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from sarsplat.evaluation.images import UndefinedScore
 from sarsplat.geometry import RayGrid
-from sarsplat.learning.few_at_once import in_groups
+from sarsplat.learning.batching import in_groups
 from sarsplat.renderer import channel_of
 
 if TYPE_CHECKING:
