@@ -34,7 +34,7 @@ def test_masks_lie_where_speckled_images_fit_best_and_else_where_they_are_render
 
 
 def test_clutter_comes_in_where_masks_are_moved_away():
-    from sarsplat.evaluation.masks import _displaced
+    from sarsplat.evaluation.images import _displaced
 
     full = np.full((1, 4, 4), 2, np.uint8)
     moved = _displaced(np.repeat(full, 2, axis=0), np.array([[1, -2], [-1, 2]]))
