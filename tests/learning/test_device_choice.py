@@ -86,7 +86,7 @@ def test_a_reconstruction_says_so_and_goes_on_where_it_began(
     monkeypatch.setattr(reconstruction, "device_named", lambda name: GPU if name == "auto" else named(name))
     monkeypatch.setattr(
         reconstruction,
-        "quicker",
+        "quicker_device",
         lambda make, gpu, _: asked.append(gpu) or (torch.device("cpu"), "on the CPU: said"),
     )
     run = reconstruct(dataset, config, tmp_path / "run", on_step=lambda step: step.iteration == 21)
@@ -105,7 +105,7 @@ def test_a_loss_of_ones_own_is_on_the_gpu_untried(dataset: Dataset, config, monk
         raise ReachedError
 
     monkeypatch.setattr(reconstruction, "device_named", lambda name: GPU)
-    monkeypatch.setattr(reconstruction, "quicker", lambda *_: pytest.fail("is tried"))
+    monkeypatch.setattr(reconstruction, "quicker_device", lambda *_: pytest.fail("is tried"))
     monkeypatch.setattr(type(METHOD), "trainer", trainer)
     with pytest.raises(ReachedError):
         reconstruct(dataset, replace(config, iterations=1000), loss=lambda a, b: (a - b).abs().mean())
