@@ -27,14 +27,7 @@ from terrains import hill
 STEPS = 20
 SELDOM = Surroundings(texture_rounds=2, azimuth_rounds=2)
 DENSITY = Densification(
-    start=3,
-    stop=12,
-    every=5,
-    gradient=1e-4,
-    split_above=0.16,
-    max_extent=0.3,
-    min_scattering=0.01,
-    max_gaussians=300,
+    start=3, stop=12, every=5, gradient=1e-4, split_above=0.16, max_extent=0.3, min_scattering=0.01, max_gaussians=300
 )
 
 

@@ -256,11 +256,7 @@ AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
             for changes in ({"coarsest": 8}, {"tiles": 2}, {"ground": FlatGround()}, {"surroundings": Surroundings()})
         ),
         (lambda: replace(dataset(), target_box_m=AWAY), {}, "no training image shows anything of the box"),
-        (
-            lambda: of_stacks(*PAIRS),
-            {},
-            r"v0 has the polarisations HH, VV and v1 has HH, HV; give all views",
-        ),
+        (lambda: of_stacks(*PAIRS), {}, r"v0 has the polarisations HH, VV and v1 has HH, HV; give all views"),
         *(
             (
                 partial(of_two, noise=(noise, 0.1)),

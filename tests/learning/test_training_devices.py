@@ -30,14 +30,7 @@ from sarsplat.settings.sections import Densification, Relocation
 from sarsplat.surface import cells, extract_points, first_returns
 
 DENSITY = Densification(
-    start=4,
-    stop=100,
-    every=4,
-    gradient=1e-4,
-    split_above=0.16,
-    max_extent=0.3,
-    min_scattering=0.01,
-    max_gaussians=300,
+    start=4, stop=100, every=4, gradient=1e-4, split_above=0.16, max_extent=0.3, min_scattering=0.01, max_gaussians=300
 )
 
 

@@ -32,10 +32,7 @@ def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
     library: Path = request.getfixturevalue("library")
     launcher = Emulator(library)
     emulated = choice.Engine(
-        "cpu",
-        lambda *_: partial(cuda.Pass, launcher),
-        takes_bounds=True,
-        recorder=lambda _: EmulatedRecorder(launcher),
+        "cpu", lambda *_: partial(cuda.Pass, launcher), takes_bounds=True, recorder=lambda _: EmulatedRecorder(launcher)
     )
     monkeypatch.setitem(choice.ENGINES, "cuda", emulated)
     monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))

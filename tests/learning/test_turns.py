@@ -14,12 +14,7 @@ from datasets import FEW_POINTS
 from sarsplat import Dataset, ImageGrid, Run, SarImage, Turn, View, preset, reconstruct, simulate_images
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.turn import turned
-from sarsplat.learning.strategies.turns import (
-    TURN_CORRECTIONS,
-    TurnRefinement,
-    corrected_views,
-    uncertain_passes,
-)
+from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, TurnRefinement, corrected_views, uncertain_passes
 from sarsplat.settings.sections import Turns
 
 trimesh = pytest.importorskip("trimesh")

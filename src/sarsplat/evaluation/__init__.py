@@ -17,14 +17,7 @@ from sarsplat.evaluation.images import (
     ssim,
 )
 from sarsplat.evaluation.lpips import Lpips, lpips
-from sarsplat.evaluation.metrics import (
-    IMAGE_METRICS,
-    MASK_METRICS,
-    RUN_METRICS,
-    Metric,
-    all_metrics,
-    metrics_of_points,
-)
+from sarsplat.evaluation.metrics import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Metric, all_metrics, metrics_of_points
 from sarsplat.evaluation.paper import (
     NOT_THE_SAME_EXPERIMENT,
     PAPER_DENSIFICATION,

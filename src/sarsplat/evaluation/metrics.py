@@ -340,13 +340,7 @@ def _time_s(run: Run) -> float:
 
 
 RUN_METRICS: tuple[Metric[Run], ...] = (
-    Metric(
-        "time_s",
-        *("training time", "s", ".0f", "less"),
-        "wall-clock time of the training",
-        _time_s,
-        short="time",
-    ),
+    Metric("time_s", *("training time", "s", ".0f", "less"), "wall-clock time of the training", _time_s, short="time"),
     Metric(
         "undetermined",
         *("surface that images leave open", "", ".3f", None),

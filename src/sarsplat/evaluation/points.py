@@ -123,10 +123,7 @@ class Cloud:
     """Reconstructed points, ready to be scored against several parts of the true surface (see `point_metrics`)."""
 
     def __init__(
-        self,
-        points: Float[np.ndarray, "p 3"],
-        yardstick: Yardstick,
-        normals: Float[np.ndarray, "p 3"] | None = None,
+        self, points: Float[np.ndarray, "p 3"], yardstick: Yardstick, normals: Float[np.ndarray, "p 3"] | None = None
     ) -> None:
         _check("reconstructed points", points)
         if normals is not None and len(normals) != len(points):

@@ -39,10 +39,7 @@ _WEIGHTS = tuple(_WINDOW.tolist())
 
 
 def amplitude_loss(
-    power: Float[Tensor, "v rows columns"],
-    truth: Float[Tensor, "v rows columns"],
-    reference: float,
-    ssim_weight: float,
+    power: Float[Tensor, "v rows columns"], truth: Float[Tensor, "v rows columns"], reference: float, ssim_weight: float
 ) -> Float[Tensor, ""]:
     """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude, √(power / reference² + ε²) − ε; differentiable with respect to `power`.
 

@@ -137,13 +137,7 @@ class Sampler:
         harder to distinguish from measured chips.
         """
         rendering = render(
-            self._scene,
-            shot.views,
-            grid,
-            rays=self._rays,
-            shift=shot.shift,
-            ground=self._ground,
-            echoes=self._echoes,
+            self._scene, shot.views, grid, rays=self._rays, shift=shot.shift, ground=self._ground, echoes=self._echoes
         )
         images, channel = rendering.images, shot.power_channel
         without = torch.zeros_like(images)
