@@ -12,8 +12,10 @@ from sarsplat import Config, Dataset, ImageGrid, preset
 from sarsplat.geometry import RayGrid
 from sarsplat.learning import Trainer, batching
 from sarsplat.learning.batching import in_groups
+from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info
 from sarsplat.settings.sections import Densification
+from trainings import assert_same, trained
 
 GRID = ImageGrid(24, 24, (0.3, 0.3), (0.4, 0.4))
 
@@ -60,20 +62,12 @@ def test_they_have_the_loss_and_the_gradients_of_all_at_once(dataset, monkeypatc
 def test_a_training_is_the_same_for_any_number_of_threads_and_where_it_goes_on(dataset, monkeypatch, threads):
     monkeypatch.setattr(batching, "_STEP_GIB", 1e-9)
 
-    def trained(stop: int) -> dict[str, torch.Tensor]:
-        trainer = Trainer(dataset, config())
-        for _ in range(stop):
-            trainer.step()
-        snapshot = trainer.snapshot(0.0)
+    def resumed(stop: int) -> Snapshot:
+        snapshot = trained(dataset, config(), stop).snapshot(0.0)
         threads(3 if torch.get_num_threads() == 1 else 1)
-        trainer = Trainer(dataset, config())
-        trainer.restore(snapshot)
-        while trainer.iteration < 12:
-            trainer.step()
-        return trainer.snapshot(0.0).tensors
+        return trained(dataset, config(), 12 - stop, snapshot).snapshot(0.0)
 
-    first, second = trained(5), trained(9)
-    assert all(torch.equal(tensor, second[name]) for name, tensor in first.items())
+    assert_same(resumed(5), resumed(9))
 
 
 def test_how_many_follows_from_sizes():

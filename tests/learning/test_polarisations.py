@@ -80,7 +80,7 @@ def test_block_and_ground_return_as_they_do(run):
     for upside_down in (((1.0, 1.0, 1.0), (-1.0, -1.0, 0.0)), ((float("nan"), 0.0, 0.0), (1.0, 1.0, 1.0))):
         with pytest.raises(SarsplatError, match=r"the box is .* m; give its lower corner .x, y, z. first"):
             run.covariance_within(upside_down)
-    with pytest.raises(SarsplatError, match="learned from stacks .preset polarimetric."):
+    with pytest.raises(SarsplatError, match=r"learned from stacks .preset polarimetric."):
         run.sample(VIEWS[0])
     with pytest.raises(SarsplatError, match="no Gaussian lies in the box"):
         run.covariance_within(((90.0, 0.0, 0.0), (91.0, 1.0, 1.0)))

@@ -23,6 +23,7 @@ from sarsplat.renderer.engines import bounds, choice, cuda, cuda_arrays
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
 from terrains import hill
+from trainings import assert_same
 
 STEPS = 20
 SELDOM = Surroundings(texture_rounds=2, azimuth_rounds=2)
@@ -73,10 +74,6 @@ def recorder(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulate
     choice._fitting.cache_clear()
 
 
-def state_of(trainer: Trainer) -> dict[str, Tensor]:
-    return dict(trainer.snapshot(0.0).tensors)
-
-
 @pytest.mark.parametrize("name", CONFIGS)
 def test_steps_run_again_are_steps(
     name: str, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
@@ -103,8 +100,7 @@ def test_steps_run_again_are_steps(
         assert {name: float(term) for name, term in terms.items()} == were
     assert by_itself.records
     assert recorder.replays > STEPS // 2
-    mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
-    assert [name for name, tensor in theirs.items() if not torch.equal(mine[name], tensor)] == []
+    assert_same(by_itself.snapshot(0.0), launched.snapshot(0.0))
 
 
 @pytest.mark.parametrize("name", ["ground", "terrain"])
@@ -165,5 +161,4 @@ def test_a_record_that_fails_is_warned_of_and_nothing_is_lost(
         for _ in range(5):
             assert torch.equal(by_itself.step(), launched.step())
     assert len(said) == 1
-    mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
-    assert all(torch.equal(mine[name], tensor) for name, tensor in theirs.items())
+    assert_same(by_itself.snapshot(0.0), launched.snapshot(0.0))

@@ -16,6 +16,7 @@ from sarsplat.gaussians.covariance import rotated
 from sarsplat.learning import Trainer, levels
 from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes, turned
 from sarsplat.settings.sections import Smoothing
+from trainings import assert_same, trained
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -123,14 +124,8 @@ def test_a_training_that_stops_between_rounds_goes_on_with_the_same_bits(
 ) -> None:
     monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
     config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=8))
-    whole, resumed = Trainer(dataset, config), Trainer(dataset, config)
-    for _ in range(12):
-        whole.step()
-    resumed.restore(whole.snapshot(0.0))
-    for _ in range(12):
-        assert whole.step() == resumed.step()
-    one, other = whole.snapshot(0.0).tensors, resumed.snapshot(0.0).tensors
-    assert all(torch.equal(tensor, other[name]) for name, tensor in one.items())
+    stopped = trained(dataset, config, 12).snapshot(0.0)
+    assert_same(trained(dataset, config, 24).snapshot(0.0), trained(dataset, config, 12, stopped).snapshot(0.0))
 
 
 @pytest.mark.parametrize("threads", [1, 3])

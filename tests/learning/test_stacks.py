@@ -176,7 +176,7 @@ def test_what_is_refused():
     with pytest.raises(SarsplatError, match="plane gradients, which cannot be combined with passes on; omit it"):
         reconstruct(images, strategies=[Watching()], quiet=True)
     single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
-    with pytest.raises(SarsplatError, match="stack learns from stacks, but .* has single images"):
+    with pytest.raises(SarsplatError, match=r"stack learns from stacks, but .* has single images"):
         reconstruct(single, "stack", quiet=True)
 
 
@@ -204,7 +204,7 @@ def test_polarisations_may_be_learned_from_by_power_alone():
     pair = Stack(0.031, (0.0, 0.0), polarisations=("HH", "VV"))
     entries = (replace(images.entries[0], stack=pair),)
     polarimetric = Dataset.of_complex(GRID, entries, images.signal[:, :2], looks=1.0)
-    with pytest.raises(SarsplatError, match="equal in all polarisations, but .* has HH, VV"):
+    with pytest.raises(SarsplatError, match=r"equal in all polarisations, but .* has HH, VV"):
         reconstruct(polarimetric, "stack", quiet=True)
     few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
     assert reconstruct(polarimetric, few, quiet=True).snapshot.stacks == ()

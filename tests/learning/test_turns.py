@@ -16,6 +16,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry.turn import turned
 from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, TurnRefinement, corrected_views, uncertain_passes
 from sarsplat.settings.sections import Turns
+from trainings import assert_same
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -104,9 +105,7 @@ def test_a_resumed_training_is_the_same(
     dataset = dataset_of(frames[0], frames[2])
     reconstruct(dataset, SHORT, tmp_path / "run", on_step=lambda step: step.iteration == 60, quiet=True)
     resumed = reconstruct(dataset, SHORT, tmp_path / "run", quiet=True, resume=True)
-    expected = refined.snapshot.tensors
-    assert resumed.snapshot.tensors.keys() == expected.keys()
-    assert all(torch.equal(tensor, expected[name]) for name, tensor in resumed.snapshot.tensors.items())
+    assert_same(resumed.snapshot, refined.snapshot)
     assert resumed.snapshot.views == refined.snapshot.views
 
 
@@ -117,8 +116,7 @@ def test_rotations_known_exactly_change_nothing(frames: tuple[np.ndarray, list[V
     short = replace(SHORT, iterations=12)
     run, other = (reconstruct(dataset, short, quiet=True).snapshot for dataset in (known, without))
     assert run.views == other.views == known.views
-    assert run.tensors.keys() == other.tensors.keys()
-    assert all(torch.equal(tensor, other.tensors[name]) for name, tensor in run.tensors.items())
+    assert_same(run, other)
 
 
 def test_test_frames_follow_their_pass(frames: tuple[np.ndarray, list[View], list[Turn]], refined: Run) -> None:
