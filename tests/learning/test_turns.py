@@ -143,6 +143,13 @@ def linear(slopes: np.ndarray, best: np.ndarray, noise: np.ndarray, turn: Turn, 
     return differences
 
 
+def refinement_of(turn: Turn) -> tuple[View, TurnRefinement]:
+    """Of one frame."""
+    view = turn.seen_from(SIGHT)
+    dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, GRID)], turns=[turn])
+    return view, TurnRefinement(dataset, Turns(), 100)
+
+
 def signature(view: View) -> np.ndarray:
     return view.look.gradients.ravel()
 
@@ -150,9 +157,7 @@ def signature(view: View) -> np.ndarray:
 def test_frames_and_what_was_assumed_count_by_their_variance() -> None:
     """One pixel for each correction: the answer is the mean, weighted by the reciprocals of the variances."""
     turn = Turn((0, 0, 1), 70.0, 1.0, 0.02)
-    view = turn.seen_from(SIGHT)
-    dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, GRID)], turns=[turn])
-    refinement = TurnRefinement(dataset, Turns(), 100)
+    view, refinement = refinement_of(turn)
     best, noise, samples = np.array([0.2, -0.1, 0.004]), np.full(4, 0.5), np.array([40.0])
     std = np.array([1.0, 1.0, 0.02])
     slopes = np.concatenate([np.diag(0.1 / std), np.zeros((1, 3))])
@@ -167,21 +172,19 @@ def test_frames_and_what_was_assumed_count_by_their_variance() -> None:
 def test_what_is_known_exactly_of_an_uncertain_pass_stays() -> None:
     for std, free in (((2.0, 0.0), [True, True, False]), ((0.0, 0.02), [False, False, True])):
         turn = Turn((0, 0, 1), 70.0, *std)
-        view = turn.seen_from(SIGHT)
-        dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, GRID)], turns=[turn])
+        view, refinement = refinement_of(turn)
         differences = linear(np.eye(3), np.array([0.2, 0.1, 0.01]), np.ones(3), turn, view)
-        found = TurnRefinement(dataset, Turns(), 100).stepped(np.zeros((1, 3)), differences, np.array([50.0]), 0.05)
+        found = refinement.stepped(np.zeros((1, 3)), differences, np.array([50.0]), 0.05)
         assert (found[0] != 0).tolist() == free
 
 
 def test_what_would_be_most_unlikely_is_not_believed() -> None:
     turn = Turn((0, 0, 1), 70.0, 0.5, 0.01)
-    view = turn.seen_from(SIGHT)
-    dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, GRID)], turns=[turn])
+    view, refinement = refinement_of(turn)
     differences = linear(np.eye(3), np.array([40.0, 0.1, 0.3]), np.ones(3), turn, view)
     found = np.zeros((1, 3))
     for _ in range(30):
-        found = TurnRefinement(dataset, Turns(), 100).stepped(found, differences, np.array([1e6]), 0.05)
+        found = refinement.stepped(found, differences, np.array([1e6]), 0.05)
     assert found[0, 0] == 1.5 and abs(found[0, 2]) <= 0.03
 
 
