@@ -132,9 +132,7 @@ def reconstruct(
         on = device_named("cpu")  # as it was begun
     note = ""
     if device == "auto" and on.type == "cuda" and begun is None and not (loss or strategies):
-        on, note = quicker_device(
-            lambda where: chosen.trainer(dataset, config, inputs, where, None), on, config.iterations
-        )
+        on, note = quicker_device(lambda d: chosen.trainer(dataset, config, inputs, d, None), on, config.iterations)
     trainer = chosen.trainer(dataset, config, inputs, on, learned)
     heading, about = chosen.about(trainer.config, dataset.grid)
     by_tiles = chosen.by_tiles(config)
