@@ -331,7 +331,7 @@ def test_evaluating_images_alone_keeps_the_points_and_says_so(run: Path, tmp_pat
     with warnings.catch_warnings(record=True):
         assert main(["export", str(run), str(tmp_path / "g.splat")]) == 0
     assert "4 of 6,000 iterations: this is what it has learned so far" in capsys.readouterr().err
-    assert f"{run} is unfinished, 4 of 6,000 iterations: these are scores of what it has learned so far" in complaints
+    assert f"{run} is unfinished, 4 of 6,000 iterations: the scores are provisional" in complaints
 
 
 @pytest.mark.parametrize(

@@ -161,13 +161,6 @@ def test_a_rendered_set_is_scored_by_protocol_r(make):
     assert WEIGHTS_VARIABLE in metrics["reasons"]["images.test-17.lpips"]
 
 
-def test_points_may_be_left_out(make) -> None:
-    metrics = evaluate_run(FakeRun(make()), points=False, quiet=True)
-    assert metrics["images"]["test-17"]["psnr_db"] is not None
-    assert metrics["points"]["visible"]["cd_m"] is None and metrics["mesh"]["whole"]["cd_m"] is None
-    assert metrics["reasons"]["points.visible.cd_m"] == "points were left out"
-
-
 def test_what_is_left_out_keeps_its_scores(make, monkeypatch) -> None:
     run = FakeRun(make(), has_mesh=False)
     run.metrics = before = evaluate_run(run, quiet=True)
@@ -178,8 +171,8 @@ def test_what_is_left_out_keeps_its_scores(make, monkeypatch) -> None:
     assert after["points"] == before["points"] and after["points"]["visible"]["cd_m"] > 0
     assert after["reasons"]["mesh.whole.cd_m"] == "the points make no surface"
     assert {**after, "images": None, "by_image": None} == {**before, "images": None, "by_image": None}
-    for changed in ({"points": {}}, {"truth": {**before["truth"], "sha256": "of another mesh"}}):
-        run.metrics = before | changed
+    for changed in (None, {"points": {}}, {"truth": {**before["truth"], "sha256": "of another mesh"}}):
+        run.metrics = None if changed is None else before | changed
         assert evaluate_run(run, points=False, quiet=True)["reasons"]["points.visible.cd_m"] == "points were left out"
 
 

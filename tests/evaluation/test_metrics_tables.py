@@ -70,7 +70,7 @@ def test_noise_free_sets_stand_above_the_paper():
     ours = metrics(test={"psnr_db": 53.712, "psnr_target_db": 36.0, "ssim": 0.99951})
     shown = table(ours, paper_scores("T72"))
     assert [str(column.header) for column in shown.columns][1:] == [
-        *("PSNR dB", "target dB", "SSIM", "LPIPS", "CD m", "F1@0.3", "F1@0.1", "time s"),
+        *("PSNR dB", "target dB", "SSIM", "LPIPS", "CD m", "F1@0.3", "F1@0.1", "time s")
     ]
     assert rows(shown) == [
         ["sar-gs, test", "53.71", "36.00", "0.9995", "–", "0.0741", "0.983", "0.765", "62"],

@@ -14,7 +14,7 @@ from datasets import FEW_POINTS, dataset_of
 from sarsplat import Gaussians, Harmonics, ImageGrid, Run, View, render
 from sarsplat.evaluation.images import UndefinedScore
 from sarsplat.evaluation.undetermined import places, undetermined
-from sarsplat.learning import few_at_once
+from sarsplat.learning import batching
 from sarsplat.learning.model import SceneModel
 
 GRID = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
@@ -72,7 +72,7 @@ def test_large_views_are_looked_at_one_after_the_other(monkeypatch: pytest.Monke
         return render(model, some, *given, **named)
 
     monkeypatch.setattr(SceneModel, "render", counted)
-    monkeypatch.setattr(few_at_once, "_STEP_GIB", 1e-9)
+    monkeypatch.setattr(batching, "_STEP_GIB", 1e-9)
     assert np.mean(places(run)[1] == usual) > 0.99
     assert {*views} == {1}
 

@@ -44,7 +44,7 @@ def test_four_sides_see_everything_but_the_bottom():
 
 def test_a_large_scene_takes_no_more_rays_than_are_allowed(monkeypatch):
     """A square kilometre a millimetre apart would be 10¹² rays."""
-    monkeypatch.setattr("sarsplat.evaluation.surface._MOST_RAYS", 10_000)
+    monkeypatch.setattr("sarsplat.evaluation.surface._MAX_RAYS", 10_000)
     plain = sheet(-500, 500, -500, 500, 0)
     plain.invert()  # surfaces are two-sided
     surface = visible_surface(plain, [View(0, 45)], ray_spacing=0.001, samples=1000)

@@ -18,6 +18,7 @@ from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS, AzimuthRefinement, lowest
 from sarsplat.settings.sections import Surroundings
+from trainings import assert_same
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -80,9 +81,7 @@ def test_a_resumed_training_is_the_same(wrong: tuple[Dataset, np.ndarray], refin
     reconstruct(wrong[0], CONFIG, tmp_path / "run", on_step=lambda step: step.iteration == 25, quiet=True)
     assert Run.load(tmp_path / "run").azimuth_offset_deg.any()
     resumed = reconstruct(wrong[0], CONFIG, tmp_path / "run", quiet=True, resume=True)
-    expected = refined.snapshot.tensors
-    assert resumed.snapshot.tensors.keys() == expected.keys()
-    assert all(torch.equal(tensor, expected[name]) for name, tensor in resumed.snapshot.tensors.items())
+    assert_same(resumed.snapshot, refined.snapshot)
     assert resumed.snapshot.views == refined.snapshot.views
 
 
@@ -95,8 +94,7 @@ def test_azimuths_known_exactly_are_left_alone(images: np.ndarray) -> None:
     assert not run.azimuth_offset_deg.any()
     assert "azimuth corrections" not in run.about
     assert run.snapshot.views == known.views
-    assert run.snapshot.tensors.keys() == other.snapshot.tensors.keys()
-    assert all(torch.equal(tensor, other.snapshot.tensors[name]) for name, tensor in run.snapshot.tensors.items())
+    assert_same(run.snapshot, other.snapshot)
 
 
 def around(best: Float64[np.ndarray, " k"], std: float, labels: Sequence[float]):

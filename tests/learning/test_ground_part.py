@@ -15,6 +15,7 @@ from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.renderer import render
 from sarsplat.settings.sections import FlatGround
+from trainings import trained
 from upright import upright
 
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.3, 0.3))
@@ -37,9 +38,7 @@ def seen(views: list[View], ground: Ground) -> Dataset:
 def test_level_and_law_are_learned() -> None:
     views = [View(60.0 * k, (25.0, 40.0, 60.0)[k % 3]) for k in range(6)]
     dataset = seen(views, Ground(torch.tensor(0.2), exponent=torch.tensor(0.8)))
-    trainer = Trainer(dataset, SHORT)
-    for _ in range(150):
-        trainer.step()
+    trainer = trained(dataset, SHORT, 150)
     ground = trainer.model.ground()
     assert float(ground.exponent.detach()) == pytest.approx(0.8, abs=0.1)
     assert float(ground.gamma0.detach().median()) == pytest.approx(0.2, rel=0.05)
@@ -74,10 +73,8 @@ def test_texture_is_learned_where_it_is() -> None:
     table = torch.full((41, 41), 0.1)
     table[21:] = 0.2
     views = [View(60.0 * k, 35.0) for k in range(6)]
-    trainer = Trainer(seen(views, Ground(table, 0.5)), SHORT)
+    trainer = trained(seen(views, Ground(table, 0.5)), SHORT, 150)
     assert trainer.learning_rates["ground_exponent"] == 0  # one angle says nothing of others
-    for _ in range(150):
-        trainer.step()
     ground = trainer.model.ground()
     gamma0, middle = ground.gamma0.detach(), (len(ground.gamma0) - 1) // 2
     apart = round(3 / ground.pitch_m)

@@ -22,6 +22,7 @@ from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.training_images import TrainingImages
 from sarsplat.renderer import render
 from sarsplat.settings import Config
+from trainings import assert_same, trained
 from upright import upright
 
 GRID = ImageGrid(90, 91, (0.5, 0.5), (0.6, 0.5))
@@ -122,17 +123,10 @@ def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Da
 
 
 def test_a_training_that_stopped_on_any_level_goes_on_the_same(scene: Dataset, config: Config) -> None:
-    whole = Trainer(scene, config)
-    for _ in range(config.iterations):
-        whole.step()
+    whole = trained(scene, config, config.iterations).snapshot(0.0)
     for stop in (4, 9, 10):
-        first, second = Trainer(scene, config), Trainer(scene, config)
-        for _ in range(stop):
-            first.step()
-        second.restore(first.snapshot(0.0))
-        while second.iteration < config.iterations:
-            second.step()
-        assert torch.equal(second.gaussians.means, whole.gaussians.means)
+        stopped = trained(scene, config, stop).snapshot(0.0)
+        assert_same(trained(scene, config, config.iterations - stop, stopped).snapshot(0.0), whole)
 
 
 def test_those_that_hold_most_of_the_error_are_the_fewest() -> None:

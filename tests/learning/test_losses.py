@@ -11,13 +11,7 @@ from emulated_cuda import Emulator
 
 from sarsplat.errors import SarsplatError
 from sarsplat.learning import losses
-from sarsplat.learning.losses import (
-    ImageScale,
-    amplitude_loss,
-    named_loss,
-    speckle_loss,
-    structural_similarity,
-)
+from sarsplat.learning.losses import ImageScale, amplitude_loss, named_loss, speckle_loss, structural_similarity
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.settings import preset
 

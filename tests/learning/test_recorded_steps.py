@@ -23,18 +23,12 @@ from sarsplat.renderer.engines import bounds, choice, cuda, cuda_arrays
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
 from terrains import hill
+from trainings import assert_same
 
 STEPS = 20
 SELDOM = Surroundings(texture_rounds=2, azimuth_rounds=2)
 DENSITY = Densification(
-    start=3,
-    stop=12,
-    every=5,
-    gradient=1e-4,
-    split_above=0.16,
-    max_extent=0.3,
-    min_scattering=0.01,
-    max_gaussians=300,
+    start=3, stop=12, every=5, gradient=1e-4, split_above=0.16, max_extent=0.3, min_scattering=0.01, max_gaussians=300
 )
 
 
@@ -80,16 +74,12 @@ def recorder(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulate
     choice._fitting.cache_clear()
 
 
-def state_of(trainer: Trainer) -> dict[str, Tensor]:
-    return dict(trainer.snapshot(0.0).tensors)
-
-
 @pytest.mark.parametrize("name", CONFIGS)
 def test_steps_run_again_are_steps(
     name: str, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name == "levels":  # which a scene so small has not
-        monkeypatch.setattr(levels, "_ACROSS", 2)
+        monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
     if name == "azimuths":
         uncertain = (replace(entry, azimuth_std_deg=2.0) for entry in dataset.entries)
         dataset = replace(dataset, entries=tuple(uncertain))
@@ -110,8 +100,7 @@ def test_steps_run_again_are_steps(
         assert {name: float(term) for name, term in terms.items()} == were
     assert by_itself.records
     assert recorder.replays > STEPS // 2
-    mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
-    assert [name for name, tensor in theirs.items() if not torch.equal(mine[name], tensor)] == []
+    assert_same(by_itself.snapshot(0.0), launched.snapshot(0.0))
 
 
 @pytest.mark.parametrize("name", ["ground", "terrain"])
@@ -168,11 +157,8 @@ def test_a_record_that_fails_is_warned_of_and_nothing_is_lost(
         raise RuntimeError("operation failed due to a previous error during capture")
 
     monkeypatch.setattr(recorder, "record", refused)
-    with pytest.warns(
-        SarsplatWarning, match="steps are made launch by launch, because .* error during capture"
-    ) as said:
+    with pytest.warns(SarsplatWarning, match="CUDA graphs are off, because .* error during capture") as said:
         for _ in range(5):
             assert torch.equal(by_itself.step(), launched.step())
     assert len(said) == 1
-    mine, theirs = (state_of(trainer) for trainer in (by_itself, launched))
-    assert all(torch.equal(mine[name], tensor) for name, tensor in theirs.items())
+    assert_same(by_itself.snapshot(0.0), launched.snapshot(0.0))

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from sarsplat import Dataset, preset
-from sarsplat.learning import Trainer
 from sarsplat.learning.strategies import State, ops
 from sarsplat.learning.strategies.relocation import Relocating, pairs
 from sarsplat.settings.sections import Relocation
+from trainings import trained
 
 
 def generator() -> torch.Generator:
@@ -53,9 +53,7 @@ def test_a_corner_reflector_leaves_the_others_at_work() -> None:
 
 def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     config = replace(preset("default"), iterations=80, gaussians=400, relocation=Relocation(rounds=1))
-    trainer = Trainer(dataset, config)
-    for _ in range(69):
-        trainer.step()
+    trainer = trained(dataset, config, 69)
     images, rendering = trainer.model.render(trainer.views, trainer.grid, 0)
     before, means = images.detach(), trainer.gaussians.means.clone()
     rows = pairs(rendering.cross_sections[..., 0].detach().mean(0), 0.01, generator())

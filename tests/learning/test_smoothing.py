@@ -16,6 +16,7 @@ from sarsplat.gaussians.covariance import rotated
 from sarsplat.learning import Trainer, levels
 from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes, turned
 from sarsplat.settings.sections import Smoothing
+from trainings import assert_same, trained
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -106,7 +107,7 @@ def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypat
     for _ in range(10):
         assert small.step() == without.step()
     assert torch.equal(small.gaussians.means, without.gaussians.means)  # a vehicle stays as it is
-    monkeypatch.setattr(levels, "_ACROSS", 2)
+    monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
     large, without = Trainer(dataset, smoothed), Trainer(dataset, config)
     assert large.model.levels.coarsest > 1
     for _ in range(10):
@@ -121,16 +122,10 @@ def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypat
 def test_a_training_that_stops_between_rounds_goes_on_with_the_same_bits(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(levels, "_ACROSS", 2)
+    monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
     config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=8))
-    whole, resumed = Trainer(dataset, config), Trainer(dataset, config)
-    for _ in range(12):
-        whole.step()
-    resumed.restore(whole.snapshot(0.0))
-    for _ in range(12):
-        assert whole.step() == resumed.step()
-    one, other = whole.snapshot(0.0).tensors, resumed.snapshot(0.0).tensors
-    assert all(torch.equal(tensor, other[name]) for name, tensor in one.items())
+    stopped = trained(dataset, config, 12).snapshot(0.0)
+    assert_same(trained(dataset, config, 24).snapshot(0.0), trained(dataset, config, 12, stopped).snapshot(0.0))
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -141,7 +136,7 @@ def test_planes_are_the_same_however_many_are_fitted_at_once(threads: int, monke
     given = means, normals / np.linalg.norm(normals, axis=1, keepdims=True), chance.random(2000), 0.3, 0.9
     expected = towards_planes(*given)
     before = torch.get_num_threads()
-    monkeypatch.setattr("sarsplat.learning.strategies.smoothing._AT_ONCE", 37)
+    monkeypatch.setattr("sarsplat.learning.strategies.smoothing._BATCH", 37)
     try:
         torch.set_num_threads(threads)
         found = towards_planes(*given)

@@ -11,13 +11,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from sarsplat import Config, Dataset, SarsplatError, preset, reconstruct
+from sarsplat import Dataset, SarsplatError, preset, reconstruct
 from sarsplat.learning import Trainer
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, State, Strategy, ops
 from sarsplat.settings.sections import Densification
+from trainings import assert_same, trained
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_strategy.py"
 CONFIG = replace(
@@ -60,34 +61,22 @@ class Restless(Strategy):
             state.whole["changes"][1] += 3
 
 
-def trained(dataset: Dataset, config: Config, steps: int, snapshot: Snapshot | None = None) -> Snapshot:
-    trainer = Trainer(dataset, config, strategies=[Restless()])
-    if snapshot is not None:
-        trainer.restore(snapshot)
-    for _ in range(steps):
-        trainer.step()
-    return trainer.snapshot(0.0)
+def restless(dataset: Dataset, steps: int, snapshot: Snapshot | None = None) -> Snapshot:
+    return trained(dataset, CONFIG, steps, snapshot, strategies=[Restless()]).snapshot(0.0)
 
 
 @pytest.mark.parametrize("stop", [13, 14, 20])
 def test_it_goes_on_as_if_it_had_never_stopped(dataset: Dataset, tmp_path: Path, stop: int) -> None:
-    whole = trained(dataset, CONFIG, 30)
+    whole = restless(dataset, 30)
     assert whole.tensors["strategy/Restless/changes"].min() > 10
-    trained(dataset, CONFIG, stop).save(tmp_path / "stopped.safetensors")
-    resumed = trained(dataset, CONFIG, 30 - stop, Snapshot.load(tmp_path / "stopped.safetensors"))
-    assert whole.tensors.keys() == resumed.tensors.keys()
-    assert [name for name, tensor in whole.tensors.items() if not torch.equal(tensor, resumed.tensors[name])] == []
-
-
-def test_what_others_remember_follows_their_gaussians(dataset: Dataset) -> None:
-    tensors = trained(dataset, CONFIG, 30).tensors
-    count = len(tensors["model/means"])
-    per_gaussian = ("strategy/Restless/dim", "strategy/density/gradient", "strategy/density/seen")
-    assert {len(tensors[name]) for name in per_gaussian} == {count}
+    restless(dataset, stop).save(tmp_path / "stopped.safetensors")
+    assert_same(whole, restless(dataset, 30 - stop, Snapshot.load(tmp_path / "stopped.safetensors")))
+    per_gaussian = ("model/means", "strategy/Restless/dim", "strategy/density/gradient", "strategy/density/seen")
+    assert len({len(whole.tensors[name]) for name in per_gaussian}) == 1
 
 
 def test_a_training_goes_on_only_with_the_strategies_it_was_begun_with(dataset: Dataset) -> None:
-    snapshot = trained(dataset, CONFIG, 1)
+    snapshot = restless(dataset, 1)
     with pytest.raises(
         SarsplatError,
         match="begun with the strategies Restless, density, growth, relocation, smoothing, not density, growth, ",
@@ -95,7 +84,7 @@ def test_a_training_goes_on_only_with_the_strategies_it_was_begun_with(dataset: 
         Trainer(dataset, CONFIG).restore(snapshot)
     damaged = replace(snapshot, tensors=snapshot.tensors | {"strategy/Restless/dim": torch.zeros(3)})
     with pytest.raises(ValueError, match="dim is torch"):
-        trained(dataset, CONFIG, 0, damaged)
+        restless(dataset, 0, damaged)
 
 
 def test_names_are_their_own_and_parameters_are_checked(dataset: Dataset) -> None:

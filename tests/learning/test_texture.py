@@ -29,11 +29,7 @@ def pattern(view: View, shift_m: np.ndarray) -> np.ndarray:
 def chips(views: list[View], shifts_m: np.ndarray) -> dict[str, torch.Tensor]:
     ratio = np.stack([pattern(view, shift_m) for view, shift_m in zip(views, shifts_m, strict=True)])
     angles = torch.tensor([(view.azimuth_deg, view.grazing_deg) for view in views], dtype=torch.float64)
-    return {
-        "ratio": torch.from_numpy(ratio).float(),
-        "shift_m": torch.from_numpy(shifts_m).float(),
-        "view_deg": angles,
-    }
+    return {"ratio": torch.from_numpy(ratio).float(), "shift_m": torch.from_numpy(shifts_m).float(), "view_deg": angles}
 
 
 @pytest.mark.parametrize("grazing_deg", [30.0, 45.0])

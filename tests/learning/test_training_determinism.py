@@ -21,6 +21,7 @@ from sarsplat.data import load_checkpoint, write_dataset
 from sarsplat.learning import Trainer
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.strategies.density import DensityControl
+from trainings import trained
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -44,7 +45,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_threads_change_nothing(dataset: Dataset, kind: str, threads: Any) -> None:
-    def trained(count: int) -> dict[str, torch.Tensor]:
+    def states_of(count: int) -> dict[str, torch.Tensor]:
         threads(count)
         trainer, states = Trainer(dataset, config(kind)), {}
         for step in range(_STEPS):
@@ -52,9 +53,9 @@ def test_threads_change_nothing(dataset: Dataset, kind: str, threads: Any) -> No
             states |= {f"{step}/{name}": tensor.clone() for name, tensor in trainer.snapshot(0.0).tensors.items()}
         return states
 
-    alone = trained(1)
+    alone = states_of(1)
     for count in (2, 3):
-        states = trained(count)
+        states = states_of(count)
         assert states.keys() == alone.keys()
         assert [name for name in alone if not torch.equal(states[name], alone[name])] == []
 
@@ -120,7 +121,5 @@ def test_density_control_does_all_it_can_in_that_training(dataset: Dataset, monk
         return decided
 
     monkeypatch.setattr(DensityControl, "decide", watched)
-    trainer = Trainer(dataset, config("density"))
-    for _ in range(21):
-        trainer.step()
+    trained(dataset, config("density"), 21)
     assert min(counts.values()) >= 10, counts

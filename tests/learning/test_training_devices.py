@@ -28,16 +28,10 @@ from sarsplat.runs import Step
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, Relocation
 from sarsplat.surface import cells, extract_points, first_returns
+from trainings import trained
 
 DENSITY = Densification(
-    start=4,
-    stop=100,
-    every=4,
-    gradient=1e-4,
-    split_above=0.16,
-    max_extent=0.3,
-    min_scattering=0.01,
-    max_gaussians=300,
+    start=4, stop=100, every=4, gradient=1e-4, split_above=0.16, max_extent=0.3, min_scattering=0.01, max_gaussians=300
 )
 
 
@@ -136,18 +130,16 @@ def test_every_tensor_is_made_on_the_trainings_device(name: str, dataset: Datase
     and meets a tensor that lies elsewhere.
     """
 
-    def trained() -> tuple[Trainer, np.ndarray]:
-        trainer = Trainer(dataset, CONFIGS[name], device="cpu")
-        for _ in range(5):
-            trainer.step()
+    def resumed() -> tuple[Trainer, np.ndarray]:
+        trainer = trained(dataset, CONFIGS[name], 5, device="cpu")
         trainer.restore(trainer.snapshot(0.0))
         for _ in range(5):
             trainer.step()
         return trainer, extract_points(trainer.gaussians, trainer.views[:2], trainer.grid, CONFIGS[name].points)
 
-    usual, points = trained()
+    usual, points = resumed()
     with torch.device("meta"):
-        actual, found_points = trained()
+        actual, found_points = resumed()
     for key, tensor in usual.model.parameters.items():
         assert torch.equal(actual.model.parameters[key], tensor), key
     assert np.array_equal(found_points, points)

@@ -10,14 +10,15 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-import torch
 from emulated_cuda import Emulator
 from emulated_recorder import EmulatedRecorder
-from test_recorded_steps import CONFIGS, state_of
+from test_recorded_steps import CONFIGS
 
 from sarsplat import Dataset
 from sarsplat.learning import Trainer
+from sarsplat.learning.snapshot import Snapshot
 from sarsplat.renderer.engines import choice, cuda, on_device
+from trainings import assert_same
 
 STEPS = 12
 TOGETHER = ("default", "quick", "speckled", "measured")
@@ -32,10 +33,7 @@ def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
     library: Path = request.getfixturevalue("library")
     launcher = Emulator(library)
     emulated = choice.Engine(
-        "cpu",
-        lambda *_: partial(cuda.Pass, launcher),
-        takes_bounds=True,
-        recorder=lambda _: EmulatedRecorder(launcher),
+        "cpu", lambda *_: partial(cuda.Pass, launcher), takes_bounds=True, recorder=lambda _: EmulatedRecorder(launcher)
     )
     monkeypatch.setitem(choice.ENGINES, "cuda", emulated)
     monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))
@@ -45,14 +43,14 @@ def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
     choice._fitting.cache_clear()
 
 
-def learned(name: str, dataset: Dataset, together: threading.Barrier | None) -> tuple[dict[str, torch.Tensor], bool]:
+def learned(name: str, dataset: Dataset, together: threading.Barrier | None) -> tuple[Snapshot, bool]:
     """After some steps, and whether they were recorded; beside others if there is a barrier at which all begin."""
     trainer = Trainer(dataset, replace(CONFIGS[name], seed=len(name)))
     if together is not None:
         together.wait()
     for _ in range(STEPS):
         trainer.step()
-    return state_of(trainer), trainer.records
+    return trainer.snapshot(0.0), trainer.records
 
 
 def test_trainings_at_a_time_learn_what_each_learns_alone(dataset: Dataset, engine: str) -> None:
@@ -65,4 +63,4 @@ def test_trainings_at_a_time_learn_what_each_learns_alone(dataset: Dataset, engi
         (mine, recorded), (theirs, also) = together[name], alone[name]
         assert recorded == also, name
         assert recorded == (engine != "CPU") or name == "measured"
-        assert [one for one, tensor in theirs.items() if not torch.equal(mine[one], tensor)] == [], name
+        assert_same(mine, theirs)

@@ -14,13 +14,9 @@ from datasets import FEW_POINTS
 from sarsplat import Dataset, ImageGrid, Run, SarImage, Turn, View, preset, reconstruct, simulate_images
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.turn import turned
-from sarsplat.learning.strategies.turns import (
-    TURN_CORRECTIONS,
-    TurnRefinement,
-    corrected_views,
-    uncertain_passes,
-)
+from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, TurnRefinement, corrected_views, uncertain_passes
 from sarsplat.settings.sections import Turns
+from trainings import assert_same
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -109,9 +105,7 @@ def test_a_resumed_training_is_the_same(
     dataset = dataset_of(frames[0], frames[2])
     reconstruct(dataset, SHORT, tmp_path / "run", on_step=lambda step: step.iteration == 60, quiet=True)
     resumed = reconstruct(dataset, SHORT, tmp_path / "run", quiet=True, resume=True)
-    expected = refined.snapshot.tensors
-    assert resumed.snapshot.tensors.keys() == expected.keys()
-    assert all(torch.equal(tensor, expected[name]) for name, tensor in resumed.snapshot.tensors.items())
+    assert_same(resumed.snapshot, refined.snapshot)
     assert resumed.snapshot.views == refined.snapshot.views
 
 
@@ -122,8 +116,7 @@ def test_rotations_known_exactly_change_nothing(frames: tuple[np.ndarray, list[V
     short = replace(SHORT, iterations=12)
     run, other = (reconstruct(dataset, short, quiet=True).snapshot for dataset in (known, without))
     assert run.views == other.views == known.views
-    assert run.tensors.keys() == other.tensors.keys()
-    assert all(torch.equal(tensor, other.tensors[name]) for name, tensor in run.tensors.items())
+    assert_same(run, other)
 
 
 def test_test_frames_follow_their_pass(frames: tuple[np.ndarray, list[View], list[Turn]], refined: Run) -> None:
@@ -150,6 +143,13 @@ def linear(slopes: np.ndarray, best: np.ndarray, noise: np.ndarray, turn: Turn, 
     return differences
 
 
+def refinement_of(turn: Turn) -> tuple[View, TurnRefinement]:
+    """Of one frame."""
+    view = turn.seen_from(SIGHT)
+    dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, GRID)], turns=[turn])
+    return view, TurnRefinement(dataset, Turns(), 100)
+
+
 def signature(view: View) -> np.ndarray:
     return view.look.gradients.ravel()
 
@@ -157,9 +157,7 @@ def signature(view: View) -> np.ndarray:
 def test_frames_and_what_was_assumed_count_by_their_variance() -> None:
     """One pixel for each correction: the answer is the mean, weighted by the reciprocals of the variances."""
     turn = Turn((0, 0, 1), 70.0, 1.0, 0.02)
-    view = turn.seen_from(SIGHT)
-    dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, GRID)], turns=[turn])
-    refinement = TurnRefinement(dataset, Turns(), 100)
+    view, refinement = refinement_of(turn)
     best, noise, samples = np.array([0.2, -0.1, 0.004]), np.full(4, 0.5), np.array([40.0])
     std = np.array([1.0, 1.0, 0.02])
     slopes = np.concatenate([np.diag(0.1 / std), np.zeros((1, 3))])
@@ -174,21 +172,19 @@ def test_frames_and_what_was_assumed_count_by_their_variance() -> None:
 def test_what_is_known_exactly_of_an_uncertain_pass_stays() -> None:
     for std, free in (((2.0, 0.0), [True, True, False]), ((0.0, 0.02), [False, False, True])):
         turn = Turn((0, 0, 1), 70.0, *std)
-        view = turn.seen_from(SIGHT)
-        dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, GRID)], turns=[turn])
+        view, refinement = refinement_of(turn)
         differences = linear(np.eye(3), np.array([0.2, 0.1, 0.01]), np.ones(3), turn, view)
-        found = TurnRefinement(dataset, Turns(), 100).stepped(np.zeros((1, 3)), differences, np.array([50.0]), 0.05)
+        found = refinement.stepped(np.zeros((1, 3)), differences, np.array([50.0]), 0.05)
         assert (found[0] != 0).tolist() == free
 
 
 def test_what_would_be_most_unlikely_is_not_believed() -> None:
     turn = Turn((0, 0, 1), 70.0, 0.5, 0.01)
-    view = turn.seen_from(SIGHT)
-    dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, GRID)], turns=[turn])
+    view, refinement = refinement_of(turn)
     differences = linear(np.eye(3), np.array([40.0, 0.1, 0.3]), np.ones(3), turn, view)
     found = np.zeros((1, 3))
     for _ in range(30):
-        found = TurnRefinement(dataset, Turns(), 100).stepped(found, differences, np.array([1e6]), 0.05)
+        found = refinement.stepped(found, differences, np.array([1e6]), 0.05)
     assert found[0, 0] == 1.5 and abs(found[0, 2]) <= 0.03
 
 

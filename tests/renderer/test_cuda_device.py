@@ -22,7 +22,7 @@ from emulated_cuda import Emulator, render_on
 from test_cpu_engine import everything, judged, same_bits
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.learning import device as training_device
+from sarsplat.learning import device_choice as training_device
 from sarsplat.renderer.engines import choice, cuda, cuda_device, disk_cache, nvrtc, trial
 from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.cuda_arrays import Launcher

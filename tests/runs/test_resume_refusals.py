@@ -69,7 +69,7 @@ def test_what_it_was_begun_with_goes_on(begun: Path, dataset: Dataset) -> None:
 
 def test_one_of_before_there_was_smoothing(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its settings do not say that it has none, and it goes on without; nor does it say how often it has grown."""
-    monkeypatch.setattr(levels, "_ACROSS", 2)
+    monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
     unsmoothed = replace(CONFIG, coarsest=2, smoothing=Smoothing(rounds=0))
     whole = reconstruct(dataset, unsmoothed, tmp_path / "run")
     tensors, _ = load_checkpoint(whole.files.checkpoint_path)

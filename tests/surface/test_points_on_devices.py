@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from sarsplat import Gaussians, ImageGrid, Terrain, View, extract_points
 from sarsplat.geometry.terrain import heights_of
 from sarsplat.learning.strategies.growth import holding
-from sarsplat.learning.strategies.ranking import whole_sums
+from sarsplat.learning.strategies.ops import whole_sums
 from sarsplat.scenes import surface_gaussians, target_mesh
 from sarsplat.scenes.village import village as made_village
 from sarsplat.settings.sections import PointExtraction

@@ -1,13 +1,15 @@
-"""Scores: images against unseen views, points against the true surface, and baselines for both."""
+"""Scores of images against unseen views and of points against the true surface, and baselines for both."""
 
 from sarsplat.evaluation.alignment import Alignment, align
 from sarsplat.evaluation.baselines import baseline_scores, nearest_chip, rotated_average
 from sarsplat.evaluation.evaluate import evaluate_run
 from sarsplat.evaluation.images import (
+    MaskPair,
     Registration,
     UndefinedScore,
     log_correlation,
     nats_per_pixel,
+    predicted_masks,
     psnr_db,
     psnr_target_db,
     register,
@@ -15,15 +17,7 @@ from sarsplat.evaluation.images import (
     ssim,
 )
 from sarsplat.evaluation.lpips import Lpips, lpips
-from sarsplat.evaluation.masks import MaskPair, predicted_masks
-from sarsplat.evaluation.metrics import (
-    IMAGE_METRICS,
-    MASK_METRICS,
-    RUN_METRICS,
-    Metric,
-    all_metrics,
-    metrics_of_points,
-)
+from sarsplat.evaluation.metrics import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Metric, all_metrics, metrics_of_points
 from sarsplat.evaluation.paper import (
     NOT_THE_SAME_EXPERIMENT,
     PAPER_DENSIFICATION,

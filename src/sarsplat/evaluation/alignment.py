@@ -1,8 +1,8 @@
 """Rigid alignment of reconstructed points with a known surface, by a small motion.
 
-A measured target stands somewhere near the middle of its chips, with a heading as accurate as its label; one that is
-aloft is turned any way by what was assumed of its rotation. That offset says nothing about the reconstruction, so
-points may be moved before they are scored, but only a little, so that no other error is hidden.
+Measured targets are near the middle of their chips and have a heading as accurate as the label; targets aloft are
+rotated by errors of their assumed rotation. These offsets are no errors of the reconstruction, so points may be moved
+before they are scored, but only a little, so that no other error is hidden.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ import numpy as np
 from jaxtyping import Float, Float64
 from scipy.spatial import cKDTree
 
-_FARTHEST = 3.0  # cells, along each axis; distances beyond it count as this
+_FARTHEST = 3.0  # largest shift along each axis, and cap of distances, resolution cells
 MOST_TURNED_DEG = 5.0
 """Largest rotation of the points, degrees."""
 
-_COUNT = 4000  # of the points, and of the surface's samples
+_COUNT = 4000  # points and surface samples used
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Turns about the origin, about x, y and then the vertical, and then a shift."""
+    """Rotations about the origin, about x, y and then the vertical, followed by a shift."""
 
     shift_m: tuple[float, float, float]
-    """World frame, m."""
+    """Shift in the world frame, m."""
     heading_deg: float
-    """Counter-clockwise seen from above, degrees."""
+    """Rotation about the vertical, degrees, counter-clockwise from above."""
     farthest_m: float = math.inf
     """Largest shift allowed along each axis, m."""
     tilts_deg: tuple[float, float] = (0.0, 0.0)
-    """About x and y, degrees: 0 unless the target is aloft."""
+    """Rotations about x and y, degrees; 0 unless the target is aloft."""
 
     def moved(self, points: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
         """Return the points rotated and shifted, m."""
@@ -40,7 +40,7 @@ class Alignment:
 
     @property
     def at_limit(self) -> bool:
-        """Whether the shift or the rotation ended at its limit."""
+        """True if the shift or the rotation ended at its limit."""
         turns = self.heading_deg, *self.tilts_deg
         parts = (abs(part) / self.farthest_m for part in self.shift_m)
         return max(*parts, *(abs(turn) / MOST_TURNED_DEG for turn in turns)) > 0.98
@@ -55,7 +55,7 @@ class Alignment:
 def align(
     points: Float[np.ndarray, "p 3"], surface: Float[np.ndarray, "s 3"], cell: float, *, aloft: bool = False
 ) -> Alignment:
-    """The motion after which points and surface are nearest to each other, on average over both.
+    """Find the motion that minimises the mean distances from points to surface and back.
 
     Parameters
     ----------
@@ -66,25 +66,25 @@ def align(
     cell : float
         Side of a resolution cell, m. Points are moved by at most three cells, and distances are capped there.
     aloft : bool
-        Turn about all axes, not only about the vertical.
+        Rotate about all axes, not only about the vertical.
     """
-    from scipy.optimize import minimize  # here, because it takes half a second to import, and few ask for it
+    from scipy.optimize import minimize  # here: half a second to import
 
     rng = np.random.default_rng(0)
     own, true = (np.asarray(cloud, np.float64)[rng.permutation(len(cloud))[:_COUNT]] for cloud in (points, surface))
     farthest = _FARTHEST * cell
     to_own, to_true = cKDTree(own), cKDTree(true)
 
-    def apart(motion: Float64[np.ndarray, " n"]) -> float:
+    def distance(motion: Float64[np.ndarray, " n"]) -> float:
         shift, turn = motion[:3] * farthest, _turn(*(motion[3:] * MOST_TURNED_DEG))
         distances = (
             to_true.query(own @ turn.T + shift, distance_upper_bound=farthest)[0],
             to_own.query((true - shift) @ turn, distance_upper_bound=farthest)[0],
         )
-        return sum(float(np.minimum(each, farthest).mean()) for each in distances)
+        return sum(float(np.minimum(one, farthest).mean()) for one in distances)
 
     free, options = 6 if aloft else 4, {"xtol": 1e-3, "ftol": 1e-5}
-    best = minimize(apart, np.zeros(free), method="Powell", bounds=[(-1, 1)] * free, options=options).x
+    best = minimize(distance, np.zeros(free), method="Powell", bounds=[(-1, 1)] * free, options=options).x
     x, y, z = (float(part) for part in best[:3] * farthest)
     heading_deg, tilt_x, tilt_y = (float(turn) * MOST_TURNED_DEG for turn in (*best[3:], 0.0, 0.0)[:3])
     return Alignment((x, y, z), heading_deg, farthest, (tilt_x, tilt_y))

@@ -1,4 +1,4 @@
-"""2D baselines for measured images, which a reconstruction should beat: nearest chip and rotated average."""
+"""2D baselines for measured images: nearest chip and rotated average."""
 
 from __future__ import annotations
 
@@ -16,18 +16,15 @@ from sarsplat.geometry import ImageGrid, View
 _KERNEL = 0.4
 """Width σ of the azimuth kernel of `rotated_average`, in mean spacings 360°/K of the training chips.
 
-This width and the 5×5 mean were chosen among a few on the scored chips of the T72 themselves (K = 8 and 36), which
-favours the baseline, not a reconstruction measured by it. The likelihood is flat around it: within 0.003 nats from
-0.36 to 0.44 (K = 8) and from 0.4 to 0.6 (K = 36).
+This width and the 5×5 mean were chosen on the scored chips of the T72 (K = 8 and 36), which favours the baseline. The
+likelihood is flat around it: within 0.003 nats from 0.36 to 0.44 (K = 8) and from 0.4 to 0.6 (K = 36).
 """
 
 
 def nearest_chip(
     train: Real[np.ndarray, "k rows columns"], train_views: Sequence[View], views: Sequence[View]
 ) -> Float[np.ndarray, "v rows columns"]:
-    """The training chip nearest in azimuth, among those of like looks, smoothed by a 5×5 mean.
-
-    Looks are alike if tilted alike and from the same side.
+    """Predict each view by the training chip nearest in azimuth, of the same side and tilt, smoothed by a 5×5 mean.
 
     Parameters
     ----------
@@ -48,10 +45,9 @@ def nearest_chip(
 def rotated_average(
     train: Real[np.ndarray, "k rows columns"], train_views: Sequence[View], views: Sequence[View], grid: ImageGrid
 ) -> Float64[np.ndarray, "v rows columns"]:
-    """Training chips, smoothed by a 5×5 mean, turned in the ground plane to the wanted azimuth and averaged.
+    """Predict each view by averaging training chips, smoothed by a 5×5 mean and rotated in the ground plane.
 
-    The weights are a Gaussian of the azimuth difference with σ = 0.4·360°/K. Everything is treated as if it lay flat on
-    the ground, shadows included.
+    The weights are a Gaussian of the azimuth difference with σ = 0.4·360°/K. Targets and shadows are treated as flat.
 
     Parameters
     ----------
@@ -79,8 +75,8 @@ def rotated_average(
 def baseline_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict[str, dict[str, float | None]]]:
     """Scores `[set][baseline][metric]` of `nearest_chip` and `rotated_average` on every test set of measured images.
 
-    Only metrics that apply to speckled images; `reasons` is filled in: for every score that does not exist,
-    `baselines.<set>.<baseline>.<score>` and why.
+    Metrics are those of speckled images; for each undefined score, `reasons` gets `baselines.<set>.<baseline>.<score>`
+    and why.
     """
     train, train_views = dataset.images("train").astype(np.float64), dataset.select("train").views
     applicable = [metric for metric in IMAGE_METRICS if metric.requires.met(dataset)]
@@ -103,18 +99,18 @@ def baseline_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict
 
 
 def _turn_deg(train_views: Sequence[View], views: Sequence[View]) -> Float64[np.ndarray, "v k"]:
-    """Azimuth of each training view minus that of each wanted view, degrees in [−180, 180), [V, K]."""
-    train, wanted = (np.array([view.azimuth_deg for view in sequence]) for sequence in (train_views, views))
-    turns = (train[None] - wanted[:, None] + 180) % 360 - 180
-    return turns.round(6)  # chips lie on a raster: equal distances must tie exactly, so that the first chip wins
+    """Azimuth of each training view minus that of each predicted view, degrees in [−180, 180), [V, K]."""
+    train, predicted = (np.array([view.azimuth_deg for view in sequence]) for sequence in (train_views, views))
+    turns = (train[None] - predicted[:, None] + 180) % 360 - 180
+    return turns.round(6)  # equal distances must tie exactly, so that the first chip wins
 
 
 def _turned(
-    power: Real[np.ndarray, "{grid.rows} {grid.columns}"], source: View, wanted: View, turn_deg: float, grid: ImageGrid
+    power: Real[np.ndarray, "{grid.rows} {grid.columns}"], source: View, target: View, turn_deg: float, grid: ImageGrid
 ) -> Float64[np.ndarray, "{grid.rows} {grid.columns}"]:
-    """A chip seen from `source` as it would look from `wanted` if it lay flat on the ground."""
+    """Resample a chip seen from `source` as if flat on the ground and seen from `target`."""
     slant, across = np.meshgrid(grid.range_m, grid.azimuth_m, indexing="ij")
-    across, ground = wanted.look.to_ground(across, slant)
+    across, ground = target.look.to_ground(across, slant)
     cosine, sine = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
     across_source, slant_source = source.look.to_image(cosine * across + sine * ground, cosine * ground - sine * across)
     row = (slant_source - grid.range_m[0]) / grid.spacing_m[1]

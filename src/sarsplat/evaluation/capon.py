@@ -15,32 +15,31 @@ _WINDOW = 3
 """Pixels along each side over which covariances are averaged, as reconstructions do."""
 
 _LOADING = 0.05
-"""Of the mean power, added to the diagonal: nine looks of more passes have no inverse."""
+"""Diagonal loading relative to the mean power; covariances of few looks have no inverse."""
 
 _STEPS = 40
-"""Of elevation in a resolution."""
+"""Steps of elevation per resolution."""
 
-_LEAST_PEAK, _ABOVE_NOISE = 0.3, 2.0
-"""Of a pixel's highest peak, and of the noise that is left in the spectrum."""
-
+_MIN_PEAK, _MIN_SNR = 0.3, 2.0
+"""Minimum height of a peak, relative to the pixel's highest one and to the noise in the spectrum."""
 
 _DARK = 1e-6
-"""Power of a pixel, of the brightest, at which it shows nothing: its spectrum is flat, and its peaks are rounding."""
+"""Power relative to the brightest pixel below which peaks are rounding errors."""
 
 
 @checks_arguments
 def capon_points(dataset: Dataset, low_m: float, high_m: float) -> Float64[np.ndarray, "p 3"]:
-    """Points of the training stacks, all directions together.
+    """Reconstruct points from the training stacks, all directions together.
 
-    Covariances are averaged over 3 × 3 pixels after level phases were taken out; every peak of the spectrum above 0.3
-    of the pixel's highest and twice the noise is a point, between steps by a parabola.
+    Covariances are deramped by level phases and averaged over 3 × 3 pixels; every peak of the spectrum above 0.3 of the
+    pixel's highest and twice the noise is a point, interpolated by a parabola.
 
     Parameters
     ----------
     dataset : Dataset
-        Of interferometric stacks.
+        Dataset of interferometric stacks.
     low_m, high_m : float
-        Heights between which peaks are looked for, m.
+        Range of heights of the peaks, m.
 
     Returns
     -------
@@ -50,11 +49,11 @@ def capon_points(dataset: Dataset, low_m: float, high_m: float) -> Float64[np.nd
     Raises
     ------
     SarsplatError
-        If the images are no interferometric stacks.
+        If the dataset has no interferometric stacks.
     """
     train = dataset.select("train")
     if train.signal is None or not train.interferometric:
-        raise SarsplatError("Capon's method needs interferometric stacks, and these images are none")
+        raise SarsplatError("Capon's method needs interferometric stacks; this dataset has single images")
     return np.concatenate(
         [
             _of_stack(signal, view, train.grid, stack, low_m, high_m)
@@ -78,10 +77,10 @@ def _of_stack(
     steering = np.exp(1j * stack.elevation_numbers(view)[:, None] * above)
     inverse = np.linalg.inv(loaded)
     spectrum = 1 / np.einsum("ps,rcpq,qs->rcs", steering.conj(), inverse, steering, optimize=True).real
-    noise = 0.0 if stack.noise is None else _ABOVE_NOISE * float(np.mean(stack.noise)) / len(stack)
+    noise = 0.0 if stack.noise is None else _MIN_SNR * float(np.mean(stack.noise)) / len(stack)
     inner = spectrum[..., 1:-1]
     peaks = (inner > spectrum[..., :-2]) & (inner > spectrum[..., 2:]) & (inner > noise)
-    peaks &= inner > _LEAST_PEAK * spectrum.max(-1, keepdims=True)
+    peaks &= inner > _MIN_PEAK * spectrum.max(-1, keepdims=True)
     peaks &= (power > _DARK * power.max())[..., None]
     row, column, at = np.nonzero(peaks)
     before, here, after = (np.log(spectrum[row, column, at + k]) for k in (0, 1, 2))

@@ -20,9 +20,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.alignment import MOST_TURNED_DEG, align
 from sarsplat.evaluation.baselines import baseline_scores
 from sarsplat.evaluation.capon import capon_points
-from sarsplat.evaluation.images import Stack, UndefinedScore
+from sarsplat.evaluation.images import MaskPair, Stack, UndefinedScore, predicted_masks
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
-from sarsplat.evaluation.masks import MaskPair, predicted_masks
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
     MASK_METRICS,
@@ -48,12 +47,12 @@ from sarsplat.scenes.surface_samples import blocks_of_samples
 if TYPE_CHECKING:
     import trimesh
 
-_VIEWS_AT_A_TIME = 8
+_BATCH = 8  # views rendered at once
 _MESH_SAMPLES = 100_000
 
-# About how long these take, in the time of a test view and its scores: the mesh and the visible surface grow with the
-# scene, as images do; the distances of points or mesh from one part of it do not, and are those beside 128² pixels.
-_MESH, _SURFACE, _DISTANCES, _BESIDE_PIXELS = 40, 80, 30, 128**2
+# Durations of mesh, visible surface and distances for the progress bar, relative to a test view with its scores; that
+# of the distances does not grow with the images, and holds for 128² pixels.
+_MESH, _SURFACE, _DISTANCES, _REFERENCE_PIXELS = 40, 80, 30, 128**2
 
 
 @checks_arguments
@@ -67,7 +66,7 @@ def evaluate_run(
     points: bool = True,
     quiet: bool = False,
 ) -> dict[str, Any]:
-    """Score a run on every test set, its points and mesh against the true surface; write `metrics.json`.
+    """Score a run on every test set, and its points and mesh against the true surface; write `metrics.json`.
 
     Parameters
     ----------
@@ -76,43 +75,39 @@ def evaluate_run(
     mesh : pathlib.Path, optional
         A model of the target, m, in the frame of the views, instead of the dataset's true mesh.
     alignment : {"none", "rigid"}
-        Whether a small rigid motion brings points and mesh onto the visible surface first (`align`).
+        Align points and mesh with the visible surface first, by a small rigid motion (`align`).
     masks : pathlib.Path, optional
         Folder of true masks, a PNG for each image (`read_masks`): target and shadow are then scored as well.
     lpips_weights : pathlib.Path, optional
         Folder of the LPIPS weights; without it the environment variable SARSPLAT_LPIPS_WEIGHTS, without that no LPIPS.
     points : bool
-        Whether points and mesh are scored, which takes most of the time. If not, their scores of an earlier evaluation
-        stay.
+        Score points and mesh, which takes most of the time. If False, their earlier scores stay.
     quiet : bool
         Show no progress.
 
     Returns
     -------
     dict
-        The content of `metrics.json`: `images.<set>.<metric>`, `by_image` (of each set the leading metric and its value
-        for each image, in the dataset's order), `points.{visible, whole}.<metric>`, `mesh` (the same of points on the
-        mesh), of interferometric stacks `capon` (the same of Capon's method, between the heights of the run's own
-        points; the true surface then includes level ground, where images show it), `baselines` (what methods
-        without a third dimension score on speckled images with ground), `truth` (the given mesh if there is one, and
-        the motion that brought the points onto it), `masks` (the given folder), `time_s`, `seed`, `method`,
-        `missing` (places of objects that images show and points lack, m), `definitions` (of every metric), `parameters`
-        (what they refer to) and `reasons`: for every metric that is None, its dotted key and why. Without test images
-        `images` is empty.
+        The content of `metrics.json`: `images.<set>.<metric>`, `by_image` (for each set, the leading metric and its
+        values for the images, in order), `points.{visible, whole}.<metric>`, `mesh` (the same for points on the
+        mesh), for interferometric stacks `capon` (the same for Capon's method, between the heights of the run's points;
+        the true surface then includes level ground if images show it), `baselines` (scores of 2D methods on speckled
+        images with ground), `truth` (the given mesh, and the motion of the alignment), `masks` (the given folder),
+        `time_s`, `seed`, `method`, `missing` (places of objects that images show and points lack, m), `definitions` (of
+        all metrics), `parameters` (of the metrics) and `reasons` (dotted key of each metric that is None, and why).
+        Without test images `images` is empty.
 
     Raises
     ------
     SarsplatError
         If there is nothing to score (no test images, and no true mesh or no points), a mesh or an alignment is given
-        but points are left out, the training images are black, a
-        rendered image is unsound, the LPIPS weights or masks are given but unusable, the true mesh cannot be read, or
-        another process is writing the run.
+        with `points=False`, the training images are black, a rendered image is unsound, given LPIPS weights or masks
+        are unusable, the true mesh cannot be read, or another process is writing the run.
 
     Warns
     -----
     SarsplatWarning
-        If the run's training is not finished, or if points of a run from training views that cannot determine the shape
-        are scored.
+        If the training is not finished, or if points are scored whose training views cannot determine the shape.
     """
     with nullcontext() if run.path is None else only_writer(run.path):
         dataset = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
@@ -121,7 +116,7 @@ def evaluate_run(
         if mesh is not None and not points:
             raise SarsplatError(f"points are left out, so nothing is held against {mesh}; leave out one of the two")
         if not run.state.trained:
-            warn([f"{run.path or 'the run'} is {run.state}: these are scores of what it has learned so far"])
+            warn([f"{run.path or 'the run'} is {run.state}: the scores are provisional"])
         metrics = _evaluate(run, dataset, alignment, folder, weights, points, quiet)
         if not points and run.metrics is not None and _same_truth(run.metrics, run.dataset):
             metrics |= _of_points(run.metrics, metrics["reasons"])
@@ -130,7 +125,7 @@ def evaluate_run(
 
 
 def _same_truth(before: Mapping[str, Any], dataset: Dataset) -> bool:
-    """Whether earlier scores of points are whole, and refer to a surface that is still what it was."""
+    """Return True if earlier scores of points are complete and their true mesh is unchanged."""
     if not all(before[kind].keys() == {"visible", "whole"} for kind in ("points", "mesh")):
         return False
     truth = before.get("truth", {})
@@ -144,12 +139,12 @@ def _sha256(file: Path) -> str:
 
 
 def _of_points(before: Mapping[str, Any], reasons: dict[str, str]) -> dict[str, Any]:
-    """The scores of points in earlier metrics, which a run that has not changed keeps; adds their reasons."""
-    scored = ("points", "mesh", "capon")
-    for key in [key for key in reasons if key.partition(".")[0] in scored]:
+    """Return the scores of points in earlier metrics; replaces their `reasons`."""
+    kinds = ("points", "mesh", "capon")
+    for key in [key for key in reasons if key.partition(".")[0] in kinds]:
         del reasons[key]
-    reasons |= {key: why for key, why in before["reasons"].items() if key.partition(".")[0] in scored}
-    return {kind: before[kind] for kind in (*scored, "truth") if kind in before}
+    reasons |= {key: why for key, why in before["reasons"].items() if key.partition(".")[0] in kinds}
+    return {kind: before[kind] for kind in (*kinds, "truth") if kind in before}
 
 
 def _evaluate(
@@ -179,17 +174,15 @@ def _evaluate(
     if true_mesh is not None and not any(shown_in(true_mesh, dataset.views, dataset.grid)):
         where = ", ".join(f"{value:.10g}" for value in true_mesh.bounds.mean(axis=0))
         raise SarsplatError(
-            f"the true mesh {dataset.truth_mesh} lies around ({where}) m, outside of all images, which are centred on "
-            "the origin; subtract from its coordinates what was subtracted for the images"
+            f"the true mesh {dataset.truth_mesh} is centred on ({where}) m, outside all images; move it to the images' "
+            "origin"
         )
     weights = lpips_weights(weights_dir)
     network = None if weights is None else Lpips(weights)
     parameters = image_parameters(dataset)
     if not parameters["reference_amplitude"] > 0:
         raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import them again")
-
     masks = {} if masks_dir is None else read_masks(masks_dir, dataset)
-
     yardstick = Yardstick.of(dataset.grid)
     reasons: dict[str, str] = {}
     speckled_tests = dataset.looks is not None and not dataset.clean_tests
@@ -229,7 +222,7 @@ def _evaluate(
 
 
 def _missing(run: Run, reasons: dict[str, str]) -> list[list[float]] | None:
-    """Places of objects that images show and points lack, m; warns of them."""
+    """Places of objects that images show and points lack, m; warn of them."""
     try:
         places = np.round(missing(run), 2).tolist()
     except UndefinedScore as undefined:
@@ -243,15 +236,15 @@ def _missing(run: Run, reasons: dict[str, str]) -> list[list[float]] | None:
 def _rendered(run: Run, views: Sequence[View], shown: Reporter) -> Stack:
     """β⁰ of the views, linear power, float32 [V, rows, columns]."""
     images = []
-    for first in range(0, len(views), _VIEWS_AT_A_TIME):
-        batch = views[first : first + _VIEWS_AT_A_TIME]
+    for first in range(0, len(views), _BATCH):
+        batch = views[first : first + _BATCH]
         images.append(run.render(batch))
         shown.advance(len(batch), "test views")
     return np.concatenate(images)
 
 
 def _by_image(tested: Dataset, pair: ImagePair) -> dict[str, Any]:
-    """The leading metric of each image on its own; None where it is undefined."""
+    """The leading metric of each single image; None where it is undefined."""
     metric = leading_metric(tested)
     scores: list[float | None] = []
     for truth, rendered in zip(pair.truth, pair.rendered, strict=True):
@@ -287,7 +280,7 @@ def _surfaces(
     reasons: dict[str, str],
     shown: Reporter,
 ) -> dict[str, Any]:
-    """Scores of the points and of the mesh against the visible and the whole surface, and the truth they refer to."""
+    """Score points and mesh against the visible and the whole surface; `truth` describes the surface."""
     clouds: dict[str, Float[np.ndarray, "p 3"]] = dict.fromkeys(("points", "mesh"), np.empty((0, 3)))
     parts: dict[str, tuple[Float64[np.ndarray, "t 3 3"], Float64[np.ndarray, "s 3"]] | None]
     parts = dict.fromkeys(("visible", "whole"))
@@ -297,7 +290,7 @@ def _surfaces(
     lacks = dict.fromkeys(clouds, "the run reconstructed no points" if scored else "points were left out")
     if scored:
         if run.path is not None and run.state.trained and not run.state.has_results:
-            run.write_results()  # which takes long, and need not be done again
+            run.write_results()  # takes long: kept
         clouds["points"] = run.points
     if dataset.truth_mesh is not None and true_mesh is not None and len(clouds["points"]):
         normals["points"] = run.normals
@@ -327,8 +320,8 @@ def _surfaces(
             shown.note(f"to align them with {dataset.truth_mesh}, points were {motion} ({limits})")
             if motion.at_limit:
                 warn([f"points were {motion}, which is as far as they may be; bring the mesh nearer to the target"])
-            for kind, some in normals.items():
-                normals[kind] = motion.moved(clouds[kind] + some) - motion.moved(clouds[kind])
+            for kind, directions in normals.items():
+                normals[kind] = motion.moved(clouds[kind] + directions) - motion.moved(clouds[kind])
             clouds = {kind: motion.moved(points) for kind, points in clouds.items()}
             truth |= {"shift_m": motion.shift_m, "heading_deg": motion.heading_deg}
             if views[0].aloft:
@@ -352,12 +345,12 @@ def _surfaces(
 
 
 def _distances(dataset: Dataset) -> int:
-    """Steps of the distances from one part of the surface."""
-    return max(1, round(_DISTANCES * _BESIDE_PIXELS / (dataset.grid.rows * dataset.grid.columns)))
+    """Progress steps of the distances from one part of the surface."""
+    return max(1, round(_DISTANCES * _REFERENCE_PIXELS / (dataset.grid.rows * dataset.grid.columns)))
 
 
 def _advancing(shown: Reporter, steps: int, work: str) -> Callable[[float], None]:
-    """Reports the share of some work as steps."""
+    """Return a function that reports a share of the work as steps."""
     reported = 0.0
 
     def advance(share: float) -> None:
@@ -369,7 +362,7 @@ def _advancing(shown: Reporter, steps: int, work: str) -> Callable[[float], None
 
 
 def _points_on_mesh(run: Run) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "p 3"], str]:
-    """Random points of a run's mesh, spread by area, with their triangles' normals, or none and the reason."""
+    """Random points of a run's mesh, uniform by area, with normals and ""; or none and the reason."""
     none = np.empty((0, 3))
     try:
         mesh = run.mesh()
@@ -378,5 +371,5 @@ def _points_on_mesh(run: Run) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarra
     if len(mesh.faces) == 0:
         return none, none, "the points make no surface"
     blocks = blocks_of_samples(mesh, _MESH_SAMPLES, np.random.default_rng(0))
-    places, faces = zip(*((some.T, faces) for _, some, faces in blocks), strict=True)
+    places, faces = zip(*((places.T, faces) for _, places, faces in blocks), strict=True)
     return np.concatenate(places), mesh.face_normals[np.concatenate(faces)], ""

@@ -7,31 +7,36 @@ return NaN or infinity.
 The scores of protocol R compare *amplitudes*, √β⁰ divided by the largest amplitude of the training set, without
 clipping; the peak of PSNR and the data range of SSIM are 1. The scores of protocol M compare *powers*.
 
-Registered scores of measured chips ignore a chip's position and gain, which cannot be predicted. Chips are centred and
-scaled one by one, to within a pixel and a few tenths of their power. These errors say nothing about a model but
-dominate its scores, so each prediction is shifted by whole pixels and multiplied by one factor to fit its chip best;
-all methods are treated the same.
+Registered scores ignore position and gain of measured chips, which were centred and scaled one by one, to within a
+pixel and a few tenths of their power. These errors would dominate the scores, so each prediction is shifted by whole
+pixels and multiplied by one factor to fit its chip best.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from jaxtyping import Float, Float64, Int64, Real
 from scipy.ndimage import correlate
+from scipy.ndimage import shift as displaced
 
+from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.losses import SSIM_WINDOW, structural_similarity
 from sarsplat.radiometry import brighter, to_db
+
+if TYPE_CHECKING:
+    from sarsplat.runs import Run
 
 Stack = Real[np.ndarray, "v rows columns"]
 """Images of V views; equal sizes within one call."""
 
 TARGET_DYNAMIC_DB = 30.0
-"""The target's mask: truth β⁰ at most this many dB below the evaluated set's maximum."""
+"""Dynamic range of the target's mask: true β⁰, dB below the test set's maximum."""
 
 REACH = 3
 """Largest shift of a prediction along each axis, pixels."""
@@ -40,11 +45,11 @@ _SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images c
 
 
 class UndefinedScore(SarsplatError):
-    """The images are sound, but this score does not exist for them."""
+    """Error: the images are valid, but this score does not exist for them."""
 
 
 def normalised_amplitude(power: Stack, reference_amplitude: float) -> Stack:
-    """√power / reference_amplitude, float32, not clipped: what the scores of protocol R compare."""
+    """√power / reference_amplitude, float32, not clipped, for the scores of protocol R."""
     if not (np.isfinite(reference_amplitude) and reference_amplitude > 0):
         raise SarsplatError(
             f"the reference amplitude {reference_amplitude} must be positive; give the largest of the training set"
@@ -68,14 +73,14 @@ def psnr_db(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
         dB. An image reproduced to within float32 rounding counts as 138 dB instead of infinity.
     """
     _check_stacks(truth, rendered)
-    each = (squares.mean(axis=(1, 2)) for squares in _squares(truth, rendered, reference_amplitude))
-    return _mean_psnr(np.concatenate([*each]))
+    squares = [one.mean(axis=(1, 2)) for one in _squares(truth, rendered, reference_amplitude)]
+    return _mean_psnr(np.concatenate(squares))
 
 
 def _squares(
     truth: Stack, rendered: Stack, reference_amplitude: float
 ) -> Iterator[Float64[np.ndarray, "1 rows columns"]]:
-    """Squared differences of amplitudes, of one image after the other: memory stays small."""
+    """Yield squared differences of amplitudes image by image, to save memory."""
     for k in range(len(truth)):
         pair = (normalised_amplitude(power[k : k + 1], reference_amplitude) for power in (truth, rendered))
         yield np.square(np.subtract(*pair), dtype=np.float64)
@@ -84,16 +89,16 @@ def _squares(
 def psnr_target_db(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
     """PSNR over the target alone, dB: pixels whose true β⁰ lies above −30 dB of the maximum of `truth`.
 
-    The target fills 1–2 % of an image, so the whole-image figure flatters by 17–20 dB; this one does not. Parameters
-    and returns as in `psnr_db`; an image without a target pixel is excluded from the average.
+    The target fills 1–2 % of an image, which raises the PSNR of whole images by 17–20 dB. Parameters and returns as in
+    `psnr_db`; images without target pixels are excluded.
     """
     _check_stacks(truth, rendered)
     if not truth.max() > 0:
         raise UndefinedScore("the true images are black everywhere, so there is no target to score; check the dataset")
     mask = brighter(truth, -TARGET_DYNAMIC_DB)
     pixels = mask.sum(axis=(1, 2))
-    each = zip(_squares(truth, rendered, reference_amplitude), mask, strict=True)
-    squares = np.concatenate([np.sum(one, axis=(1, 2), where=on[None]) for one, on in each])
+    masked = zip(_squares(truth, rendered, reference_amplitude), mask, strict=True)
+    squares = np.concatenate([np.sum(one, axis=(1, 2), where=on[None]) for one, on in masked])
     return _mean_psnr(squares[pixels > 0] / pixels[pixels > 0])
 
 
@@ -108,7 +113,7 @@ def ssim(truth: Stack, rendered: Stack, reference_amplitude: float) -> float:
             f"SSIM's 11×11 window does not fit images of {truth.shape[1]} × {truth.shape[2]} pixels; use larger ones"
         )
     scores = []
-    for pair in zip(truth, rendered, strict=True):  # one at a time: memory stays small
+    for pair in zip(truth, rendered, strict=True):  # one at a time, to save memory
         amplitudes = (normalised_amplitude(power[None], reference_amplitude)[0] for power in pair)
         padded = (np.pad(one, SSIM_WINDOW // 2, "reflect") for one in amplitudes)
         first, second = (torch.from_numpy(one).double()[None] for one in padded)
@@ -171,16 +176,16 @@ class Registration:
     nats: Float64[np.ndarray, " v"]
     """Negative log-likelihood of single-look speckle, nats per pixel."""
     shift: Int64[np.ndarray, "v 2"]
-    """How far each prediction was moved, pixels in range and in azimuth."""
+    """Shift of each prediction, pixels in range and in azimuth."""
     gain: Float64[np.ndarray, " v"]
     """Factor applied to each prediction."""
 
 
 def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
-    """Move and scale predictions so that their chips become most likely.
+    """Shift and scale predictions to the maximum likelihood of their chips.
 
-    Moved by up to three pixels each way (rolled on the full chip, then the margin is cut off), and multiplied by
-    g = mean(I / S), which is best for speckle: then log gS + I / (gS) has the mean log g + mean(log S) + 1.
+    Shifts are up to three pixels each way (rolled on the full chip, then the margin is cut off); the best gain is
+    g = mean(I / S), with which log gS + I / (gS) has the mean log g + mean(log S) + 1.
 
     Parameters
     ----------
@@ -301,3 +306,41 @@ def _check_positive(power: Stack, name: str) -> None:
             f"the {name} power is zero at {zeros} of {power.size} scored pixels, where its logarithm does not exist; "
             f"{remedy}"
         )
+
+
+@dataclass(frozen=True)
+class MaskPair:
+    """True and predicted masks of some images of one test set."""
+
+    truth: Masks
+    predicted: Masks
+    """0 clutter, 1 target, 2 shadow; predicted masks are shifted like their registered images."""
+
+    def iou(self, kind: int) -> float:
+        """Intersection over union of one kind of pixels, mean over the images that have any (else `UndefinedScore`)."""
+        truth, predicted = self.truth == kind, self.predicted == kind
+        both, either = ((one.sum(axis=(1, 2))) for one in (truth & predicted, truth | predicted))
+        if not either.any():
+            raise UndefinedScore("neither the true nor the predicted masks have such pixels")
+        return float(np.mean(both[either > 0] / either[either > 0]))
+
+
+def predicted_masks(run: Run, images: Dataset, rendered: Stack) -> Masks:
+    """Masks of a run for the images of one set, moved as `register` moves the rendered images if they are speckled.
+
+    The position of a chip in its frame is thus estimated from its likelihood, never from true masks.
+
+    Raises
+    ------
+    UndefinedScore
+        As in `register`.
+    """
+    masks = run.masks(images.views)
+    if images.looks is None:
+        return masks
+    return _displaced(masks, register(images.power, rendered, images.score_margin).shift)
+
+
+def _displaced(masks: Masks, shifts: Int64[np.ndarray, "v 2"]) -> Masks:
+    """Shift each mask by whole pixels (range, azimuth), with clutter at the edges."""
+    return np.stack([displaced(mask, moved, order=0) for mask, moved in zip(masks, shifts, strict=True)])

@@ -1,7 +1,7 @@
-"""The table of metrics: name, unit, direction and definition of each, where it applies and how it is computed.
+"""Table of metrics: name, unit, direction, definition, requirements and function of each.
 
-The evaluation, `metrics.json`, the table in the terminal, the report's page, the README and the documentation take what
-they say about a metric from here. To add one, write its function and add an entry.
+Evaluation, `metrics.json`, terminal, report, README and documentation use this table. To add a metric, write its
+function and add an entry.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import numpy as np
 
 from sarsplat.data import Dataset
 from sarsplat.evaluation import images, lpips
-from sarsplat.evaluation.images import REACH, Stack, UndefinedScore
-from sarsplat.evaluation.masks import MaskPair
+from sarsplat.evaluation.images import REACH, MaskPair, Stack, UndefinedScore
 from sarsplat.evaluation.points import NORMALS_OFF_DEG, PointMetrics, Yardstick
 from sarsplat.evaluation.undetermined import undetermined
 from sarsplat.geometry import SHADOW, TARGET
@@ -25,7 +24,7 @@ from sarsplat.runs import Run
 
 @dataclass(frozen=True)
 class Requirement:
-    """A condition on the dataset for a metric to apply, and the reason to give where it is not met."""
+    """Condition on a dataset for a metric to apply, and the reason where it is not met."""
 
     met: Callable[[Dataset], bool]
     otherwise: str
@@ -38,28 +37,28 @@ Measured = TypeVar("Measured")
 
 @dataclass(frozen=True)
 class Metric(Generic[Measured]):
-    """One metric."""
+    """A metric of one kind of measured objects: images, masks, points or runs."""
 
     key: str
-    """Its name in `metrics.json`."""
+    """Name in `metrics.json`."""
     label: str
-    """Its name for readers, without the unit."""
+    """Name for readers, without the unit."""
     unit: str
-    """Its unit; empty if it has none."""
+    """Unit; empty if it has none."""
     digits: str
-    """How it is printed, as Python formats numbers: lengths with three significant digits, whatever their size."""
+    """Format specification of its value."""
     better: Literal["more", "less"] | None
-    """Which of two values is the better one; None if neither is."""
+    """Direction of better values; None if it has none."""
     definition: str
-    """What exactly is computed, in one line."""
+    """Exact definition in one line."""
     compute: Callable[[Measured], float]
-    """Its value; raises `UndefinedScore` where it has none."""
+    """Function that returns its value or raises `UndefinedScore`."""
     requires: Requirement = NOTHING
-    """To which datasets it applies."""
+    """Requirement on the dataset."""
     short: str = ""
-    """Heading of its column in the terminal, without the unit; empty if it has no column there and in the README."""
+    """Heading of its column in terminal and README, without the unit; empty if it has no column there."""
     place: Literal["headline", "table", "file"] = "table"
-    """In the report: large at the top and in the table, in the table only, or not at all."""
+    """Place in the report: at the top and in the table, in the table only, or nowhere."""
 
     @property
     def title(self) -> str:
@@ -81,7 +80,7 @@ class Metric(Generic[Measured]):
         return "–" if value is None else f"{value:{self.digits}}".rstrip(".")
 
     def best(self, values: Sequence[float | None]) -> float | None:
-        """The best of several values; None if there is nothing to compare."""
+        """Best of several values; None if there is nothing to compare."""
         defined = [value for value in values if value is not None]
         if self.better is None or len(defined) < 2:
             return None
@@ -90,7 +89,7 @@ class Metric(Generic[Measured]):
 
 @dataclass(frozen=True)
 class ImagePair:
-    """Images of one test set, true and rendered, with what their scores refer to."""
+    """True and rendered images of one test set, with parameters of their scores."""
 
     truth: Stack
     rendered: Stack
@@ -109,7 +108,7 @@ def image_parameters(dataset: Dataset) -> dict[str, Any]:
     """Attributes of `ImagePair` that depend on the dataset alone; the metrics' definitions refer to them."""
     train = dataset.images("train")
     tests = [dataset.images(split) for split in dataset.splits() if split != "train"]
-    # speckle's peaks are several times as bright as the target, which would flatter every score of clean test images
+    # speckle peaks, several times as bright as the target, would raise every score of clean test images
     clean = tests if dataset.clean_tests and tests else [train]
     return {
         "reference_amplitude": float(np.sqrt(max(images.max() for images in clean))),
@@ -215,11 +214,11 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
         lambda pair: images.log_correlation(pair.truth, pair.rendered, pair.score_margin),
     ),
 )
-"""Metrics of images from unseen views; those for images without speckle come first."""
+"""Metrics of images from unseen views; those of images without speckle come first."""
 
 
 def leading_metric(dataset: Dataset) -> Metric[ImagePair]:
-    """The score of images that stands first wherever this dataset's results are shown."""
+    """Image metric that is shown first for this dataset."""
     return next(metric for metric in IMAGE_METRICS if metric.place == "headline" and metric.requires.met(dataset))
 
 
@@ -243,7 +242,7 @@ MASK_METRICS: tuple[Metric[MaskPair], ...] = (
         place="headline",
     ),
 )
-"""Metrics of images with true masks: how well target and shadow are distinguished."""
+"""Metrics of predicted masks of target and shadow."""
 
 
 _of_points = partial(Metric[PointMetrics], requires=KNOWN_SURFACE)
@@ -256,7 +255,7 @@ def _of_normals(value: float | None) -> float:
 
 
 def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
-    """The metrics of reconstructed points; thresholds are parts of their names."""
+    """Metrics of reconstructed points; their names contain the thresholds."""
     (cell, middle, _), voxel = yardstick.thresholds_m, f"{yardstick.voxel_m:.3g} m"
     return (
         _of_points(
@@ -336,18 +335,12 @@ def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
 
 def _time_s(run: Run) -> float:
     if not run.time_s:
-        raise UndefinedScore("no training of ours has made these Gaussians, so its time is not known")
+        raise UndefinedScore("these Gaussians were not trained here, so the training time is not known")
     return run.time_s
 
 
 RUN_METRICS: tuple[Metric[Run], ...] = (
-    Metric(
-        "time_s",
-        *("training time", "s", ".0f", "less"),
-        "wall-clock time of the training",
-        _time_s,
-        short="time",
-    ),
+    Metric("time_s", *("training time", "s", ".0f", "less"), "wall-clock time of the training", _time_s, short="time"),
     Metric(
         "undetermined",
         *("surface that images leave open", "", ".3f", None),
@@ -370,9 +363,9 @@ def compute_all(
     prefix: str,
     reasons: dict[str, str],
 ) -> dict[str, float | None]:
-    """Value of every metric of what was measured; None where it does not apply to the dataset or has no value.
+    """Compute all metrics; None for those that do not apply to the dataset or are undefined.
 
-    `reasons` is filled in: `prefix` (empty, or ending in a dot) and key of each metric that is None, and why.
+    `reasons` gets `prefix` (empty, or ending in a dot) and key of each metric that is None, and why.
     """
     values: dict[str, float | None] = {}
     for metric in metrics:

@@ -67,9 +67,9 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     half = seen_by_all(model.frame.views, grid)
     if half <= 0:
         raise UndefinedScore("not all training images show the world's origin")
-    some = np.unique(np.linspace(0, len(train.views) - 1, min(len(train.views), _VIEWS)).round().astype(int))
-    views = [model.frame.views[k] for k in some]
-    excess_db = _excess_db(train.power[some], _without_far(run, some), grid)
+    chosen = np.unique(np.linspace(0, len(train.views) - 1, min(len(train.views), _VIEWS)).round().astype(int))
+    views = [model.frame.views[k] for k in chosen]
+    excess_db = _excess_db(train.power[chosen], _without_far(run, chosen), grid)
     region, terrain = model.frame.region, model.frame.terrain
     side = np.linspace(-half, half, min(_PLACES, 2 * int(half / grid.cell_m) + 1))
     heights = np.arange(region.low[2], region.high[2], max(2 * grid.cell_m, np.ptp(side) / _PLACES))
@@ -110,6 +110,6 @@ def _excess_db(
     power: Float32[np.ndarray, "v rows columns"], expected: Float32[np.ndarray, "v rows columns"], grid: ImageGrid
 ) -> Float64[np.ndarray, "v rows columns"]:
     """Ratio of smoothed images to smoothed renderings, dB; near 0 where both are dark."""
-    shown, ours = smoothed(power, grid), smoothed(expected, grid)
-    dark = np.maximum(np.median(shown, axis=(1, 2), keepdims=True), _FAINT * usual_peak(power))
-    return to_db(shown + dark, ours + dark)
+    smooth, rendered = smoothed(power, grid), smoothed(expected, grid)
+    dark = np.maximum(np.median(smooth, axis=(1, 2), keepdims=True), _FAINT * usual_peak(power))
+    return to_db(smooth + dark, rendered + dark)

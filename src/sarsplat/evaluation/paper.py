@@ -1,4 +1,4 @@
-"""The figures that SAR-GS published: Tables II and III (rendered sets), VI and VII (ablations on the measured T72)."""
+"""Published scores of SAR-GS: Tables II and III (rendered sets), VI and VII (ablations on the measured T72)."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from sarsplat.evaluation.tables import Scores
 
 
 def _points(*row: float) -> dict[str, float]:
-    """A row of Tables III, VI and VII, whose columns are R→G, G→R, CD, P, R, F1, by our keys.
+    """Return a row of Tables III, VI and VII (columns R→G, G→R, CD, P, R, F1) by the keys of `metrics.json`.
 
-    By its rows, R→G goes with precision and G→R with recall (docs/concepts/paper-map.md). The paper does not state its
-    F1 threshold; 0.3 m is the most lenient of ours.
+    R→G goes with precision and G→R with recall (docs/concepts/paper-map.md). The paper does not state its F1 threshold;
+    0.3 m is the largest here.
     """
     keys = ("accuracy_m", "completeness_m", "cd_m", "precision@0.3", "recall@0.3", "f1@0.3")
     return dict(zip(keys, row, strict=True))
@@ -41,7 +41,7 @@ PAPER_DENSIFICATION: dict[int, dict[str, float]] = {
     18_000: _points(0.130, 0.199, 0.165, 0.987, 0.890, 0.936),
     20_000: _points(0.136, 0.193, 0.164, 0.984, 0.895, 0.938),
 }
-"""Table VI (measured T72): scores by the iteration at which densification stops; 0: there is none."""
+"""Table VI (measured T72): scores by the iteration at which densification stops; 0 is without densification."""
 
 PAPER_DENSITY: dict[int, dict[str, float]] = {
     30_000: _points(0.131, 0.207, 0.169, 0.990, 0.865, 0.924) | {"time_s": 560},
@@ -56,7 +56,7 @@ NOT_THE_SAME_EXPERIMENT = (
     "The paper's figures are not the same experiment: its targets and images are not published, its truth is rendered "
     "by its own method, and its F1 threshold and Chamfer distance are not defined."
 )
-"""The caveat to show wherever the paper's figures appear beside others."""
+"""Caveat, shown wherever the paper's figures are compared with others."""
 
 
 def paper_scores(target: str) -> Scores:

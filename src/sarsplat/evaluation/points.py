@@ -16,28 +16,27 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.surface.cells import numbered
 from sarsplat.uninterruptible import uninterruptible
 
-_AT_ONCE = 20_000  # points whose distances fit into a processor's cache
-_SAMPLES_AT_ONCE = 200_000  # a second at most, so that progress is seen
+_BATCH = 20_000  # points whose distances fit into a processor's cache
+_SAMPLES_BATCH = 200_000  # at most a second between reports of progress
 NORMALS_OFF_DEG = 30.0
-"""Beyond this angle a normal counts as wrong, degrees."""
+"""Largest error of a correct normal, degrees."""
 
 
 @dataclass(frozen=True)
 class Yardstick:
-    """The lengths used to score points: fractions of the images' resolution cell.
+    """Lengths that scores of points use: fractions of the images' resolution cell.
 
     Parameters
     ----------
     cell_m : float
-        The cell, m. Of images it is rounded to one significant digit, so that sensors that differ little are scored
-        the same way.
+        Resolution cell, m; `of` rounds it to one significant digit, so that similar sensors are scored alike.
     """
 
     cell_m: float
 
     @classmethod
     def of(cls, grid: ImageGrid) -> Yardstick:
-        """The yardstick of images: 0.3 m both for cells of 0.3 m and for the 0.312 m of MSTAR."""
+        """Yardstick of images: 0.3 m for cells of 0.3 m as well as for MSTAR's 0.312 m."""
         return cls(_rounded(grid.cell_m))
 
     @property
@@ -47,7 +46,7 @@ class Yardstick:
 
     @property
     def voxel_m(self) -> float:
-        """Edge of the voxels in each of which at most one reconstructed point counts, m."""
+        """Edge of the voxels that thin reconstructed points to one each, m."""
         return self.cell_m / 15
 
     @property
@@ -71,7 +70,7 @@ class PointMetrics:
     cd_m: float
     """Chamfer distance: the mean of both means, m."""
     cd_squared_m2: float
-    """The paper's: half the sum of the mean squared distances, m²."""
+    """Chamfer distance of the paper: half the sum of the mean squared distances, m²."""
     precision: dict[float, float]
     recall: dict[float, float]
     f1: dict[float, float]
@@ -83,7 +82,7 @@ class PointMetrics:
     """Median angle between the points' normals and that of the nearest true triangle, whatever their signs, degrees;
     None if the points have no normals."""
     normals_off: float | None = None
-    """Share of the points for which it is more than `NORMALS_OFF_DEG`."""
+    """Share of the points with an angle above `NORMALS_OFF_DEG`."""
 
 
 @checks_arguments
@@ -112,8 +111,8 @@ def point_metrics(
     Raises
     ------
     SarsplatError
-        If there is no point or no sample, or one or a normal is not finite, or no triangle has an area, or there are
-        not as many normals as points.
+        If there is no point, no sample or no triangle with an area, if numbers are not finite, or if the number of
+        normals is not that of the points.
     """
     cloud = Cloud(points, yardstick, normals)
     _check("samples of the true surface", samples)
@@ -124,10 +123,7 @@ class Cloud:
     """Reconstructed points, ready to be scored against several parts of the true surface (see `point_metrics`)."""
 
     def __init__(
-        self,
-        points: Float[np.ndarray, "p 3"],
-        yardstick: Yardstick,
-        normals: Float[np.ndarray, "p 3"] | None = None,
+        self, points: Float[np.ndarray, "p 3"], yardstick: Yardstick, normals: Float[np.ndarray, "p 3"] | None = None
     ) -> None:
         _check("reconstructed points", points)
         if normals is not None and len(normals) != len(points):
@@ -136,9 +132,9 @@ class Cloud:
             _check("normals of the points", normals)
         first = _first_of_voxels(points, yardstick.voxel_m)
         first = first[order_in_space(points[first].astype(np.float64))]
-        self._kept = points[first].astype(np.float64)
+        self._points = points[first].astype(np.float64)
         self._normals = None if normals is None else normals[first].astype(np.float64)
-        self._tree = cKDTree(self._kept, leafsize=32, balanced_tree=False, compact_nodes=False)  # fastest
+        self._tree = cKDTree(self._points, leafsize=32, balanced_tree=False, compact_nodes=False)  # fastest
         self._thresholds_m = yardstick.thresholds_m
 
     def scores(
@@ -147,20 +143,20 @@ class Cloud:
         samples: Float[np.ndarray, "s 3"],
         advanced: Callable[[float], object] = lambda share: None,
     ) -> PointMetrics:
-        """The scores of `point_metrics`; several times as fast if the samples are `side_by_side`.
+        """Compute the scores of `point_metrics`; several times as fast if the samples are `side_by_side`.
 
-        `advanced` is called now and then with the share of the work that is done, 0 to 1.
+        `advanced` is called from time to time with the share of the work done, 0 to 1.
         """
-        to_surface, across = on_surface(self._kept, triangles)
+        to_surface, surface_normals = on_surface(self._points, triangles)
         normals_deg, normals_off = None, None
         if self._normals is not None:
             lengths = np.maximum(np.linalg.norm(self._normals, axis=1), np.finfo(float).tiny)
-            cosine = np.abs(np.einsum("pc,pc->p", self._normals, across)) / lengths
+            cosine = np.abs(np.einsum("pc,pc->p", self._normals, surface_normals)) / lengths
             angle_deg = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
             normals_deg, normals_off = float(np.median(angle_deg)), float(np.mean(angle_deg > NORMALS_OFF_DEG))
         to_points = np.empty(len(samples))
-        for first in range(0, len(samples), _SAMPLES_AT_ONCE):
-            part = slice(first, first + _SAMPLES_AT_ONCE)
+        for first in range(0, len(samples), _SAMPLES_BATCH):
+            part = slice(first, first + _SAMPLES_BATCH)
             to_points[part] = uninterruptible(self._tree.query, samples[part], workers=-1)[0]
             advanced(min(1.0, part.stop / len(samples)))
         precision = {threshold: float(np.mean(to_surface <= threshold)) for threshold in self._thresholds_m}
@@ -174,7 +170,7 @@ class Cloud:
             precision=precision,
             recall=recall,
             f1={threshold: _harmonic_mean(precision[threshold], recall[threshold]) for threshold in precision},
-            count=len(self._kept),
+            count=len(self._points),
             normals_deg=normals_deg,
             normals_off=normals_off,
         )
@@ -188,18 +184,18 @@ def _check(name: str, points: Float[np.ndarray, "p c"]) -> None:
 
 
 def side_by_side(points: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
-    """The points in an order in which neighbours in space are neighbours in memory, which speeds up searches."""
+    """Sort points so that neighbours in space are neighbours in memory, which speeds up searches."""
     points = points.astype(np.float64)
     return points[order_in_space(points)]
 
 
 def order_in_space(points: Float64[np.ndarray, "p 3"]) -> Int64[np.ndarray, " p"]:
-    """The order of the points in the leaves of a k-d tree."""
+    """Indices of the points in the order of the leaves of a k-d tree."""
     return cKDTree(points, leafsize=64, compact_nodes=False, balanced_tree=False).indices
 
 
 def thin(points: Float[np.ndarray, "p 3"], voxel: float) -> Float[np.ndarray, "fewer 3"]:
-    """The first point of every voxel (edge in m, anchored at the origin), float64 [≤ P, 3], in their old order."""
+    """Keep the first point of every voxel (edge in m, anchored at the origin), in order, float64 [≤ P, 3]."""
     return points[_first_of_voxels(points, voxel)].astype(np.float64)
 
 
@@ -218,9 +214,9 @@ def surface_distance(
 def on_surface(
     points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"]
 ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:
-    """Distance of each point from the nearest triangle, m, and that one's unit normal; those without area are ignored.
+    """Distance of each point from the nearest triangle, m, and that triangle's unit normal.
 
-    The nearest triangle is found in float32, and the distance from it calculated in float64.
+    Triangles without area are ignored. The nearest one is found in float32, its distance computed in float64.
     """
     import fcpw
     from trimesh.triangles import closest_point, nondegenerate
@@ -234,16 +230,16 @@ def on_surface(
     scene.set_object_vertices((triangles - middle).reshape(-1, 3).astype(np.float32), 0)
     scene.set_object_triangles(np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3), 0)
     scene.build(fcpw.aggregate_type.bvh_surface_area, True)
-    distance, across = np.empty(len(points)), np.empty((len(points), 3))
-    for first in range(0, len(points), _AT_ONCE):
-        part, found = slice(first, first + _AT_ONCE), fcpw.interaction_3D_list()
-        some = points[part]
-        anywhere = np.full(len(some), np.inf, np.float32)
-        scene.find_closest_points((some - middle).astype(np.float32), anywhere, found)
-        nearest = triangles[np.fromiter((one.primitive_index for one in found), np.int64, len(some))]
-        distance[part] = np.linalg.norm(closest_point(nearest, some) - some, axis=1)
-        across[part] = np.cross(nearest[:, 1] - nearest[:, 0], nearest[:, 2] - nearest[:, 0])
-    return distance, across / np.linalg.norm(across, axis=1, keepdims=True)
+    distance, normals = np.empty(len(points)), np.empty((len(points), 3))
+    for first in range(0, len(points), _BATCH):
+        part, found = slice(first, first + _BATCH), fcpw.interaction_3D_list()
+        batch = points[part]
+        radii = np.full(len(batch), np.inf, np.float32)
+        scene.find_closest_points((batch - middle).astype(np.float32), radii, found)
+        nearest = triangles[np.fromiter((one.primitive_index for one in found), np.int64, len(batch))]
+        distance[part] = np.linalg.norm(closest_point(nearest, batch) - batch, axis=1)
+        normals[part] = np.cross(nearest[:, 1] - nearest[:, 0], nearest[:, 2] - nearest[:, 0])
+    return distance, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def _harmonic_mean(a: float, b: float) -> float:

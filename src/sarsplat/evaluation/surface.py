@@ -29,36 +29,36 @@ if TYPE_CHECKING:
     from sarsplat.data import Dataset
 
 _BATCH = 1_000_000  # rays traced at once
-_MOST_RAYS = 10_000_000
-"""In a view: of large scenes, rays are farther apart. Their smallest parts hardly weigh in scores by area."""
+_MAX_RAYS = 10_000_000
+"""Maximum number of rays of a view; in large scenes they are farther apart."""
 
 _LIFT = 1e-5
-"""Shadow rays start this far from the surface, as a part of the mesh's extent: a hundred times float32's rounding."""
+"""Distance from the surface at which shadow rays start, relative to the mesh: 100 times float32's rounding."""
 
-_THIN = 1e-3
-"""Thickness of ground, m."""
+_THICKNESS_M = 1e-3
+"""Thickness of the ground, m."""
 
-_LARGEST_ROUND = 4_000_000  # samples drawn at once when most of them turn out to be hidden
+_MAX_SAMPLES = 4_000_000  # drawn at once, when most of them are hidden
 _THREADS = min(8, os.cpu_count() or 1)  # each holds a batch of rays, so more would take gigabytes
-_POINTS = 50_000  # that a thread asks at a time whether they are seen
+_POINTS = 50_000  # tested at once in a thread
 
 
 @dataclass(frozen=True)
 class VisibleSurface:
-    """The true surface, whole and as far as it is seen from at least one view, world frame, m."""
+    """True surface, whole and the part visible from at least one view, world frame, m."""
 
     triangles: Float64[np.ndarray, "visible 3 3"]
-    """Visible triangles, whole: those that are the first hit of at least one ray (vertex, coordinate last)."""
+    """Triangles that at least one ray hits first (vertex, coordinate last)."""
     all_triangles: Float64[np.ndarray, "all 3 3"]
     """Every triangle of the mesh."""
     samples: Float32[np.ndarray, "s 3"]
-    """Area-weighted random points of the visible surface: each lies on a visible triangle and is itself seen."""
+    """Area-weighted random points of the visible surface, each of them visible."""
     samples_whole: Float32[np.ndarray, "w 3"]
     """Area-weighted random points of every triangle."""
 
 
 def read_truth_mesh(path: Path) -> trimesh.Trimesh:
-    """The true mesh of a dataset, exactly as it was written.
+    """Read the true mesh of a dataset, unchanged.
 
     Raises
     ------
@@ -75,19 +75,19 @@ def read_truth_mesh(path: Path) -> trimesh.Trimesh:
 
 
 def of_stacks(mesh: trimesh.Trimesh, dataset: Dataset) -> trimesh.Trimesh:
-    """The mesh, with level ground around it if images show any: stacks are scored on all that they show."""
+    """Add level ground to the mesh if images show any: stacks are scored on ground, too."""
     import trimesh
 
     if not dataset.ground:
         return mesh
     side = 2 * ground_radius_m(dataset.views, dataset.grid)
-    ground = trimesh.creation.box((side, side, _THIN))
-    ground.apply_translation((0.0, 0.0, -_THIN / 2))
+    ground = trimesh.creation.box((side, side, _THICKNESS_M))
+    ground.apply_translation((0.0, 0.0, -_THICKNESS_M / 2))
     return trimesh.util.concatenate(mesh, ground)  # type: ignore[return-value]
 
 
 def imaged_alone(surface: VisibleSurface, dataset: Dataset) -> VisibleSurface:
-    """The surface with samples only where a training image shows them."""
+    """Keep the samples that a training image shows."""
     views = dataset.select("train").views
     inside = np.any([imaged(surface.samples.astype(np.float64), view, dataset.grid) for view in views], axis=0)
     return replace(surface, samples=surface.samples[inside])
@@ -103,9 +103,9 @@ def visible_surface(
     seed: int = 0,
     advanced: Callable[[float], object] = lambda share: None,
 ) -> VisibleSurface:
-    """Triangles and samples of the surface that at least one of the views sees.
+    """Find triangles and samples of the surface that at least one of the views sees.
 
-    Surfaces are two-sided: dirty meshes have no reliable outside.
+    Surfaces are two-sided, as many meshes have no reliable outside.
 
     Parameters
     ----------
@@ -114,14 +114,14 @@ def visible_surface(
     views : sequence of View
         The training views.
     ray_spacing : float
-        Spacing of the parallel rays that find visible triangles, m; `Yardstick.ray_spacing_m` for scores. It is larger
-        where that would be more than ten million rays in a view.
+        Spacing of the parallel rays that find visible triangles, m; `Yardstick.ray_spacing_m` for scores. It is
+        increased to limit a view to ten million rays.
     samples : int
         Number of samples of the visible and of the whole surface.
     seed : int
         Seed of the random samples.
     advanced : callable, optional
-        Called now and then with the share of the work that is done, 0 to 1.
+        Called from time to time with the share of the work done, 0 to 1.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def visible_surface(
     weight, lift = mesh.area_faces * visible, _LIFT * mesh.scale
     seen, missing, fraction = [np.empty((0, 3), np.float32)], samples, 1.0
     while missing > 0:
-        count = min(int(missing / fraction * 1.02) + 100, _LARGEST_ROUND)
+        count = min(int(missing / fraction * 1.02) + 100, _MAX_SAMPLES)
         candidates = surface_samples(mesh, count, generator, weight)
         lit = candidates[_are_seen(scene, candidates, views, lift)][:missing].astype(np.float32)
         seen.append(lit)
@@ -175,12 +175,12 @@ def _scene(mesh: trimesh.Trimesh) -> EmbreeScene:
 
 
 def _towards(direction: Float64[np.ndarray, " 3"]) -> Float32[np.ndarray, "1 3"]:
-    """One direction, used for all rays of a batch, float32 [1, 3]."""
+    """Direction of all rays of a batch, float32 [1, 3]."""
     return direction.astype(np.float32)[None]
 
 
 def _first_hits(scene: EmbreeScene, mesh: trimesh.Trimesh, view: View, spacing: float) -> Bool[np.ndarray, " t"]:
-    """Indices of the triangles that the rays of a view hit first."""
+    """Mask of the triangles that rays of a view hit first."""
     hit = np.zeros(len(mesh.faces), dtype=bool)
     for origins in _lattice(np.asarray(mesh.vertices), view, spacing):
         numbers = scene.run(origins, _towards(-view.look.facing))
@@ -191,10 +191,10 @@ def _first_hits(scene: EmbreeScene, mesh: trimesh.Trimesh, view: View, spacing: 
 def _lattice(
     vertices: Float64[np.ndarray, "n 3"], view: View, spacing: float
 ) -> Iterator[Float32[np.ndarray, "rays 3"]]:
-    """Batches of ray origins, float32 [≤ batch, 3]: a lattice on the computation plane, just before the mesh begins."""
+    """Yield batches of ray origins, float32 [≤ batch, 3]: a lattice on the computation plane, before the mesh."""
     frame = view.look.frame
     low, high = (vertices @ frame.T).min(axis=0), (vertices @ frame.T).max(axis=0)
-    spacing = max(spacing, math.sqrt((high[0] - low[0]) * (high[1] - low[1]) / _MOST_RAYS))
+    spacing = max(spacing, math.sqrt((high[0] - low[0]) * (high[1] - low[1]) / _MAX_RAYS))
     x, y = ((np.arange(np.floor(low[k] / spacing), np.ceil(high[k] / spacing)) + 0.5) * spacing for k in (0, 1))
     lines = max(1, _BATCH // max(1, len(x)))
     for first in range(0, len(y), lines):
@@ -205,7 +205,7 @@ def _lattice(
 def _are_seen(
     scene: EmbreeScene, points: Float64[np.ndarray, "p 3"], views: Sequence[View], lift: float
 ) -> Bool[np.ndarray, " p"]:
-    """Whether a ray from `lift` (m) above each surface point reaches the radar of at least one view, bool [P]."""
+    """Mask of the surface points from which a ray, starting `lift` (m) above, reaches the radar of a view."""
     order, seen = order_in_space(points), np.empty(len(points), dtype=bool)
     views = [views[index] for index in _spread(len(views))]
     parts = [order[first : first + _POINTS] for first in range(0, len(order), _POINTS)]
@@ -228,6 +228,6 @@ def _seen(
 
 
 def _spread(count: int) -> list[int]:
-    """Indices 0 … count − 1, the first ones far apart: a few views from different sides see most of a surface."""
+    """Indices 0 … count − 1 in an order that starts with distant ones: a few views see most of a surface."""
     bits = (count - 1).bit_length()
     return sorted(range(count), key=lambda index: f"{index:0{bits}b}"[::-1])

@@ -1,4 +1,4 @@
-"""Scores side by side, and as a table in the terminal."""
+"""Comparison of scores, and their table in the terminal."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from sarsplat.settings.config import DEFAULT_METHOD
 
 @dataclass(frozen=True)
 class Scores:
-    """What one method reached."""
+    """Scores of one method."""
 
     name: str
-    """The method, and on what: heading of its column or row."""
+    """Heading of its column or row: method and test set."""
     values: Mapping[str, float | None]
-    """Values by the metric's key; unknown ones are absent or None."""
+    """Values by metric key; unknown ones are absent or None."""
     ranked: bool = True
-    """Whether it competes for the best value in a table."""
+    """True if it competes for the best value in a table."""
 
 
 def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[Scores]:
@@ -32,14 +32,14 @@ def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[
     Parameters
     ----------
     metrics : mapping
-        What `evaluate_run` returned, or `metrics.json`.
+        Result of `evaluate_run`, or `metrics.json`.
     paper : Scores, optional
         The paper's figures, where they are comparable.
 
     Returns
     -------
     list of Scores
-        The run's hold the scores of the images, of the points against the visible surface, and of the training.
+        Those of the run have scores of images, of points against the visible surface, and of the training.
     """
     common = {**metrics["points"]["visible"], "time_s": metrics["time_s"]}
     rows = []
@@ -50,7 +50,7 @@ def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[
 
 
 def whose(metrics: Mapping[str, Any]) -> str:
-    """Name of the method that was scored."""
+    """Name of the scored method."""
     return str(metrics.get("method", DEFAULT_METHOD))
 
 
@@ -68,20 +68,20 @@ class Beaten:
     by: str
     """The best baseline."""
     metric: Metric[Any]
-    """The leading one of these images."""
+    """Leading metric of these images."""
     best: float
-    """The baseline's value."""
+    """Value of the baseline."""
     own: float | None
-    """The run's."""
+    """Value of the run."""
 
     @property
     def figures(self) -> str:
-        """What was compared: `0.8 against 0.7`, the baseline's first."""
+        """Both values in words, the baseline's first: `0.8 against 0.7`."""
         own = ", where the other has no score" if self.own is None else f" against {self.metric.text(self.own)}"
         return f"{self.metric.text(self.best)}{own}"
 
     def sentence(self, name: str) -> str:
-        """It as a sentence, of a run of this name."""
+        """Return a sentence about a run of this name."""
         return (
             f"on the set {self.split} the baseline {self.by}, which knows no third dimension, is better than {name}: "
             f"{self.metric.title} {self.figures}"
@@ -89,14 +89,14 @@ class Beaten:
 
 
 def beaten(metrics: Mapping[str, Any]) -> list[Beaten]:
-    """The test sets on which a baseline is better than the run, of `metrics.json` or its `images` and `baselines`."""
+    """Test sets on which a baseline is better than the run, from `metrics.json` or its `images` and `baselines`."""
     found = []
     for split, own in metrics["images"].items():
         others = baselines(metrics, split)
-        every = [own, *(other.values for other in others)]
+        scores = [own, *(other.values for other in others)]
         headline = (metric for metric in IMAGE_METRICS if metric.place == "headline")
-        metric = next((one for one in headline if any(values.get(one.key) is not None for values in every)), None)
-        best = None if metric is None else metric.best([values.get(metric.key) for values in every])
+        metric = next((one for one in headline if any(values.get(one.key) is not None for values in scores)), None)
+        best = None if metric is None else metric.best([values.get(metric.key) for values in scores])
         if metric is None or best is None or own.get(metric.key) == best:
             continue
         winner = next(other for other in others if other.values.get(metric.key) == best)
@@ -110,7 +110,7 @@ def beaten_by_baselines(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def summary_metrics(scores: list[Scores], yardstick: Yardstick) -> list[Metric[Any]]:
-    """The metrics of a summary: those with a short name that any of the methods has."""
+    """Metrics with a short name that any of the methods has."""
     return [
         metric
         for metric in all_metrics(yardstick)
@@ -119,9 +119,9 @@ def summary_metrics(scores: list[Scores], yardstick: Yardstick) -> list[Metric[A
 
 
 def metrics_table(scores: list[Scores], yardstick: Yardstick, caption: str | None = None) -> Table:
-    """A line for each of the scores that `comparison` returned, a column for each metric of the summary; "–" is None.
+    """Return a table with a line for each `Scores` and a column for each summary metric; "–" is None.
 
-    `yardstick` is what the points were scored with; `caption` is a note below the table.
+    `yardstick` is that of the scored points; `caption` is a note below the table.
     """
     shown = summary_metrics(scores, yardstick)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, caption=caption, caption_justify="left")

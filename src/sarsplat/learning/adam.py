@@ -18,12 +18,12 @@ from sarsplat.renderer.engines.passes import NewPass
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
 
 _LARGEST_FACTOR = 2.0**99
-"""By which one step may change a positive parameter: its bounds are reached, and float32 is not left."""
+"""Largest factor of one step on a positive parameter: it reaches its bounds and stays within float32."""
 
 
 @dataclass(frozen=True)
 class Stepped:
-    """A parameter and its moments, changed in place, and rates and range of each of its columns ([1] without any).
+    """A parameter with its moments, changed in place, and the rate and range of each column ([1] if it has none).
 
     All on one device and of one floating dtype. `logarithmic`: step the logarithm of a positive value.
     """
@@ -39,7 +39,7 @@ class Stepped:
 
 @torch.no_grad()
 def step(tensors: Sequence[Stepped], gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
-    """The `count`-th update of every parameter (from 1), and back into its range; `decays` are factors on the rates."""
+    """Make step `count` (from 1) on every parameter, then clamp it to its range; `decays` are factors on the rates."""
     rate, spread = 1 / (1 - BETA1**count), 1 / math.sqrt(1 - BETA2**count)
     max_log_factor = math.log(_LARGEST_FACTOR)
     for tensor, gradient, decay in zip(tensors, gradients, decays, strict=True):
@@ -53,7 +53,7 @@ def step(tensors: Sequence[Stepped], gradients: Sequence[Tensor], decays: Sequen
 
 
 class EngineAdam:
-    """`step` on parameters whose memory an engine writes in place."""
+    """Adam by an engine, which writes the parameters' memory in place."""
 
     def __init__(self, new_pass: NewPass, tensors: Sequence[Stepped]) -> None:
         self._new_pass, self._tensors = new_pass, tensors  # kept alive: the engine has their addresses only
@@ -62,15 +62,15 @@ class EngineAdam:
         self._groups = self._call.groups[: len(tensors)]
 
     def step(self, gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
-        """As the function `step`."""
+        """Make a step, like the function `step`."""
         for group, decay in zip(self._groups, decays, strict=True):
             group.decay = decay
         (self._call.beta1_power, self._call.beta2_power), self._call.now = powers(count), None
         self._run(gradients)
 
-    def step_told(self, gradients: Sequence[Tensor], now: Float[Tensor, " n"]) -> None:
-        """The same with the decays, and then the `powers`, from where the engine is."""
-        self._call.now = now.data_ptr()
+    def step_on_device(self, gradients: Sequence[Tensor], decays_and_powers: Float[Tensor, " n"]) -> None:
+        """Make a step that reads the decays, then the `powers`, from a tensor on the device (for CUDA graphs)."""
+        self._call.now = decays_and_powers.data_ptr()
         self._run(gradients)
 
     def _run(self, gradients: Sequence[Tensor]) -> None:
@@ -78,15 +78,15 @@ class EngineAdam:
         for group, gradient in zip(self._groups, gradients, strict=True):
             group.gradient = gradient.data_ptr()
         self._new_pass().run("adam", self._call)
-        self.tell_torch()
+        self.mark_changed()
 
-    def tell_torch(self) -> None:
-        """The engine wrote behind torch's back: whoever kept the old values for a backward pass is notified."""
+    def mark_changed(self) -> None:
+        """Notify autograd of the in-place changes, so that a backward pass with old values raises."""
         torch.autograd.graph.increment_version([tensor.value for tensor in self._tensors])
 
 
 def powers(count: int) -> tuple[float, float]:
-    """What the moments of the `count`-th step have not seen yet, as shares."""
+    """β₁ and β₂ to the power of `count`: the bias of the moments in step `count`."""
     return BETA1**count, BETA2**count
 
 
@@ -100,14 +100,14 @@ def _group(tensor: Stepped) -> dict[str, Any]:
 
 
 class PlainAdam:
-    """`step` of parameters in plain torch."""
+    """Adam in plain torch."""
 
     def __init__(self, tensors: Sequence[Stepped]) -> None:
         self.step = partial(step, tensors)
 
 
 def stepper(new_pass: NewPass | None, tensors: Sequence[Stepped]) -> EngineAdam | PlainAdam:
-    """What steps these parameters: an engine's passes, if it steps tables of as many columns."""
+    """Adam for these parameters: an engine's if it supports as many columns, else plain torch."""
     columns = max(len(tensor.rates) for tensor in tensors)
     if new_pass is None or not new_pass().has("adam", {"columns": columns}):
         return PlainAdam(tensors)

@@ -1,4 +1,4 @@
-"""Dropout: which Gaussians a step leaves out, the same on every device and computed there."""
+"""Dropout: the random Gaussians that a step omits, computed on the device and equal on all devices."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.settings.config import Config
 
 _STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03
-"""Odd numbers whose multiples have bits of all kinds."""
+"""Odd multipliers that spread step and seed over 64 bits."""
 
 _MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 """Steele, Lea & Flood, Fast splittable pseudorandom number generators, 2014, as improved by Stafford (variant 13)."""
 
 _BITS = 24
 
-_MOST = 0.4
-"""Share that few views ask for at most."""
+_MAX_SHARE = 0.4
+"""Maximum share dropped because there are few views."""
 
 
 def share_dropped(config: Config, views: int) -> float:
     """Share of the Gaussians that a step drops, given the number of training views."""
-    return max(config.dropout, min(_MOST, (config.few_views / views) ** 2))
+    return max(config.dropout, min(_MAX_SHARE, (config.few_views / views) ** 2))
 
 
 def dropped(
     count: int, share: float, seed: int, step: int | Int64[Tensor, " 1"], device: torch.device
 ) -> Bool[Tensor, " {count}"]:
-    """Which of `count` Gaussians are dropped, a share (0 to 1) of them at random; made on the device.
+    """Mask of the dropped Gaussians, a random share (0 to 1) of `count`.
 
-    A hash of seed, step and row decides, not a generator's state, which would have to be copied to the device.
+    A hash of seed, step and row decides; the state of a generator would have to be copied to the device.
     """
-    if isinstance(step, Tensor):  # which wraps around by itself
+    if isinstance(step, Tensor):  # wraps around by itself
         mixed = step * _signed(_STEP) + _signed(seed * _SEED) + _rows(count, device)
     else:
         mixed = _rows(count, device) + _signed(seed * _SEED + step * _STEP)
@@ -52,5 +52,5 @@ def _rows(count: int, device: torch.device) -> Int64[Tensor, " {count}"]:
 
 
 def _signed(number: int) -> int:
-    """The last 64 bits, as torch has them."""
+    """The last 64 bits as a signed integer, torch's int64."""
     return (number + 2**63) % 2**64 - 2**63

@@ -51,9 +51,9 @@ class Differences:
     gain_std_db: float
     """Standard deviation of the gain that target and ground of an image have in common, dB, ≥ 0."""
     displaced: int
-    """Number of images that fit better at another place, the same by even and by odd rows."""
+    """Number of images that fit better at another position, on which even and odd rows agree."""
     nats: float
-    """Change of the loss by those of shifts and gains that are worth their parameters, nats per pixel, ≤ 0."""
+    """Change of the loss by shifts and gains, if they are worth their parameters, nats per pixel, ≤ 0."""
 
 
 def chosen(dataset: Dataset) -> Config:

@@ -1,8 +1,7 @@
-"""Image windows: the part of each image that shows a part of the scene, and which Gaussians such windows need.
+"""Image windows: the part of each image that shows a part of the scene, and the Gaussians needed to render it.
 
 Something h above the ground appears h·tan ψ nearer to the radar, ψ the grazing angle (layover), and shades h/tan ψ of
-the ground behind it. So a window shows, and is darkened by, more than the part that it is for: in each view another
-halo, which follows from where Gaussians are, and how high.
+the ground behind it. So a window also needs Gaussians around its part of the scene, others in each view.
 """
 
 from __future__ import annotations
@@ -25,31 +24,27 @@ from sarsplat.renderer import Rendering, render
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
 
 _ON_RAYS = math.sqrt(2 * math.log(MAX_OPTICAL_DEPTH / MIN_RAY_DEPTH))
-"""Standard deviations within which a Gaussian touches rays, at most."""
+"""Largest distance from a Gaussian at which it attenuates rays, standard deviations."""
 
 _IN_IMAGE = math.sqrt(IMAGE_CUT)
-"""Standard deviations within which it touches pixels."""
+"""Largest distance from a Gaussian at which it changes pixels, standard deviations."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """A part of each image of a dataset.
-
-    They are stacked like whole images, as large as the largest: beyond its own pixels, a part is black, in truth and as
-    rendered.
-    """
+    """A part of each image of a dataset; stacked, they are padded with black to the size of the largest."""
 
     rows: tuple[slice, ...]
     columns: tuple[slice, ...]
     """The pixels of each image."""
     grids: tuple[ImageGrid, ...]
-    """Where these lie."""
+    """Grid of each part."""
 
     @classmethod
     def around(
         cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, margin_m: float, multiple: int
     ) -> Self:
-        """Windows around Gaussians that may yet move by a margin, in whole blocks of multiple × multiple pixels."""
+        """Windows around Gaussians that may move by a margin, in whole blocks of multiple × multiple pixels."""
         check_unstretched(views)
         sides = [_pixels(gaussians, view, grid, margin_m, multiple) for view in views]
         columns, rows = zip(*sides, strict=True)
@@ -57,7 +52,7 @@ class Windows:
 
     @property
     def stack(self) -> ImageGrid:
-        """Pixels of the stacked parts; where they lie has no meaning."""
+        """Grid of the stacked parts; its centre has no meaning."""
         rows, columns = (max(getattr(grid, name) for grid in self.grids) for name in ("rows", "columns"))
         return replace(self.grids[0], rows=rows, columns=columns)
 
@@ -68,7 +63,7 @@ class Windows:
     def shown(
         self, gaussians: Gaussians, views: Sequence[View], rays: RayGrid, ground: Ground | None, margin_m: float
     ) -> Bool[Tensor, " n"]:
-        """Which Gaussians any of the windows needs, even if they move by a margin."""
+        """Mask of the Gaussians that any window needs, even if they move by a margin."""
         needed = torch.zeros(len(gaussians), dtype=torch.bool, device=gaussians.means.device)
         for view, grid in zip(views, self.grids, strict=True):
             needed |= _needed(gaussians, view, grid, rays, ground, margin_m)
@@ -87,9 +82,9 @@ class Windows:
         shift: Float[Tensor, "v 2"] | None,
         **options: Any,
     ) -> Rendering:
-        """What `sarsplat.render` shows in the windows of these images, stacked, each with the Gaussians that it needs.
+        """Render the windows of these images, stacked, each with the Gaussians that it needs.
 
-        `grid` is that of the stack, or of the same with larger pixels.
+        `grid` is `stack`, or `stack` with larger pixels.
         """
         parts, tensors = [], gaussians.tensors()
         sections = gaussians.means.new_zeros(len(views), len(gaussians), len(gaussians.scattering.channels))
@@ -121,7 +116,7 @@ def _filled(image: Float[Tensor, "*c rows columns"], grid: ImageGrid) -> Float[T
 
 
 def _pixels(gaussians: Gaussians, view: View, grid: ImageGrid, margin_m: float, multiple: int) -> tuple[slice, slice]:
-    """Columns and rows that show any of the Gaussians, in whole blocks; one block where the image shows none."""
+    """Columns and rows that show any of the Gaussians, in whole blocks; at least one block."""
     means, widths = gaussians.means.detach(), gaussians.scales.detach().amax(1)
     x, z = means.new_tensor(view.look.gradients) @ means.T
     sides, (left, _, _, near) = [], grid.extent_m
@@ -137,7 +132,7 @@ def _pixels(gaussians: Gaussians, view: View, grid: ImageGrid, margin_m: float, 
 def _extent(
     places: Float[Tensor, " n"], widths: Float[Tensor, " n"], deviations: float, variance_m2: float, margin_m: float
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
-    """Bounds of footprints along an axis, m: as wide as the widest axis of each Gaussian."""
+    """Bounds of footprints along an axis, m, from the widest axis of each Gaussian."""
     reach = (widths**2 + variance_m2).sqrt() * deviations + margin_m
     return places - reach, places + reach
 
@@ -145,7 +140,7 @@ def _extent(
 def _needed(
     gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, ground: Ground | None, margin_m: float
 ) -> Bool[Tensor, " n"]:
-    """Which Gaussians an image shows, and which may shade these or the ground that it shows."""
+    """Mask of the Gaussians that an image shows, and of those that may occlude them or the ground in it."""
     means, widths = gaussians.means.detach(), gaussians.scales.detach().amax(1)
     x, y, z = means.new_tensor(view.look.frame) @ means.T
     variances, cells = grid.response_variance_m2, [CELL_WIDENING * spacing**2 for spacing in rays.spacing_m]
@@ -164,7 +159,7 @@ def _needed(
 
 
 def _on_ground(view: View, grid: ImageGrid, ground: Ground) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Which rays, x_r and y_r from and to, end on the ground that an image shows, m."""
+    """Ranges of x_r and y_r of the rays that end on the ground in an image, m."""
     left, right, far, near = grid.extent_m
     azimuth, slant_range = (_IN_IMAGE * variance**0.5 for variance in grid.response_variance_m2)
     return view.look.rays_to_ground(

@@ -1,8 +1,7 @@
-"""Coarse-to-fine schedule: which multilooked level of the images each iteration is fitted to.
+"""Coarse-to-fine schedule: the multilooked level of the images that each iteration fits.
 
-A level is a factor f: images are means of power over blocks of f × f pixels. The first has the largest power of two
-that leaves the target enough such blocks across, each next one half of it, the last one 1. A small target has that one
-alone.
+A level is a factor f: images are means of power over blocks of f × f pixels. The first f is the largest power of two
+that leaves enough blocks across the target; each next one is half of it, the last one 1.
 """
 
 from __future__ import annotations
@@ -15,23 +14,23 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.settings.config import Config
 
-_ACROSS = 20
-"""Resolution cells across the target, at least, in multilooked images: in fewer, its parts are not told apart."""
+_MIN_ACROSS = 20
+"""Minimum number of resolution cells across the target in multilooked images."""
 
-_UNTIL = 0.75
-"""Share of the iterations after which the images themselves are looked at; coarser levels share the time before."""
+_COARSE_SHARE = 0.75
+"""Share of the iterations that the coarser levels take together; the rest is at full resolution."""
 
 
 @dataclass(frozen=True)
 class Levels:
-    """The schedule of levels: blocks of pixels that each iteration's images are averaged over."""
+    """Schedule of levels over the iterations of a training."""
 
     coarsest: int
     """Factor of the first level, a power of two."""
     grid: ImageGrid
-    """Of the images themselves."""
+    """Grid at full resolution."""
     iterations: int
-    """Of the whole training."""
+    """Length of the training."""
 
     @classmethod
     def of(cls, config: Config, frame: SceneFrame) -> Levels:
@@ -39,7 +38,7 @@ class Levels:
         shown_m = (grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1])  # a box may be given, of any size
         across_m, factor = min(math.sqrt(width_m * depth_m), *shown_m), 1
         coarsest = min(config.coarsest, grid.rows, grid.columns)
-        while 2 * factor <= coarsest and across_m >= _ACROSS * grid.multilooked(2 * factor).cell_m:
+        while 2 * factor <= coarsest and across_m >= _MIN_ACROSS * grid.multilooked(2 * factor).cell_m:
             factor *= 2
         return cls(factor, grid, config.iterations)
 
@@ -47,23 +46,23 @@ class Levels:
     def _begins(self) -> list[int]:
         """First iteration of each level."""
         count = self.coarsest.bit_length() - 1
-        return [0, *(math.ceil(_UNTIL * self.iterations * k / count) for k in range(1, count + 1))]
+        return [0, *(math.ceil(_COARSE_SHARE * self.iterations * k / count) for k in range(1, count + 1))]
 
     def fine(self, iteration: int, share: float) -> bool:
-        """Whether this share of the iterations at full resolution has passed."""
+        """True once this share of the iterations at full resolution has passed."""
         begin = self._begins[-1]
         return iteration >= begin + share * (self.iterations - begin)
 
     def factor(self, iteration: int) -> int:
-        """The level of an iteration, the first being 0."""
+        """Level of an iteration, counted from 0."""
         return self.coarsest >> sum(begin <= iteration for begin in self._begins[1:])
 
     def begin_below(self, blocks: int) -> int:
-        """First iteration whose images are averaged over smaller blocks than these; 0 if all are."""
+        """First iteration with blocks smaller than `blocks`."""
         return next(begin for k, begin in enumerate(self._begins) if self.coarsest >> k < blocks)
 
     def growths(self, iterations: int) -> int:
-        """How often Gaussians are split in so many: in the first of each finer level, and halfway to the next."""
+        """Number of splits in the first `iterations`: one when each finer level begins, and one halfway to the next."""
         finer = self._begins[1:]
         return sum(one < iterations for one in {*finer, *((a + b) // 2 for a, b in pairwise(finer))})
 

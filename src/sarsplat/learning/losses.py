@@ -1,4 +1,4 @@
-"""What training minimises. Images are β⁰, linear power; amplitude is its root.
+"""Losses of single images. Images are β⁰, linear power; amplitude is its root.
 
 To add a loss, write a function that makes it from the configuration and the images' scale, and name it in `LOSSES`.
 """
@@ -21,14 +21,13 @@ from sarsplat.renderer.engines.operation import Operation
 from sarsplat.settings.config import Config
 
 Loss = Callable[[Tensor, Tensor], Tensor]
-"""Of rendered and true images, float32 [V, rows, columns], β⁰ in linear power; one number."""
-
+"""Function of rendered and true images, float32 [V, rows, columns], β⁰ in linear power; returns one number."""
 
 FLOOR = 1e-3
-"""Amplitudes are softened below this share of the reference: the root has no slope at zero."""
+"""Amplitude below which the square root is smoothed, relative to the reference: its slope is infinite at 0."""
 
 SPECKLE_FLOOR = 1e-4
-"""Power, of the brightest, that is added to images of nothing but a target: the logarithm has no value at zero."""
+"""Power added to images without ground before the logarithm, relative to the brightest pixel."""
 
 SSIM_WINDOW = 11
 SSIM_STD = 1.5
@@ -40,16 +39,12 @@ _WEIGHTS = tuple(_WINDOW.tolist())
 
 
 def amplitude_loss(
-    power: Float[Tensor, "v rows columns"],
-    truth: Float[Tensor, "v rows columns"],
-    reference: float,
-    ssim_weight: float,
+    power: Float[Tensor, "v rows columns"], truth: Float[Tensor, "v rows columns"], reference: float, ssim_weight: float
 ) -> Float[Tensor, ""]:
     """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude, √(power / reference² + ε²) − ε; differentiable with respect to `power`.
 
-    Rendered and true β⁰ are of one dtype and on one device; float32 is one call of the device's engine where that has
-    it, anything else plain torch. `reference` is the amplitude that counts as 1, λ the `ssim_weight`. SSIM has a
-    Gaussian window of 11 × 11, σ = 1.5, and counts where the window fits whole; smaller images are refused.
+    `reference` is the amplitude that counts as 1, λ the `ssim_weight`. SSIM has a Gaussian window of 11 × 11, σ = 1.5,
+    at pixels where it fits whole; smaller images raise. float32 uses the device's engine if it has this loss.
     """
     if truth.shape != power.shape or truth.dtype != power.dtype or truth.device != power.device:
         raise SarsplatError(
@@ -95,7 +90,7 @@ class AmplitudeLoss(Operation):
 
 
 def structural_similarity(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
-    """Mean SSIM of images in [0, 1] where the window fits whole."""
+    """Mean SSIM of images in [0, 1], over pixels where the window fits whole."""
     mean_a, mean_b, aa, bb, ab = (_blurred(maps) for maps in (a, b, a * a, b * b, a * b))
     var_a, var_b, cov = aa - mean_a**2, bb - mean_b**2, ab - mean_a * mean_b
     similarity = (2 * mean_a * mean_b + C1) * (2 * cov + C2)
@@ -103,14 +98,14 @@ def structural_similarity(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "
 
 
 def _blurred(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v fewer_rows fewer_columns"]:
-    """Seen through the window. Matrix products, because a GPU's convolutions would round to TF32."""
+    """Convolve with the window, by matrix products: a GPU's convolutions would round to TF32."""
     rows, columns = (_window_matrix(size, images.dtype, images.device) for size in images.shape[1:])
     return rows.T @ (images @ columns)
 
 
 @kept_on_device(maxsize=16)
 def _window_matrix(size: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "{size} {size-10}"]:
-    """A window in every column, each one further down."""
+    """Convolution with the window as a matrix."""
     matrix = torch.zeros(size, size - SSIM_WINDOW + 1, dtype=torch.float64, device="cpu")
     for k, weight in enumerate(_WINDOW.tolist()):
         matrix.diagonal(-k).fill_(weight)
@@ -137,10 +132,7 @@ def speckle_nats(
 def total_power_loss(
     power: Float[Tensor, "v rows columns"], intensity: Float[Tensor, "v rows columns"]
 ) -> Float[Tensor, ""]:
-    """How far total powers are apart, (difference / mean)² averaged over images: of all pixels speckle is nearly gone.
-
-    Near equality that is the square of the logarithm of their ratio; it is at most 4.
-    """
+    """Mean over images of (difference / mean)² of the total powers, in which speckle nearly averages out; at most 4."""
     rendered, true = _means(power), _means(intensity)
     mean = ((rendered + true) / 2).clamp(min=torch.finfo(power.dtype).tiny)
     return (((rendered - true) / mean) ** 2).mean(0)
@@ -151,18 +143,18 @@ def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
 
 
 def _means(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, " v"]:
-    """One dimension after the other: torch splits a sum to one number by threads, and its bits would depend on them."""
+    """Mean of each image, dimension by dimension: the bits of a sum to one number would depend on torch's threads."""
     return images.mean(2).mean(1)
 
 
 @dataclass(frozen=True)
 class ImageScale:
-    """How bright the training images are, in linear power."""
+    """Brightness of the training images, linear power."""
 
     brightest: float
     """Largest β⁰."""
     unit: float
-    """Power that counts as 1 in the model: their mean where the ground shows, else 1."""
+    """Power that counts as 1 in the model (`Config.unit`)."""
 
 
 def _amplitude(config: Config, scale: ImageScale) -> Loss:
@@ -171,7 +163,7 @@ def _amplitude(config: Config, scale: ImageScale) -> Loss:
 
 
 def _speckle(config: Config, scale: ImageScale) -> Loss:
-    if config.surroundings:  # with a noise floor of their own
+    if config.surroundings:  # the model has a noise floor
         return lambda rendered, truth: speckle_loss(rendered / scale.unit, truth / scale.unit)
     unit, weight = scale.brightest, config.total_power
 
@@ -185,13 +177,13 @@ def _speckle(config: Config, scale: ImageScale) -> Loss:
 
 @dataclass(frozen=True)
 class NamedLoss:
-    """A loss that configurations can name: what makes it, and how reports call it and its unit."""
+    """A loss that configurations can name, with its title and unit for reports."""
 
     make: Callable[[Config, ImageScale], Loss] | None
-    """None if it compares something else than images, which is compared by what observes it."""
+    """Function that makes the loss; None for the loss of stacks, which `observations/stacks.py` computes."""
     title: str
     unit: str
-    """That of a likelihood begins with `nats`."""
+    """Unit; likelihoods begin with `nats`."""
 
 
 LOSSES = {
@@ -203,12 +195,12 @@ LOSSES = {
 
 
 def named_loss(config: Config, scale: ImageScale) -> Loss:
-    """The loss that a configuration names; a SarsplatError if there is none."""
+    """Return the loss that a configuration names; raise if it is unknown or for stacks."""
     if config.loss not in LOSSES:
         raise SarsplatError(f"loss {shown(config.loss)} is unknown; {advised(config.loss, LOSSES)}")
     if (make := LOSSES[config.loss].make) is None:
         raise SarsplatError(
-            f"the loss {config.loss} is learned from stacks with passes on, and passes is off; switch it on, or choose "
-            f"the loss {' or '.join(name for name, loss in LOSSES.items() if loss.make)}"
+            f"the loss {config.loss} needs passes on, which is off; switch passes on, or choose the loss "
+            f"{' or '.join(name for name, loss in LOSSES.items() if loss.make)}"
         )
     return make(config, scale)

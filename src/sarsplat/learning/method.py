@@ -1,4 +1,4 @@
-"""The interface of a reconstruction method: settings, trainer, and what was learned."""
+"""Interface of a reconstruction method: settings, trainer, and the learned reconstruction."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a reconstruction is given that only some methods take (`Method.takes`)."""
+    """Inputs of a reconstruction that only some methods take (`Method.takes`)."""
 
     masks: Path | None = None
     """Folder of masks of the training images."""
     scattering: str | None = None
-    """Kind of the law of scattering, instead of the settings'."""
+    """Kind of the scattering law, overriding the settings."""
     loss: Loss | None = None
-    """Loss to be trained with."""
+    """Loss, overriding the settings."""
     strategies: Sequence[Any] = ()
-    """What else happens between steps."""
+    """Strategies besides the method's, which act between steps."""
 
 
 class Trainable(Protocol):
-    """Interface of a trainer, as the training loop uses it; what is derived from it omits what it lacks."""
+    """Interface of a trainer, as the training loop uses it."""
 
     iteration: int
     config: Any
@@ -55,14 +55,14 @@ class Trainable(Protocol):
         return None
 
     def step(self) -> torch.Tensor:
-        """One step; returns the loss, a single number, still on the device."""
+        """Make one step; return the loss, a single number on the device."""
 
     def check(self) -> None:
-        """Wait for the device, and raise what went wrong there."""
+        """Wait for the device and raise its errors."""
 
     @property
     def terms(self) -> dict[str, torch.Tensor]:
-        """What the last step minimised besides the loss: single numbers by name, still on the device."""
+        """Penalties in the last step: single numbers by name, on the device."""
         return {}
 
     @property
@@ -70,32 +70,32 @@ class Trainable(Protocol):
         """Learning rates of the next step, by parameter."""
 
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views as they are now, linear power; nothing random is drawn."""
+        """Render β⁰ of any views, linear power, without random numbers."""
 
     def snapshot(self, seconds: float) -> Snapshot:
-        """Everything the next step depends on, after so many seconds of training."""
+        """Return all state that the next step depends on; `seconds` is the training time."""
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to the state of a snapshot."""
+        """Restore the state of a snapshot."""
 
 
 class Method(ABC):
-    """A way from images to a target. One object, `METHOD` of a module `method_NAME.py` or an entry point."""
+    """A reconstruction method: one object, `METHOD` of a module `method_NAME.py` or an entry point."""
 
     name: str
-    """On the command line and in files."""
+    """Name on the command line and in files."""
     title: str
-    """For readers."""
+    """Name for readers."""
     settings: type[AnyConfig]
-    """What its settings are."""
+    """Type of its settings."""
     takes: frozenset[str] = frozenset()
     """Fields of `Inputs` that it uses."""
     watchable: bool = False
-    """Whether the viewer can show its trainings: its trainer has a `model` of Gaussians."""
+    """True if the viewer can show its trainings: the trainer has a `model` of Gaussians."""
 
     @abstractmethod
     def preset(self, name: str, dataset: Dataset) -> Any:
-        """Its settings of that name; "auto" is what suits the dataset. A SarsplatError if none have that name."""
+        """Return the settings of that name; "auto" chooses by the dataset. Raise if the name is unknown."""
 
     @abstractmethod
     def trainer(
@@ -106,15 +106,14 @@ class Method(ABC):
         device: torch.device,
         begun: Callable[[], Reconstruction] | None,
     ) -> Trainable:
-        """A training at its beginning: on the dataset's training images, with settings of the type `settings`.
+        """Return a new trainer on the dataset's training images.
 
-        `inputs` has only what it `takes`; `begun` opens what the run that will be resumed has learned, if that has a
-        checkpoint.
+        `inputs` has only fields in `takes`; `begun` opens the reconstruction of the run to be resumed, if there is one.
         """
 
     @abstractmethod
     def open(self, snapshot: Snapshot, config: Any, device: str, folder: Path | None) -> Reconstruction:
-        """What a training has learned; `folder` is where it keeps its results, if it has a folder.
+        """Return the reconstruction in a snapshot; `folder` is that of the run's results, if there is one.
 
         Raises KeyError, ValueError, TypeError, IndexError, RuntimeError or SarsplatError if the snapshot does not hold
         a whole model of these settings.
@@ -122,18 +121,18 @@ class Method(ABC):
 
     @abstractmethod
     def loss_title(self, config: Any) -> tuple[str, str]:
-        """What its training minimises, and the unit of that, for readers."""
+        """Return the title and the unit of the loss, for readers."""
 
     def about(self, config: Any, grid: ImageGrid) -> tuple[str, str | None]:
-        """What is shown while it trains: a heading, and one line, if there is something to say."""
+        """Return a heading and an optional line of text, shown during training."""
         return self.name, None
 
     def by_tiles(self, config: Any) -> bool:
-        """Whether a training goes on tile by tile, its trainer being a `Trainer`."""
+        """True if training continues tile by tile, which needs a `Trainer`."""
         return False
 
     def checked(self, config: AnyConfig) -> AnyConfig:
-        """The settings; refused if they are not its own."""
+        """Return the settings; raise if they are of another method."""
         if type(config) is not self.settings:
             raise SarsplatError(
                 f"the settings are a {type(config).__name__}; {self.name} takes a {self.settings.__name__}"
@@ -141,7 +140,7 @@ class Method(ABC):
         return config
 
     def refuse_others(self, inputs: Inputs) -> None:
-        """Refuse inputs that it does not use."""
+        """Raise if there are inputs that it does not use."""
         for field in fields(Inputs):
             value = getattr(inputs, field.name)
             if value != field.default and field.name not in self.takes:
@@ -150,51 +149,50 @@ class Method(ABC):
 
 
 DrawsSamples = Callable[[View, int], Complex64[np.ndarray, "rows columns"]]
-"""One image as the radar would deliver it, complex amplitudes √β⁰·e^jψ, from a view and a seed."""
+"""Function that draws a single image, complex amplitudes √β⁰·e^jψ, from a view and a seed."""
 
 
 class Reconstruction(ABC):
-    """Interface of a learned target: it renders and has points; results are numpy arrays, whatever the device."""
+    """Interface of a learned target; results are numpy arrays, whatever the device."""
 
     gaussians: Gaussians | None = None
     """The target's Gaussians, of methods that learn any."""
     model: SceneModel | None = None
-    """The scene of Gaussians, of methods that learn one: what radar maps and the viewer take apart."""
+    """The scene of Gaussians, of methods that learn one; radar maps and the viewer use it."""
 
     @abstractmethod
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views, linear power, on its grid or another one: see `Run.render`."""
+        """Render β⁰ of any views, linear power, on its grid or another one: see `Run.render`."""
 
     def covariances(
         self, views: Sequence[View], stack: Stack | Sequence[Stack], grid: ImageGrid | None = None
     ) -> Complex64[np.ndarray, "v p p rows columns"]:
-        """Covariances between passes: see `Run.render_covariances`; refused by methods that know of power alone."""
+        """Return covariances between passes (`Run.render_covariances`); raise if only power was learned."""
         raise SarsplatError(
-            "this run has not learned phases, so it has no covariances between passes; give one that sar-gs has "
-            "learned from interferometric stacks (preset stack)"
+            "this run has not learned phases, so it has no covariances between passes; reconstruct interferometric "
+            "stacks with sar-gs (preset stack)"
         )
 
     def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
-        """How a part of the scene returns polarisations together (`Run.covariance_within`); refused if it has one."""
+        """Return the polarimetric covariance of a part of the scene (`Run.covariance_within`); raise if it has none."""
         raise SarsplatError(
-            "this run has learned one polarisation; give one that sar-gs has learned from stacks of several (preset "
-            "polarimetric)"
+            "this run has learned one polarisation; reconstruct stacks of several with sar-gs (preset polarimetric)"
         )
 
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> DrawsSamples:
-        """A sampler of single speckled images (see `Run.sample`); refused by methods that know only their mean."""
+        """Return a sampler of single speckled images (`Run.sample`); raise if only their mean was learned."""
         raise SarsplatError(
-            "this run knows what is expected of images, but not how single ones differ (gain, shift, noise, speckle); "
-            "give one that sar-gs has learned from speckled images"
+            "this run has learned mean images, but not how single ones differ (gain, shift, noise, speckle); "
+            "reconstruct speckled images with sar-gs"
         )
 
     @abstractmethod
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
-        """What the pixels of any views show, given the points of the target: 0 clutter, 1 target, 2 shadow."""
+        """Masks of any views, given the points of the target: 0 clutter, 1 target, 2 shadow."""
 
     @abstractmethod
     def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> trimesh.Trimesh:
-        """The surface as triangles, world frame, m, given its points and their normals; perhaps without faces."""
+        """Surface as triangles, world frame, m, from its points and normals; it may have no faces."""
 
     @abstractmethod
     def points(self) -> Float32[np.ndarray, "p 3"]:
@@ -202,10 +200,10 @@ class Reconstruction(ABC):
 
     @abstractmethod
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
-        """Unit normals of the surface at these of its points, on the side that the radar saw."""
+        """Unit normals of the surface at these points, on the side that the radar saw."""
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"] | None:
-        """γ⁰ of these points, linear, as the training views saw it; None if the method does not know it."""
+        """γ⁰ of these points, linear, averaged over the training views; None if the method does not know it."""
         return None
 
     @property
@@ -214,13 +212,13 @@ class Reconstruction(ABC):
         return None
 
     def views_of(self, entries: Sequence[DatasetEntry], train: Dataset) -> tuple[View, ...]:
-        """Views of images, as far as training images corrected the passes that they are of."""
+        """Views of images, with the corrections that the training found for their passes."""
         return tuple(entry.view for entry in entries)
 
     @property
     @abstractmethod
     def learned(self) -> str:
-        """What was learned, in words: `4,123 Gaussians`."""
+        """Summary in words: `4,123 Gaussians`."""
 
     @property
     @abstractmethod
@@ -228,4 +226,4 @@ class Reconstruction(ABC):
         """Facts for reports besides the number of steps: names and values."""
 
     def write(self, folder: Path) -> None:  # noqa: B027
-        """Write what other programs read, besides the points, if there is anything."""
+        """Write files for other programs, besides the points."""

@@ -1,4 +1,4 @@
-"""Our own method, `sar-gs`: a target of Gaussians, and what is made of them."""
+"""The method `sar-gs`: a target of 3D Gaussians, its renderings, points, normals and masks."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ if TYPE_CHECKING:
     import trimesh
 
 _EVALUATION_RAYS_PER_PIXEL = 4.0
-_NORMAL_REACH = 3.0  # of what counts for a normal, resolution cells
-_PASSES_SAID = 6
-_NOWHERE = -1e6  # resolution cells: the ground of what is aloft
+_NORMAL_REACH = 3.0  # radius of the points that determine a normal, resolution cells
+_MAX_PASSES = 6  # listed in reports
+_NO_GROUND = -1e6  # minimum height of points of a target aloft, resolution cells
 
 
 class SarGs(Method):
@@ -66,14 +66,14 @@ class SarGs(Method):
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
-        """A preset; "auto" is for what the images show: speckle must be modelled, and ground wherever there is any."""
+        """Return a preset; "auto" chooses by speckle, stacks and ground. Ground in images is always modelled."""
         if name == "auto":
             name = "default" if dataset.looks is None else "speckled"
             name = "polarimetric" if dataset.polarimetric else "stack" if dataset.interferometric else name
             if name == "speckled" and dataset.ground:
                 return chosen(dataset)
         config = preset(name)
-        if dataset.ground and config.passes is None and config.ground is None and name != "paper":  # which has none
+        if dataset.ground and config.passes is None and config.ground is None and name != "paper":  # has none
             return replace(config, ground=FlatGround())
         return config
 
@@ -85,7 +85,7 @@ class SarGs(Method):
         device: torch.device,
         begun: Callable[[], Reconstruction] | None,
     ) -> Trainer:
-        """A training at its beginning; the settings get the name of a loss of one's own."""
+        """Return a new trainer; a custom loss gives its name to the settings."""
         if inputs.scattering is not None:
             config = replace(config, scattering=inputs.scattering)
         if inputs.loss is not None:
@@ -112,7 +112,7 @@ class SarGs(Method):
         return config.tiles > 1
 
     def about(self, config: Config, grid: ImageGrid) -> tuple[str, str]:
-        """The preset; what it was chosen by, if anything, and lengths in metres."""
+        """Return the preset; the evidence for it, if any, and lengths in metres."""
         return config.preset, "\n".join(filter(None, (config.evidence, lengths(config, grid))))
 
 
@@ -144,21 +144,21 @@ class GaussianReconstruction(Reconstruction):
         grid = grid or self.grid
         rays = self._rays(grid)
         images, done = np.empty((len(views), grid.rows, grid.columns), np.float32), 0
-        for some in self.model.unseen(views, grid, self._degree, rays):
-            images[done : done + len(some)] = channel_of(some, self.model.power_channel).cpu().numpy()
-            done += len(some)
+        for batch in self.model.unseen(views, grid, self._degree, rays):
+            images[done : done + len(batch)] = channel_of(batch, self.model.power_channel).cpu().numpy()
+            done += len(batch)
         return images
 
     def covariances(
         self, views: Sequence[View], stack: Stack | Sequence[Stack], grid: ImageGrid | None = None
     ) -> Complex64[np.ndarray, "v p p rows columns"]:
-        """With what was learned of noise; refused where ground or the like was learned, which only power shows."""
+        """Return covariances with the learned noise; raise if the run was learned from power."""
         if self.config.passes is None and self.config.preset != OWN_LOOP:
             return super().covariances(views, stack, grid)
         grid, stacks = grid or self.grid, stacks_of(self.gaussians.scattering, views, stack)
         rays = self._rays(grid)
         with torch.no_grad():
-            found = [  # one at a time: those of many passes are large
+            found = [  # one at a time: many passes take much memory
                 self.model.covariances([view], [one], grid, self._degree, rays=rays)[0].whole().cpu().numpy()
                 for view, one in zip(views, stacks, strict=True)
             ]
@@ -192,34 +192,34 @@ class GaussianReconstruction(Reconstruction):
         return self.snapshot.unit * (total / len(self.snapshot.views))
 
     def _rays(self, grid: ImageGrid) -> RayGrid:
-        """At a quarter of its own pixel spacing on every grid; warns of grids that are finer than its own.
+        """Rays at a quarter of the training images' pixel spacing, on any grid; warn if `grid` is finer than these.
 
-        Rays measure how much each Gaussian is lit, which has nothing to do with the pixels. Gaussians that no training
-        of ours has made may be finer than the pixels that were chosen for them.
+        Rays measure the lit area of Gaussians, which does not depend on pixels. For custom training loops the finer one
+        of both grids counts: their Gaussians may be finer than the pixels chosen for them.
         """
         own = self.grid
         if self.config.preset == OWN_LOOP:
-            own = min(own, grid, key=lambda each: min(each.spacing_m))
+            own = min(own, grid, key=lambda one: min(one.spacing_m))
         elif any(asked < 0.999 * had for asked, had in zip(grid.resolution_m, own.resolution_m, strict=True)):
             warnings.warn(_finer(grid, own), SarsplatWarning, stacklevel=3)
         return RayGrid.for_image(own, _EVALUATION_RAYS_PER_PIXEL)
 
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> Sampler:
-        """Refused if it has learned nothing of speckle."""
+        """Return a sampler; raise if the run was learned without speckle."""
         if self.config.surroundings is None and self.config.loss != "speckle":
             if self.config.passes is not None:
                 raise SarsplatError(
-                    f"this run was learned from covariances of stacks (preset {self.config.preset}), so it does not "
-                    "know how single images differ; reconstruct their power with --preset measured or speckled"
+                    f"this run was learned from stacks (preset {self.config.preset}), which show no differences of "
+                    "single images; reconstruct their power with the preset measured or speckled"
                 )
             raise SarsplatError(
-                f"this run was learned without speckle (preset {self.config.preset}, loss {self.config.loss}), so it "
-                "does not know how single images differ; reconstruct speckled images with --preset measured or speckled"
+                f"this run was learned without speckle (preset {self.config.preset}, loss {self.config.loss}); "
+                "reconstruct speckled images with the preset measured or speckled"
             )
         return Sampler(self.model, self._degree, self.grid, ground, speckle, scatterers)
 
     def masks(self, views: Sequence[View], points: Float32[np.ndarray, "p 3"]) -> UInt8[np.ndarray, "v rows columns"]:
-        """What the pixels of any views show, by what target and ground would return, each alone (`scene_masks`).
+        """Masks of any views, from renderings of the target alone and of the ground alone (`scene_masks`).
 
         The target are the Gaussians near the points and, if ground was learned, at least one resolution cell above it
         (`without_imitated_ground`). Without learned ground there is no shadow.
@@ -244,7 +244,7 @@ class GaussianReconstruction(Reconstruction):
 
     @property
     def _corrections(self) -> Float64[np.ndarray, "passes 3"] | None:
-        """Of each uncertain pass, of its axis in two directions, degrees, and of its rate, as a share."""
+        """Corrections of each uncertain pass: axis in two directions, degrees, and relative rate; None without any."""
         corrections = self.snapshot.tensors.get(TURN_CORRECTIONS)
         if corrections is None:
             return None
@@ -256,22 +256,22 @@ class GaussianReconstruction(Reconstruction):
         """First returns of rays, or centres, as configured."""
         how, views = self.config.points, self.snapshot.views
         if views[0].aloft:
-            how = replace(how, min_height=_NOWHERE)
+            how = replace(how, min_height=_NO_GROUND)
         terrain = self.model.frame.terrain
         points = extract_points(self.gaussians, views, self.grid, how, terrain, self._ground_gamma0)
         return points.astype(np.float32)  # as the file has them
 
     def normals_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
-        """What Gaussians and points around agree on (`surface_normals`), some points at a time."""
-        cell_m, normals, apart_m = self.grid.cell_m, np.empty((len(points), 3), np.float32), spacing_m(points)
-        for some, own in parts_of(points, _NORMAL_REACH * cell_m):
-            near = points[some]
+        """Normals from the Gaussians and points around each point (`surface_normals`), in batches."""
+        cell_m, normals, point_spacing_m = self.grid.cell_m, np.empty((len(points), 3), np.float32), spacing_m(points)
+        for index, inner in parts_of(points, _NORMAL_REACH * cell_m):
+            near = points[index]
             towards = self._seen.around(near)[1]
-            normals[some[own]] = surface_normals(near, towards, self.gaussians, cell_m, apart_m)[own]
+            normals[index[inner]] = surface_normals(near, towards, self.gaussians, cell_m, point_spacing_m)[inner]
         return normals
 
     def gamma0_at(self, points: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, " p"]:
-        """Mean γ⁰ over the views that see the Gaussians there, weighted by how much they see."""
+        """Mean γ⁰ of the Gaussians around, weighted by the area that each training view sees."""
         return self._seen.around(points)[0].astype(np.float32)
 
     @cached_property
@@ -297,22 +297,22 @@ class GaussianReconstruction(Reconstruction):
 
     @property
     def _box(self) -> str:
-        """Where Gaussians may lie: whatever else stands in the scene is left out, or taken for ground."""
+        """Box that the Gaussians may occupy, in words."""
         region = self.model.frame.region
         above = "" if self.model.frame.terrain is None else " above the terrain"
         return f"{spans(region.low, region.high)} m{above} (--target-box gives another)"
 
     @property
     def _rotations(self) -> dict[str, str]:
-        """By how much axes and rates of the passes were corrected."""
+        """Corrections of the rotation axes and rates of the passes, in words."""
         if (corrections := self._corrections) is None or not corrections.any():
             return {}
-        each = [f"axis by {math.hypot(*of[:2]):.2f}°, rate by {of[2]:+.2%}" for of in corrections]
-        return {"corrected rotations": "; ".join(each[:_PASSES_SAID]) + ("; …" if len(each) > _PASSES_SAID else "")}
+        passes = [f"axis by {math.hypot(*of[:2]):.2f}°, rate by {of[2]:+.2%}" for of in corrections]
+        return {"corrected rotations": "; ".join(passes[:_MAX_PASSES] + ["…"] * (len(passes) > _MAX_PASSES))}
 
     @property
     def _ground_gamma0(self) -> float | None:
-        """γ⁰ of the learned ground in the model's unit, at the mean of its places and of the views' log sin θ."""
+        """Geometric mean of the learned ground's γ⁰, in the model's unit, at the views' mean log sin θ."""
         ground = self.model.ground()
         if ground is None:
             return None
@@ -336,7 +336,7 @@ class GaussianReconstruction(Reconstruction):
 
 
 def lengths(config: Config, grid: ImageGrid) -> str:
-    """One line: the lengths, in metres, that a reconstruction of images on this grid works with."""
+    """Return one line of text: the lengths, in metres, of a reconstruction on this grid."""
     cell_m = grid.cell_m
     scales, rates = scales_m(config, cell_m), config.rates
     wider = ", wider in large scenes" if config.coarsest > 1 else ""

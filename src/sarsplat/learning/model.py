@@ -1,4 +1,4 @@
-"""The scene model: the list of its parts, their parameters, and how they make a scene and its images."""
+"""The scene model: a list of parts with parameters, which make a scene and render its images."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from sarsplat.learning.parts import parts_of
 from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.learning.windowed_likelihood import ExpectedStacks
+from sarsplat.learning.stack_loss import ExpectedStacks
 from sarsplat.regions.flattened import levelled
 from sarsplat.regions.target_region import cut_off
 from sarsplat.renderer import Bounds, Rendering, render
@@ -34,16 +34,15 @@ from sarsplat.renderer.echoes import Echo
 from sarsplat.settings.config import Config
 from sarsplat.tiles import at_once, render_tiled
 
-_AT_A_TIME = 8  # views, though more fit into memory
+_MAX_BATCH = 8  # views
 _REGION = ("normals", "offsets", "low", "high")
 
 
 class SceneModel:
-    """The parameters of a scene, and how its parts render images with them.
+    """Parameters of a scene, with the parts that render images from them.
 
-    `config` says what parts there are, `frame` what the dataset fixes. The `parameters` that the parts declare are
-    copied to leaves on the device, some of which row operations replace; ValueError or KeyError if they are not those,
-    or not finite.
+    `config` selects the parts, `frame` holds what the dataset fixes. The `parameters` that the parts declare are copied
+    to leaves on the device, which row operations may replace; raises ValueError or KeyError if they do not fit.
     """
 
     def __init__(
@@ -70,9 +69,9 @@ class SceneModel:
     def initial(
         cls, config: Config, dataset: Dataset, generator: torch.Generator, device: torch.device | str = "cpu"
     ) -> SceneModel:
-        """The state training starts from; warns if a part of the target lies outside of where it is looked for.
+        """Return the initial model; warn if a part of the target lies outside of the box of the Gaussians.
 
-        `generator` is one of the CPU: a seed starts the same on every device.
+        `generator` is on the CPU, so that a seed gives the same model on every device.
         """
         frame, train = SceneFrame.of(config, dataset), levelled(dataset.select("train"))
         parameters: Parameters = {}
@@ -84,7 +83,7 @@ class SceneModel:
 
     @classmethod
     def saved(cls, snapshot: Snapshot, config: Config, device: torch.device | str = "cpu") -> SceneModel:
-        """The model that a snapshot holds (`tensors`).
+        """Return the model that a snapshot holds (`tensors`).
 
         Raises ValueError, KeyError, TypeError, IndexError, RuntimeError or SarsplatError if the tensors are not those
         of a model with this configuration.
@@ -102,10 +101,11 @@ class SceneModel:
             raise ValueError("numbers that are not finite")
         for part in model.parts:
             part.load({name: t.to(model.device) for name, t in snapshot.part(f"part/{part.name}").items()})
-        model.scene(config.harmonics_degree)  # the Gaussians' values are checked where they are used
+        model.scene(config.harmonics_degree)  # checks the Gaussians' values
         return model
 
     def tensors(self) -> dict[str, Tensor]:
+        """All tensors of the model by name, to be saved."""
         region = {f"region/{name}": torch.from_numpy(getattr(self.frame.region, name)) for name in _REGION}
         learned = {f"model/{name}": tensor.detach() for name, tensor in self.parameters.items()}
         state = {f"part/{part.name}/{name}": tensor for part in self.parts for name, tensor in part.state().items()}
@@ -121,17 +121,17 @@ class SceneModel:
 
     @property
     def power_channel(self) -> int:
-        """The channel of the images that is shown, scored and trained on."""
+        """Index of the image channel that is shown, scored and trained on: β⁰."""
         return scattering_named(self.config.scattering).power_channel
 
     def look_at(self, cell_m: float) -> None:
-        """Set the resolution cell of the images that are fitted from now on, m: `learned` follows."""
+        """Set the resolution cell of the images to fit, m; updates `learned`."""
         for part in self.parts:
             part.look_at(cell_m)
         self.learned = self._learned()
 
     def look_through(self, windows: Windows) -> None:
-        """Fit windows of the images from now on; parameters that all images share are frozen: `learned` follows."""
+        """Fit windows of the images and freeze parameters that are not per Gaussian; updates `learned`."""
         self.windows, self.learned = windows, self._learned()
 
     def _learned(self) -> dict[str, Learned]:
@@ -141,7 +141,7 @@ class SceneModel:
         return {name: how if how.per_gaussian else replace(how, rates=(0.0,)) for name, how in learned.items()}
 
     def copy(self, *, ground: bool = True) -> SceneModel:
-        """The same scene in tensors of its own, with or without what surrounds the target."""
+        """Copy the scene and its tensors, with or without the surroundings of the target."""
         copied = SceneModel(self.config, self.frame, self.parameters, self.device)
         copied.parts = [copy(part) for part in self.parts if ground or not part.surrounds]
         return copied
@@ -159,26 +159,26 @@ class SceneModel:
         return self._made_by([part for part in self.parts if not part.surrounds], degree)
 
     def scene(self, degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:
-        """The target and what surrounds it; without the target's Gaussians that are `dropped`."""
+        """The target and its surroundings, without the target's Gaussians that are `dropped`."""
         return self._made_by(self.parts, degree, dropped)
 
     def ground(self) -> Ground | None:
-        """The plane or the terrain on which rays end, in the model's unit; None if there is none."""
+        """Plane or terrain on which rays end, γ⁰ in the model's unit; None without ground."""
         return next((ground for part in self.parts if (ground := part.ground(self.parameters)) is not None), None)
 
     def echoes(self) -> list[Echo]:
-        """Returns besides the direct one and the ground's."""
+        """Echoes besides the direct one and the ground's."""
         return [echo for part in self.parts for echo in part.echoes(self.parameters)]
 
     @property
     def scenes_rendered(self) -> int:
-        """How many of its size a rendering holds at a time: an echo has the scene and its mirror image."""
+        """Memory of a rendering, in scenes: each echo adds the scene and its mirror image."""
         return 1 + 2 * len(self.echoes())
 
-    def _refuse_echoes(self, where: str) -> None:
-        """What would be left out in silence."""
+    def _refuse_echoes(self, rendering: str) -> None:
+        """Raise if a part has an echo, which this kind of rendering cannot include."""
         if self.echoes():
-            raise SarsplatError(f"a part of the model has an echo, which {where} cannot have; leave out that part")
+            raise SarsplatError(f"a part of the model has an echo, which {rendering} cannot have; leave out that part")
 
     def _made_by(self, parts: Sequence[Part], degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:
         scene = None
@@ -201,11 +201,11 @@ class SceneModel:
         dropped: Bool[Tensor, " n"] | None = None,
         estimated: bool = True,
     ) -> tuple[Float[Tensor, "v c {grid.rows} {grid.columns}"], Rendering]:
-        """Images [V, C, rows, columns], in the power channel with noise floor, and the rendering behind them.
+        """Render images [V, C, rows, columns], with noise floor in the power channel; also return the `Rendering`.
 
-        `numbers` are those of training images, whose own window, shift and gain then apply; without them, images are as
-        expected of unseen views (`Shot`). `bounds` and `amplitudes` are those of `render`; Gaussians that are
-        `dropped` are left out; `estimated` is whether what was estimated rather than learned applies, as the texture.
+        With `numbers` of training images, their window, shift and gain apply; without, images are the expectation of
+        unseen views (`Shot`). `bounds` and `amplitudes` are those of `render`; `estimated=False` omits parts that are
+        estimated rather than learned, such as the texture.
         """
         shot = self.shot(views, grid, numbers)
         how: dict[str, Any] = {
@@ -226,11 +226,11 @@ class SceneModel:
 
     @torch.no_grad()
     def power_by_echo(self, degree: int) -> dict[str, float]:
-        """Shares of the power that the training views show of the scene: directly, and by each way besides."""
+        """Share of each kind of echo (target, ground, …) in the power of the training views."""
         ground, echoes = self.ground(), self.echoes()
         ways = ([] if ground is None else ["ground"]) + [echo.way for echo in echoes]
         scene, powers = self.scene(degree), dict.fromkeys(["target", *ways], 0.0)
-        for view in self.frame.views:  # one at a time: memory stays small
+        for view in self.frame.views:  # one at a time, to save memory
             rendering = render(scene, [view], self.frame.grid, ground=ground, echoes=echoes)
             powers["target"] += float(rendering.channel(self.power_channel).double().sum())
             for way, returned in zip(ways, rendering.echoes, strict=True):
@@ -251,10 +251,7 @@ class SceneModel:
         numbers: Int64[Tensor, " v"] | None = None,
         dropped: Bool[Tensor, " n"] | None = None,
     ) -> tuple[ExpectedStacks, Rendering]:
-        """Covariances between channels, with noise, and the rendering of power behind them; otherwise as `render`.
-
-        They are in the model's unit.
-        """
+        """Render covariances between channels, with noise, in the model's unit; otherwise like `render`."""
         self._refuse_echoes("covariances of stacks")
         shot = self.shot(views, grid, numbers)
         scene = self.scene(degree, dropped)
@@ -268,26 +265,26 @@ class SceneModel:
     def unseen(
         self, views: Sequence[View], grid: ImageGrid, degree: int, rays: RayGrid
     ) -> Iterator[Float[Tensor, "k c {grid.rows} {grid.columns}"]]:
-        """Images of unseen views, some at a time and without gradients: one, by tiles, where they are too large."""
+        """Yield batches of images of unseen views, without gradients; images too large for memory by tiles."""
         with torch.no_grad():
             scene, ground = self.scene(degree), self.ground()
-            together = -(-min(at_once(scene, views, grid, rays), _AT_A_TIME) // self.scenes_rendered)
-            for first in range(0, len(views), max(together, 1)):
-                some = views[first : first + max(together, 1)]
-                if together:
-                    yield self.render(some, grid, degree, rays=rays)[0]
+            size = -(-min(at_once(scene, views, grid, rays), _MAX_BATCH) // self.scenes_rendered)
+            for first in range(0, len(views), max(size, 1)):
+                batch = views[first : first + max(size, 1)]
+                if size:
+                    yield self.render(batch, grid, degree, rays=rays)[0]
                     continue
                 self._refuse_echoes("an image that is rendered by tiles")
-                shot = self.shot(some, grid)
+                shot = self.shot(batch, grid)
                 shift = None if shot.shift is None else shot.shift[0]
                 yield self.developed(
-                    render_tiled(scene, some[0], shot.grid, rays=rays, shift=shift, ground=ground)[None], shot
+                    render_tiled(scene, batch[0], shot.grid, rays=rays, shift=shift, ground=ground)[None], shot
                 )
 
     def developed(
         self, images: Float[Tensor, "v c h w"], shot: Shot, estimated: bool = True
     ) -> Float[Tensor, "v c h w"]:
-        """Rendered images after every part has altered them (texture, noise floor, …), in the dataset's unit."""
+        """Images after every part has altered them (texture, noise floor, …), in the dataset's unit."""
         for part in self.parts:
             if estimated or not part.estimated:
                 images = part.images(images, shot, self.parameters)
@@ -300,29 +297,29 @@ class SceneModel:
         numbers: Int64[Tensor, " v"] | None = None,
         rng: np.random.Generator | None = None,
     ) -> Shot:
-        """Imaging conditions of these views (shift, gain, …), as the parts state them: see `Shot`."""
+        """Imaging conditions of these views (shift, gain, …), set by the parts."""
         shot = Shot(views, grid, self.power_channel, numbers, rng)
         for part in self.parts:
             shot = part.shot(shot, self.parameters)
         return shot
 
     def as_displaced(self, grid: ImageGrid) -> ImageGrid:
-        """The grid on which a scene that is not displaced lies as unseen images on `grid` show it: as the mean one."""
+        """Grid on which an undisplaced scene appears where unseen images on `grid` show it: moved by the mean shift."""
         for part in self.parts:
             grid = part.displaced(grid, self.parameters)
         return grid
 
     def penalty(self) -> Float[Tensor, ""] | None:
-        """Negative log prior of the parameters, nats per independent sample of the images; None without priors."""
+        """Negative log prior of the parameters, nats per independent image sample; None without priors."""
         terms = [term for part in self.parts for term in part.nats(self.parameters)]
         return torch.stack(terms).sum() / self.frame.samples if terms else None
 
     def penalties(self) -> dict[str, Float[Tensor, ""]]:
-        """What else is minimised, by name, in units of the loss of black images, or in nats per pixel."""
+        """Penalties by name, in units of the loss of black images, or in nats per pixel."""
         return dict(term for part in self.parts for term in part.penalties(self.parameters))
 
     def scene_bounds(self) -> Bounds:
-        """Bounds that hold for all Gaussians as long as parameters stay in their ranges."""
+        """Bounds of all Gaussians while parameters stay in their ranges."""
         reaches = [reach for part in self.parts if (reach := part.reach()) is not None]
         low, high = (
             (pick(x), pick(y), pick(z))

@@ -1,4 +1,4 @@
-"""Adam over named parameters, with rates that decay, ranges, and rows that come and go."""
+"""Adam for named parameters, with decaying rates, ranges, and rows that come and go."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
 class Optimiser:
-    """Adam for all parameters of a training; its moments are saved, restored and re-indexed with them.
+    """Adam for all parameters of a training of `iterations` steps; moments are saved, restored and re-indexed.
 
-    A step, in place, is one call of the device's engine, or plain torch where there is none. Parameters are leaves,
-    float32, contiguous and on one device; after `follow` the dictionary must hold the new ones. Rates decay by the
-    length of the training, `iterations`.
+    Steps are in place, by the device's engine or in plain torch. Parameters are float32 leaves, contiguous and on one
+    device; after `follow` the dictionary must hold the new ones.
     """
 
     def __init__(self, parameters: dict[str, Tensor], learned: Mapping[str, Learned], iterations: int) -> None:
@@ -39,7 +38,7 @@ class Optimiser:
         return [name for name in self._parameters if self._learned[name].per_gaussian]
 
     def _columns(self, name: str, numbers: tuple[float, ...] | Tensor | float) -> Float[Tensor, " k"]:
-        """Numbers that hold for a parameter, one for each of its columns."""
+        """A number for each column of a parameter."""
         tensor = self._parameters[name]
         columns = torch.as_tensor(numbers, dtype=tensor.dtype, device="cpu").to(tensor.device)
         return columns.expand(tensor[0].numel())
@@ -51,17 +50,18 @@ class Optimiser:
         return adam.Stepped(tensor, mean, square, rates, low, high, learned.logarithmic)
 
     def relearn(self, learned: Mapping[str, Learned]) -> None:
+        """Replace rates and ranges."""
         self._learned, self._adam = learned, None
 
     def rates(self, iteration: int) -> dict[str, float]:
-        """Rates of this iteration by parameter, each of its first column; of means and shifts in m."""
+        """Learning rates of this iteration by parameter, of the first column; those of means and shifts are in m."""
         return {name: self._learned[name].rates[0] * self._decay(name, iteration) for name in self._parameters}
 
     def _decay(self, name: str, iteration: int) -> float:
         return self._learned[name].decay(iteration / self._iterations)
 
     def step(self, iteration: int) -> None:
-        """One update, with the rates of this iteration; gradients are cleared."""
+        """Make one step with the rates of this iteration and clear the gradients."""
         gradients = []
         for name, tensor in self._parameters.items():
             if tensor.grad is None:
@@ -73,27 +73,28 @@ class Optimiser:
 
     @property
     def stepper(self) -> adam.EngineAdam | adam.PlainAdam:
-        """What steps the parameters where they are now; another one once they are elsewhere, or learned otherwise."""
+        """Adam for the current tensors, rates and ranges; made anew when these change."""
         if self._adam is None:
             tensors = [self._stepped(name, tensor) for name, tensor in self._parameters.items()]
             self._adam = adam.stepper(passes_for("auto", self._parameters), tensors)
         return self._adam
 
     def numbers(self, iteration: int) -> list[float]:
-        """What `EngineAdam.step_told` needs of the next step, the one of this iteration."""
+        """Decays and powers of the next step, for `EngineAdam.step_on_device`."""
         return [*(self._decay(name, iteration) for name in self._parameters), *adam.powers(self._steps + 1)]
 
     def stepped(self) -> None:
-        """Count a step that the device has made by itself."""
+        """Count a step made by a CUDA graph."""
         self._steps += 1
 
     @torch.no_grad()
     def constrain(self) -> None:
+        """Clamp every parameter to its range."""
         for name, tensor in self._parameters.items():
             tensor.clamp_(self._columns(name, self._learned[name].low), self._columns(name, self._learned[name].high))
 
     def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
-        """Re-index the moments: row k takes those of row `source`[k], or zeros unless `kept`[k] (a new Gaussian)."""
+        """Re-index the moments: row k takes those of row `source`[k], or 0 where not `kept`[k] (a new Gaussian)."""
         for name in self.rows:
             moments = {moment: followed(value, source, kept) for moment, value in self.state[name].items()}
             if len(source) == len(self.state[name][_MOMENTS[0]]):
@@ -107,7 +108,7 @@ class Optimiser:
         self._source = inherited
 
     def take_moves(self) -> Int64[Tensor, " n"] | None:
-        """Index of each row when this was last called, −1 for a new one; None if no rows have moved since."""
+        """Index of each row at the last call, −1 for a new row; None if no rows have moved since."""
         source, self._source = self._source, None
         return source
 

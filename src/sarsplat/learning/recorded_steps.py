@@ -1,4 +1,4 @@
-"""Steps of a training that a GPU does by itself, with what changes from one to the next told to it."""
+"""Training steps as CUDA graphs; the numbers that change from step to step are written to the device."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ T = TypeVar("T")
 
 
 class RecordedSteps(Generic[T]):
-    """A step as it was recorded, and what becomes of it when a training changes.
+    """A recorded training step, recorded anew when the training changes.
 
-    The first step of a kind is rehearsed: it runs as usual, from numbers on the device. The second is recorded, and it
-    and all that follow are run from the record.
+    The first step of a kind is rehearsed: it runs normally, with its numbers on the device. The second is recorded; it
+    and all later ones replay the record.
 
     Parameters
     ----------
     recorder : Recorder
-        What records on the training's device.
+        Recorder of the training's device.
     views, rates : int
-        How many views a step has, and how many numbers Adam has of it.
+        Number of views of a step, and of numbers for Adam.
     """
 
     def __init__(self, recorder: Recorder, views: int, rates: int) -> None:
@@ -32,12 +32,12 @@ class RecordedSteps(Generic[T]):
             recorder, {"chosen": (torch.int64, views), "step": (torch.int64, 1), "rates": (torch.float32, rates)}
         )
         self._values: Hashable = None
-        self._things: Sequence[object] = ()  # kept alive: two things at different times may have one address
-        self._again: tuple[T, Callable[[], None]] | None = None
+        self._objects: Sequence[object] = ()  # kept alive: a later object could have the same address
+        self._record: tuple[T, Callable[[], None]] | None = None
 
     @staticmethod
     def has_room(views: int, rates: int) -> bool:
-        """Whether so many numbers can be told."""
+        """True if the device has room for the numbers of a step."""
         return 2 * views + 2 + rates <= MOST_WORDS
 
     def run(
@@ -48,29 +48,29 @@ class RecordedSteps(Generic[T]):
         step: int,
         rates: Sequence[float],
     ) -> T:
-        """One step: what the program gives, whose tensors the next step may change.
+        """Make one step and return the program's result, whose tensors the next step may overwrite.
 
-        `kind` is all that decides about the launches of the program: values, and things that must be the very same. The
-        program gets the other three as tensors.
+        `kind` is all that determines the program's launches: values, and objects that must stay identical. The program
+        gets the other three as tensors.
 
         Raises
         ------
         NotRecordable, RuntimeError, SarsplatError
-            If it cannot be recorded. Nothing has been learned, then.
+            If the step cannot be recorded. The parameters are then unchanged.
         """
         self._told.tell(
             chosen=torch.tensor(chosen, device="cpu"),
             step=torch.tensor([step], device="cpu"),
             rates=torch.tensor(rates, dtype=torch.float32, device="cpu"),
         )
-        values, things = kind
-        if self._values != values or [*map(id, things)] != [*map(id, self._things)]:
-            self._again = None
+        values, objects = kind
+        if self._values != values or [*map(id, objects)] != [*map(id, self._objects)]:
+            self._record = None
             result = self._recorder.rehearse(lambda: program(*self._told.tensors.values()))
-            self._values, self._things = values, things
+            self._values, self._objects = values, objects
             return result
-        if self._again is None:
-            self._again = self._recorder.record(lambda: program(*self._told.tensors.values()))
-        result, run = self._again
+        if self._record is None:
+            self._record = self._recorder.record(lambda: program(*self._told.tensors.values()))
+        result, run = self._record
         run()
         return result

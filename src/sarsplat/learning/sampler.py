@@ -1,4 +1,4 @@
-"""Single images as the radar would deliver them: what is expected of a view, drawn once."""
+"""Sampler of single images with speckle, as a radar would deliver them, from a learned scene."""
 
 from __future__ import annotations
 
@@ -21,34 +21,35 @@ from sarsplat.names import Speckle
 from sarsplat.renderer import render
 from sarsplat.scenes.scattering import ResponseSpeckle, white_speckle
 
-_FINE_ENOUGH = 1.5
-"""Pixels on which what is scattered is imaged without a response, in standard deviations of small Gaussians …"""
+_PIXEL_STD = 1.5
+"""Maximum size of the pixels on which scatterers are drawn, standard deviations of a small Gaussian."""
 
-_SMALL = 0.05
-"""… which so many are smaller than."""
+_SMALL_QUANTILE = 0.05
+"""Quantile of the Gaussians' widths that counts as small."""
 
-_FINEST = 5
-"""Into how many a pixel is divided at most, along each side."""
+_MAX_PARTS = 5
+"""Maximum oversampling factor along each side; odd."""
 
 _SHARP = 0.05
-"""Width of a response that can be neglected, pixels."""
+"""Width of a negligible response, pixels."""
 
-_UNSEEN = 255.0**-2
-"""Power relative to the brightest that 8 bits do not show: beyond where a response falls below, it is neglected."""
+_INVISIBLE = 255.0**-2
+"""Negligible power of a response relative to its peak: 8 bits do not show it."""
 
-_NO_TARGET = 1e-3
-"""Share of the target in a pixel's power below which it does not count."""
+_MIN_TARGET_SHARE = 1e-3
+"""Minimum share of the target in a pixel's power at which the pixel counts as target."""
 
 LEARNED, UNIFORM = "learned", "uniform"
-"""Grounds without a file: as the training images show it, or everywhere as it is on average."""
+"""Grounds without a file: as learned, or with the mean γ⁰ everywhere."""
 
 SPECKLES: tuple[Speckle, ...] = get_args(Speckle)
 
 
 class Sampler:
-    """Draws images of a learned scene, with harmonics up to a degree, each from a view and a seed alone.
+    """Function that draws an image of a learned scene from a view and a seed.
 
-    `grid` is that of the training images; the rest as of `Run.sample`, whose refusals are made here.
+    `degree` is that of the harmonics, `grid` that of the training images; the other arguments are those of
+    `Run.sample`, which are checked here.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class Sampler:
         if isinstance(ground, str) and ground not in (LEARNED, UNIFORM):
             raise SarsplatError(f"ground is {shown(ground)}; give {LEARNED}, {UNIFORM}, or its power")
         self._model, self._speckle = model, speckle
-        self._rays = RayGrid.for_image(grid, model.config.rays_per_pixel)  # as in training: .01 dB, far below speckle
+        self._rays = RayGrid.for_image(grid, model.config.rays_per_pixel)  # as in training; errors of 0.01 dB
         self._backdrop: Tensor | None = None
         with torch.no_grad():
             self._scene, self._ground, self._echoes = model.scene(degree), model.ground(), model.echoes()
@@ -80,7 +81,7 @@ class Sampler:
             return
         if self._ground is None:
             asked = shown(ground) if isinstance(ground, str) else "given"
-            raise SarsplatError(f"ground is {asked}, but this run has learned no ground; leave it out")
+            raise SarsplatError(f"ground is {asked}, but this run has learned no ground; omit it")
         self._ground = replace(self._ground, gamma0=self._ground.gamma0.mean())
         if isinstance(ground, str):
             self._backdrop = torch.ones(self._grid.rows, self._grid.columns, dtype=torch.float32)
@@ -108,15 +109,15 @@ class Sampler:
         return amplitude * white_speckle(amplitude.shape, rng)
 
     def _through_the_response(self, shot: Shot, rng: np.random.Generator) -> Complex64[np.ndarray, "rows columns"]:
-        """Scatterers with phases of their own, imaged; of a target they are few, and some are much the brightest.
+        """Draw scatterers with random phases, few and of very different power on the target, and image them.
 
-        Applied by FFT, the response goes on across opposite edges; between them lies a margin in which what is at each
-        is mirrored, so that the image neither darkens there nor shows what is at the other side.
+        The response is applied by FFT, which wraps around; margins mirror the image, so that edges neither darken nor
+        show the opposite side.
         """
         sharp = (_SHARP * shot.grid.spacing_m[0], _SHARP * shot.grid.spacing_m[1])
         inside = self._powers(shot, replace(shot.grid, resolution_m=sharp), rng)
-        power, share = (np.pad(some, self._margins, mode="symmetric") for some in inside)
-        target = share > _NO_TARGET
+        power, share = (np.pad(pixels, self._margins, mode="symmetric") for pixels in inside)
+        target = share > _MIN_TARGET_SHARE
         if math.isfinite(self._shape):
             drawn = rng.standard_gamma(self._shape, int(target.sum()), np.float32) / np.float32(self._shape)
             power[target] *= 1 + share[target] * (drawn - 1)
@@ -130,35 +131,29 @@ class Sampler:
     def _powers(
         self, shot: Shot, grid: ImageGrid, rng: np.random.Generator
     ) -> tuple[Float32[np.ndarray, "rows columns"], Float32[np.ndarray, "rows columns"]]:
-        """Expected power of the image with the drawn shift and gain, β⁰, and which share of it is the target's.
+        """Expected power of the image, β⁰, through the response of `grid`, and the target's share of it.
 
-        The rest is of the ground and of noise. Through the response of `grid`. The side lobes that were learned are
-        of all that is around bright scatterers: without them, though the response has its own, samples were told from
-        measured chips more easily.
+        The rest is of ground and noise. The learned side lobes apply besides those of the response: samples are then
+        harder to distinguish from measured chips.
         """
         rendering = render(
-            self._scene,
-            shot.views,
-            grid,
-            rays=self._rays,
-            shift=shot.shift,
-            ground=self._ground,
-            echoes=self._echoes,
+            self._scene, shot.views, grid, rays=self._rays, shift=shot.shift, ground=self._ground, echoes=self._echoes
         )
         images, channel = rendering.images, shot.power_channel
         without = torch.zeros_like(images)
         if rendering.ground is not None:
             without[:, channel] = rendering.ground
         if self._backdrop is None:
-            developed = [self._model.developed(some, shot) for some in (images, without)]
+            developed = [self._model.developed(power, shot) for power in (images, without)]
         else:
             part = self._part_of(self._backdrop, rng)
-            developed = [self._before(some, without[:, channel], part, shot) for some in (images, without)]
-        power, rest = (some[0, channel].clamp(min=0) for some in developed)
+            developed = [self._on_ground(power, without[:, channel], part, shot) for power in (images, without)]
+        power, rest = (image[0, channel].clamp(min=0) for image in developed)
         share = (1 - rest / power.clamp(min=torch.finfo(power.dtype).tiny)).clamp(min=0)
         return power.cpu().numpy(), share.cpu().numpy()
 
     def _part_of(self, backdrop: Tensor, rng: np.random.Generator) -> Tensor:
+        """Random part of the given ground, of the image's size."""
         rows, columns = self._grid.rows, self._grid.columns
         top, left = (
             self._parts * int(rng.integers((had - needed) // self._parts + 1))
@@ -166,14 +161,14 @@ class Sampler:
         )
         return backdrop[top : top + rows, left : left + columns]
 
-    def _before(
+    def _on_ground(
         self,
         images: Float[Tensor, "1 c rows columns"],
         ground: Float[Tensor, "1 rows columns"],
         backdrop: Tensor,
         shot: Shot,
     ) -> Float[Tensor, "1 c rows columns"]:
-        """The target before another ground; what images show beyond the scene is shown of the target alone."""
+        """Replace the learned ground by another one; estimated parts (texture) then apply to the target alone."""
         images, channel = images.clone(), shot.power_channel
         target = (images[:, channel] - ground).clamp(min=0)
         images[:, channel] = target + ground * backdrop
@@ -184,23 +179,20 @@ class Sampler:
 
 def _divided(grid: ImageGrid, scene: Gaussians) -> int:
     """Oversampling factor of the pixels, so that they are smaller than the Gaussians; odd."""
-    smallest = scene.scales.amin(1).double().quantile(_SMALL).item()
-    needed = math.ceil(max(grid.spacing_m) / (_FINE_ENOUGH * smallest))
-    return min(needed + 1 - needed % 2, _FINEST)
+    smallest = scene.scales.amin(1).double().quantile(_SMALL_QUANTILE).item()
+    needed = math.ceil(max(grid.spacing_m) / (_PIXEL_STD * smallest))
+    return min(needed + 1 - needed % 2, _MAX_PARTS)
 
 
 def _finer(grid: ImageGrid, parts: int) -> ImageGrid:
-    """The same image in pixels so many times as fine, of which those in the middle are the grid's."""
+    """Grid with each pixel divided into `parts` × `parts`, the middle one of which has the pixel's centre."""
     azimuth, slant_range = (spacing / parts for spacing in grid.spacing_m)
     return replace(grid, rows=parts * grid.rows, columns=parts * grid.columns, spacing_m=(azimuth, slant_range))
 
 
 def _widened(grid: ImageGrid) -> tuple[list[tuple[int, int]], ImageGrid]:
-    """Pixels before and after the rows and columns, as far as the response shows anything, and the grid with them.
-
-    They are no more than the image has, beyond which its own side lobes reach over all of it.
-    """
-    reach = grid.response.reach_above(_UNSEEN)
+    """Margins around rows and columns, as wide as the visible response or the image, and the grid with them."""
+    reach = grid.response.reach_above(_INVISIBLE)
     margins = []
     for count, width, spacing in zip(
         (grid.rows, grid.columns), grid.resolution_m[::-1], grid.spacing_m[::-1], strict=True
@@ -212,7 +204,7 @@ def _widened(grid: ImageGrid) -> tuple[list[tuple[int, int]], ImageGrid]:
 
 
 def seed_of(seed: int, *place: int) -> int:
-    """Derive a seed for each item of a set, independent of what else is drawn; below 2⁶³. Refused: a negative seed."""
+    """Derive an independent seed below 2⁶³ for each item of a set; raise if `seed` is negative."""
     if seed < 0:
         raise SarsplatError(f"seed {seed} must be at least 0")
     return int(np.random.SeedSequence([seed, *place]).generate_state(1, np.uint64)[0] >> np.uint64(1))

@@ -15,25 +15,25 @@ from sarsplat.regions.stack_region import stack_region
 from sarsplat.regions.target_region import target_region
 from sarsplat.settings.config import Config
 
-_USUAL = 0.5
-"""Median γ⁰ of what stands out from the ground, in the unit "target"."""
+_USUAL_GAMMA0 = 0.5
+"""Median γ⁰ of the pixels that stand out from the ground, in the unit "target"."""
 
 
 @dataclass(frozen=True)
 class SceneFrame:
-    """Where a learned scene lies, what its power is measured in, and from where it is seen."""
+    """Region, unit of power, views, grid, terrain and stacks of a learned scene."""
 
     region: Region
-    """The space the target may occupy."""
+    """Box that the target may occupy."""
     unit: float
     """Power that counts as 1: every γ⁰, the noise floor and P_min are in this unit (`Config.unit`)."""
     views: tuple[View, ...]
     grid: ImageGrid
     """Lengths in configurations are multiples of its resolution cell."""
     terrain: Terrain | None = None
-    """The ground, above which z of the region is; None: z = 0."""
+    """Ground, relative to which z of the region counts; None is the plane z = 0."""
     stacks: tuple[Stack, ...] = ()
-    """Of each view, if the images are stacks and learned from as such."""
+    """Stack of each view; empty if training uses power only."""
 
     @classmethod
     def of(cls, config: Config, dataset: Dataset) -> SceneFrame:
@@ -45,7 +45,7 @@ class SceneFrame:
         else:
             region = target_region(dataset, ground=bool(config.ground or config.surroundings), box=config.box_m)
         if config.unit == "target":
-            unit = usual_gamma0(levelled(train)) / _USUAL
+            unit = usual_gamma0(levelled(train)) / _USUAL_GAMMA0
         else:
             unit = float(train.power.mean(dtype=np.float64)) if config.surroundings or stacks else 1.0
         return cls(region, unit, train.views, train.grid, terrain, stacks)

@@ -1,4 +1,4 @@
-"""The complete state of a training after some iterations, in one file; only the images are needed besides to resume."""
+"""Complete state of a training, in one file; to resume, only the images are needed besides."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.typed import convert
 
-# What files may say of a training: far more than any does, and little enough for sums and pictures.
+# Bounds of numbers in files: far above real ones, and safe for sums and pictures.
 _Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 _Seconds = Annotated[float, msgspec.Meta(ge=0, le=1e10)]
 _Power = Annotated[float, msgspec.Meta(gt=0, le=1e18)]
@@ -25,29 +25,29 @@ _Power = Annotated[float, msgspec.Meta(gt=0, le=1e18)]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The state of a training, and the views, grid and scale that its results refer to."""
+    """State of a training, and the views, grid and scale of its results."""
 
     iteration: int
-    """Steps done."""
+    """Number of steps made."""
     seconds: float
-    """Time they took, s of wall clock."""
+    """Wall-clock time of these steps, s."""
     queue: tuple[int, ...]
-    """Training views that come next."""
+    """Numbers of the next training views."""
     grid: ImageGrid
-    """Of the images."""
+    """Grid of the images."""
     views: tuple[View, ...]
-    """Of the training images, as the training has refined them."""
+    """Views of the training images, as refined by the training."""
     unit: float
     """Power that counts as 1 in the model."""
     brightest: float
     """Largest β⁰ of the training images, linear power."""
     stacks: tuple[Stack, ...] = field(kw_only=True, default=())
-    """Of the training images, if they are learned from as stacks."""
+    """Stacks of the training images; empty if training uses power only."""
     tensors: dict[str, Tensor]
-    """`model/…`, `optimiser/…` and whatever else the training needs, on the CPU."""
+    """All tensors of the training by name (`model/…`, `optimiser/…`, …), on the CPU."""
 
     def part(self, prefix: str) -> dict[str, Tensor]:
-        """The tensors whose names begin with this and a slash, without it."""
+        """Tensors whose names begin with `prefix/`, without that prefix."""
         return {name.removeprefix(f"{prefix}/"): t for name, t in self.tensors.items() if name.startswith(f"{prefix}/")}
 
     def digest(self) -> str:
@@ -59,7 +59,7 @@ class Snapshot:
         return digest.hexdigest()
 
     def like(self, prefix: str, expected: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Its `part` of that name; ValueError unless it has these names, shapes and types, and finite numbers."""
+        """Return `part(prefix)`; raise ValueError unless names, shapes and types fit and numbers are finite."""
         saved = self.part(prefix)
         if saved.keys() != expected.keys():
             raise ValueError(f"{prefix}: it holds {', '.join(saved) or 'nothing'} instead of {', '.join(expected)}")
@@ -86,7 +86,7 @@ class Snapshot:
 
     @classmethod
     def load(cls, path: Path) -> Snapshot:
-        """Read one back; refused if the file is missing, damaged, or not of a training."""
+        """Read a snapshot; raise if the file is missing, damaged, or not of a training."""
         tensors, state = load_checkpoint(path)
         try:
             fields = msgspec.structs.asdict(convert(state, _State))
@@ -102,7 +102,7 @@ class Snapshot:
 
 
 class _State(msgspec.Struct, forbid_unknown_fields=True):
-    """The JSON beside the tensors."""
+    """JSON metadata of the file."""
 
     iteration: _Count
     seconds: _Seconds

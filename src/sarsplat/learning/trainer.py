@@ -1,4 +1,4 @@
-"""Training: how a scene advances by one step, and its whole state, exact to the bit."""
+"""Trainer: makes the steps of a training, and saves and restores its state, exact to the bit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.adam import EngineAdam
-from sarsplat.learning.device import usable_device
+from sarsplat.learning.device_choice import usable_device
 from sarsplat.learning.dropout import dropped, share_dropped
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.model import SceneModel
@@ -40,27 +40,27 @@ _log = logging.getLogger("sarsplat")
 
 
 class Trainer:
-    """The state of a training and how it advances by one step.
+    """A training: its state, and the next step.
 
     Parameters
     ----------
     dataset : Dataset
-        Its training images are learned from.
+        Dataset with training images.
     config : Config
-        How.
+        Settings.
     loss : callable, optional
-        Instead of the configuration's: of rendered and true images, β⁰ in linear power, one number.
+        Loss of rendered and true images, β⁰ in linear power, that replaces the configuration's; returns one number.
     device : torch.device or str
-        Where everything is computed and stays; a seed starts the same on every device.
+        Device of all tensors; a seed gives the same start on every device.
     strategies : sequence of Strategy
-        What else changes the model, after the configuration's own; each of another name.
+        Strategies that act after the configuration's; names must be unique.
     observation : Observation, optional
-        What is learned from, instead of what the configuration says.
+        Observation that replaces the configuration's.
 
     Raises
     ------
     SarsplatError
-        If the training images are black, a strategy cannot do with the parameters, or the device cannot be used.
+        If the training images are black, a strategy does not support the parameters, or the device cannot be used.
     """
 
     @checks_arguments
@@ -92,13 +92,13 @@ class Trainer:
         self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)
         for name, count in Counter(strategy.name for strategy in self.strategies).items():
             if count > 1:
-                raise SarsplatError(f"{count} strategies are called {shown(name)}; give each a `name` of its own")
+                raise SarsplatError(f"{count} strategies are called {shown(name)}; give each another `name`")
         for strategy in self.strategies:
             strategy.check(model.parameters)
         self._states = [strategy.initial_state(model.parameters) for strategy in self.strategies]
 
     def _look(self) -> None:
-        """Look at the images of the level that the next step is on."""
+        """Switch to the images of the next step's level."""
         factor = self.model.levels.factor(self.iteration)
         if factor != self._factor:
             self.images, self._factor = self._finest.multilooked(factor, self.views), factor
@@ -106,70 +106,70 @@ class Trainer:
             self.optimiser.relearn(self.model.learned)
 
     def step(self) -> Float32[Tensor, ""]:
-        """One step of Adam on a few views; returns the loss, still on the device: nothing waits for a GPU.
+        """Make one step of Adam on a few views; return the loss, on the device, without waiting for a GPU.
 
-        `check` reports what was out of range on a GPU.
+        `check` raises errors of a GPU.
         """
         self._look()
         chosen, step = self._queue.next(), self.iteration + 1
-        loss, rendering = self._by_itself(chosen, step) or self._launch_by_launch(chosen, step)
+        loss, rendering = self._recorded_step(chosen, step) or self._eager_step(chosen, step)
         self.iteration += 1
         self._each_strategy("step_post_backward", step, chosen, rendering)
         return loss
 
-    def _launch_by_launch(self, chosen: Sequence[int], step: int) -> tuple[Tensor, Rendering]:
-        loss, total, rendering = self._compared(chosen, step, step)
+    def _eager_step(self, chosen: Sequence[int], step: int) -> tuple[Tensor, Rendering]:
+        loss, total, rendering = self._losses(chosen, step, step)
         self._each_strategy("step_pre_backward", step, chosen, rendering)
         total.backward()
         self._gather(step, rendering)
         self.optimiser.step(self.iteration)
-        return loss, _done(rendering)
+        return loss, _detached(rendering)
 
-    def _by_itself(self, chosen: Sequence[int], step: int) -> tuple[Tensor, Rendering] | None:
-        """The step, made by a device that was told what changes; None where it has to be told every launch."""
+    def _recorded_step(self, chosen: Sequence[int], step: int) -> tuple[Tensor, Rendering] | None:
+        """Make the step by a CUDA graph; None if it cannot be recorded."""
         if self._recorded is None:
             return None
         model, stepper = self.model, self.optimiser.stepper
         assert isinstance(stepper, EngineAdam)
 
-        def program(chosen: Tensor, now: Tensor, rates: Tensor) -> tuple[Tensor, Rendering, dict[str, Tensor]]:
-            loss, total, rendering = self._compared(chosen, step, now)
+        def program(chosen: Tensor, step_number: Tensor, rates: Tensor) -> tuple[Tensor, Rendering, dict[str, Tensor]]:
+            loss, total, rendering = self._losses(chosen, step, step_number)
             gradients = torch.autograd.grad(total, list(model.parameters.values()))
             self._gather(step, rendering)
-            stepper.step_told(gradients, rates)
-            return loss, _done(rendering), self._terms
+            stepper.step_on_device(gradients, rates)
+            return loss, _detached(rendering), self._terms
 
-        wanted = tuple(strategy.wants_plane_gradients(step) for strategy in self.strategies)
-        kind = self._factor, model.degree(self.iteration), self._rays, wanted
-        kept = [tensor for part in model.parts for tensor in part.state().values()]
-        kept += [tensor for state in self._states for tensor in state.tensors().values()]
-        things = stepper, self.images.truth, self.images.views, *model.parameters.values(), *kept
+        gradients_wanted = tuple(strategy.wants_plane_gradients(step) for strategy in self.strategies)
+        kind = self._factor, model.degree(self.iteration), self._rays, gradients_wanted
+        states = [tensor for part in model.parts for tensor in part.state().values()]
+        states += [tensor for state in self._states for tensor in state.tensors().values()]
+        objects = stepper, self.images.truth, self.images.views, *model.parameters.values(), *states
         rates = self.optimiser.numbers(self.iteration)
         try:
-            loss, rendering, self._terms = self._recorded.run((kind, things), program, chosen, step, rates)
+            loss, rendering, self._terms = self._recorded.run((kind, objects), program, chosen, step, rates)
         except (NotRecordable, RuntimeError, SarsplatError) as error:
             self._recorded = None
-            said = f"steps are made launch by launch, because they cannot be recorded: {error}"
+            message = f"CUDA graphs are off, because this step cannot be recorded: {error}"
             if isinstance(error, NotRecordable):
-                _log.info(said)
-            else:  # or the same step fails again, and says why
-                warnings.warn(said, SarsplatWarning, stacklevel=2)
+                _log.info(message)
+            else:  # if the step itself is wrong, the eager step raises the same error
+                warnings.warn(message, SarsplatWarning, stacklevel=2)
             return None
         self.optimiser.stepped()
-        stepper.tell_torch()
+        stepper.mark_changed()
         return loss.clone(), rendering
 
-    def _compared(
-        self, chosen: Sequence[int] | Tensor, step: int, now: int | Tensor
+    def _losses(
+        self, chosen: Sequence[int] | Tensor, step: int, step_number: int | Tensor
     ) -> tuple[Tensor, Tensor, Rendering]:
-        """The loss alone, and with all else that is minimised, and what was rendered; `now` is the step, too."""
+        """Loss, total with penalties, and rendering; `step_number` is `step`, for CUDA graphs as a tensor."""
         share = share_dropped(self.config, len(self.views))
         batch = Batch(
             chosen,
             self.model.degree(self.iteration),
             self._rays,
             self._bounds,
-            dropped=dropped(len(self.model), share, self.config.seed, now, self.device) if share else None,
+            dropped=dropped(len(self.model), share, self.config.seed, step_number, self.device) if share else None,
             plane_gradients=self._wants_plane_gradients(step),
         )
         loss, rendering = self._observation.compared(self.model, self.images, batch)
@@ -187,46 +187,46 @@ class Trainer:
 
     @property
     def terms(self) -> dict[str, Tensor]:
-        """What the newest step minimised besides the loss, by name; they stay, whatever later steps do."""
-        return {name: term.clone() for name, term in self._terms.items()}  # a recorded step writes where the last did
+        """Penalties in the newest step, by name; copies."""
+        return {name: term.clone() for name, term in self._terms.items()}  # a CUDA graph overwrites its results
 
     @property
     def records(self) -> bool:
-        """Whether the device makes steps by itself, as it was recorded to; they can be asked for one by one instead."""
+        """True if steps are CUDA graphs; set it to False to switch these off."""
         return self._recorded is not None
 
     @records.setter
     def records(self, wanted: bool) -> None:
         if wanted > self.records:
-            raise SarsplatError("steps cannot be recorded here, or not any more; leave records as it is")
+            raise SarsplatError("records is True, but CUDA graphs are not available in this training; leave it False")
         self._recorded = self._recorded if wanted else None
 
     def _wants_plane_gradients(self, step: int) -> bool:
         return any(strategy.wants_plane_gradients(step) for strategy in self.strategies)
 
     def _recorder(self, loss: Loss | None) -> RecordedSteps[tuple[Tensor, Rendering, dict[str, Tensor]]] | None:
-        """What records steps that are ours alone, where the device can and all that changes can be told."""
+        """Recorder of CUDA graphs; None if the device has none, or for custom losses, laws and strategies."""
         recorder = recorder_for(next(iter(self.model.parameters.values())))
         law = scattering_named(self.config.scattering)
-        ours = loss is None and law.__module__.startswith("sarsplat.")
-        ours = ours and all(isinstance(one, Configured) and not one.acts_before() for one in self.strategies)
+        built_in = loss is None and law.__module__.startswith("sarsplat.")
+        built_in = built_in and all(isinstance(one, Configured) and not one.acts_before() for one in self.strategies)
         views, rates = self._queue.size, len(self.model.parameters) + 2
         if recorder is None or not RecordedSteps.has_room(views, rates):
             return None
-        if not ours or not self._observation.recordable or not isinstance(self.optimiser.stepper, EngineAdam):
-            _log.info("steps are made launch by launch: only those of images, with nothing of one's own, are recorded")
+        if not built_in or not self._observation.recordable or not isinstance(self.optimiser.stepper, EngineAdam):
+            _log.info("CUDA graphs are off: they support built-in losses, laws and strategies on single images only")
             return None
         return RecordedSteps(recorder, views, rates)
 
     def _gather(self, step: int, rendering: Rendering) -> None:
-        """Let strategies add up what they need of every step."""
+        """Let strategies accumulate statistics of a step with plane gradients."""
         if self._wants_plane_gradients(step):
-            seen = of_rows(rendering, lambda rows: rows[:, : len(self.model)])
+            of_target = of_rows(rendering, lambda rows: rows[:, : len(self.model)])
             for strategy, state in zip(self.strategies, self._states, strict=True):
-                strategy.gather(state, step, seen, self.images.grid)
+                strategy.gather(state, step, of_target, self.images.grid)
 
     def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
-        """Let all strategies act; what they remember of single Gaussians follows where others move rows."""
+        """Call a method of all strategies; when one moves rows, the states of the others follow."""
         info = Info(
             self.model,
             self.images,
@@ -249,12 +249,12 @@ class Trainer:
 
     @property
     def grid(self) -> ImageGrid:
-        """Of the dataset's images; steps may look at coarser ones, `images`."""
+        """Grid of the dataset's images; steps may use coarser ones, `images`."""
         return self.model.frame.grid
 
     @property
     def views(self) -> tuple[View, ...]:
-        """From where the training images were taken, as refined so far."""
+        """Views of the training images, as refined so far."""
         return self.images.views
 
     @property
@@ -264,22 +264,22 @@ class Trainer:
         return RayGrid.for_image(self.images.grid, config.fine_rays_per_pixel if fine else config.rays_per_pixel)
 
     def check(self) -> None:
-        """Wait for the device, and raise a SarsplatError if a step so far was given what it cannot render."""
+        """Wait for the device; raise a SarsplatError if a step so far had values that cannot be rendered."""
         self._bounds.check()
 
     @property
     def learning_rates(self) -> dict[str, float]:
-        """Of the next step, by parameter: of its first column; of means and shifts in m."""
+        """Learning rates of the next step by parameter, of the first column; those of means and shifts are in m."""
         return self.optimiser.rates(self.iteration)
 
     @torch.no_grad()
     @checks_arguments
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
-        """β⁰ of any views as they are now, linear power, with the rays of the training."""
+        """Render β⁰ of any views, linear power, with the rays of the training."""
         degree, few, power = self.model.degree(self.iteration), self.config.views_per_step, self.model.power_channel
         images = [
             self.model.render(views[first : first + few], self.grid, degree, rays=self._rays)[0][:, power].cpu().numpy()
-            for first in range(0, len(views), few)  # what a step takes fits into memory
+            for first in range(0, len(views), few)  # a step fits into memory
         ]
         return np.concatenate(images or [np.empty((0, self.grid.rows, self.grid.columns), np.float32)])
 
@@ -290,19 +290,18 @@ class Trainer:
 
     @property
     def gaussians(self) -> Gaussians:
-        """The target as it is now."""
+        """The target's Gaussians after the last step."""
         return self.model.target(self.model.degree(self.iteration)).detach()
 
     @checks_arguments
     def snapshot(self, seconds: float) -> Snapshot:
-        """Everything the next step depends on, as it is now; `seconds` is how long the training took until here."""
+        """Return all state that the next step depends on; `seconds` is the training time so far."""
         self.check()
         tensors = {"generator": self._generator.get_state(), **self.model.tensors()}
         tensors |= {f"optimiser/{name}": tensor for name, tensor in self.optimiser.tensors().items()}
         for strategy, state in zip(self.strategies, self._states, strict=True):
-            tensors[f"strategy/{strategy.name}"] = torch.empty(
-                0, dtype=torch.float32, device="cpu"
-            )  # it is there, even without any state
+            # records the strategy, even without state
+            tensors[f"strategy/{strategy.name}"] = torch.empty(0, dtype=torch.float32, device="cpu")
             tensors |= {f"strategy/{strategy.name}/{name}": tensor for name, tensor in state.tensors().items()}
         return Snapshot(
             self.iteration,
@@ -318,12 +317,12 @@ class Trainer:
 
     @checks_arguments
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to the state of a snapshot.
+        """Restore the state of a snapshot.
 
-        Raises a SarsplatError if it is of a training with other strategies, KeyError or ValueError if of no training.
+        Raises a SarsplatError if its training had other strategies, KeyError or ValueError if it holds no training.
         """
         if not snapshot.part("optimiser"):
-            raise SarsplatError("it holds Gaussians that were not trained here, which cannot be resumed")
+            raise SarsplatError("the snapshot holds Gaussians that were not trained here, which cannot be resumed")
         names = [name.removeprefix("strategy/") for name in snapshot.tensors if name.startswith("strategy/")]
         begun, own = {name for name in names if "/" not in name}, {strategy.name for strategy in self.strategies}
         if begun != own:
@@ -343,8 +342,8 @@ def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
     return followed(rows.transpose(0, 1), source, kept).transpose(0, 1)
 
 
-def _done(rendering: Rendering) -> Rendering:
-    """What was rendered, without what the backward pass needed: strategies render anew, and need that memory."""
+def _detached(rendering: Rendering) -> Rendering:
+    """The rendering without its autograd graph, whose memory strategies need."""
     return replace(
         rendering,
         images=rendering.images.detach(),

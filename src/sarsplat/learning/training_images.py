@@ -18,18 +18,18 @@ from sarsplat.learning.snapshot import Snapshot
 from sarsplat.renderer.engines.chosen_views import ChosenViews
 
 _FAINTEST = 1e-30
-"""Largest β⁰ below which images count as black: squares and reciprocals of it would leave float32."""
+"""Largest β⁰ of images that count as black: squares and reciprocals would leave float32."""
 
 
 class TrainingImages:
-    """The training images of a dataset; refused if they are black.
+    """Training images of a dataset on a device; raises if they are black.
 
     Attributes
     ----------
     views : tuple of View
-        From where they were taken, as refined so far.
+        Views of the images, as refined so far.
     grid : ImageGrid
-        Of the images.
+        Grid of the images.
     truth : Tensor, float32 [K, rows, columns]
         β⁰, linear power.
     numbers : Tensor, int64 [K]
@@ -37,7 +37,7 @@ class TrainingImages:
     brightest : float
         Largest β⁰.
     samples : float
-        Independent samples of speckle in each.
+        Independent samples of speckle in each image.
     """
 
     def __init__(self, dataset: Dataset, device: torch.device) -> None:
@@ -53,25 +53,26 @@ class TrainingImages:
         self.numbers = torch.arange(len(self.views), device=device)
 
     def views_of(self, chosen: Sequence[int] | Int64[Tensor, " v"]) -> Sequence[View]:
-        """From where some of them were taken."""
+        """Views of the chosen images."""
         return ChosenViews(self.views, chosen) if isinstance(chosen, Tensor) else [self.views[i] for i in chosen]
 
     def of(
         self, chosen: Sequence[int] | Int64[Tensor, " v"]
     ) -> tuple[Int64[Tensor, " v"], Float32[Tensor, "v rows columns"]]:
-        """Numbers and β⁰ of some of them."""
+        """Numbers and β⁰ of the chosen images."""
         if isinstance(chosen, Tensor):
             return chosen, self.truth.index_select(0, chosen)
         # stacked: much faster than an index
         return torch.stack([self.numbers[i] for i in chosen]), torch.stack([self.truth[i] for i in chosen])
 
     def through(self, windows: Windows) -> TrainingImages:
-        looked = copy(self)
-        looked.truth, looked.grid = windows.of(self.truth), windows.stack
-        return looked
+        """Windows of these images, stacked."""
+        cut = copy(self)
+        cut.truth, cut.grid = windows.of(self.truth), windows.stack
+        return cut
 
     def multilooked(self, factor: int, views: tuple[View, ...]) -> TrainingImages:
-        """Means of power over blocks of factor × factor pixels, taken from these views."""
+        """Means of power over blocks of factor × factor pixels, with these views."""
         looked = copy(self)
         looked.views = views
         if factor > 1:
@@ -82,9 +83,9 @@ class TrainingImages:
 
 
 class ViewQueue:
-    """Batches of view indices: the training views shuffled anew for each epoch, `per_step` of them at a time.
+    """Batches of `per_step` view indices, shuffled anew for each epoch.
 
-    `generator` is one of the CPU, so that the order is the same on every device.
+    `generator` is on the CPU, so that the order is the same on every device.
     """
 
     def __init__(self, views: int, per_step: int, generator: torch.Generator) -> None:
@@ -93,7 +94,7 @@ class ViewQueue:
 
     @property
     def size(self) -> int:
-        """Of a batch."""
+        """Number of views of a batch."""
         return self._count
 
     def next(self) -> list[int]:
@@ -103,9 +104,9 @@ class ViewQueue:
         return chosen
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue with the views and the state of the generator that a snapshot holds.
+        """Restore the queue and the generator from a snapshot.
 
-        Raises ValueError, KeyError, TypeError or RuntimeError if it does not hold them.
+        Raises ValueError, KeyError, TypeError or RuntimeError if the snapshot does not hold them.
         """
         if len(snapshot.views) != self._views:
             raise ValueError(f"it has {len(snapshot.views)} views for {self._views} training images")

@@ -11,10 +11,9 @@ from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.executors.executor import Means, executor_named
-from sarsplat.learning.device import device_named
+from sarsplat.learning.device_choice import device_named, quicker_device
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.method import Inputs
-from sarsplat.learning.quicker import quicker
 from sarsplat.learning.trainer import Trainer
 from sarsplat.progress import progress
 from sarsplat.runs.methods import method_named
@@ -133,7 +132,7 @@ def reconstruct(
         on = device_named("cpu")  # as it was begun
     note = ""
     if device == "auto" and on.type == "cuda" and begun is None and not (loss or strategies):
-        on, note = quicker(lambda where: chosen.trainer(dataset, config, inputs, where, None), on, config.iterations)
+        on, note = quicker_device(lambda d: chosen.trainer(dataset, config, inputs, d, None), on, config.iterations)
     trainer = chosen.trainer(dataset, config, inputs, on, learned)
     heading, about = chosen.about(trainer.config, dataset.grid)
     by_tiles = chosen.by_tiles(config)

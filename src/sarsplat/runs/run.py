@@ -18,7 +18,7 @@ from sarsplat.data.header import place_header
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, Place, View
-from sarsplat.learning.device import device_named
+from sarsplat.learning.device_choice import device_named
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.progress import progress
 from sarsplat.runs.methods import METHODS, method_named

@@ -18,7 +18,7 @@ from sarsplat.data import Dataset, read_dataset
 from sarsplat.data.files import locked, plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.executors.executor import Work
-from sarsplat.learning.device import device_named
+from sarsplat.learning.device_choice import device_named
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.observations.parts_of_images import PartsOfImages, Tile, tiles_of
 from sarsplat.learning.snapshot import Snapshot

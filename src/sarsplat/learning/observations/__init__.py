@@ -1,4 +1,4 @@
-"""What trainings learn from: each observation is one file of this folder, and `observation_of` finds it there."""
+"""Observations, which compare a model with images or stacks: each is a file of this folder."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ __all__ = ["Batch", "Observation", "observations_of"]
 
 
 def observations_of(config: Config) -> list[type[Observation]]:
-    """What a configuration learns from: the first, and what its training goes on with."""
+    """Observations of a configuration: the first, and those that the training continues with."""
     kinds = classes_in(__name__, Observation)  # type: ignore[type-abstract]
     return [kind for kind in kinds if kind.wanted(config)]

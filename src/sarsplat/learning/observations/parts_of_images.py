@@ -1,4 +1,4 @@
-"""Learning a tile of a scene from the parts of the images that show it: the whole scene has been learned before."""
+"""Observation of one tile of a scene in the parts of images that show it, after training the whole scene."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from sarsplat.settings.config import Config
 
 @dataclass(frozen=True)
 class Tile:
-    """A rectangle on the ground; those at the edge of the scene have no end there."""
+    """A rectangle on the ground; unbounded at the edges of the scene."""
 
     low: tuple[float, float]
     high: tuple[float, float]
-    """Its corners (x, y), m; the upper ones are the next tile's."""
+    """Corners (x, y), m; the upper ones belong to the next tile."""
 
     def holds(self, means: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
-        """Which of these centres are its own."""
+        """Mask of the centres in the tile."""
         places = means.detach()[:, :2]
         return ((places >= places.new_tensor(self.low)) & (places < places.new_tensor(self.high))).all(1)
 
 
 class PartsOfImages(SingleImages):
-    """The parts of single images that show the Gaussians in a tile; `whole` is the scene's training where tiles begin.
+    """Parts of single images that show the Gaussians in a tile; `whole` is the training of the whole scene before.
 
-    Learned are these Gaussians, and those around the tile that its images show, or that shade these. What is not of
-    single Gaussians, as the ground, stays as the whole scene has taught it.
+    It trains these Gaussians, and those around the tile that its images show or that occlude these. Parameters that are
+    not per Gaussian, such as the ground's, are frozen.
     """
 
     order = 3
@@ -52,14 +52,14 @@ class PartsOfImages(SingleImages):
         super().__init__(dataset, config, device)
         model = SceneModel.saved(whole, config, device)
         scene, levels = model.target(model.degree(whole.iteration)).detach(), model.levels
-        learned_m = levels.grid_at(levels.factor(max(whole.iteration - 1, 0))).cell_m  # the whole is right to a cell
+        learned_m = levels.grid_at(levels.factor(max(whole.iteration - 1, 0))).cell_m  # its accuracy
         own, finest = tile.holds(scene.means), levels.factor(whole.iteration)
         self.tile = tile
         self._windows = Windows.around(scene[own], whole.views, whole.grid, learned_m, finest)
         rays = RayGrid.for_image(levels.grid_at(finest), config.rays_per_pixel)
         near = own | self._windows.shown(scene, whole.views, rays, model.ground(), learned_m)
         self.begun = with_some(whole, rows_in(model), near)
-        """Where the tile's training begins."""
+        """Snapshot from which the tile's training begins."""
         self.images = self.images.through(self._windows)
 
     @classmethod
@@ -74,13 +74,13 @@ class PartsOfImages(SingleImages):
 
 
 def tiles_of(means: Float[Tensor, "n 3"], side: int) -> list[Tile]:
-    """`side` × `side` tiles with the same number of these centres in each, but for what cannot be divided."""
+    """Divide centres into `side` × `side` tiles of nearly equal numbers."""
     every = Tile((-math.inf, -math.inf), (math.inf, math.inf))
     return [tile for slab in _cut(every, means, side, 0) for tile in _cut(slab, means, side, 1)]
 
 
 def _cut(tile: Tile, means: Float[Tensor, "n 3"], parts: int, axis: int) -> list[Tile]:
-    """Parts of a tile along an axis; fewer where too few centres are at different places."""
+    """Divide a tile along an axis; into fewer parts if too few centres differ."""
     places = means.detach().cpu()[tile.holds(means).cpu()][:, axis].sort().values
     inner = [float(places[len(places) * k // parts]) for k in range(1, parts)]
     edges = [tile.low[axis], *sorted({edge for edge in inner if edge > float(places[0])}), tile.high[axis]]
@@ -91,21 +91,21 @@ def _cut(tile: Tile, means: Float[Tensor, "n 3"], parts: int, axis: int) -> list
 
 
 def with_some(snapshot: Snapshot, rows: Collection[str], which: Bool[Tensor, " n"]) -> Snapshot:
-    """A training with some of its Gaussians; `rows` are the parameters with a row for each."""
+    """Snapshot with a subset of the Gaussians; `rows` names the parameters with a row for each."""
     chosen = which.cpu().nonzero()[:, 0]
     some = {name: tensor[chosen] for name, tensor in snapshot.tensors.items() if _of_rows(name, rows)}
     return replace(snapshot, tensors=snapshot.tensors | some)
 
 
 def merged(parts: Sequence[Snapshot], rows: Collection[str], seconds: float) -> Snapshot:
-    """A training with the Gaussians of all; what is not of single ones is the same in them, but for chance."""
+    """Join the Gaussians of snapshots; all else is that of the first one."""
     first = parts[0]
     joined = {name: torch.cat([part.tensors[name] for part in parts]) for name in first.tensors if _of_rows(name, rows)}
     return replace(first, seconds=seconds, tensors=first.tensors | joined)
 
 
 def _of_rows(name: str, rows: Collection[str]) -> bool:
-    """Whether a tensor of a snapshot has a row for each Gaussian."""
+    """Return True if a tensor of a snapshot has a row for each Gaussian."""
     kind, _, which = name.partition("/")
     return kind in ("model", "optimiser") and which.partition("/")[0] in rows
 

@@ -1,4 +1,4 @@
-"""Learning from single images: their power."""
+"""Observation of the power of single images."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Polarimetric
-from sarsplat.learning.few_at_once import compared_in_groups, in_groups
+from sarsplat.learning.batching import compared_in_groups, in_groups
 from sarsplat.learning.losses import LOSSES, ImageScale, Loss, named_loss
 from sarsplat.learning.method import Inputs
 from sarsplat.learning.model import SceneModel
@@ -22,7 +22,7 @@ from sarsplat.settings.config import Config
 
 
 class SingleImages(Observation):
-    """β⁰ of each training image, compared by the configuration's loss or one of the user's own."""
+    """β⁰ of each training image, compared by the configuration's loss or a custom one."""
 
     order = 2
     recordable = True
@@ -39,17 +39,17 @@ class SingleImages(Observation):
     def refuse(cls, config: Config, dataset: Dataset, inputs: Inputs) -> None:
         if config.scattering == Polarimetric.kind and not (config.passes and dataset.polarimetric):
             raise SarsplatError(
-                f"scattering is {config.scattering}, which is learned from stacks of several polarisations with passes "
-                f"on, and {dataset} is learned from without them; choose harmonics"
+                f"scattering is {config.scattering}, which needs passes on and stacks of several polarisations, unlike "
+                f"those of {dataset}; choose harmonics"
             )
         if config.bounce is not None and dataset.terrain is not None:
-            raise SarsplatError(f"bounce is on, which is off level ground, but {dataset} has terrain; give bounce off")
+            raise SarsplatError(f"bounce is on, which needs level ground, but {dataset} has terrain; give bounce off")
         super().refuse(config, dataset, inputs)
 
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
-        self._mean_over_views = loss is None  # as all that have a name
+        self._mean_over_views = loss is None  # true of all named losses
         self._loss = loss or named_loss(self.config, ImageScale(self.images.brightest, model.unit))
-        if loss is None and LOSSES[self.config.loss].unit.startswith("nats"):  # so are penalties, then
+        if loss is None and LOSSES[self.config.loss].unit.startswith("nats"):  # penalties are in nats, too
             return torch.ones((), dtype=torch.float32, device=self.device)
         return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
 
@@ -59,7 +59,7 @@ class SingleImages(Observation):
             return self._compared(model, images, batch)
         groups = in_groups(len(chosen), len(chosen), model.parameters, images.grid, batch.rays, model.scenes_rendered)
         return compared_in_groups(
-            lambda some: self._compared(model, images, replace(batch, chosen=chosen[some])),
+            lambda group: self._compared(model, images, replace(batch, chosen=chosen[group])),
             groups,
             [*model.parameters.values()],
         )
@@ -81,8 +81,8 @@ class SingleImages(Observation):
 
 @torch.no_grad()
 def _of_black(loss: Loss, truth: Float32[Tensor, "v rows columns"]) -> Tensor:
-    """The loss of black images, the unit of what else is minimised; 1 where that is not a measure of distance."""
-    value = loss(torch.zeros_like(truth), truth.clone())  # what a loss of one's own does to it stays there
-    if not isinstance(value, Tensor) or value.is_complex():  # the first step says so
+    """Loss of black images, the unit of penalties; 1 if it is not finite and positive."""
+    value = loss(torch.zeros_like(truth), truth.clone())  # a copy: custom losses may change it
+    if not isinstance(value, Tensor) or value.is_complex():  # the first step raises
         return truth.new_ones(())
     return torch.where(value.isfinite() & (value > 0), value, 1.0)

@@ -1,4 +1,4 @@
-"""Learning from stacks: what is compared are covariances between passes, or polarisations."""
+"""Observation of stacks: covariances between passes, or polarisations."""
 
 from __future__ import annotations
 
@@ -14,32 +14,31 @@ from sarsplat.learning.losses import Loss
 from sarsplat.learning.method import Inputs
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.observations.observation import Batch, Observation
+from sarsplat.learning.stack_loss import packed, windowed, windowed_nats
 from sarsplat.learning.training_images import TrainingImages
-from sarsplat.learning.windowed_likelihood import packed, windowed, windowed_nats
 from sarsplat.memory import required
 from sarsplat.renderer import Rendering
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Passes
 
-_OF_ONE, _OF_EACH = 11, 4
-"""Numbers of a pixel for each pair of channels: of one stack while it is averaged, as measured, and of each that a step
-looks at."""
+_AVERAGING, _STEP = 11, 4
+"""Memory in numbers per pixel and pair of channels: while one stack is averaged, and for each stack of a step."""
 
-_LEAST_NOISE = 1e-6
-"""Of the mean power: with less, covariances of smooth scenes cannot be inverted in float32."""
+_MIN_NOISE = 1e-6
+"""Minimum noise, relative to the mean power, with which covariances can be inverted in float32."""
 
 
 class StackImages(TrainingImages):
-    """The training stacks of a dataset.
+    """Training stacks of a dataset on a device.
 
     Attributes
     ----------
     stacks : tuple of Stack
-        Of each image.
+        Stack of each image.
     plane_phases : K tensors [P, rows, columns]
         Phases of level ground, rad, by which stacks are deramped.
     measured : K tensors [P², rows, columns]
-        y_i y_j* of each pixel, deramped and averaged around it, `packed`, linear power.
+        Covariances y_i y_j*, deramped and averaged around each pixel, `packed`, linear power.
     """
 
     def __init__(self, dataset: Dataset, window: int, together: int, device: torch.device) -> None:
@@ -48,11 +47,11 @@ class StackImages(TrainingImages):
         assert train.signal is not None  # of stacks
         self.stacks = train.stacks
         pairs, channels = train.passes**2, train.passes
-        numbers = len(train) * (pairs + channels) + (_OF_ONE + _OF_EACH * min(together, len(train))) * pairs
+        numbers = len(train) * (pairs + channels) + (_AVERAGING + _STEP * min(together, len(train))) * pairs
         needed = 4.0 * numbers * self.grid.rows * self.grid.columns
         required("learning from these stacks", needed, "give smaller images, fewer of them or fewer passes")
         self.plane_phases, self.measured = list[Tensor](), list[Tensor]()
-        for signal, stack, view in zip(train.signal, self.stacks, self.views, strict=True):  # one needs much memory
+        for signal, stack, view in zip(train.signal, self.stacks, self.views, strict=True):  # to save memory
             level, y = (torch.from_numpy(one).to(device) for one in (stack.plane_phases(view, self.grid), signal))
             self.plane_phases.append(level.float())
             self.measured.append(packed(windowed((y[:, None] * y.conj())[None], level.float()[None], window))[0])
@@ -94,19 +93,18 @@ class Stacks(Observation):
         if not (dataset.interferometric or dataset.polarimetric):
             has = "stacks of one offset and one polarisation" if dataset.passes else "single images"
             raise SarsplatError(
-                f"the settings (preset {config.preset}) learn from stacks, and {dataset} has {has}; choose another "
-                "preset, or auto, which learns from the power"
+                f"the preset {config.preset} learns from stacks, but {dataset} has {has}; choose another preset"
             )
         if dataset.polarimetric and config.scattering != Polarimetric.kind:
             raise SarsplatError(
-                f"scattering is {config.scattering}, which is the same in all polarisations, and {dataset} has "
+                f"scattering is {config.scattering}, which is equal in all polarisations, but {dataset} has "
                 f"{', '.join(dict.fromkeys(dataset.stacks[0].of_channels))}; choose {Polarimetric.kind}"
             )
         _refuse_stacks(config, dataset.select("train"), dataset)
         super().refuse(config, dataset, inputs)
 
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
-        """Always the likelihood: penalties are nats of each channel."""
+        """Set nothing, as the loss is the likelihood; penalties are in nats per channel."""
         return self.images.truth.new_tensor(float(len(self.images.stacks[0])))
 
     def compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:
@@ -125,18 +123,18 @@ class Stacks(Observation):
             numbers=torch.stack([of.numbers[i] for i in chosen]),
             dropped=batch.dropped,
         )
-        level, measured = (torch.stack([whole[i] for i in chosen]) for whole in (of.plane_phases, of.measured))
+        level, measured = (torch.stack([stacked[i] for i in chosen]) for stacked in (of.plane_phases, of.measured))
         return windowed_nats(expected, level, measured / model.unit, self._settings.window), rendering
 
 
 def _refuse_stacks(config: Config, train: Dataset, dataset: Dataset) -> None:
-    """Refuse training stacks that cannot be learned from together, or not with these settings."""
+    """Raise if training stacks do not fit each other or the settings."""
     grid, first = train.grid, train.entries[0]
-    assert config.passes is not None and first.stack is not None  # or nothing is learned from stacks
+    assert config.passes is not None and first.stack is not None  # implied by `wanted`
     if first.view.aloft:
         raise SarsplatError(
-            f"{dataset} has stacks of a target aloft, whose heights phases do not bound; choose another preset, which "
-            "learns from the power"
+            f"{dataset} has stacks of a target aloft, whose heights phases do not bound; choose a preset that learns "
+            "from power"
         )
     for entry in train.entries:
         if entry.stack is not None and entry.stack.of_channels != first.stack.of_channels:
@@ -152,8 +150,8 @@ def _refuse_stacks(config: Config, train: Dataset, dataset: Dataset) -> None:
         )
     mean = float(train.power.mean(dtype="float64"))
     for entry in train.entries:
-        if entry.stack is not None and entry.stack.noise and (least := min(entry.stack.noise)) < _LEAST_NOISE * mean:
+        if entry.stack is not None and entry.stack.noise and (least := min(entry.stack.noise)) < _MIN_NOISE * mean:
             raise SarsplatError(
                 f"{entry.name} states noise of {least:.3g} where the mean power is {mean:.3g}, too little for 32-bit "
-                f"numbers; state at least {_LEAST_NOISE * mean:.2g}, or none, so that it is learned"
+                f"numbers; state at least {_MIN_NOISE * mean:.2g}, or none, so that it is learned"
             )

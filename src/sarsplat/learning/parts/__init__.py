@@ -1,4 +1,4 @@
-"""Parts of the scene model: each is one file of this folder, and `parts_of` finds it there."""
+"""Parts of the scene model, such as target, ground and noise: classes in the files of this folder."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ from sarsplat.settings.config import Config
 
 
 def parts_of(config: Config, frame: SceneFrame, device: torch.device) -> list[Part]:
-    """The parts of a configuration's model, in the order in which they make a scene and its images."""
+    """Parts of a configuration's model, in the order in which they make a scene and its images."""
     kinds = classes_in(__name__, Part)
     return [kind(config, frame, device) for kind in kinds if kind.wanted(config)]

@@ -20,17 +20,17 @@ from sarsplat.radiometry import from_db
 from sarsplat.regions.image_levels import ground_levels_db
 
 _FAINTEST = 0.01
-"""Its level at the start at least, of the images' mean: where most of an image is black, a logarithm could not rise."""
+"""Minimum initial level, relative to the mean power: a logarithm could not rise from black images."""
 
-_MOST = 512
-"""Places along a side."""
+_MAX_SIDE = 512
+"""Maximum number of places along a side of the γ⁰ map."""
 
-_ALIKE = 0.05
-"""Spread of the logarithm of sin θ, 1° at 17°, below which images say nothing of how γ⁰ goes on at other angles."""
+_MIN_SPREAD = 0.05
+"""Minimum standard deviation of log sin θ (1° at 17°) at which the law of the grazing angle is learned."""
 
 
 class FlatGroundPart(Part):
-    """Logarithms of its γ⁰, of all of it and of single places in units of that, and its law of the grazing angle."""
+    """Log γ⁰ of the ground: its mean, a map relative to the mean, and the exponent of its law of sin θ."""
 
     order = 20
     section = "ground"
@@ -41,7 +41,7 @@ class FlatGroundPart(Part):
         rates = self.config.rates
         own = {
             "ground": Learned((1,), (rates.nuisance,)),
-            "ground_exponent": Learned((1,), (rates.nuisance if self._sines.std() > _ALIKE else 0.0,)),
+            "ground_exponent": Learned((1,), (rates.nuisance if self._sines.std() > _MIN_SPREAD else 0.0,)),
         }
         places = {"ground_texture": Learned((self._side**2, 1), (rates.ground,))} if self._side else {}
         return own | places
@@ -59,7 +59,7 @@ class FlatGroundPart(Part):
         } | places
 
     def _first_texture(self, train: Dataset) -> Float[Tensor, "places 1"]:
-        """Even ground, or what half of the images show of it."""
+        """Initial map: even, or estimated from the images."""
         texture = np.zeros((self._side, self._side))
         if self.settings.from_images:
             axis = (np.arange(self._side) - (self._side - 1) / 2) * self._pitch_m
@@ -73,7 +73,7 @@ class FlatGroundPart(Part):
 
     def ground(self, p: Parameters) -> Ground:
         exponent = p["ground_exponent"][0]
-        level = p["ground"][0] - exponent * float(self._sines.mean())  # that at the mean angle
+        level = p["ground"][0] - exponent * float(self._sines.mean())  # `ground` is at the mean angle
         if not self._side:
             return Ground(level.exp(), height_m=self._height_m, exponent=exponent)
         places = (level + p["ground_texture"].view(self._side, self._side)).exp()
@@ -90,12 +90,12 @@ class FlatGroundPart(Part):
 
     @cached_property
     def _pitch_m(self) -> float:
-        """Distance of the places; of large scenes more than set, so that there are not too many."""
-        return max(self.settings.pitch * self.frame.cell_m, 2 * self._radius_m / _MOST)
+        """Spacing of the map, m: as configured, but wider in large scenes to limit its size."""
+        return max(self.settings.pitch * self.frame.cell_m, 2 * self._radius_m / _MAX_SIDE)
 
     @cached_property
     def _side(self) -> int:
-        """Places along a side; 0: one γ⁰ for all."""
+        """Number of places along a side; 0 without a map."""
         return 2 * math.ceil(self._radius_m / self._pitch_m) + 1 if self.settings.pitch else 0
 
     @property

@@ -1,4 +1,4 @@
-"""The second bounce by way of level ground: the share of power that the ground reflects like a mirror is learned."""
+"""Second bounce on level ground, with a learned mirror reflectivity."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sarsplat.renderer.echoes import Echo
 
 
 class GroundBouncePart(Part):
-    """What the scene's Gaussians return by way of the plane at z = 0, by their own scattering law."""
+    """Echo of the scene's Gaussians by way of the plane at z = 0, by their own scattering law."""
 
     order = 25
     section = "bounce"
@@ -21,7 +21,7 @@ class GroundBouncePart(Part):
     @property
     def learned(self) -> dict[str, Learned]:
         def later(done: float) -> float:
-            return late(done) if done >= self.config.law_from else 0.0  # what has no shape yet had better be dark
+            return late(done) if done >= self.config.law_from else 0.0  # not before the shape is known
 
         return {"ground_reflectivity": Learned((1,), (self.config.rates.nuisance,), later, 0.0, 1.0)}
 
@@ -31,4 +31,4 @@ class GroundBouncePart(Part):
 
     def echoes(self, p: Parameters) -> tuple[Echo, ...]:
         reflectivity = p["ground_reflectivity"][0]
-        return (GroundBounce(Ground(torch.zeros_like(reflectivity)), reflectivity),)  # of the ground, where it is
+        return (GroundBounce(Ground(torch.zeros_like(reflectivity)), reflectivity),)  # at z = 0

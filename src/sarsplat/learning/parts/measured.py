@@ -1,4 +1,4 @@
-"""Nuisances of measured images: each has a shift and a gain of its own, and all have a noise floor."""
+"""Nuisances of measured images: shift and gain of each image, and a common noise floor."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot, drawn_
 
 
 class Shifts(Part):
-    """A displacement in azimuth and slant range of each training image, m: chips are cut out around targets by eye.
+    """Displacement of each training image in azimuth and slant range, m: chips are centred on targets by eye.
 
-    An unseen one is displaced as the mean of them, and its response widened by their spread; or drawn from them.
+    Unseen images get the mean displacement, and a response widened by the spread; or a random one.
     """
 
     order = 30
@@ -50,9 +50,9 @@ class Shifts(Part):
 
 
 class Gains(Part):
-    """A factor on what is scattered in each training image; of mean 1, which is that of an unseen one unless drawn.
+    """Gain of the scattered power in each training image, of mean 1; unseen images get 1, or a random gain.
 
-    Scaled to that, the power added to an image of little gain is high.
+    Additive power is relative to the gain: in units of an unseen image, it is high where the gain is low.
     """
 
     order = 50
@@ -82,8 +82,8 @@ class Gains(Part):
             return images * shot.gain[:, None, None, None]
         if shot.numbers is None:
             return images
-        # not by `render`, which would look at its values, and a GPU would be waited for; expanded, so that its gradient
-        # is summed column by column: to one number, torch would split it by threads
+        # not by `render`, whose check would wait for a GPU; expanded, so that the gradient is summed column by column,
+        # independent of torch's threads
         return images * gains(p)[shot.numbers, None, None, None].expand(-1, images.shape[1], 1, shot.grid.columns)
 
 
@@ -93,7 +93,7 @@ def gains(p: Parameters) -> Float[Tensor, " v"]:
 
 
 class NoiseFloor(Part):
-    """The logarithm of a power that is added to every pixel."""
+    """Log power added to every pixel."""
 
     order = 60
     section = "surroundings"

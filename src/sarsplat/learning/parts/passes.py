@@ -1,4 +1,4 @@
-"""Nuisances of the passes of stacks: their noise, known or learned, and what is added to their phases."""
+"""Nuisances of the passes of stacks: noise, known or learned, and phase screens."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot, normal_nats
 from sarsplat.settings.config import Config
 
-_TRIED = 512
-"""Heights at which the mean scatterer of a stack is looked for."""
+_HEIGHTS = 512
+"""Number of heights tried for the mean scatterer of a stack."""
 
 
 class PassNoise(Part):
-    """Power of each pass where nothing scatters; its logarithm is learned unless the stacks say it."""
+    """Noise power of each pass; its logarithm is learned unless the stacks state it."""
 
     order = 60
     section = "passes"
@@ -40,11 +40,11 @@ class PassNoise(Part):
         return p["pass_noise"].exp() if self._known is None else self._known
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
-        """The mean over all passes: unseen images have no noise of their own."""
+        """Add the mean noise of all passes."""
         return images + self.of_passes(p).mean(1).mean(0)
 
     def noise(self, shot: Shot, p: Parameters) -> Float[Tensor, "v p"]:
-        """Noise power; for unseen images the mean over all passes, as in `images`, a single number."""
+        """Noise power; for unseen images the mean over all passes, as in `images`."""
         noise = self.of_passes(p)
         return noise.mean().expand(1, 1) if shot.numbers is None else noise[shot.numbers]
 
@@ -61,10 +61,9 @@ class PassNoise(Part):
 
 
 class PhaseScreen(Part):
-    """What atmosphere and unknown baselines add to the phases of each pass: a constant, and slopes over the image.
+    """Phases of each pass from atmosphere and unknown baselines: a constant, and slopes over the image.
 
-    All passes together do not show what grows with their baselines, which heights explain as well. Unseen images have
-    none.
+    Phases in proportion to the baselines are not determined: heights explain them as well. Unseen images have none.
     """
 
     order = 50
@@ -80,7 +79,7 @@ class PhaseScreen(Part):
         return {"phase_screen": Learned((len(stacks), 3 * len(stacks[0])), (self.config.rates.nuisance,))}
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        """Constants: what the mean scatterer of each stack, at whatever height, leaves of its phases."""
+        """Initial constants: residual phases of each stack after fitting one scatterer at its best height."""
         assert train.signal is not None  # of stacks
         start = torch.zeros(len(train), train.passes, 3, dtype=torch.float32, device="cpu")
         pairs = zip(train.signal, train.views, train.stacks, strict=True)
@@ -105,13 +104,13 @@ class PhaseScreen(Part):
 def _left_over(
     signal: Complex64[np.ndarray, "p rows columns"], view: View, stack: Stack, grid: ImageGrid
 ) -> Float32[np.ndarray, " p"]:
-    """Phases of the strongest component of all pixels, but for those of the height that explains them best, rad."""
+    """Phases of the strongest component of all pixels, minus those of the height that fits them best, rad."""
     level = (signal * np.exp(-1j * stack.plane_phases(view, grid))).reshape(len(stack), -1).astype(np.complex128)
     _, vectors = np.linalg.eigh(level @ level.conj().T)
     phases = np.angle(vectors[:, -1])
     numbers = stack.elevation_numbers(view)
     least = np.ptp(numbers) / max(len(stack) - 1, 1)
-    heights = np.linspace(-np.pi, np.pi, _TRIED) / least if least else np.zeros(1)
+    heights = np.linspace(-np.pi, np.pi, _HEIGHTS) / least if least else np.zeros(1)
     agreement = np.exp(1j * (phases - heights[:, None] * numbers)).sum(1)
     best = int(np.abs(agreement).argmax())
     left = np.angle(np.exp(1j * (phases - heights[best] * numbers - np.angle(agreement[best]))))

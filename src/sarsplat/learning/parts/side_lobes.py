@@ -1,4 +1,4 @@
-"""Side lobes of the response: what a bright scatterer leaves along its row and its column."""
+"""Side lobes of the response: the power of a bright scatterer along its row and its column."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sarsplat.settings.config import Config
 
 
 class SideLobes(Part):
-    """The logarithm of their power in azimuth and in range, relative to those of a usual window."""
+    """Log power of the side lobes in azimuth and in range, relative to those of a usual window."""
 
     order = 40
     section = "surroundings"
@@ -43,10 +43,10 @@ class SideLobes(Part):
 def with_side_lobes(
     images: Float[Tensor, "v rows columns"], level: Float[Tensor, " 2"], grid: ImageGrid
 ) -> Float[Tensor, "v rows columns"]:
-    """Power images, seen through a Gaussian response, with the side lobes of all that is in them.
+    """Add side lobes to power images of a Gaussian response.
 
-    `level` is the power of the side lobes in azimuth and in range, relative to those of the grid's response, or if that
-    has none, of a −35 dB Taylor window; differentiable.
+    `level` is the power of the side lobes in azimuth and in range, relative to those of the grid's response, or of a
+    −35 dB Taylor window if that has none; differentiable.
     """
     along_azimuth, along_range = _matrices(grid, images.dtype, images.device)
     azimuth, slant_range = level[:, None].expand(2, grid.columns)  # so that gradients are summed column by column
@@ -55,7 +55,7 @@ def with_side_lobes(
 
 @kept_on_device(maxsize=16)
 def _matrices(grid: ImageGrid, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Side-lobe matrices along rows and columns; symmetric, and copied to a device only once."""
+    """Symmetric convolution matrices along rows and columns, cached on the device."""
     response = grid.response if math.isfinite(grid.response.main_lobe) else TAYLOR
     sizes = zip((grid.columns, grid.rows), grid.spacing_m, grid.resolution_m, strict=True)
     return tuple(_matrix(response, *size).to(device, dtype) for size in sizes)  # type: ignore[return-value]
@@ -63,6 +63,6 @@ def _matrices(grid: ImageGrid, dtype: torch.dtype, device: torch.device) -> tupl
 
 def _matrix(response: Response, count: int, spacing_m: float, width_m: float) -> Float[Tensor, "{count} {count}"]:
     distance = np.arange(count) * spacing_m / width_m
-    peak = GAUSSIAN.density(np.zeros(1)) * spacing_m / width_m  # of what the renderer sees through
+    peak = GAUSSIAN.density(np.zeros(1)) * spacing_m / width_m  # of the renderer's response
     row = peak * response.side_lobes(distance)
     return torch.from_numpy(row[np.abs(np.subtract.outer(np.arange(count), np.arange(count)))]).float()

@@ -1,4 +1,4 @@
-"""The target: Gaussians that move, turn, grow and scatter."""
+"""The target: Gaussians with learned means, orientations, scales, optical depths and scattering."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ from sarsplat.settings.config import Config
 _MIN_OPTICAL_DEPTH = 1e-3
 
 _FAINT = 0.05
-"""Optical depth that is hardly noticed."""
+"""Optical depth of a faint Gaussian, the scale of the sparsity prior."""
 
-_START = (1.0, 1.0, 0.9)
-"""Widths of an oriented Gaussian at the start, relative: which axis is the shortest must not depend on rounding."""
+_INITIAL_WIDTHS = (1.0, 1.0, 0.9)
+"""Relative initial widths of an oriented Gaussian: rounding must not decide which axis is the shortest."""
 
 _SIMILAR = 0.6
-"""Parameters of the scattering that differ by less are similar; how much more others differ hardly matters."""
+"""Scale of the scattering penalty: larger differences of parameters cost little more."""
 
 
 class Target(Part):
@@ -110,22 +110,22 @@ class Target(Part):
         } | ({"law": self._law.parameters[:, self._own :].clone()} if self._common else {})
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
-        """Priors: most Gaussians are empty (sparsity), and scattering varies little with direction."""
+        """Priors: most Gaussians are nearly transparent (sparsity), and scattering varies little with direction."""
         config, scattering = self.config, p["scattering"]
         if config.sparsity:
             filled = torch.log1p(p["optical_depth"] / _FAINT)
             yield config.sparsity * len(filled) * column_means(filled[:, None]).sum()
         if config.directional_std is not None and scattering.shape[1] > 1:
             uniform = self._scattering(p, 0)
-            upwards = torch.eye(3, dtype=scattering.dtype, device=scattering.device)[2:]  # nothing comes from the CPU
+            upwards = torch.eye(3, dtype=scattering.dtype, device=scattering.device)[2:]  # made on the device
             level = uniform.amplitudes(upwards, p["quaternions"], p["scales"])[0, :, uniform.power_channel]
             yield normal_nats(scattering[:, 1:] / (config.directional_std * level[:, None].detach()), 1.0)
 
     def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
-        """Penalties: differences of scattering between Gaussians, and how far the shared exponent is from its start.
+        """Penalties on differences of scattering between Gaussians, and of the shared exponents from their start.
 
-        Of small differences the variance counts, of large ones little more: the negative logarithm of Student's
-        t-distribution, up to factors. Most Gaussians scatter the same.
+        The first is the negative logarithm of Student's t-distribution, up to factors: quadratic for small differences,
+        flat for large ones.
         """
         if self.config.scattering_penalty:
             yield "scattering penalty", self.config.scattering_penalty * _Spread.apply(p["scattering"])
@@ -135,7 +135,7 @@ class Target(Part):
     def scene(
         self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
     ) -> Gaussians:
-        """The Gaussians that are left compensate for the optical depth of those `dropped`."""
+        """Add the Gaussians; those not `dropped` get more optical depth in compensation."""
         depth = p["optical_depth"]
         if dropped is not None:
             left = 1 - share_dropped(self.config, len(self.frame.views))
@@ -145,7 +145,7 @@ class Target(Part):
         return target if scene is None else Gaussians.cat([scene, target])
 
     def reach(self) -> Bounds:
-        """Bounds of every scene, the first included."""
+        """Bounds of the Gaussians in every step, the first included."""
         config, (low, high) = self.config, self._box
         depth = max(config.max_optical_depth, config.initial_optical_depth)
         if self.frame.terrain is not None:
@@ -161,7 +161,7 @@ class Target(Part):
         return replace(self._law, parameters=rows).detailed(degree)
 
     def _lifted(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """Centres in the world: the parameter's z is above the terrain, if there is any."""
+        """Centres in the world frame: the parameter's z is relative to the terrain."""
         if self._heights is None:
             return means
         heights, (dx, dy) = self._heights
@@ -170,7 +170,7 @@ class Target(Part):
 
     @cached_property
     def _heights(self) -> tuple[Float[Tensor, "ny nx"], tuple[float, float]] | None:
-        """Of the terrain, and how far apart they are, m."""
+        """Heights of the terrain and their spacing, m; None on level ground."""
         terrain = self.frame.terrain
         if terrain is None:
             return None
@@ -186,22 +186,22 @@ class Target(Part):
 
     @property
     def _common(self) -> tuple[tuple[float, float], ...]:
-        """Ranges of the scattering parameters that all Gaussians share."""
+        """Ranges of the scattering parameters shared by all Gaussians."""
         return self._law.common if self.config.common_law else ()
 
     @cached_property
     def _usual(self) -> Float[Tensor, "1 k"]:
-        """Initial values of the scattering parameters that all Gaussians share."""
+        """Initial values of the scattering parameters shared by all Gaussians."""
         return self._law.parameters[:, self._own :].to(self.device)
 
     @property
     def _own(self) -> int:
-        """Columns of the scattering parameters that are per Gaussian: all but the last ones, which are shared."""
+        """Number of scattering parameters per Gaussian, the first columns; the last ones are shared."""
         return self._law.parameters.shape[1] - len(self._common)
 
     @cached_property
     def _box(self) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
-        """Corners of where the target's centres may be, m, on the CPU."""
+        """Corners of the box of the target's centres, m, on the CPU."""
         region = self.frame.region
         low, high = (torch.from_numpy(corner).float() for corner in (region.low, region.high))
         if self.config.initialisation == "hemisphere":  # the shell reaches beyond the region
@@ -211,12 +211,12 @@ class Target(Part):
         margin = self.config.margin * self.frame.cell_m
         low, high = low - margin, high + margin
         if self.config.ground is not None:
-            low[2] = low[2].clamp(min=0.0)  # what is below is not seen
+            low[2] = low[2].clamp(min=0.0)  # not below the ground
         return low, high
 
 
 class _Spread(torch.autograd.Function):
-    """How much the rows of a table differ from their mean, which is held constant, with few operations."""
+    """Robust spread of the rows of a table around their mean, which is held constant; few operations."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor) -> Tensor:
@@ -229,14 +229,14 @@ class _Spread(torch.autograd.Function):
     @differentiable_once
     def backward(ctx: Any, slope: Tensor) -> Tensor:
         difference, squared = ctx.saved_tensors
-        each = slope * _SIMILAR**2 / max(len(difference), 1)
-        return (each / (squared + 1)).mul_(2 * difference).div_(_SIMILAR)
+        scale = slope * _SIMILAR**2 / max(len(difference), 1)
+        return (scale / (squared + 1)).mul_(2 * difference).div_(_SIMILAR)
 
 
 def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ()) -> Scattering:
-    """The configuration's law of scattering, as a training starts with it; in the polarisations of stacks, if any.
+    """Initial scattering of a training by the configuration's law, in the polarisations of stacks, if any.
 
-    Refused if a law of one's own starts with something else.
+    Raises if a custom law returns something else.
     """
     kind = scattering_named(config.scattering)
     made = kind.initial(count, gamma0, config.p_min)
@@ -249,17 +249,16 @@ def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ())
     if len(kind.common) >= made.parameters.shape[1]:
         raise SarsplatError(
             f"{kind.__name__}.common has {len(kind.common)} ranges for {made.parameters.shape[1]} columns of "
-            "parameters; leave each Gaussian at least one of its own"
+            "parameters; leave at least one column per Gaussian"
         )
     polarisations = tuple(dict.fromkeys(stacks[0].of_channels)) if stacks else ()
     return (made.for_polarisations(polarisations) if len(polarisations) > 1 else made).detailed(config.harmonics_degree)
 
 
 def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, float, float]:
-    """Smallest, first and largest standard deviation of a Gaussian, m; refused if they cannot be rendered.
+    """Smallest, initial and largest standard deviation of a Gaussian, m; raise if they cannot be rendered.
 
-    The largest grows with the scene, whose flat surfaces are larger too: where the training begins with blocks of
-    `coarsest` × `coarsest` pixels, by that number's sixth root.
+    The largest grows with the scene, by the sixth root of the first level's factor, `coarsest`.
     """
     smallest, first, largest = (
         cells * cell_m
@@ -275,15 +274,16 @@ def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, f
 
 
 def _cells(train: Dataset) -> float:
+    """Mean number of resolution cells that the target covers in a training image."""
     if train.ground:
-        shown = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
+        pixels = sum(outline(level).target.sum() for level in levels_db(train.power, train.grid, ground=True))
     else:
-        shown = brighter(train.power, BRIGHT_DB, usual_peak(train.power)).sum()
-    return float(shown / len(train) * math.prod(train.grid.spacing_m) / train.grid.cell_m**2)
+        pixels = brighter(train.power, BRIGHT_DB, usual_peak(train.power)).sum()
+    return float(pixels / len(train) * math.prod(train.grid.spacing_m) / train.grid.cell_m**2)
 
 
 def _start_scales_m(config: Config, cell_m: float) -> list[float]:
     smallest, first, _ = scales_m(config, cell_m)
     if not scattering_named(config.scattering).oriented:
         return [first] * 3
-    return [max(share * first, min(smallest, first)) for share in _START]
+    return [max(share * first, min(smallest, first)) for share in _INITIAL_WIDTHS]

@@ -1,4 +1,4 @@
-"""Texture: what the training images show beyond the learned scene, and share with their neighbours."""
+"""Texture: residuals of the training images that neighbouring images share, as maps on the ground."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings
 
 _NEGLIGIBLE = 0.02
-"""Weight below which an image is dropped: most are far away."""
+"""Weight below which an image is neglected."""
 
 _PITCH = 0.6
-"""Of the maps on the ground, resolution cells."""
+"""Spacing of the maps on the ground, resolution cells."""
 
 _TRUNCATED = 4.0
-"""Where the window ends, standard deviations; no farther than the image is wide."""
+"""Radius of the smoothing window, standard deviations."""
 
-_LARGEST = 2**27
-"""Numbers in all maps together; with more of them they are coarser."""
+_MAX_NUMBERS = 2**27
+"""Maximum size of all maps together, numbers; larger maps are coarser."""
 
 
 class Texture(Part):
-    """The factor that `Maps` are, once it has been estimated: not learned by steps, but saved."""
+    """Factor on images from `Maps`, which `TextureEstimation` estimates; saved with the model."""
 
     order = 70
     section = "surroundings"
@@ -65,14 +65,14 @@ class Texture(Part):
 
 
 class Maps:
-    """A factor on the power of rendered images: what images show more or less than the scene, as a map on the ground.
+    """Ratios of measured to rendered power of the training images as maps on the ground: a factor for any image.
 
-    No ground is uniform, and glints last for a few degrees: neither is in the scene, and both keep their place on the
-    ground from one image to the next (docs/concepts/measured-chips.md has the equation).
+    Uneven ground and glints, which last a few degrees, are not in the scene, but stay in place on the ground from image
+    to image (equation in docs/concepts/measured-chips.md).
 
-    The tensors are, of the K training images, `ratio`, float32 [K, rows, columns]: measured over rendered power,
-    smoothed; `shift_m`, float32 [K, 2]: displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2]: azimuth
-    and grazing, or [K, 4]: tilt as well, and 1 where the radar looks to the left, else 0;
+    The tensors are, of K training images: `ratio`, float32 [K, rows, columns], smoothed; `shift_m`, float32 [K, 2],
+    displacement in azimuth and slant range, m; `view_deg`, float64 [K, 2], azimuth and grazing, or [K, 4], also tilt,
+    and 1 where the radar looks to the left, else 0.
     """
 
     def __init__(self, tensors: dict[str, Tensor], grid: ImageGrid, settings: Surroundings) -> None:
@@ -82,13 +82,13 @@ class Maps:
         self._views = tuple(_view(*numbers) for numbers in tensors["view_deg"].tolist())
         self._grid, self._settings = grid, settings
         radius_m = ground_radius_m(self._views, grid)
-        self._pitch_m = max(_PITCH * grid.cell_m, 2 * radius_m * math.sqrt(2 * len(ratio) / _LARGEST))
+        self._pitch_m = max(_PITCH * grid.cell_m, 2 * radius_m * math.sqrt(2 * len(ratio) / _MAX_NUMBERS))
         self._half = math.ceil(radius_m / self._pitch_m)
         axis = np.arange(-self._half, self._half + 1) * self._pitch_m
         ground = np.stack(np.meshgrid(axis, axis), axis=-1)
         self._latest: tuple[tuple[tuple[View, ...], ImageGrid, bytes], Tensor] | None = None
         shown = torch.ones_like(ratio)
-        self._maps = torch.stack(  # [K, 2, y, x]: the ratio, and whether the image shows the place
+        self._maps = torch.stack(  # [K, 2, y, x]: the ratio, and 1 where the image shows the place
             [self._image_at(torch.stack([ratio[k], shown[k]]), k, ground) for k in range(len(ratio))]
         )
 
@@ -115,11 +115,11 @@ class Maps:
     def factor(
         self, views: Sequence[View], grid: ImageGrid, shift_m: Float32[Tensor, "v 2"] | None = None
     ) -> Float32[Tensor, "v {grid.rows} {grid.columns}"]:
-        """For images from any views, on any grid, displaced as the mean one unless said; 1 where no image reaches."""
+        """Factor for images from any views on any grid, with the mean shift by default; 1 where no image reaches."""
         mean = self._shifts_m.mean(axis=0)
         shifts = [mean] * len(views) if shift_m is None else shift_m.cpu().double().numpy()
         asked = (tuple(views), grid, np.asarray(shifts).tobytes())
-        if self._latest is None or self._latest[0] != asked:  # samples ask twice: with the target and without it
+        if self._latest is None or self._latest[0] != asked:  # cached: samples need it twice
             factors = [self._factor(view, shift, None, grid) for view, shift in zip(views, shifts, strict=True)]
             self._latest = (asked, torch.stack(factors))
         return self._latest[1]
@@ -132,7 +132,7 @@ class Maps:
     def _image_at(
         self, layers: Float32[Tensor, "2 rows columns"], k: int, ground_m: Float64[np.ndarray, "y x 2"]
     ) -> Float32[Tensor, "2 y x"]:
-        """What image k shows at places on the ground."""
+        """Values of image k at places on the ground."""
         grid = self._grid
         place = ground_m @ _onto_image(self._views[k]).T + self._shifts_m[k] - grid.center_m
         size = np.array([grid.columns, grid.rows])
@@ -177,11 +177,11 @@ def _view(azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: f
 
 
 def _onto_image(view: View) -> Float64[np.ndarray, "2 2"]:
-    """From x, y on the ground to azimuth, slant range."""
+    """Matrix from x, y on the ground to azimuth, slant range."""
     return view.look.gradients[:, :2]
 
 
 def _sampled(layers: Float32[Tensor, "2 h w"], where: Float64[np.ndarray, "rows columns 2"]) -> Tensor:
-    """Layers at places in halves of their width and height from the middle; 0 outside."""
+    """Interpolate layers at places in half widths and heights from the middle; 0 outside."""
     places = torch.from_numpy(where).to(layers)
     return grid_sample(layers[None], places[None], mode="bilinear", padding_mode="zeros", align_corners=False)[0]

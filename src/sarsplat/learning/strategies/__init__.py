@@ -11,6 +11,6 @@ __all__ = ["Info", "State", "Strategy", "strategies_of"]
 
 
 def strategies_of(config: Config, train: Dataset) -> list[Strategy]:
-    """The strategies of a configuration on training images, in the order in which they act."""
+    """Strategies of a configuration, in the order in which they act."""
     kinds = classes_in(__name__, Configured)  # type: ignore[type-abstract]
     return [strategy for kind in kinds if (strategy := kind.of(config, train)) is not None]

@@ -1,4 +1,4 @@
-"""Azimuths of training images that are known only to within some degrees: refined while the scene is learned."""
+"""Refinement of the azimuths of training images that are known only to within some degrees."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings
 
 _REACH = 2.5
-"""How far from its label an azimuth is looked for, standard deviations."""
+"""Largest offset tried, standard deviations of the label."""
 
 _EACH_WAY = 5
-"""Offsets tried on each side of the label."""
+"""Number of offsets tried on each side of the label."""
 
 NegativeLogLikelihood = Callable[[Sequence[View], Int64[np.ndarray, " n"]], Float64[np.ndarray, " n"]]
-"""From views and the numbers of training images to the images' negative log-likelihood as seen from there, nats."""
+"""Function from views and numbers of training images to each image's negative log-likelihood, nats."""
 
 AZIMUTH_OFFSETS = "strategy/azimuths/offset_deg"
-"""In a snapshot: float64 [K], what is added to the azimuths of the training views, degrees; if any is uncertain."""
+"""Tensor in snapshots: offsets of the K training views' azimuths, degrees, float64; absent if all are certain."""
 
 
 class AzimuthRefinement(Configured):
-    """Estimates the azimuths of training images, given their labels and how well each is known."""
+    """Estimates the azimuths of training images from their labels and standard deviations."""
 
     order = 30
     name = "azimuths"
@@ -64,23 +64,23 @@ class AzimuthRefinement(Configured):
         info.check()
 
         def nats(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-            each = [speckle_nats(rendered, measured) for measured, rendered in info.compared(views, numbers)]
-            return torch.cat(each).double().cpu().numpy() * info.images.samples
+            batches = [speckle_nats(rendered, measured) for measured, rendered in info.compared(views, numbers)]
+            return torch.cat(batches).double().cpu().numpy() * info.images.samples
 
         offset_deg = self.most_likely(nats)
         state.whole["offset_deg"] = torch.from_numpy(offset_deg)
         info.images.views = self.views(offset_deg)
 
     def views(self, offset_deg: Float64[np.ndarray, " k"]) -> tuple[View, ...]:
-        """The training views with these corrections, degrees; a view whose azimuth is known exactly stays as it is."""
-        each = zip(self._labelled, offset_deg.tolist(), self._std_deg.tolist(), strict=True)
-        return tuple(_turned(view, offset) if std else view for view, offset, std in each)
+        """Training views with these offsets, degrees, where the azimuth is uncertain."""
+        known = zip(self._labelled, offset_deg.tolist(), self._std_deg.tolist(), strict=True)
+        return tuple(_turned(view, offset) if std else view for view, offset, std in known)
 
     def most_likely(self, nats: NegativeLogLikelihood) -> Float64[np.ndarray, " k"]:
-        """How far each azimuth is from its label where it is most likely, given that and its image, degrees.
+        """Most likely offset of each azimuth from its label, given label and image, degrees.
 
-        The weighted mean of all offsets is 0: turning all images the same way would turn the target, away from the test
-        views. The better an azimuth is known, the more it counts; one that is known exactly fixes the target's heading.
+        Their mean, weighted by the labels' precision, is 0: a common offset would turn the target relative to the test
+        views. Azimuths that are known exactly fix the heading instead.
         """
         uncertain = np.flatnonzero(self._std_deg)
         std = self._std_deg[uncertain]
@@ -99,7 +99,7 @@ class AzimuthRefinement(Configured):
 
 
 def lowest(places: Float64[np.ndarray, "k n"], values: Float64[np.ndarray, "k n"]) -> Float64[np.ndarray, " k"]:
-    """Where each row of values at evenly spaced places is least: of the parabola through the lowest 3, or at an end."""
+    """Minimum of each row, sampled at evenly spaced places: by a parabola through the lowest 3, or at an end."""
     rows = np.arange(len(places))
     best = values.argmin(axis=1)
     middle = best.clip(1, places.shape[1] - 2)

@@ -21,7 +21,7 @@ from sarsplat.settings.sections import Densification
 
 
 class DensityControl(Configured):
-    """Sums gradients on the planes and, at intervals, decides which Gaussians come and go."""
+    """Sums plane gradients and, at intervals, prunes, clones and splits Gaussians."""
 
     order = 10
     name = "density"
@@ -34,7 +34,7 @@ class DensityControl(Configured):
         return cls(config.densification) if config.densification else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        """Sums over the views that lit a Gaussian, and how many did."""
+        """Sums of gradients over the views that lit a Gaussian, and the number of these views."""
         count, device = len(params["means"]), params["means"].device
         return State(
             rows={name: torch.zeros(count, dtype=torch.float32, device=device) for name in ("gradient", "seen")}
@@ -71,13 +71,13 @@ class DensityControl(Configured):
             state.rows = {name: torch.zeros_like(rows) for name, rows in state.rows.items()}
 
     def decide(self, gaussians: Gaussians, grid: ImageGrid, state: State) -> tuple[Tensor, Tensor, Tensor]:
-        """Masks, bool [N], of the Gaussians to prune, to clone and to split; refused if none would be left.
+        """Masks, bool [N], of the Gaussians to prune, to clone and to split; raise if none would be left.
 
-        Their sizes are compared with the grid's resolution cell and its extent in range.
+        Sizes are relative to the grid's resolution cell and its extent in range.
         """
         c = self._config
         size = gaussians.scales.max(dim=1).values
-        # the part that is the same in all directions: what a law without its details says in any of them
+        # isotropic part of the law
         plain = replace(gaussians, scattering=gaussians.scattering.detailed(0))
         scattering = plain.gamma0(gaussians.means.new_tensor([[0.0, 0.0, 1.0]]))[0]
         pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.min_scattering) | (

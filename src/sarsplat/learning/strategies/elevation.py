@@ -1,4 +1,4 @@
-"""Elevation alone: seen from one direction, it is what the phases tell; the rest, images show at once."""
+"""Restriction of stacks of one direction to elevations, which phases determine, in the first steps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sarsplat.settings.config import Config
 
 
 class ElevationOnly(Configured):
-    """Centres move along one axis, up to a step."""
+    """Restricts the movement of centres to one axis, up to step `until`."""
 
     order = 5
     name = "elevation"

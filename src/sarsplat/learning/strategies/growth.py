@@ -1,4 +1,4 @@
-"""Growth: where finer images differ from what coarser ones have taught, Gaussians are split."""
+"""Growth: Gaussians are split where images of a finer level differ from the rendering."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
-from sarsplat.learning.strategies.ranking import running_sums
+from sarsplat.learning.strategies.ops import running_sums
 from sarsplat.learning.strategies.strategy import Configured, Info, State
 from sarsplat.settings.config import Config
 
 _SHARE = 0.9
-"""Of the images' error, held by those that are split: where images are as predicted, as on flat roofs, nothing is."""
+"""Share of the images' error held by the Gaussians that are split; the others stay."""
 
 
 class Growing(Configured):
-    """Splits Gaussians where images are predicted badly, at the start of each finer level and halfway to the next.
+    """Splits the Gaussians with most of the error, at the start of each finer level and halfway to the next.
 
-    Each of these times comes once: a training that is extended goes through its levels again, and keeps its number.
+    Each split happens once, also if the training is extended and passes its levels again.
     """
 
     order = 15
@@ -33,7 +33,7 @@ class Growing(Configured):
         return cls() if config.coarsest > 1 else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        """How often it has split."""
+        """Number of splits so far."""
         return State(whole={"times": torch.zeros((), dtype=torch.int64, device="cpu")}, added=("times",))
 
     def step_post_backward(
@@ -47,7 +47,7 @@ class Growing(Configured):
 
 
 def holding(errors: Float[Tensor, " n"], share: float) -> Bool[Tensor, " n"]:
-    """The smallest set of items whose values sum to at least this share of the total."""
+    """Mask of the fewest items whose errors sum to at least this share of the total."""
     largest, order = errors.double().sort(descending=True, stable=True)
     held = running_sums(largest)
     return torch.zeros_like(order, dtype=torch.bool).index_copy(0, order, held - largest < share * held[-1])

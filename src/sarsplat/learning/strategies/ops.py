@@ -1,13 +1,13 @@
-"""Row operations: remove, duplicate, split and move Gaussians in parameters, optimiser state and strategy state.
+"""Row operations that remove, duplicate, split and move Gaussians in parameters, optimiser and strategy state.
 
-They work on any dictionary of parameters; the optimiser says which of them have a row for each Gaussian. New Gaussians
-start from rest. Each function returns the row that each row was made from, so that what is kept elsewhere can follow.
+They work on any dictionary of parameters; the optimiser lists those with a row for each Gaussian. New Gaussians have no
+momentum. Each function returns the source of each row, so that other arrays can follow.
 """
 
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 from sarsplat.gaussians.covariance import rotated
@@ -17,19 +17,21 @@ from sarsplat.learning.strategies.strategy import State
 Params = dict[str, Tensor]
 
 _SPLIT_SHRINK = 1.6
-"""A split Gaussian's two parts are this much smaller."""
+"""Ratio of a Gaussian's widths to those of its two parts after a split."""
 
-_OWN_PART = 0.6
-"""Of the optical depth, for each of the two; 0.5 and 0.7 were worse (docs/lab/2026-11-clean-surfaces.md)."""
+_RELOCATED_DEPTH = 0.6
+"""Factor on both optical depths after a relocation; 0.5 and 0.7 were worse (docs/lab/2026-11-clean-surfaces.md)."""
+
+_TOTAL = 2.0**61
+"""Total of the integers that represent values in `whole_sums`."""
 
 
 def rearrange(
     params: Params, optimizers: Optimiser, state: State, source: Int64[Tensor, " m"], kept: Bool[Tensor, " m"]
 ) -> None:
-    """Make row k of every per-Gaussian tensor from row `source`[k]; `kept` are those that are still the same Gaussian.
+    """Make row k of every per-Gaussian tensor from row `source`[k]; moments and state are 0 where not `kept`[k].
 
-    The leaves are replaced in `params` unless there are as many rows as before; moments and state of the others
-    become 0.
+    `params` gets new leaves unless the number of rows stays.
     """
     for name in optimizers.rows:
         rows = params[name].detach()[source]
@@ -54,7 +56,7 @@ def duplicate(params: Params, optimizers: Optimiser, state: State, which: Bool[T
 def split(
     params: Params, optimizers: Optimiser, state: State, which: Bool[Tensor, " n"], generator: torch.Generator
 ) -> Int64[Tensor, " m"]:
-    """Replace each of these Gaussians by two smaller ones at random places inside it, appended at the end.
+    """Replace each of these Gaussians by two smaller ones at random places in it, appended at the end.
 
     The parameters must have `means`, `quaternions` and `scales`.
     """
@@ -75,20 +77,20 @@ def relocate(
     strong: Int64[Tensor, " m"],
     generator: torch.Generator,
 ) -> Int64[Tensor, " n"]:
-    """Make two of each strong Gaussian: it moves one way, and an idle one takes its place the other way.
+    """Divide each strong Gaussian between itself and an idle one, which move in opposite directions.
 
-    The parameters must have `means`, `quaternions`, `scales` and `optical_depth`, which they share.
+    The parameters must have `means`, `quaternions`, `scales` and `optical_depth`.
     """
     offset = _inside(params, strong, generator)
-    everyone = torch.arange(len(params["means"]), device=offset.device)
-    source = everyone.index_copy(0, idle, strong)
+    indices = torch.arange(len(params["means"]), device=offset.device)
+    source = indices.index_copy(0, idle, strong)
     changed = torch.cat([idle, strong])
     rearrange(
         params, optimizers, state, source, torch.ones_like(source, dtype=torch.bool).index_fill(0, changed, False)
     )
     with torch.no_grad():
         params["means"][changed] += torch.cat([offset, -offset])
-        params["optical_depth"][changed] *= _OWN_PART
+        params["optical_depth"][changed] *= _RELOCATED_DEPTH
     return source
 
 
@@ -101,7 +103,23 @@ def _append(
 
 
 def _inside(params: Params, rows: Int64[Tensor, " m"], generator: torch.Generator) -> Float[Tensor, "m 3"]:
-    """Random offsets from the centres of Gaussians, distributed as the Gaussians, m."""
+    """Random offsets from the centres of Gaussians, drawn from the Gaussians, m."""
     scales, quaternions = params["scales"].detach()[rows], params["quaternions"].detach()[rows]
     along = torch.randn(len(rows), 3, generator=generator, dtype=torch.float32, device="cpu").to(scales) * scales
     return rotated(quaternions, along)
+
+
+def running_sums(values: Float64[Tensor, " n"]) -> Float64[Tensor, " n"]:
+    """Cumulative sums of values ≥ 0, with the same bits each time.
+
+    A GPU adds floating-point numbers in varying order, so there they become integers.
+    """
+    if values.device.type == "cpu":
+        return values.cumsum(0)
+    return whole_sums(values)
+
+
+def whole_sums(values: Float64[Tensor, " n"]) -> Float64[Tensor, " n"]:
+    """Cumulative sums rounded to 2⁻⁶¹ of the total, independent of the order of additions."""
+    scale = _TOTAL / values.sum().clamp(min=torch.finfo(values.dtype).tiny * _TOTAL)
+    return (values * scale).long().cumsum(0).double() / scale

@@ -1,4 +1,4 @@
-"""Relocation: idle Gaussians take over half of strong ones, so that few are enough."""
+"""Relocation: idle Gaussians take over a part of strong ones, so that few are enough."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
-from sarsplat.learning.strategies.ranking import running_sums
+from sarsplat.learning.strategies.ops import running_sums
 from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
 from sarsplat.radiometry import usual_peak
 from sarsplat.settings.config import Config
@@ -19,7 +19,7 @@ from sarsplat.settings.sections import Relocation
 
 
 class Relocating(Configured):
-    """At intervals, the weakest Gaussians join strong ones."""
+    """Moves the weakest Gaussians to strong ones, at intervals."""
 
     order = 20
     name = "relocation"
@@ -46,11 +46,10 @@ class Relocating(Configured):
 def pairs(
     cross_sections: Float[Tensor, " n"], idle_share: float, generator: torch.Generator
 ) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
-    """Indices of the idle Gaussians, and of the strong one that each joins; no index in both.
+    """Indices of the idle Gaussians, and of the strong one that each joins; no index is in both.
 
     Idle are the weakest that together have at most `idle_share` of all radar cross-sections σ, m². The probability to
-    be joined is proportional to σ. What outshines all others counts as no more than their `usual_peak`: by a corner
-    reflector, all of a target would be idle.
+    be joined is proportional to σ, which is capped at `usual_peak`: beside a corner reflector, all else would be idle.
     """
     sigma = cross_sections.double().clamp(max=usual_peak(cross_sections.cpu().numpy()))
     order = sigma.argsort(stable=True)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.learning.few_at_once import in_groups
+from sarsplat.learning.batching import in_groups
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.optimiser import Optimiser, followed
 from sarsplat.learning.training_images import TrainingImages
@@ -22,22 +22,22 @@ from sarsplat.renderer import Bounds, Rendering, channel_of
 from sarsplat.settings.config import Config
 
 _FAINTEST = 1e-6
-"""Of the brightest pixel: what is darker has no error of its own."""
+"""Power relative to the brightest pixel, added before errors are divided by power."""
 
 
 @dataclass
 class State:
-    """What a strategy remembers from step to step; saved and restored with the training."""
+    """State of a strategy between steps; saved and restored with the training."""
 
     rows: dict[str, Tensor] = field(default_factory=dict)
-    """Tensors with a row for each Gaussian: rows follow where Gaussians come and go, and are 0 for a new one."""
+    """Tensors with a row for each Gaussian; rows come and go with it and are 0 for a new one."""
     whole: dict[str, Tensor] = field(default_factory=dict)
-    """Tensors of any other shape, which stays."""
+    """Tensors of other, constant shapes."""
     added: tuple[str, ...] = ()
-    """Those that checkpoints of earlier versions do not have: they are then as at the beginning."""
+    """Names that may be missing in checkpoints of earlier versions; they keep their initial value."""
 
     def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
-        """Re-index per-Gaussian state: row k takes that of row `source`[k], or zeros unless `kept`[k] (it is new)."""
+        """Re-index per-Gaussian state: row k takes that of row `source`[k], or 0 where not `kept`[k] (it is new)."""
         self.rows = {name: followed(rows, source, kept) for name, rows in self.rows.items()}
 
     def tensors(self) -> dict[str, Tensor]:
@@ -45,7 +45,7 @@ class State:
         return self.rows | self.whole
 
     def load(self, tensors: dict[str, Tensor]) -> None:
-        """Undo `tensors`; raises KeyError or ValueError if they are not those."""
+        """Restore `tensors`; raise KeyError or ValueError if they do not fit."""
         for of in (self.rows, self.whole):
             for name, like in of.items():
                 if name in self.added and name not in tensors:
@@ -58,39 +58,39 @@ class State:
 
 @dataclass(frozen=True)
 class Info:
-    """What a strategy can see of a step: model, images, rendering, source of random numbers."""
+    """Information for a strategy about a step: model, images, rendering, random generator."""
 
     model: SceneModel
     images: TrainingImages
-    """What the model learns from; their `views` may be changed."""
+    """Training images; a strategy may change their `views`."""
     chosen: tuple[int, ...]
     """Numbers of the images that this step rendered."""
     rendering: Rendering
-    """What it rendered, with `plane_gradients` if any strategy asked for them. What it says of single Gaussians is
-    about the target's, detached; where a strategy before this one moved rows, it has followed: 0 for new ones."""
+    """Rendering of the step, with `plane_gradients` if any strategy wants them; per-Gaussian results are detached, of
+    the target only, and re-indexed after earlier strategies: 0 for new Gaussians."""
     degree: int
     """Degree of the harmonics in use."""
     rays: RayGrid
     bounds: Bounds
-    """What the Gaussians keep."""
+    """Bounds of the Gaussians."""
     generator: torch.Generator
     """The only source of random numbers, on the CPU."""
 
     def check(self) -> None:
-        """Wait for the device, and raise what went wrong there: before anything is read from it."""
+        """Wait for the device and raise its errors; call it before reading results."""
         self.bounds.check()
 
     @torch.no_grad()
     def compared(
         self, views: Sequence[View], chosen: Int64[np.ndarray, " v"]
     ) -> Iterator[tuple[Float[Tensor, "n rows columns"], Float[Tensor, "n rows columns"]]]:
-        """Training images, and how the model shows them as seen from these views; a few at a time, in its unit.
+        """Yield batches of chosen training images and their renderings from these views, in the model's unit.
 
-        Each has its own shift and gain; what is estimated from such comparisons (`Part.estimated`) is left out.
+        Shift and gain of each image apply; estimated parts (`Part.estimated`) are left out.
         """
-        for few in self._few(len(views)):
-            numbers = self.images.numbers[torch.from_numpy(chosen[few]).to(self.model.device)]
-            images, _ = self._rendered(views[few], numbers)
+        for batch in self._batches(len(views)):
+            numbers = self.images.numbers[torch.from_numpy(chosen[batch]).to(self.model.device)]
+            images, _ = self._rendered(views[batch], numbers)
             yield (
                 self.images.truth[numbers] / self.model.unit,
                 channel_of(images, self.model.power_channel) / self.model.unit,
@@ -98,45 +98,45 @@ class Info:
 
     @torch.no_grad()
     def cross_sections(self) -> Float[Tensor, " n"]:
-        """Radar cross-sections σ of the target's Gaussians, in the training view in which each is largest, m².
+        """Radar cross-section σ of each of the target's Gaussians, m²: its maximum over the training views.
 
-        The mean over the views would take for idle what only one of them sees.
+        The mean would be small for Gaussians that only one view sees.
         """
         views, largest = self.images.views, torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device)
-        for few in self._few(len(views)):
-            _, rendering = self._rendered(views[few], None)
+        for batch in self._batches(len(views)):
+            _, rendering = self._rendered(views[batch], None)
             sections = rendering.cross_sections[:, : len(largest), self.model.power_channel]  # then the surroundings'
             largest = torch.maximum(largest, sections.amax(0))
         return largest
 
     def errors(self) -> Float[Tensor, " n"]:
-        """The training images' error by the target's Gaussians that are in its place.
+        """Error of the training images, attributed to the target's Gaussians.
 
-        That of a pixel is the difference of amplitudes, and each Gaussian has the share of it that it has of the power.
+        A pixel's error is the difference of amplitudes; each Gaussian gets the share that it has of the power.
         """
         total = torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device)
-        for few in self._few(len(self.images.views)):
-            total += self._errors_in(few)[: len(total)]  # then the surroundings'
+        for batch in self._batches(len(self.images.views)):
+            total += self._errors_in(batch)[: len(total)]  # then the surroundings'
         return total
 
-    def _errors_in(self, few: slice) -> Float[Tensor, " n"]:
-        """`errors` in some of the images: what one rendering needs is gone before the next."""
+    def _errors_in(self, batch: slice) -> Float[Tensor, " n"]:
+        """`errors` of a batch; a function, so that its memory is freed before the next one."""
         channel, faintest = self.model.power_channel, _FAINTEST * self.images.brightest
-        views, truth = self.images.views[few], self.images.truth[few]
+        views, truth = self.images.views[batch], self.images.truth[batch]
         with torch.no_grad():
             scene = self.model.scene(self.degree)
             towards = scene.means.new_tensor(np.array([view.look.facing for view in views]))
             amplitudes = scene.scattering.amplitudes(towards, scene.quaternions, scene.scales)
         amplitudes.requires_grad_()
-        images, _ = self._rendered(views, self.images.numbers[few], amplitudes)
+        images, _ = self._rendered(views, self.images.numbers[batch], amplitudes)
         power = channel_of(images, channel)
         with torch.no_grad():
             error = (power.sqrt() - truth.sqrt()).abs() / (power + faintest)
         (slope,) = torch.autograd.grad((error * power).sum(), amplitudes)
         return (slope * amplitudes.detach())[..., channel].sum(0)
 
-    def _few(self, count: int) -> list[slice]:
-        """Views at a time: what a step takes fits into memory."""
+    def _batches(self, count: int) -> list[slice]:
+        """Batches of views no larger than a step's, which fits into memory."""
         model = self.model
         return in_groups(count, model.config.views_per_step, model.parameters, self.images.grid, self.rays)
 
@@ -159,7 +159,7 @@ class Info:
 
 
 def of_rows(rendering: Rendering, pick: Callable[[Tensor], Tensor]) -> Rendering:
-    """A rendering with its per-Gaussian results re-indexed: `pick` maps [V, N, …] to [V, M, …]."""
+    """Re-index the per-Gaussian results of a rendering: `pick` maps [V, N, …] to [V, M, …]."""
     gradients = rendering.plane_gradients
     return replace(
         rendering,
@@ -170,19 +170,19 @@ def of_rows(rendering: Rendering, pick: Callable[[Tensor], Tensor]) -> Rendering
 
 
 class Strategy(ABC):
-    """Base of the strategies, also of your own: `Trainer(…, strategies=[mine])`.
+    """Base of the strategies, also of custom ones: `Trainer(…, strategies=[mine])`.
 
-    A training calls each in turn, ours first. Whatever else one remembers than its settings belongs into its `State`,
-    and chance comes from `Info.generator`: then a training that stops and goes on is the same bit for bit.
+    A training calls each in turn, built-in ones first. Keep all memory in the `State` and draw random numbers from
+    `Info.generator`: a resumed training is then the same bit for bit.
     """
 
     @property
     def name(self) -> str:
-        """What its state is saved under; that of its class unless it says otherwise."""
+        """Name of its state in snapshots; the class's name by default."""
         return type(self).__name__
 
     def check(self, params: dict[str, Tensor]) -> None:
-        """Raise a `SarsplatError` if these parameters are not what it needs."""
+        """Raise a `SarsplatError` if it does not support these parameters."""
         return
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
@@ -190,19 +190,19 @@ class Strategy(ABC):
         return State()
 
     def wants_plane_gradients(self, step: int) -> bool:
-        """Whether `Info.rendering` of this step is to have gradients on the planes; steps are counted from 1."""
+        """Return True if it needs plane gradients in `Info.rendering` of this step, counted from 1."""
         return False
 
     def step_pre_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """Called after the images of a step are rendered, before their gradients are computed; changes no parameter."""
+        """Act after the rendering of a step, before its gradients; change no parameter."""
         return
 
     def gather(self, state: State, step: int, rendering: Rendering, grid: ImageGrid) -> None:
-        """Add what a step with gradients on the planes shows, once they are there, to tensors of the state, in place.
+        """Accumulate statistics of a step with plane gradients in tensors of the state, in place.
 
-        A GPU that makes steps by itself does this, too: it may depend on the step only as `wants_plane_gradients` does.
+        CUDA graphs include this: it may depend on the step only as `wants_plane_gradients` does.
         """
         return
 
@@ -210,32 +210,32 @@ class Strategy(ABC):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        """Called after each step of Adam, the `step`-th.
+        """Act after step number `step` of Adam.
 
-        Of `params`, rows come and go by the functions of `strategies.ops`; values are changed in place, under
-        `torch.no_grad`, and kept in their ranges by `optimizers.constrain()`. `state` is its own.
+        Add and remove rows of `params` by the functions of `strategies.ops`; change values in place, under
+        `torch.no_grad`, then call `optimizers.constrain()`. `state` is this strategy's.
         """
 
 
 class Configured(Strategy):
-    """Base of the strategies in this folder, which configurations switch on."""
+    """Base of the built-in strategies, which configurations switch on."""
 
     order: ClassVar[int]
-    """Those with a smaller one act before it."""
+    """Rank: strategies act in ascending order."""
 
     @classmethod
     def acts_before(cls) -> bool:
-        """Whether it has anything to do before a step's gradients, which cannot be recorded, then."""
+        """True if it acts before a step's gradients; CUDA graphs are then off."""
         return cls.step_pre_backward is not Strategy.step_pre_backward
 
     @classmethod
     @abstractmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        """The strategy of a configuration on training images, if there is one."""
+        """Return the strategy of a configuration, or None."""
 
 
 def at_round(iteration: int, first: float, last: float, steps: int) -> bool:
-    """Whether an iteration is one of `steps` + 1 evenly spaced ones, the first and the last included."""
+    """True if an iteration is one of `steps` + 1 evenly spaced ones from `first` to `last`."""
     if steps == 0 or first == last:
         return iteration == round(first)
     near = min(max(round((iteration - first) * steps / (last - first)), 0), steps)

@@ -17,7 +17,7 @@ from sarsplat.settings.sections import Surroundings
 
 
 class TextureEstimation(Configured):
-    """Estimates the model's `Texture` from some time on, evenly, and at the end."""
+    """Estimates the model's `Texture` at even intervals from `texture_from` to the end."""
 
     order = 40
     name = "texture"
@@ -37,7 +37,7 @@ class TextureEstimation(Configured):
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        if not self.due(step) or info.images.grid != info.model.frame.grid:  # maps are of the finest level
+        if not self.due(step) or info.images.grid != info.model.frame.grid:  # only at full resolution
             return
         info.check()
         images = info.images

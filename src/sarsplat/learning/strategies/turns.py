@@ -1,8 +1,7 @@
-"""Axes and rates by which the frames of a pass were made, known to within degrees and per cent: refined with the scene.
+"""Refinement of uncertain rotation axes and rates of the passes of ISAR frames.
 
-Of each pass three numbers are looked for, in standard deviations: the axis turned in two directions across it, and the
-rate of rotation. They are stepped as Gauss and Newton do, by how the rendered images change with each of them, towards
-where the images' differences and the deviations are least likely to be chance together.
+Each pass has three unknowns, in standard deviations: rotations of the axis about two directions across it, and the rate
+of rotation. Gauss-Newton steps minimise the images' differences and the deviations together.
 """
 
 from __future__ import annotations
@@ -24,32 +23,31 @@ from sarsplat.learning.strategies.strategy import Configured, Info, State, at_ro
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Turns
 
-_MOVED = 0.25
-"""By how much places at the edge of the target move in images that are compared to find slopes, resolution cells."""
+_DIFFERENCE = 0.25
+"""Movement of the target's edge in images of the finite differences, resolution cells."""
 
 _FRACTIONS = (1.0, 0.5, 0.25, 0.1, 0.03)
-"""Of a step, until shorter ones make what is minimised no less."""
+"""Lengths of the line search, relative to the Gauss-Newton step."""
 
-_BEYOND = 1.7
-"""How far a step goes, of what it finds best: a scene that has learned to show frames from where they were taken to be
-stands up for that, and follows."""
+_OVERSHOOT = 1.7
+"""Factor on the best step: the scene has adapted to the assumed views, which shortens the step, and follows later."""
 
 _REACH = 3.0
-"""How far from what was assumed axis and rate are looked for, standard deviations."""
+"""Largest correction of axis and rate, standard deviations."""
 
 _FAINT = 1e-3
-"""Of the brightest pixel of an image: fainter ones do not count as samples."""
+"""Minimum power of a pixel that counts as a sample, relative to the brightest of its image."""
 
 TURN_CORRECTIONS = "strategy/turns/correction"
-"""In a snapshot: float64 [passes, 3]; of each pass, in the order of their first frames, by how much its axis is turned
-in either direction, degrees, and by which share its rate is faster."""
+"""Tensor in snapshots, float64 [passes, 3]: corrections of each pass, in the order of first frames: rotations of the
+axis, degrees, and relative change of the rate."""
 
 Differences = Callable[[Sequence[View], Int64[np.ndarray, " n"]], Float64[np.ndarray, "n pixels"]]
-"""From views and the numbers of training images to how much the images as seen from there differ, in amplitude."""
+"""Function from views and numbers of training images to the images' differences of amplitude."""
 
 
 class TurnRefinement(Configured):
-    """Estimates axes and rates of the passes that training frames are of, given what was assumed and how well."""
+    """Estimates axes and rates of the training frames' passes from assumed values and standard deviations."""
 
     order = 31
     name = "turns"
@@ -64,7 +62,7 @@ class TurnRefinement(Configured):
         return cls(train, config.turns, config.iterations) if uncertain_passes(train) else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        """Corrections, zero at first: of each pass, of the axis in two directions, degrees, and of the rate."""
+        """Corrections of each pass, zero at first (`TURN_CORRECTIONS`)."""
         return State(whole={"correction": torch.zeros(len(self._passes), 3, dtype=torch.float64, device="cpu")})
 
     def due(self, step: int) -> bool:
@@ -79,10 +77,10 @@ class TurnRefinement(Configured):
         info.check()
 
         def differences(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, "n pixels"]:
-            each = [
+            batches = [
                 measured.sqrt() - rendered.clamp(min=0).sqrt() for measured, rendered in info.compared(views, numbers)
             ]
-            return torch.cat(each).flatten(1).double().cpu().numpy()
+            return torch.cat(batches).flatten(1).double().cpu().numpy()
 
         truth, grid = info.images.truth, info.images.grid
         samples = (truth > _FAINT * truth.amax((1, 2), keepdim=True)).sum((1, 2)).double().cpu().numpy()
@@ -101,8 +99,8 @@ class TurnRefinement(Configured):
     ) -> Float64[np.ndarray, "passes 3"]:
         """Corrections after one step from these.
 
-        `samples` are the independent ones of each image, and `cell_rad` the angle of a resolution cell as seen from the
-        middle of the target, at its edge.
+        `samples` is the number of independent samples of each image; `cell_rad` the angle of a resolution cell at the
+        target's edge, seen from its centre.
         """
         changed = correction.copy()
         for of, turn in enumerate(self._passes):
@@ -114,7 +112,7 @@ class TurnRefinement(Configured):
 
 @dataclass(frozen=True)
 class Pass:
-    """What frames of one pass say of its axis and its rate."""
+    """Frames of one pass, and the step of its axis and rate."""
 
     turn: Turn
     entries: Sequence[DatasetEntry]
@@ -123,41 +121,41 @@ class Pass:
     samples: Float64[np.ndarray, " frames"]
 
     def stepped(self, correction: Float64[np.ndarray, " 3"], cell_rad: float) -> Float64[np.ndarray, " 3"]:
-        """The correction after one step; see `TurnRefinement.stepped`."""
+        """Correction after one step; see `TurnRefinement.stepped`."""
         std = np.array([self.turn.axis_std_deg, self.turn.axis_std_deg, self.turn.rate_std])
         free, scale = np.flatnonzero(std), np.where(std > 0, std, 1.0)
-        here = correction / scale
+        start = correction / scale
         angles = [math.radians(abs(entry.turn.angle_deg)) for entry in self.entries if entry.turn is not None]
         cell = cell_rad * np.array([math.degrees(1), math.degrees(1), 1 / max(1.0, *angles)])
-        moves = np.diag(np.minimum(_MOVED * cell / scale, 1.0))[free]
-        at, *around = self._seen([here, *(here + sign * move for move in moves for sign in (1, -1))], scale)
-        slopes = np.zeros((3, *at.shape))
-        for axis, ahead, behind in zip(free, around[::2], around[1::2], strict=True):
+        moves = np.diag(np.minimum(_DIFFERENCE * cell / scale, 1.0))[free]
+        residual, *moved = self._residuals([start, *(start + sign * move for move in moves for sign in (1, -1))], scale)
+        slopes = np.zeros((3, *residual.shape))
+        for axis, ahead, behind in zip(free, moved[::2], moved[1::2], strict=True):
             slopes[axis] = (ahead - behind) / (2 * moves.sum(0)[axis])
-        weights = self.samples / _squares(at)
+        weights = self.samples / _squares(residual)
         normal = np.einsum("ikp,jkp,k->ij", slopes, slopes, weights) + np.eye(3)
-        step = -np.linalg.solve(normal, np.einsum("ikp,kp,k->i", slopes, at, weights) + here)
-        best, lowest = here, self._cost(at, here)
+        step = -np.linalg.solve(normal, np.einsum("ikp,kp,k->i", slopes, residual, weights) + start)
+        best, lowest = start, self._cost(residual, start)
         for fraction in _FRACTIONS:
-            place = here + fraction * step
-            cost = self._cost(self._seen([place], scale)[0], place)
+            tried = start + fraction * step
+            cost = self._cost(self._residuals([tried], scale)[0], tried)
             if cost < lowest:
-                best, lowest = place, cost
-            elif best is not here:
+                best, lowest = tried, cost
+            elif best is not start:
                 break
-        found: Float64[np.ndarray, " 3"] = (here + _BEYOND * (best - here)).clip(-_REACH, _REACH) * scale
+        found: Float64[np.ndarray, " 3"] = (start + _OVERSHOOT * (best - start)).clip(-_REACH, _REACH) * scale
         return found
 
-    def _cost(self, seen: Float64[np.ndarray, "frames pixels"], place: Float64[np.ndarray, " 3"]) -> float:
-        """Twice the negative logarithm of the probability of differences and corrections, but for a constant."""
-        return float(self.samples @ np.log(_squares(seen)) + place @ place)
+    def _cost(self, residual: Float64[np.ndarray, "frames pixels"], deviations: Float64[np.ndarray, " 3"]) -> float:
+        """Twice the negative log probability of residuals and deviations, up to a constant."""
+        return float(self.samples @ np.log(_squares(residual)) + deviations @ deviations)
 
-    def _seen(
-        self, places: Sequence[Float64[np.ndarray, " 3"]], scale: Float64[np.ndarray, " 3"]
+    def _residuals(
+        self, tried: Sequence[Float64[np.ndarray, " 3"]], scale: Float64[np.ndarray, " 3"]
     ) -> Float64[np.ndarray, "places frames pixels"]:
-        """How much the frames differ with each of these corrections, in standard deviations."""
-        views = [view for place in places for view in corrected_views(self.entries, [self.turn], (place * scale)[None])]
-        return self.differences(views, np.tile(self.numbers, len(places))).reshape(len(places), len(self.numbers), -1)
+        """Differences of the frames with each of these corrections, in units of `scale`."""
+        views = [view for one in tried for view in corrected_views(self.entries, [self.turn], (one * scale)[None])]
+        return self.differences(views, np.tile(self.numbers, len(tried))).reshape(len(tried), len(self.numbers), -1)
 
 
 def _squares(differences: Float64[np.ndarray, "frames pixels"]) -> Float64[np.ndarray, " frames"]:
@@ -165,7 +163,7 @@ def _squares(differences: Float64[np.ndarray, "frames pixels"]) -> Float64[np.nd
 
 
 def uncertain_passes(train: Dataset) -> tuple[Turn, ...]:
-    """Of each pass whose axis or rate is uncertain, the turn of its first training frame."""
+    """Turn of the first training frame of each pass whose axis or rate is uncertain."""
     turns = [entry.turn for entry in train.entries if entry.turn is not None and entry.turn.uncertain]
     return tuple({turn.of_pass: turn for turn in reversed(turns)}.values())[::-1]
 
@@ -173,7 +171,7 @@ def uncertain_passes(train: Dataset) -> tuple[Turn, ...]:
 def corrected_views(
     entries: Sequence[DatasetEntry], passes: Sequence[Turn], correction: Float64[np.ndarray, "passes 3"]
 ) -> tuple[View, ...]:
-    """Views of any images, with the corrections of those that are of one of the passes; others stay as they are."""
+    """Views of any images; those of one of the passes are corrected."""
     views = []
     for entry in entries:
         of = _number(passes, entry)
@@ -186,6 +184,6 @@ def corrected_views(
 
 
 def _number(passes: Sequence[Turn], entry: DatasetEntry) -> int | None:
-    """Of which pass an image is."""
-    alike = (k for k, one in enumerate(passes) if entry.turn is not None and one.of_pass == entry.turn.of_pass)
-    return next(alike, None)
+    """Index of an image's pass; None if it is not among `passes`."""
+    matches = (k for k, one in enumerate(passes) if entry.turn is not None and one.of_pass == entry.turn.of_pass)
+    return next(matches, None)

@@ -12,8 +12,8 @@ import torch
 
 from sarsplat import Dataset, Run, reconstruct
 from sarsplat.errors import SarsplatError
+from sarsplat.learning.device_choice import quicker_device
 from sarsplat.learning.method_sar_gs import METHOD
-from sarsplat.learning.quicker import quicker
 from sarsplat.renderer.engines import cpu
 from sarsplat.runs import reconstruction
 
@@ -44,7 +44,7 @@ def test_the_quicker_one(on_gpu: float, on_cpu: float, chosen: str) -> None:
         made.append((where.type, Taking(on_gpu if where == GPU else on_cpu)))
         return made[-1][1]
 
-    where, said = quicker(make, GPU, 1000)  # type: ignore[arg-type]
+    where, said = quicker_device(make, GPU, 1000)  # type: ignore[arg-type]
     assert where.type == chosen
     assert [kind for kind, _ in made] == ["cuda", "cpu"]
     if chosen == "cuda":
@@ -65,7 +65,7 @@ def test_where_a_step_fails_it_is_not_done(fails: str, chosen: str, message: str
         def step(self) -> None:
             raise SarsplatError("the memory of cuda:0 is not enough\nfor it")
 
-    where, said = quicker(lambda where: (Failing if where.type == fails else Taking)(0.001), GPU, 1000)  # type: ignore[arg-type, return-value]
+    where, said = quicker_device(lambda where: (Failing if where.type == fails else Taking)(0.001), GPU, 1000)  # type: ignore[arg-type, return-value]
     assert (where.type, said) == (chosen, message)
 
 
@@ -73,7 +73,7 @@ def test_what_is_said_once_of_the_cpu_engine_is_said(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(cpu, "torch_pool", lambda: None)
     monkeypatch.setattr(cpu, "library", cache(cpu.library.__wrapped__))
     with pytest.warns(UserWarning, match="runs on one thread"):
-        quicker(lambda _: Taking(0.001), GPU, 1000)  # type: ignore[arg-type, return-value]
+        quicker_device(lambda _: Taking(0.001), GPU, 1000)  # type: ignore[arg-type, return-value]
     monkeypatch.undo()
     cpu.library.cache_clear()
     cpu.library()  # with torch's threads again
@@ -86,7 +86,7 @@ def test_a_reconstruction_says_so_and_goes_on_where_it_began(
     monkeypatch.setattr(reconstruction, "device_named", lambda name: GPU if name == "auto" else named(name))
     monkeypatch.setattr(
         reconstruction,
-        "quicker",
+        "quicker_device",
         lambda make, gpu, _: asked.append(gpu) or (torch.device("cpu"), "on the CPU: said"),
     )
     run = reconstruct(dataset, config, tmp_path / "run", on_step=lambda step: step.iteration == 21)
@@ -105,11 +105,11 @@ def test_a_loss_of_ones_own_is_on_the_gpu_untried(dataset: Dataset, config, monk
         raise ReachedError
 
     monkeypatch.setattr(reconstruction, "device_named", lambda name: GPU)
-    monkeypatch.setattr(reconstruction, "quicker", lambda *_: pytest.fail("is tried"))
+    monkeypatch.setattr(reconstruction, "quicker_device", lambda *_: pytest.fail("is tried"))
     monkeypatch.setattr(type(METHOD), "trainer", trainer)
     with pytest.raises(ReachedError):
         reconstruct(dataset, replace(config, iterations=1000), loss=lambda a, b: (a - b).abs().mean())
 
 
 def test_few_iterations_are_not_tried() -> None:
-    assert quicker(lambda where: pytest.fail("is tried"), GPU, 100) == (GPU, "")
+    assert quicker_device(lambda where: pytest.fail("is tried"), GPU, 100) == (GPU, "")

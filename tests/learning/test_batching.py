@@ -10,10 +10,12 @@ import torch
 from datasets import box_dataset
 from sarsplat import Config, Dataset, ImageGrid, preset
 from sarsplat.geometry import RayGrid
-from sarsplat.learning import Trainer, few_at_once
-from sarsplat.learning.few_at_once import in_groups
+from sarsplat.learning import Trainer, batching
+from sarsplat.learning.batching import in_groups
+from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info
 from sarsplat.settings.sections import Densification
+from trainings import assert_same, trained
 
 GRID = ImageGrid(24, 24, (0.3, 0.3), (0.4, 0.4))
 
@@ -29,7 +31,7 @@ def config(**changes: object) -> Config:
 
 def compared(dataset: Dataset, how: Config) -> tuple[torch.Tensor, list[torch.Tensor], Info]:
     trainer = Trainer(dataset, how)
-    loss, total, rendering = trainer._compared([0, 2, 1], 1, 1)
+    loss, total, rendering = trainer._losses([0, 2, 1], 1, 1)
     total.backward()
     others = trainer._rays, trainer._bounds, torch.Generator()
     info = Info(trainer.model, trainer.images, (0, 2, 1), rendering, 0, *others)
@@ -44,7 +46,7 @@ def same(one: torch.Tensor, whole: torch.Tensor) -> None:
 def test_they_have_the_loss_and_the_gradients_of_all_at_once(dataset, monkeypatch, changes):
     loss, gradients, at_once = compared(dataset, config(**changes))
     expected = at_once.errors(), at_once.cross_sections()
-    monkeypatch.setattr(few_at_once, "_STEP_GIB", 1e-9)
+    monkeypatch.setattr(batching, "_STEP_GIB", 1e-9)
     few_loss, few_gradients, few = compared(dataset, config(**changes))
     torch.testing.assert_close(few_loss, loss)
     for one, whole in zip((*few_gradients, few.errors(), few.cross_sections()), (*gradients, *expected), strict=True):
@@ -58,22 +60,14 @@ def test_they_have_the_loss_and_the_gradients_of_all_at_once(dataset, monkeypatc
 
 
 def test_a_training_is_the_same_for_any_number_of_threads_and_where_it_goes_on(dataset, monkeypatch, threads):
-    monkeypatch.setattr(few_at_once, "_STEP_GIB", 1e-9)
+    monkeypatch.setattr(batching, "_STEP_GIB", 1e-9)
 
-    def trained(stop: int) -> dict[str, torch.Tensor]:
-        trainer = Trainer(dataset, config())
-        for _ in range(stop):
-            trainer.step()
-        snapshot = trainer.snapshot(0.0)
+    def resumed(stop: int) -> Snapshot:
+        snapshot = trained(dataset, config(), stop).snapshot(0.0)
         threads(3 if torch.get_num_threads() == 1 else 1)
-        trainer = Trainer(dataset, config())
-        trainer.restore(snapshot)
-        while trainer.iteration < 12:
-            trainer.step()
-        return trainer.snapshot(0.0).tensors
+        return trained(dataset, config(), 12 - stop, snapshot).snapshot(0.0)
 
-    first, second = trained(5), trained(9)
-    assert all(torch.equal(tensor, second[name]) for name, tensor in first.items())
+    assert_same(resumed(5), resumed(9))
 
 
 def test_how_many_follows_from_sizes():
@@ -91,7 +85,7 @@ def test_how_many_follows_from_sizes():
 
 def test_a_loss_of_ones_own_sees_all_views_of_a_step(dataset, monkeypatch):
     """It need not be a mean over them."""
-    monkeypatch.setattr(few_at_once, "_STEP_GIB", 1e-9)
+    monkeypatch.setattr(batching, "_STEP_GIB", 1e-9)
     seen: list[int] = []
 
     def loss(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""The views of a step a few at a time, where all of them at once would take too much memory: gradients are added."""
+"""Batches of views that fit into memory, with gradients accumulated over the batches of a step."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from sarsplat.renderer.engines.operation import differentiable_once
 from sarsplat.tiles.plan import memory_bytes
 
 _STEP_GIB = 2.0
-"""What the views of a step that are rendered at once take at most, unless it is one."""
+"""Maximum memory of a batch of more than one view, GiB."""
 
 Compared = Callable[[slice], tuple[Tensor, Rendering]]
-"""Renders some of the views of a step: their mean loss, and what was rendered."""
+"""Function that renders a slice of a step's views and returns their mean loss and the rendering."""
 
 
 def in_groups(
     views: int, most: int, parameters: Mapping[str, Tensor], grid: ImageGrid, rays: RayGrid, scenes: int = 1
 ) -> list[slice]:
-    """So many views in their order, at most so many at once; decided by sizes alone, so alike on every machine.
+    """Divide views into batches of at most `most` that fit into memory; sizes alone decide, on every machine alike.
 
-    Of the `parameters` of a model, the means say how many Gaussians there are; a rendering takes as much as `scenes`.
+    The means in `parameters` give the number of Gaussians; a rendering holds `scenes` times the scene.
     """
     count = len(parameters["means"])
     numbers = sum(tensor[0].numel() for tensor in parameters.values() if len(tensor) == count)
@@ -40,15 +40,14 @@ def in_groups(
 def compared_in_groups(
     compared: Compared, groups: Sequence[slice], parameters: Sequence[Tensor]
 ) -> tuple[Tensor, Rendering]:
-    """The mean loss of all views, differentiable with respect to the parameters, and what was rendered, detached.
+    """Mean loss of all views, differentiable with respect to the parameters, and the detached rendering.
 
-    Each group is rendered and differentiated before the next one, so that memory holds what one of them needs. The loss
-    must be a mean over views.
+    Each batch is rendered and differentiated before the next one, to save memory. The loss must be a mean over views.
     """
     if len(groups) == 1:
         return compared(groups[0])
     renderings: list[Rendering] = []
-    loss = _Added.apply(compared, groups, parameters, renderings, *parameters)
+    loss = _Accumulated.apply(compared, groups, parameters, renderings, *parameters)
     images, sections, areas = zip(*((one.images, one.cross_sections, one.lit_area) for one in renderings), strict=True)
     planes = [one.plane_gradients for one in renderings if one.plane_gradients is not None]
     return loss, Rendering(
@@ -56,8 +55,8 @@ def compared_in_groups(
     )
 
 
-class _Added(torch.autograd.Function):
-    """The gradients are found on the way forward."""
+class _Accumulated(torch.autograd.Function):
+    """Sum of the batches' losses, whose gradients the forward pass accumulates."""
 
     @staticmethod
     def forward(
@@ -78,7 +77,7 @@ class _Added(torch.autograd.Function):
             ctx.gradients = list(starmap(_sum, zip(ctx.gradients, found, strict=True)))
             shares.append(share.detach())
             renderings.append(_detached(rendering))
-            del loss, share, rendering, found  # and with them what the way back needed
+            del loss, share, rendering, found  # frees the graph
         return torch.stack(shares).sum()
 
     @staticmethod
