@@ -15,7 +15,7 @@ from jaxtyping import Float64, Int64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.importers.needed import require
+from sarsplat.importers.optional_packages import require
 from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -18,7 +18,7 @@ from sarsplat.data.coverage import evenly_chosen, largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
 from sarsplat.data.geotiff import LEVELS
-from sarsplat.data.header import Box, Calibration
+from sarsplat.data.header import Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.map_place import UNCONVERTED
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
@@ -26,6 +26,7 @@ from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Place, Terrain
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.geometry.shown import ground_radius_m
+from sarsplat.importers.about import AboutImages
 from sarsplat.importers.band_limited import resample
 from sarsplat.importers.common_part import common_part, with_data
 from sarsplat.importers.measured_image import MeasuredImage
@@ -54,37 +55,6 @@ _PIXELS = (8, 4096)
 
 EXAMINATIONS: WeakKeyDictionary[Dataset, Examination] = WeakKeyDictionary()
 """Of datasets that have been imported: the command line shows more of it than warnings, and need not look again."""
-
-
-class AboutScene(TypedDict, total=False):
-    """What a user knows of the scene.
-
-    Attributes
-    ----------
-    terrain : Terrain or None
-        Heights of the ground that the images show; level unless given.
-    target_box_m : pair of (x, y, z) or None
-        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Unless given, it is
-        derived from the images.
-    """
-
-    terrain: Terrain | None
-    target_box_m: Box | None
-
-
-class AboutImages(AboutScene, total=False):
-    """What a user also knows of images that come from anywhere.
-
-    Attributes
-    ----------
-    looks : float or None
-        Number of looks of the speckle, 1 unless given; None if there is none.
-    ground : bool
-        Whether the images show the ground around the target, as they do unless it is said.
-    """
-
-    looks: float | None
-    ground: bool
 
 
 @checks_arguments

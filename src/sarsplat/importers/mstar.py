@@ -31,8 +31,9 @@ from sarsplat.data.coverage import nearest_to
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.importers.about import AboutScene
 from sarsplat.importers.files import warn_caller
-from sarsplat.importers.images import AboutScene, dataset_of, write_imported
+from sarsplat.importers.images import dataset_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage, view_of
 from sarsplat.importers.mstar_chips import Chip, plain_name, read_chips
 from sarsplat.importers.mstar_splits import SPLITS, divide

@@ -22,11 +22,12 @@ from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, Place
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
+from sarsplat.importers.about import AboutScene
 from sarsplat.importers.files import each_once
 from sarsplat.importers.histories import read_phase_history
-from sarsplat.importers.images import AboutScene, assume, check_sides, dataset_of, write_imported
+from sarsplat.importers.images import assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage
-from sarsplat.importers.needed import require
+from sarsplat.importers.optional_packages import require
 from sarsplat.importers.phase_apertures import Aperture, apertures
 from sarsplat.importers.phase_history import FARTHEST_M, SPEED_OF_LIGHT, PhaseHistory, flights
 from sarsplat.progress import progress

@@ -23,8 +23,8 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Stack, View
+from sarsplat.importers.about import AboutImages
 from sarsplat.importers.images import (
-    AboutImages,
     check_heading,
     check_sides,
     dataset_of,

@@ -19,7 +19,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.place import ecef_of_geodetic
-from sarsplat.importers.needed import require
+from sarsplat.importers.optional_packages import require
 from sarsplat.importers.pictures import power_or_signal
 
 if TYPE_CHECKING:

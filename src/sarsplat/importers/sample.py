@@ -22,8 +22,9 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
+from sarsplat.importers.about import AboutScene
 from sarsplat.importers.files import files_in, warn_caller
-from sarsplat.importers.images import AboutScene, dataset_of, write_imported
+from sarsplat.importers.images import dataset_of, write_imported
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.measured_image import MeasuredImage, view_of
 from sarsplat.importers.pictures import power_or_signal

@@ -20,9 +20,9 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place
+from sarsplat.importers.about import AboutImages
 from sarsplat.importers.files import each_once, warn_caller
 from sarsplat.importers.images import (
-    AboutImages,
     assume,
     check_heading,
     check_sides,

@@ -12,8 +12,8 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
-from sarsplat.importers.needed import require
 from sarsplat.importers.nitf import Segment, read_nitf
+from sarsplat.importers.optional_packages import require
 from sarsplat.importers.sarkit_xml import Metadata, any_version, sarkit_errors
 
 if TYPE_CHECKING:
