@@ -195,10 +195,9 @@ def _about(annotation: str) -> tuple[list[Parameter], dict[str, str]]:
     fields, helps = list[Parameter](), dict[str, str]()
     name = annotation.removeprefix("Unpack[").removesuffix("]")
     while name in classes:
-        stated = [
-            map(ast.unparse, (one.target, one.annotation)) for one in classes[name].body if hasattr(one, "target")
-        ]
-        fields = [*(Parameter(key, Parameter.KEYWORD_ONLY, annotation=kind) for key, kind in stated), *fields]
+        stated = [one for one in classes[name].body if isinstance(one, ast.AnnAssign)]
+        kinds = {ast.unparse(one.target): ast.unparse(one.annotation) for one in stated}
+        fields = [*(Parameter(key, Parameter.KEYWORD_ONLY, annotation=kind) for key, kind in kinds.items()), *fields]
         helps |= _helps(ast.get_docstring(classes[name]) or "")
         name = ast.unparse(classes[name].bases[0])
     return fields, helps
