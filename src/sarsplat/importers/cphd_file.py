@@ -1,7 +1,6 @@
 """One CPHD file (compensated phase history): its metadata, checked, and the parameters of its pulses.
 
-The format is left to sarkit, but files come from strangers: the lengths in a header must fit the file, and the XML
-must be plain, before sarkit is trusted with them.
+sarkit reads the format, but files are untrusted: the lengths in a header must fit the file, and the XML must be plain.
 """
 
 from __future__ import annotations
@@ -25,27 +24,27 @@ MAGIC = b"CPHD/"
 _LONGEST_HEADER = 1 << 16
 _END = b"\f\n"
 _SAMPLE_BYTES = {"CI2": 2, "CI4": 4, "CF8": 8}
-"""Formats of samples that the standard knows."""
+"""Formats of samples in the standard → bytes of one."""
 _MOST_BYTES_OF_A_PULSE = 1 << 16
 _LARGEST = 1e12
-"""No number that is used here is larger, but for frequencies none comes near it."""
+"""Maximum of all numbers."""
 _VECTORS = {
     "TxTime": 0, "TxPos": 3, "RcvTime": 0, "RcvPos": 3, "SRPPos": 3, "FX1": 0, "FX2": 0, "TOA1": 0, "TOA2": 0, "SC0": 0,
     "SCSS": 0,
 }  # fmt: skip
-"""Parameters of pulses that every file has, and how many numbers each is (0: one)."""
+"""Parameters of pulses in every file → numbers of each (0: a scalar)."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """What the metadata say of one channel."""
+    """Metadata of one channel."""
 
     name: str
     pulses: int
     samples: int
-    """Of each pulse."""
+    """Number of samples of a pulse."""
     polarisation: str
-    """Transmitted and received, such as "V:V"; "" where the file does not say it."""
+    """Transmitted and received, such as "V:V"; "" if not stated."""
 
     def __str__(self) -> str:
         return shown(self.name) + (f" ({self.polarisation})" if self.polarisation else "")
@@ -53,17 +52,17 @@ class Channel:
 
 @dataclass(frozen=True)
 class Cphd(Metadata):
-    """What one file says; everything in it fits the file."""
+    """Metadata of one file, consistent with its size."""
 
     version: str
     channels: list[Channel]
     domain: str
-    """"FX", samples are of frequencies, or "TOA", of times of arrival."""
+    """Domain of the samples: "FX", frequencies, or "TOA", times of arrival."""
     sign: int
-    """Of the phase of what is farther away, 1 or −1."""
+    """Sign of the phase of more distant scatterers, 1 or −1."""
 
     def load(self, name: str) -> Any:
-        """Value of an element as sarkit reads it; None if there is none."""
+        """Return the value of an element; None if it is missing."""
         from sarkit.cphd import XmlHelper
 
         with sarkit_errors(self.path, "CPHD"):
@@ -71,14 +70,14 @@ class Cphd(Metadata):
 
     @property
     def reference_ecef(self) -> Float64[np.ndarray, " 3"]:
-        """The reference point of its scene, ECEF, m."""
+        """Reference point of the scene, ECEF, m."""
         place = self.load("SceneCoordinates/IARP/ECF")
         if place is None or not np.all(np.abs(place) <= _LARGEST):
-            raise SarsplatError(f"{self.path} does not say where its scene is (SceneCoordinates/IARP); get it again")
+            raise SarsplatError(f"{self.path} has no valid reference point (SceneCoordinates/IARP); get it again")
         return np.asarray(place, np.float64)
 
     def channel(self, name: str | None) -> Channel:
-        """The one of this name, or the only one."""
+        """Return the channel of this name, or the only one."""
         known = {channel.name: channel for channel in self.channels}
         told = ", ".join(map(str, self.channels[:20]))
         if name is None and len(known) > 1:
@@ -88,9 +87,9 @@ class Cphd(Metadata):
         return self.channels[0] if name is None else known[name]
 
     def pulses(self, channel: Channel) -> dict[str, np.ndarray]:
-        """Parameters of the pulses of a channel that hold a signal; "index" numbers them in the file.
+        """Read the parameters of a channel's pulses with a signal; "index" numbers them in the file.
 
-        Refused if one that is needed is missing or not finite.
+        Raises if a needed one is missing or not finite.
         """
         import sarkit.cphd
 
@@ -119,9 +118,9 @@ class Cphd(Metadata):
 
 
 def open_cphd(path: Path) -> Cphd:
-    """What one file says, without its pulses.
+    """Read the metadata of one file, without its pulses.
 
-    Refused if it is no CPHD of one radar, of a version that is not read, truncated, garbled, or compressed.
+    Raises if it is no monostatic CPHD of a supported version, truncated, garbled, or compressed.
     """
     require("sarkit", "CPHD files need", "phase-history")
     with open_file(path) as file:
@@ -152,7 +151,7 @@ def open_cphd(path: Path) -> Cphd:
 
 
 def _tree(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, dict[str, int]]:
-    """The metadata, and the lengths of the blocks in the file, all of which lie in it."""
+    """Read the metadata, and the lengths of the blocks, which must lie in the file."""
     size = file.seek(0, 2)
     file.seek(0)
     head = file.read(_LONGEST_HEADER)
@@ -182,7 +181,7 @@ def _tree(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, dict[str
 
 
 def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int]) -> list[Channel]:
-    """Those that the metadata name; their arrays lie in the blocks."""
+    """Read the channels of the metadata, whose arrays must lie in the blocks."""
     data = tree.find("{*}Data")
     listed = [] if data is None else data.findall("{*}Channel")
     if data is None or not listed:

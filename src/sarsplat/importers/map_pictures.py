@@ -45,9 +45,9 @@ def from_map(
     for picture in pictures:
         if not picture.resolved:
             raise SarsplatError(
-                f"{table} does not say what the resolution of {picture.row.name} is, which the pixels of a map do not "
-                "tell; give its 3 dB widths with --resolution AZIMUTH RANGE, of multilooked pictures those after it, "
-                "and --ground-range if it is along the ground in range"
+                f"{table} does not state the resolution of {picture.row.name}, which the pixels of a map do not "
+                "tell; give its 3 dB widths, after multilooking, with --resolution AZIMUTH RANGE, and --ground-range "
+                "if it is along the ground in range"
             )
     names = [str(picture.row.path) for picture in pictures]
     tags = [_on_map(picture) for picture in pictures]
@@ -115,8 +115,8 @@ def _told_of_map(system: Georeference) -> str:
     north = "true north" if known else "the north of the map, whose lengths are taken for true ones"
     taken = ", taken for WGS 84" if system.geographic and system.epsg is None else ""
     return (
-        f"the pictures lie on a map in {system.system}{taken}; the scene's origin is the middle of what all of them "
-        f"show, and azimuths are counted from {north}"
+        f"the pictures lie on a map in {system.system}{taken}; the scene's origin is the middle of their common "
+        f"part, and azimuths are counted from {north}"
     )
 
 
