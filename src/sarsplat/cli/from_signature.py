@@ -53,7 +53,7 @@ _shared: ContextVar[Counter[str] | None] = ContextVar("_shared", default=None)
 
 @dataclass(frozen=True)
 class Option:
-    """How a parameter is typed, where that does not follow from its annotation, default and description.
+    """Command-line form of a parameter, if other than its annotation, default and description imply.
 
     tyro reads a `kind`, of which `value` makes, with the option's name, what the function is given; `default` is taken
     as typed if nothing is, or the function's own if it is `Parameter.empty`.
@@ -100,7 +100,7 @@ _SHARED = {
     ),
     "target_box_m": Option(TargetBox, lambda box, _: corners(box), default=None),
 }
-"""What several importers have."""
+"""Options that several importers have."""
 _METAVARS = {"Path": "FILE", "str": "NAME", "int": "N", "float": "NUMBER"}
 _UNITS = {"_m": "METRES", "_deg": "DEGREES"}
 """Endings of parameters' names, which options lack."""
@@ -148,7 +148,7 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
 
 
 def _option(one: Parameter, option: Option) -> tuple[Parameter, Option]:
-    """A parameter as tyro is to see it, and the option with its name."""
+    """Return a parameter for tyro, and the option with its name."""
     if one.default is True and not option.name:
         option = _typed_without(one.name, option.help)
     unit = next((unit for unit in _UNITS if one.name.endswith(unit)), "")
@@ -167,7 +167,7 @@ def _option(one: Parameter, option: Option) -> tuple[Parameter, Option]:
 
 
 def _kind(annotation: str, default: Any, unit: str | None) -> Any:
-    """What tyro reads for a parameter that is annotated like this."""
+    """Return the type that tyro reads for an annotation."""
     hint = annotation.replace("str | Path", "Path").replace("Sequence[Path]", "tuple[Path, ...]")
     known = vars(names) | {"Path": Path, "Literal": Literal}
     single = hint.removesuffix(" | None")
@@ -179,7 +179,7 @@ def _kind(annotation: str, default: Any, unit: str | None) -> Any:
 
 
 def _without_body(module: str, name: str) -> Callable[..., Any]:
-    """A function of this name, signature and docstring, with annotations as they are written."""
+    """Make a function of this name, signature and docstring, with annotations as strings."""
     source = _source(module)
     head, docstring = source[source.index(f"def {name}(") :].split('"""', 2)[:2]
     known: dict[str, Any] = {}
@@ -189,7 +189,7 @@ def _without_body(module: str, name: str) -> Callable[..., Any]:
 
 
 def _about(annotation: str) -> tuple[list[Parameter], dict[str, str]]:
-    """Fields of a TypedDict of importers/about.py, from an annotation "Unpack[NAME]", and their descriptions."""
+    """Return fields of the TypedDict in "Unpack[NAME]", of importers/about.py, and their descriptions."""
     tree = ast.parse(_source("sarsplat.importers.about"))
     classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
     fields, helps = list[Parameter](), dict[str, str]()

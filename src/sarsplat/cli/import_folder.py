@@ -12,11 +12,11 @@ from sarsplat.cli.importers import Contents, Recognised
 from sarsplat.errors import SarsplatError
 
 _CERTAINTY = 0.1
-"""Certainty of pictures with a table, which may be of anything."""
+"""Certainty that pictures with a table are radar images."""
 
 
 def _named(words: tuple[str, ...], name: str) -> dict[str, str]:
-    """`az=aspect,graz=elev` as a mapping; names may contain spaces, but no commas."""
+    """Parse `az=aspect,graz=elev`; names may contain spaces, but no commas."""
     named = {}
     for word in filter(None, ",".join(words).split(",")):
         meaning, equals, column = word.partition("=")

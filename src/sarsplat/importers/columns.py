@@ -96,7 +96,7 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
 
 
 def unusual_look(table: CsvTable, row: Row) -> str | None:
-    """Return the column by which a row's radar is tilted or looks left; None if there is none."""
+    """Return the column by which a row's radar is tilted or looks left; None without one."""
     for column in table.columns:
         cell, name = row[1][column].lower(), _plain(column)
         meanings = [one for one in ("look", "tilt") if name in (one.replace("-", ""), *MEANINGS[one])]
@@ -107,7 +107,7 @@ def unusual_look(table: CsvTable, row: Row) -> str | None:
 
 
 def recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
-    """Return the only column with a usual name; None if there is none."""
+    """Return the only column with a usual name, or None."""
     usual = (meaning.replace("-", ""), *MEANINGS[meaning])
     candidates = [name for name in table.columns if _plain(name) in usual and name not in chosen.values()]
     if len(candidates) > 1 and (exact := [name for name in candidates if _plain(name) == usual[0]]):

@@ -253,11 +253,11 @@ def _training_chips(chips: list[Chip], count: int | Literal["all"], depressions:
     for first, depression in enumerate(depressions):
         candidates = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
         if not candidates:
-            numbers_at = Counter(chip.depression for chip in chips)
+            counts = sorted(Counter(chip.depression for chip in chips).items())
             raise SarsplatError(
                 f"there are no chips at the training depression of {depression}°, but "
-                f"{' and '.join(f'{numbers_at[angle]:,} at {angle}°' for angle in sorted(numbers_at))}; choose among them with "
-                f"--train-depression {' '.join(map(str, sorted(numbers_at)))}"
+                f"{' and '.join(f'{number:,} at {angle}°' for angle, number in counts)}; choose among them with "
+                f"--train-depression {' '.join(str(angle) for angle, _ in counts)}"
             )
         every += candidates
         if count == "all":

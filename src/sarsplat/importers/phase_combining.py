@@ -65,7 +65,7 @@ class Combined:
     def echoes(
         self, shares: Float64[np.ndarray, " pulses"]
     ) -> Iterator[tuple[int, Complex64[np.ndarray, " frequencies"]]]:
-        """Yield each kept pulse with the combined samples, weighted by `shares`, without the phase of the middle's range.
+        """Yield each kept pulse with combined samples, weighted by `shares`, without the phase of the middle's range.
 
         Memory does not grow with the length of the flight.
         """

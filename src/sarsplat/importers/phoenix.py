@@ -1,7 +1,7 @@
 """Original MSTAR chips: Phoenix files, an ASCII header followed by magnitudes and phases.
 
 The header is a list of `Key= value` lines. With `native_header_length= 0` the data are big-endian float32: all
-magnitudes, then all phases, row by row. The files come from strangers: a size is believed only if it fits the file's.
+magnitudes, then all phases, row by row. Files are untrusted: sizes must fit the file.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _LARGEST = 1e9  # no magnitude and no number of a header comes near it, and its 
 
 @dataclass(frozen=True)
 class PhoenixChip:
-    """One chip as it was published.
+    """One chip as published.
 
     Parameters
     ----------
     path : Path
-        The file, for error messages.
+        File, for error messages.
     header : dict of str to str
         Every `Key= value` of the header, stripped.
     magnitude : numpy.ndarray, float32 [rows, columns]
@@ -73,12 +73,12 @@ class PhoenixChip:
 
     @property
     def measured_depression_deg(self) -> float:
-        """Depression angle as flown, degrees."""
+        """Measured depression angle, degrees."""
         return _number(self.path, self.header, "MeasuredDepression")
 
     @property
     def desired_depression_deg(self) -> float:
-        """Depression angle as planned, degrees: the name of the collection (15, 17, 30, 45)."""
+        """Planned depression angle, degrees: the name of the collection (15, 17, 30, 45)."""
         return _number(self.path, self.header, "DesiredDepression")
 
     @property
@@ -96,19 +96,19 @@ class PhoenixChip:
 
     @property
     def response(self) -> Response:
-        """That of the Taylor window of the level that the header states, with the usual n̄; otherwise a Gaussian."""
+        """Response of the stated Taylor window, with the usual n̄; otherwise a Gaussian."""
         stated = {self.header.get(f"{axis}Weighting", "") for axis in ("Range", "CrossRange")}
         level, _, window = stated.pop().partition("dB_")
         return stated_taylor(level) if window == "Taylor" and not stated else GAUSSIAN
 
     @property
     def signal(self) -> Complex64[np.ndarray, "rows columns"]:
-        """magnitude·e^(j·phase), in the file's order."""
+        """Complex amplitude magnitude·e^(j·phase), in the file's order."""
         return self.magnitude * np.exp(1j * self.phase)
 
     @property
     def image(self) -> SarImage:
-        """The chip as a complex image, √β⁰ up to a factor, turned by 180° so that row 0 is near range.
+        """Complex image, √β⁰ up to a factor, turned by 180° so that row 0 is near range.
 
         Its azimuth is −TargetAz (see `sarsplat.importers.mstar`).
 
@@ -124,7 +124,7 @@ class PhoenixChip:
         return SarImage.of_complex(oriented(self.signal, "bottom"), view, grid)
 
     def require_radar_at_the_bottom(self) -> None:
-        """Refuse a chip whose radar is at another side of the array."""
+        """Raise if the radar is at another side of the array."""
         if self.radar_position != "bottom":
             raise SarsplatError(
                 f"{self.path} has RadarPosition= {self.radar_position!r}; only 'bottom' is supported, so remove it"
@@ -132,7 +132,7 @@ class PhoenixChip:
 
 
 def is_phoenix(path: Path) -> bool:
-    """Whether the file starts the way Phoenix files do."""
+    """Return whether a file begins as Phoenix files do."""
     with open_file(path) as file:
         return _begins(file.read(len(_MAGIC) + 1))
 
@@ -190,7 +190,7 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
 
 
 def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:
-    """Length of the header in bytes, and its fields."""
+    """Return the length of the header, bytes, and its fields."""
     if not _begins(start):
         raise SarsplatError(f"{path} is not a Phoenix file: it does not start with {_MAGIC.decode()}; give originals")
     stated = re.search(rb"\nPhoenixHeaderLength= *(\d{1,9})\s", start[:256])

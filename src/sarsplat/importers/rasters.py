@@ -62,7 +62,7 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
 
 
 def first_georeference(paths: Iterable[Path]) -> Georeference | None:
-    """Return the georeference of the first readable raster among files; None if there is none."""
+    """Return the georeference of the first readable raster among files, or None."""
     for path in paths:
         if path.suffix.lower() not in (*OTHERS, ".csv") and path.is_file():
             try:

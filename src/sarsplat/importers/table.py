@@ -78,7 +78,7 @@ class PictureTable:
 
     @property
     def real(self) -> Quantity | None:
-        """Quantity of real numbers in the pictures, by the column of their scale; None if there is none."""
+        """Quantity of real numbers in the pictures, by the column of their scale, or None."""
         known = [quantities[0] for meaning, quantities in PER_UNIT.items() if meaning in self.columns]
         return known[0] if known and "scale" not in self.columns else None
 
