@@ -35,7 +35,7 @@ class AboutImages(AboutScene, total=False):
     Attributes
     ----------
     looks : float or None
-        Number of looks of the speckle, 1 unless given; None if there is none.
+        Number of looks of the speckle, 1 unless given; None without speckle.
     ground : bool
         Whether the images show the ground around the target; True unless given.
     """

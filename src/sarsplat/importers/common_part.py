@@ -131,7 +131,7 @@ def common_part(
 ) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"], list[str]]:
     """Return begin and end of the part that all images show (azimuth, range), m, and the images that limit it.
 
-    Raises if there is none, or if without a few images it would be at least twice as large.
+    Raises if it is empty, or if without a few images it would be at least twice as large.
     """
     ends = np.array([_ends(image.grid) for image in images])
     common = _common(ends)

@@ -14,6 +14,7 @@ from jaxtyping import Float64, Int64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.optional_packages import require
 from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
 
@@ -73,7 +74,7 @@ class Cphd(Metadata):
         """Reference point of the scene, ECEF, m."""
         place = self.load("SceneCoordinates/IARP/ECF")
         if place is None or not np.all(np.abs(place) <= _LARGEST):
-            raise SarsplatError(f"{self.path} has no valid reference point (SceneCoordinates/IARP); get it again")
+            raise_damaged(self.path, "has no valid reference point (SceneCoordinates/IARP)")
         return np.asarray(place, np.float64)
 
     def channel(self, name: str | None) -> Channel:
@@ -97,7 +98,7 @@ class Cphd(Metadata):
             stored = sarkit.cphd.Reader(file).read_pvps(channel.name)
             names = stored.dtype.names or ()
             if missing := [name for name in _VECTORS if name not in names]:
-                raise SarsplatError(f"{self.path} lacks {', '.join(missing)} of its pulses; get it again")
+                raise_damaged(self.path, f"lacks {', '.join(missing)} of its pulses")
             index: Int64[np.ndarray, " pulses"] = np.arange(len(stored))
             if "SIGNAL" in names:
                 index = np.flatnonzero(stored["SIGNAL"] == 1)
@@ -113,7 +114,7 @@ class Cphd(Metadata):
             wrong = ~(np.abs(numbers) <= _LARGEST)  # also catches NaN
             if numbers.shape[1:] != ((numbers_each,) if numbers_each else ()) or wrong.any():
                 first = f", such as {numbers[wrong][0]:g}" if wrong.any() else ""
-                raise SarsplatError(f"{self.path} has pulses whose {name} is impossible{first}; get it again")
+                raise_damaged(self.path, f"has pulses whose {name} is impossible{first}")
         return {**values, "index": index}
 
 
@@ -130,7 +131,7 @@ def open_cphd(path: Path) -> Cphd:
 
     namespace, _, kind = name.removeprefix("{").partition("}")
     if kind != "CPHD":
-        raise SarsplatError(f"{path} holds {shown(name)}, not the metadata of a CPHD; get it again")
+        raise_damaged(path, f"holds {shown(name)}, not the metadata of a CPHD")
     if namespace not in VERSION_INFO:
         known = " and ".join(str(one["version"]) for one in VERSION_INFO.values())
         raise SarsplatError(f"{path} is CPHD of {shown(namespace)}; {known} are read, so get it in one of these")
@@ -143,10 +144,7 @@ def open_cphd(path: Path) -> Cphd:
                 "transmits and receives itself (monostatic) are supported, so give one of these"
             )
         if domain not in ("FX", "TOA") or sign not in (1, -1):
-            raise SarsplatError(
-                f"{path} has {shown(domain)} as its domain and {shown(sign)} as sign of its phase; they must be FX or "
-                "TOA, and 1 or -1, so get it again"
-            )
+            raise_damaged(path, f"has the domain {shown(domain)} and sign {shown(sign)}, not FX or TOA and ±1")
         return replace(made, domain=domain, sign=sign)
 
 
@@ -167,15 +165,12 @@ def _tree(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, dict[str
     for block in ("XML", "PVP", "SIGNAL"):
         place, length = values.get(f"{block}_BLOCK_BYTE_OFFSET", ""), values.get(f"{block}_BLOCK_SIZE", "")
         if not end or not all(text.isascii() and text.isdigit() and len(text) < 19 for text in (place, length)):
-            raise SarsplatError(f"{path} has a header that does not say where its {block} block is; get it again")
+            raise_damaged(path, f"has a header that does not say where its {block} block is")
         if int(place) + int(length) > size:
-            raise SarsplatError(
-                f"{path} is truncated: it has {size} bytes, and its {block} block ends at byte "
-                f"{int(place) + int(length)}; get it again"
-            )
+            raise_damaged(path, f"is truncated: {size} bytes, but its {block} block ends at {int(place) + int(length)}")
         sections[block] = int(length)
     if sections["XML"] > LONGEST_XML:
-        raise SarsplatError(f"{path} has {sections['XML']} bytes of metadata, more than {LONGEST_XML}; get it again")
+        raise_damaged(path, f"has {sections['XML']} bytes of metadata, more than {LONGEST_XML}")
     file.seek(int(values["XML_BLOCK_BYTE_OFFSET"]))
     return plain_xml(path, file.read(sections["XML"]), "CPHD"), sections
 
@@ -185,7 +180,7 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
     data = tree.find("{*}Data")
     listed = [] if data is None else data.findall("{*}Channel")
     if data is None or not listed:
-        raise SarsplatError(f"{path} has no channels in its metadata; get it again")
+        raise_damaged(path, "has no channels in its metadata")
     if data.find("{*}SignalCompressionID") is not None or data.find("{*}Channel/{*}CompressedSignalSize") is not None:
         raise SarsplatError(
             f"{path} has compressed signals ({shown(data.findtext('{*}SignalCompressionID'))}), which only its maker "
@@ -196,7 +191,7 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
         raise SarsplatError(f"{path} has samples of the format {shown(form)}; {', '.join(_SAMPLE_BYTES)} are read")
     each = _whole(path, data, "NumBytesPVP")
     if not 1 <= each <= _MOST_BYTES_OF_A_PULSE:
-        raise SarsplatError(f"{path} has {each} bytes of parameters for a pulse; get it again")
+        raise_damaged(path, f"has {each} bytes of parameters for a pulse")
     found = []
     for one in listed:
         name = (one.findtext("{*}Identifier") or "").strip()
@@ -207,22 +202,22 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
         }
         for block, end in ends.items():
             if end > blocks[block]:
-                raise SarsplatError(
-                    f"{path} says that channel {shown(name)} has {pulses} pulses of {samples} samples, more than its "
-                    f"{block} block holds; get it again"
+                raise_damaged(
+                    path,
+                    f"has {pulses} pulses of {samples} samples in {shown(name)}, more than its {block} block holds",
                 )
         if not name.isprintable() or "'" in name or len(name) > 200 or name != one.findtext("{*}Identifier"):
-            raise SarsplatError(f"{path} has a channel called {shown(name)}, which is no name; get it again")
+            raise_damaged(path, f"has a channel called {shown(name)}, which is no name")
         found.append(Channel(name, pulses, samples, _polarisation(tree, name)))
     if len({one.name for one in found}) < len(found):
-        raise SarsplatError(f"{path} has two channels of the same name; get it again")
+        raise_damaged(path, "has two channels of the same name")
     return found
 
 
 def _whole(path: Path, element: lxml.etree._Element, name: str) -> int:
     text = (element.findtext("{*}" + name) or "").strip()
     if not (text.isascii() and text.isdigit() and len(text) < 16):
-        raise SarsplatError(f"{path} has {shown(text)} as {name}; it must be a whole number, so get it again")
+        raise_damaged(path, f"has {shown(text)} as {name}, but it must be a whole number")
     return int(text)
 
 

@@ -9,6 +9,7 @@ import unicodedata
 import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from sarsplat.data.csv_table import CsvTable, Row, relative_path
 from sarsplat.data.files import plain_reason
@@ -18,8 +19,13 @@ _MOST_FILES = 100_000
 """Maximum number of files in a folder; with more, it is probably a home folder."""
 
 
+def raise_damaged(path: Path, problem: str) -> NoReturn:
+    """Raise a `SarsplatError` on a damaged file; `problem` is its predicate."""
+    raise SarsplatError(f"{path} {problem}; get it again")
+
+
 def each_once(files: Sequence[str | Path]) -> list[Path]:
-    """Return the files as paths, in their order; raise if there are none, or one is given twice or by two names."""
+    """Return the files as paths, in their order; raise if the list is empty, or one is given twice or by two names."""
     if not files:
         raise SarsplatError("no files were given; give at least one")
     seen: dict[str, Path] = {}

@@ -47,7 +47,7 @@ class PhaseHistoryFormat:
     describe : callable, optional
         Returns facts of a file, names and values, or raises a `SarsplatError` of one sentence.
     begins : bytes
-        First bytes of every such file and of no other; empty if there are none.
+        First bytes of every such file and of no other; empty if they vary.
     container : bytes
         First bytes that such files share with others: decisive only for files given as phase history.
     """
@@ -74,7 +74,7 @@ def format_of(path: Path) -> PhaseHistoryFormat | None:
 def read_phase_history(path: Path, channel: str | None = None) -> PhaseHistory:
     """Read the pulses of one file; of several channels, of the named one.
 
-    Raises if its format is unknown, it cannot be used, or a channel is named where there are none.
+    Raises if its format is unknown, it cannot be used, or a channel is named of a format without channels.
     """
     known = format_of(path)
     with open_file(path) as file:

@@ -20,6 +20,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place
 from sarsplat.geometry.responses import UNIFORM
 from sarsplat.importers.cphd_file import MAGIC, Channel, Cphd, open_cphd
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.histories import PhaseHistoryFormat
 from sarsplat.importers.phase_apertures import WIDEST_DEG, whole_flight
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory, Recorded
@@ -133,7 +134,7 @@ def _of_frequencies(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tup
         high = np.clip(np.floor((pulses["FX2"] - first) / step + _EXACT), -1, channel.samples - 1)
     begin, end = int(low.max()), int(high.min()) + 1
     if end - begin < 2:
-        raise SarsplatError(f"{cphd.path} has samples that are not of its band ({_in_mhz(pulses)}); get it again")
+        raise_damaged(cphd.path, f"has samples that are not of its band ({_in_mhz(pulses)})")
     _require_one_band(cphd, first + begin * step, first + (end - 1) * step)
     signal = _Signal(cphd.path, channel.name, pulses["index"], pulses["AmpSF"], cphd.sign > 0, begin, end - begin)
     return first + begin * step, step, signal
@@ -171,9 +172,7 @@ def _in_mhz(pulses: dict[str, Any]) -> str:
 
 def _require_steps(cphd: Cphd, steps: Float64[np.ndarray, " pulses"]) -> None:
     if not (steps > 0).all():
-        raise SarsplatError(
-            f"{cphd.path} has samples in steps of {steps.min():g}, which must be positive; get it again"
-        )
+        raise_damaged(cphd.path, f"has samples in steps of {steps.min():g}, which must be positive")
 
 
 def _require_one_band(cphd: Cphd, first: Float64[np.ndarray, " pulses"], last: Float64[np.ndarray, " pulses"]) -> None:
@@ -250,7 +249,7 @@ class _Dwell:
             self._require_within(x, y)
             middle, duration = (np.polynomial.polynomial.polyval2d(x, y, part) for part in self._polynomials())
             if not (np.isfinite(middle) & np.isfinite(duration)).all():
-                raise SarsplatError(f"{self.cphd.path} has dwell times that are not finite; get it again")
+                raise_damaged(self.cphd.path, "has dwell times that are not finite")
             return (np.abs(self.times_s - middle[:, None]) <= duration[:, None] / 2).all(axis=0)
 
     def _polynomials(self) -> tuple[np.ndarray, np.ndarray]:
@@ -263,14 +262,14 @@ class _Dwell:
             if "'" not in chosen:
                 polynomial = self.cphd.load(f"Dwell/{kind}[{{*}}Identifier='{chosen}']/{kind}Poly")
             if polynomial is None:
-                raise SarsplatError(f"{self.cphd.path} has no dwell times ({kind}); get it again")
+                raise_damaged(self.cphd.path, f"has no dwell times ({kind})")
             found.append(polynomial)
         return found[0], found[1]
 
     def _require_within(self, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
         corners = [self.cphd.load(f"SceneCoordinates/ImageArea/{name}") for name in ("X1Y1", "X2Y2")]
         if any(corner is None or not np.all(np.isfinite(corner)) for corner in corners):
-            raise SarsplatError(f"{self.cphd.path} has no valid ImageArea; get it again")
+            raise_damaged(self.cphd.path, "has no valid ImageArea")
         low, high = np.sort(corners, axis=0)
         if min(x.min() - low[0], y.min() - low[1], high[0] - x.max(), high[1] - y.max()) < 0:
             place = _place(self.cphd)

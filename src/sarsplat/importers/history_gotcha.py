@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.histories import PhaseHistoryFormat
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
@@ -90,7 +91,7 @@ def _of_pulses(path: Path, record: dict[str, Any], names: tuple[str, ...], pulse
     lines = [_line(path, record, name) for name in names]
     for name, values in zip(names, lines, strict=True):
         if len(values) != pulses:
-            raise SarsplatError(f"{path} has {len(values)} values of {name} for {pulses} pulses; download it again")
+            raise_damaged(path, f"has {len(values)} values of {name} for {pulses} pulses")
     return lines
 
 

@@ -74,7 +74,7 @@ def dataset_of(
     ----------
     images : sequence of MeasuredImage
         All complex, or all power. If their spacings differ, all are resampled to the finest; if their sizes or centres
-        differ, all are cut to what they have in common. Either none or all of them are stacks, of as many channels.
+        differ, all are cut to their common part. Either none or all of them are stacks, of as many channels.
     target : str
         Name of the target.
     source : dict

@@ -102,7 +102,7 @@ def import_mstar(
     -------
     Dataset
         Of relative calibration, single look, with ground; power with mean 1 over the training views; complex if the
-        chips are Phoenix files. Each image has the name of its chip; `source` says what was assumed.
+        chips are Phoenix files. Each image has the name of its chip; `source` lists assumptions.
 
     Raises
     ------

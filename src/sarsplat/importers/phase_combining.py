@@ -3,7 +3,7 @@
 What a pulse adds to a pixel is the sum of its samples times exp(4πj f/c·d), d being how much farther the pixel is than
 the middle of the image. From pulse to pulse such a phase changes no faster than it does for the farthest pixels, so
 that those of all pulses can be interpolated between few of them, by least squares over that band. Images are sums over
-pulses; so instead of interpolating what each adds, the same weights, transposed, add the samples of each to those of
+pulses; so instead of interpolating their terms, the same weights, transposed, add the samples of each to those of
 the few. Echoes from beyond the image are not aliased into it. Gaps and uneven flights need nothing of their own: pulses
 that are not interpolated well stay, and their number tells whether anything is gained.
 """

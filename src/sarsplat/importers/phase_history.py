@@ -148,7 +148,7 @@ class PhaseHistory:
         )
 
     def seeing(self, places: Float64[np.ndarray, "places 3"]) -> Self:
-        """Return the pulses that saw all of some places, world frame, m; raise if there are none."""
+        """Return the pulses that saw all of some places, world frame, m; raise if no pulse did."""
         if self.lit is None or self.place is None:
             return self
         seen = np.flatnonzero(self.lit(self.place.to_ecef(places)))

@@ -116,7 +116,7 @@ def import_phase_history(
     Warns
     -----
     SarsplatWarning
-        If the slant plane is tilted, or the images contradict what is said of them, or look odd (`sarsplat.examine`).
+        If the slant plane is tilted, or the images contradict their metadata, or look odd (`sarsplat.examine`).
     """
     refuse_existing(Path(out), overwrite, marker="dataset.json")
     if weighting not in _WEIGHTINGS:

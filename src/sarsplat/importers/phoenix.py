@@ -21,6 +21,7 @@ from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import GAUSSIAN, Response, stated_taylor
+from sarsplat.importers.files import raise_damaged
 
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
@@ -182,9 +183,9 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
         bad = ~((values >= least) & (values <= most))  # also catches NaN
         if bad.any():
             row, column = np.argwhere(bad)[0]
-            raise SarsplatError(
-                f"{path} holds the {what} {values[row, column]:.6g} at row {row}, column {column}; it must be between "
-                f"{least:g} and {most:g}, so download it again"
+            value = values[row, column]
+            raise_damaged(
+                path, f"holds the {what} {value:.6g} at row {row}, column {column}, not {least:g} to {most:g}"
             )
     return PhoenixChip(path, header, magnitude, phase)
 
@@ -196,27 +197,24 @@ def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:
     stated = re.search(rb"\nPhoenixHeaderLength= *(\d{1,9})\s", start[:256])
     length = int(stated[1]) if stated else 0
     if not 0 < length <= len(start):
-        raise SarsplatError(
-            f"{path} declares a header of {length} bytes but only {len(start)} could be read "
-            f"(at most {_LONGEST_HEADER}); download it again"
-        )
+        raise_damaged(path, f"declares a header of {length} bytes, but only {len(start)} could be read")
     try:
         lines = start[:length].decode("ascii").splitlines()
     except UnicodeDecodeError as error:
         raise SarsplatError(f"{path} has a header that is not ASCII text ({error}); download it again") from error
     if _END not in lines:
-        raise SarsplatError(f"{path} has no {_END} within the {length} bytes of its header; download it again")
+        raise_damaged(path, f"has no {_END} within the {length} bytes of its header")
     header: dict[str, str] = {}
     for key, value in (line.split("=", 1) for line in lines if "=" in line):
         if header.setdefault(key.strip(), value.strip()) != value.strip():
-            raise SarsplatError(f"{path} gives {key.strip()[:40]!r} twice with different values; download it again")
+            raise_damaged(path, f"gives {key.strip()[:40]!r} twice with different values")
     return length, header
 
 
 def _text(path: Path, header: dict[str, str], key: str) -> str:
     value = header.get(key, "")
     if not value.isprintable() or not value:
-        raise SarsplatError(f"{path} has no readable {key} in its header; download it again")
+        raise_damaged(path, f"has no readable {key} in its header")
     return value
 
 
@@ -227,9 +225,7 @@ def _number(path: Path, header: dict[str, str], key: str) -> float:
     except ValueError:
         value = math.nan
     if not abs(value) <= _LARGEST:  # also catches NaN
-        raise SarsplatError(
-            f"{path} has {key}= {text[:40]!r} in its header, which is not a plausible number; download it again"
-        )
+        raise_damaged(path, f"has {key}= {text[:40]!r} in its header, which is not a plausible number")
     return value
 
 

@@ -24,6 +24,7 @@ from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Stack, View
 from sarsplat.importers.about import AboutImages
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.images import (
     check_heading,
     check_sides,
@@ -163,10 +164,7 @@ def _seen(
     east, north, speed = rslc.geolocation.at(height_m, time, away)
     up = math.sqrt(max(1 - east**2 - north**2, 0.0))
     if not 0 < up < 1 or not 1 < speed < 1e5:
-        raise SarsplatError(
-            f"{rslc.path} says that its radar is seen from the spot towards {east:g} east and {north:g} north, and "
-            f"that its image moves at {speed:g} m/s; get it again"
-        )
+        raise_damaged(rslc.path, f"has an impossible radar direction {east:g}, {north:g} or speed {speed:g} m/s")
     heading = math.radians(heading_deg)
     ahead = math.sin(heading) * east + math.cos(heading) * north
     left = math.sin(heading) * north - math.cos(heading) * east

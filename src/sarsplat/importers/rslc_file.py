@@ -2,7 +2,7 @@
 
 `/science/LSAR/RSLC/swaths/frequencyA` holds an image for each polarisation, azimuth times × slant ranges at zero
 Doppler, and `metadata/geolocationGrid` directions to the radar. Files are untrusted: links are not followed, and only
-what is needed is read.
+needed arrays are read.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.place import ecef_of_geodetic
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.optional_packages import require
 from sarsplat.importers.pictures import power_or_signal
 
@@ -167,9 +168,8 @@ def read_rslc(path: Path) -> Rslc:
         shape = shapes.pop()
         times, ranges = fields.line(f"{swaths}/zeroDopplerTime"), fields.line(f"{group}/slantRange")
         if (len(times), len(ranges)) != shape:
-            raise SarsplatError(
-                f"{path} has {len(times)} azimuth times and {len(ranges)} slant ranges for images of {shape[0]} × "
-                f"{shape[1]} pixels; get it again"
+            raise_damaged(
+                path, f"has {len(times)} azimuth times and {len(ranges)} slant ranges for {shown(shape)} pixels"
             )
         identification = f"{product.rpartition('/')[0]}/identification"
         look = fields.text(f"{identification}/lookDirection").lower()
@@ -254,7 +254,7 @@ class _Fields:
             raise SarsplatError(f"{self._path} has {stored.dtype} of shape {shown(stored.shape)} as {name}")
         values = np.asarray(stored[()], np.float64)
         if not values.size or not np.isfinite(values).all():
-            raise SarsplatError(f"{self._path} has no finite numbers as {name}; get it again")
+            raise_damaged(self._path, f"has no finite numbers as {name}")
         return values
 
     def number(self, name: str, least: float, most: float) -> float:

@@ -1,6 +1,6 @@
 """Import SICD files (complex SAR images with their geometry): the surroundings of one spot.
 
-Each image is resampled to slant range and level azimuth of its own view, by band-limited interpolation of the complex
+Each image is resampled to slant range and level azimuth of its view, by band-limited interpolation of the complex
 pixels (`sicd_chip`) at positions found by `sicd_geometry`.
 """
 
@@ -221,7 +221,7 @@ def _assumptions(
     absolute: bool,
     stack: bool,
 ) -> list[str]:
-    """Return sentences on what was assumed."""
+    """Return sentences on assumptions."""
     around, pixel = given
     how = "as given" if around else f"what pixel {pixel} shows" if pixel else "the first image's scene centre point"
     if around and len(around) == 2:  # type: ignore[arg-type]

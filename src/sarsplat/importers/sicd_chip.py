@@ -24,6 +24,7 @@ from sarsplat.geometry import ImageGrid, Place, Stack
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.geometry.stack import POLARISATIONS
 from sarsplat.importers.band_limited import interpolate, taps
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.sarkit_xml import sarkit_errors
@@ -230,7 +231,7 @@ def _wavelength(sicds: Sequence[Sicd]) -> float:
     frequencies = []
     for sicd in sicds:
         if sicd.frequency_hz is None:
-            raise SarsplatError(f"{sicd.path.name} does not state its frequencies (TxFrequencyProc); get it again")
+            raise_damaged(sicd.path, "does not state its frequencies (TxFrequencyProc)")
         frequencies.append(sicd.frequency_hz)
     if np.ptp(frequencies) > _SAME_FREQUENCY * frequencies[0]:
         raise SarsplatError(

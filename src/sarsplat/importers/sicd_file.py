@@ -12,6 +12,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.nitf import Segment, read_nitf
 from sarsplat.importers.optional_packages import require
 from sarsplat.importers.sarkit_xml import Metadata, any_version, sarkit_errors
@@ -94,10 +95,8 @@ class Sicd:
         bad = ~((np.abs(values.real) <= LARGEST) & (np.abs(values.imag) <= LARGEST))
         if bad.any():
             row, column = np.argwhere(bad)[0]
-            raise SarsplatError(
-                f"{self.path} holds {values[row, column]:.6g} at row {rows[0] + row}, column {columns[0] + column}; "
-                f"amplitudes must be finite and at most {LARGEST:g}, so get it again"
-            )
+            at = f"row {rows[0] + row}, column {columns[0] + column}"
+            raise_damaged(self.path, f"holds {values[row, column]:.6g} at {at}")
         return values
 
     def _stored(self, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray:
@@ -156,10 +155,10 @@ def _check(path: Path, metadata: MetadataParams) -> None:
     for item in fields(metadata):
         value = getattr(metadata, item.name)
         if value is None and not any(word in str(item.type) for word in optional):
-            raise SarsplatError(f"{path} has no {item.name} (in sarkit's words) in its metadata; get it again")
+            raise_damaged(path, f"has no {item.name} (in sarkit's words) in its metadata")
         if isinstance(value, int | float | np.ndarray) and not np.all(np.abs(value) <= FARTHEST):  # also NaN
             problem = shown(np.asarray(value).tolist())
-            raise SarsplatError(f"{path} has the impossible {item.name} {problem} in its metadata; get it again")
+            raise_damaged(path, f"has the impossible {item.name} {problem} in its metadata")
     for name in ("NumRows", "NumCols"):
         if not 1 <= getattr(metadata, name) <= _MOST_PIXELS_PER_SIDE:
             raise SarsplatError(
@@ -167,15 +166,12 @@ def _check(path: Path, metadata: MetadataParams) -> None:
             )
     units = np.array([metadata.uRow, metadata.uCol])
     if not np.allclose(np.linalg.norm(units, axis=1), 1, atol=1e-3) or abs(units[0] @ units[1]) > 0.99:
-        raise SarsplatError(f"{path} has row and column directions that span no plane; get it again")
+        raise_damaged(path, "has row and column directions that span no plane")
     if metadata.ARP_Poly.ndim != 2 or metadata.ARP_Poly.shape[1] != 3 or len(metadata.ARP_Poly) < 2:
-        raise SarsplatError(f"{path} has no valid motion of its radar (Position/ARPPoly); get it again")
+        raise_damaged(path, "has no valid motion of its radar (Position/ARPPoly)")
     left = np.cross(metadata.ARP_SCP_COA, metadata.VARP_SCP_COA) @ (metadata.SCP - metadata.ARP_SCP_COA) > 0
     if metadata.SideOfTrack != ("L" if left else "R"):
-        raise SarsplatError(
-            f"{path} says that its radar looks to side {shown(metadata.SideOfTrack)} of its track, but its position "
-            f"and velocity are those of a {'left' if left else 'right'}-looking one; get it again"
-        )
+        raise_damaged(path, f"has SideOfTrack {shown(metadata.SideOfTrack)}, but positions on the other side")
 
 
 def _check_segments(path: Path, metadata: MetadataParams, pixel_type: str, segments: list[Segment]) -> None:
@@ -187,10 +183,8 @@ def _check_segments(path: Path, metadata: MetadataParams, pixel_type: str, segme
     width = metadata.NumCols * PIXEL_TYPES[pixel_type]["bytes"]
     whole = all(part.columns == metadata.NumCols and part.length == part.rows * width for part in segments)
     if not whole or sum(part.rows for part in segments) != metadata.NumRows:
-        raise SarsplatError(
-            f"{path} says that its image has {metadata.NumRows} × {metadata.NumCols} pixels of type {pixel_type}, but "
-            "its segments hold other numbers of bytes; get it again"
-        )
+        size = f"{metadata.NumRows} × {metadata.NumCols}"
+        raise_damaged(path, f"has {size} pixels of type {pixel_type}, but segments of other sizes")
 
 
 @dataclass(frozen=True)
@@ -239,7 +233,7 @@ class SicdFields(Metadata):
         """Load a polynomial in two variables; None if it is missing."""
         value = self._load(name)
         if value is not None and not np.all(np.abs(value) <= FARTHEST):
-            raise SarsplatError(f"{self.path} has a polynomial {name} that is not finite; get it again")
+            raise_damaged(self.path, f"has a polynomial {name} that is not finite")
         return value
 
     def axis(self, name: str) -> Axis:
@@ -279,7 +273,7 @@ class SicdFields(Metadata):
         """Load the table of amplitudes, if there is one."""
         values = self._load("ImageData/AmpTable")
         if values is not None and not (np.shape(values) == (256,) and np.all((values >= 0) & (values <= LARGEST))):
-            raise SarsplatError(f"{self.path} has a table of amplitudes that is not 256 numbers ≥ 0; get it again")
+            raise_damaged(self.path, "has a table of amplitudes that is not 256 numbers ≥ 0")
         return values
 
     def centre_frequency(self) -> float | None:
