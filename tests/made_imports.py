@@ -11,7 +11,7 @@ from PIL import Image
 from chip_files import ROWS, write_chips
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.importers import import_folder, import_mstar
+from sarsplat.importers import import_folder, import_mstar, import_stack
 
 AZIMUTHS = (0.0, 90.0, 180.0, 270.0)
 POWER = np.random.default_rng(0).gamma(1.0, size=(4, 20, 26)).astype(np.float32) + 0.1
@@ -67,7 +67,7 @@ def write_passes(folder: Path, signals: np.ndarray, columns: dict[str, list], vi
 def import_passes(folder: Path, **options) -> Dataset:
     fixed = {"spacing_m": GRID.spacing_m, "resolution_m": GRID.resolution_m, "calibration": "absolute"}
     options = {**fixed, "wavelength_m": 0.031, "overwrite": True, **options}
-    return import_folder(folder, folder.parent / "out", **options)
+    return import_stack(folder, folder.parent / "out", **options)
 
 
 def import_chips(chips: Path, train_views: int = 4, target_class: str = "T72", **options) -> Dataset:

@@ -48,6 +48,7 @@ from .importers import (
     import_rslc as import_rslc,
     import_sample as import_sample,
     import_sicd as import_sicd,
+    import_stack as import_stack,
     read_phoenix as read_phoenix,
 )
 from .learning import LOSSES as LOSSES, Trainer as Trainer, stack_nats as stack_nats

@@ -74,7 +74,7 @@ def test_a_target_that_was_cut_out_is_refused_unless_it_is_said():
 
 def test_one_picture_of_another_size_does_not_decide_for_all():
     images = [image(index, speckle(20, 24) if index == 3 else speckle()) for index in range(9)]
-    with pytest.raises(SarsplatError, match=r"for 3.png \(20 × 24 pixels\) where 0.png has 64 × 64 pixels; leave out"):
+    with pytest.raises(SarsplatError, match=r"for 3.png \(20 × 24 pixels\) where 0.png has 64 × 64 pixels; remove"):
         imported(images)
     images[3] = image(3, speckle(60, 62))
     with pytest.warns(SarsplatWarning, match=r"cut to what they have in common, 60 × 62 pixels, by 3.png"):

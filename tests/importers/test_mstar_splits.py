@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from chip_files import COLUMNS, phoenix_bytes
+from made_imports import rewrite
 from sarsplat.cli import main
 from sarsplat.cli.info_dataset import SplitSource, rows_of_all
 from sarsplat.data import read_dataset
@@ -151,10 +152,7 @@ def test_a_chip_that_is_there_twice_counts_once(tmp_path: Path) -> None:
 def test_a_class_whose_training_chips_have_no_azimuth_is_refused(tmp_path: Path) -> None:
     folder = jpegs(tmp_path / "chips", nested=True)
     table = folder / "labels.csv"
-    with table.open(newline="") as file:
-        rows = [[*row[:-1], row[-1] if number == 0 else ""] for number, row in enumerate(csv.reader(file))]
-    with table.open("w", newline="") as file:
-        csv.writer(file).writerows(rows)
+    rewrite(table, lambda rows: [rows[0], *([*row[:-1], ""] for row in rows[1:])])
     with pytest.raises(SarsplatError, match="no training chip of T72 has an azimuth"):
         import_mstar(folder, tmp_path / "a", labels=table, target_class="T72", train_views="all", split="soc")
 
@@ -188,13 +186,15 @@ def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Pat
 def test_chips_without_azimuth_are_of_the_same_sets_as_others_of_their_vehicle(tmp_path: Path) -> None:
     folder = jpegs(tmp_path / "chips", nested=True)
     table = folder / "labels.csv"
-    with table.open(newline="") as file:
-        rows = list(csv.reader(file))
-    for row in rows[1:]:
-        if row[2] == "9566" and "5deg" in row[0] and row[5].startswith("9"):
-            row[5] = ""
-    with table.open("w", newline="") as file:
-        csv.writer(file).writerows(rows)
+    rows: list[list[str]] = []
+
+    def unplace(labels: list[list[str]]) -> list[list[str]]:
+        for row in labels:
+            hidden = row[2] == "9566" and "5deg" in row[0] and row[5].startswith("9")
+            rows.append([*row[:5], "" if hidden else row[5]])
+        return rows
+
+    rewrite(table, unplace)
     kept = {"labels": table, "target_class": "BMP2", "split": "eoc-version"}
     every = import_mstar(folder, tmp_path / "every", train_views="all", **kept)
     assert every.splits() == ("train", "test-17-9566", "test-15-9566")

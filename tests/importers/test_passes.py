@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from made_imports import GRID, NOISY, THREE, VIEWS, import_passes, write_passes
+from made_imports import GRID, NOISY, THREE, VIEWS, import_passes, import_pictures, write_passes
 from sarsplat import Mechanisms, ScatteringLaw, preset, reconstruct, simulate_stack
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
@@ -126,7 +126,7 @@ def test_stacks_lie_as_single_images_do(tmp_path):
 
 def test_rows_with_views_of_their_own_are_single_images_as_before(tmp_path):
     folder = write_passes(tmp_path / "in", NOISY[:, :1], {"polarisation": ["HH"]})
-    made = import_passes(folder, wavelength_m=None)
+    made = import_pictures(folder, quantity=None)
     assert (made.passes, made.signal.shape) == (0, (2, 20, 16))
 
 
@@ -151,7 +151,7 @@ def test_stacks_of_other_spacings_keep_the_phases_of_the_plane():
 
 def test_the_command_says_how_phases_were_read(tmp_path, capsys):
     folder, out = write_passes(tmp_path / "in", NOISY, THREE), tmp_path / "out"
-    words = ["import", "folder", str(folder), "--quantity", "complex", "--spacing", "0.5", "0.4", "--out", str(out)]
+    words = ["import", "stack", str(folder), "--spacing", "0.5", "0.4", "--out", str(out)]
     words += ["--wavelength", "0.031", "--transmit", "one", "--noise", "0.2"]
     assert main([*words, "--conjugate", "--flattened"]) == 0
     told = capsys.readouterr().out

@@ -15,9 +15,14 @@ from PIL import Image
 
 from fuzz import watched
 from sarsplat.errors import SarsplatError
-from sarsplat.importers.bands import meaning_of
-from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_picture, read_pixels
-from sarsplat.importers.values import read_values
+from sarsplat.importers.pictures import (
+    likely_quantity,
+    meaning_of,
+    power_or_signal,
+    read_picture,
+    read_pixels,
+    read_values,
+)
 
 EIGHT = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
 SIXTEEN = EIGHT.astype(np.uint16) * 250

@@ -81,7 +81,7 @@ FOLDER: Refusals = [
     (table(PLAIN, spacing_m=None), "looks like the spacing; .* or give one spacing for all"),
     (table(PLAIN, spacing_m=(0.1, -1)), "pixel spacing"),
     (table(PLAIN, near="north"), "near is 'north'"),
-    (table(PLAIN, quantity=None), "holds float32 numbers, which may be anything"),
+    (table(PLAIN, quantity=None), "holds float32 numbers of unknown meaning"),
     (table("file,azimuth,split", grazing_deg=3), "line 2: the set is '30'; it must be train"),
     (table("file,azimuth,look", grazing_deg=3), "line 2: the look side is '30'"),
     (table("file,split,azimuth", grazing_deg=3), "the set is '0.0'"),
@@ -357,16 +357,15 @@ def third_line(old: str, new: str) -> Do:
 
 
 PASSES: Refusals = [
-    (passes(wavelength_m=None), "has several rows for one view, channels of a stack; give its wavelength with"),
+    (lambda at: import_pictures(write_passes(at / "in", NOISY, THREE), quantity=None), "several rows for one view"),
     (passes(wavelength_m=-1.0), r"the view 'v0': wavelength_m is -1.0; give .* metres"),
-    (passes(wavelength_m=None, flattened=True), "--flattened is for stacks; give --wavelength METRES too"),
     (passes(noise=0.0), "the view 'v0': the noise of a channel is 0.0"),
     (passes(transmit="both"), "transmit is 'both'; give one of each, one"),
     (passes({}), r"no column of baselines \(b/R, rad\) or of polarisations; name it with --columns baseline=NAME"),
     (passes({"baseline": [0.0, 1e-3, 1e-3]}), "the view 'v0': offsets_rad is .* two passes are the same"),
     (passes({"baseline": [0.0, 1e-3, 120]}), r"the view 'v0': an offset is 120.0; give b/R in radians, at most ±0.2"),
     (passes({"baseline": [0.0, "far", 2e-3]}), "line 3: baseline is 'far'; it must be a number"),
-    (passes({"baseline": [0.0, "", 2e-3]}), "does not say what the baseline of 0-1 is; give b/R, rad"),
+    (passes({"baseline": [0.0, "", 2e-3]}), "has no baseline of 0-1; give b/R, rad"),
     (passes({"baseline_m": [0.0, 0.1, 0.15]}), "'baseline_m' of .* seems to hold m; give perpendicular baselines over"),
     (passes({"Baseline (deg)": [0.0, 0.1, 0.15]}), "seems to hold deg; give"),
     (passes({"polarisation": ["HH", "HV", "XX"]}), "the view 'v0': a polarisation is 'XX'; give one of HH, HV"),
@@ -378,7 +377,7 @@ PASSES: Refusals = [
     (lines(lambda text: text[:-1]), r"v0 has 3 channels and v1 has 2 \(0: no stack\); give all views the same"),
     (lines(lambda text: text[:-2]), "the view 'v1' has one row; a stack needs several"),
     (third_line("v0,0.0", "v0,0.1"), r"has channels of different angles, View\(.*0.0.* in 0-0 and .*0.1"),
-    (third_line("v0", ""), "does not say which view 0-1 belongs to; name it in every row"),
+    (third_line("v0", ""), "names no view of 0-1; name it in every row"),
     (
         lines(lambda text: [line.replace("view", "comment") for line in text]),
         "no column that says which rows are channels of one view; name it with",
@@ -471,7 +470,7 @@ def objects(at: Path) -> object:
 
 
 PIXELS: Refusals = [
-    (quantity(COMPLEX, "amplitude"), "it holds complex numbers, but the quantity is 'amplitude'; give 'complex'"),
+    (quantity(COMPLEX, "amplitude"), "it holds complex numbers, but the quantity is 'amplitude'; give that"),
     (quantity(REAL, "complex"), "it holds real numbers"),
     (quantity(-REAL, "power"), r"it holds -0\.1.* at \(0, 0\) as power"),
     (quantity(np.where(REAL[1, 2] == REAL, np.nan, REAL), "amplitude"), r"holds nan at \(1, 2\)"),
@@ -487,7 +486,7 @@ PIXELS: Refusals = [
         quantity(np.full((2, 2), 6119, np.uint16), "db"),
         r"holds 6119 .* as db; no decibels are that large; give --quantity ampl",
     ),
-    (lambda _: likely_quantity(REAL, "it"), r"it holds float32 numbers, .* --quantity"),
+    (lambda _: likely_quantity(REAL, "it"), "it holds float32 numbers of unknown .* --quantity"),
     (picture(np.stack([EIGHT, ALPHA], axis=-1)), "transparent pixels, 2 of 12"),
     (picture(np.stack([EIGHT] * 3 + [ALPHA], axis=-1)), "transparent pixels, 2 of 12"),
     (picture(np.where(ALPHA, EIGHT, 7).astype(np.uint8), transparency=7), "transparent pixels, 2 of 12"),

@@ -6,6 +6,7 @@ was assumed, how the images lie, what was made, what to do next.
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 import warnings
@@ -52,7 +53,7 @@ _shared: ContextVar[Counter[str] | None] = ContextVar("_shared", default=None)
 
 @dataclass(frozen=True)
 class Option:
-    """How a parameter is typed, where that does not follow from its annotation, default and description.
+    """Command-line form of a parameter, if other than its annotation, default and description imply.
 
     tyro reads a `kind`, of which `value` makes, with the option's name, what the function is given; `default` is taken
     as typed if nothing is, or the function's own if it is `Parameter.empty`.
@@ -97,19 +98,9 @@ _SHARED = {
         help="Heights of the ground (GeoTIFF, metres), its middle at the scene's origin unless both say where on earth "
         "they are; level without it.",
     ),
-    "target_box_m": Option(
-        TargetBox,
-        lambda box, _: corners(box),
-        default=None,
-        help="Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Without it, it "
-        "is derived from the images.",
-    ),
+    "target_box_m": Option(TargetBox, lambda box, _: corners(box), default=None),
 }
-"""What several importers have."""
-_ABOUT = {
-    "Unpack[AboutScene]": ("terrain", "target_box_m"),
-    "Unpack[AboutImages]": ("looks", "ground", "terrain", "target_box_m"),
-}
+"""Options that several importers have."""
 _METAVARS = {"Path": "FILE", "str": "NAME", "int": "N", "float": "NUMBER"}
 _UNITS = {"_m": "METRES", "_deg": "DEGREES"}
 """Endings of parameters' names, which options lack."""
@@ -132,8 +123,9 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
     home, name = function.split(":")
     stub = _without_body(home, name)
     parameters = signature(stub).parameters
-    more = [Parameter(key, Parameter.KEYWORD_ONLY) for key in _ABOUT.get(stub.__annotations__.get("about", ""), ())]
-    helps, made = _helps(getdoc(stub) or ""), {}
+    more, helps = _about(stub.__annotations__.get("about", ""))
+    helps |= _helps(getdoc(stub) or "")
+    made = {}
     for one in sorted((*parameters.values(), *more), key=lambda one: one.name == "overwrite"):  # which is last
         if one.name not in ("quiet", "about"):
             option = options.get(one.name) or _SHARED.get(one.name) or Option()
@@ -156,12 +148,14 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
 
 
 def _option(one: Parameter, option: Option) -> tuple[Parameter, Option]:
-    """A parameter as tyro is to see it, and the option with its name."""
+    """Return a parameter for tyro, and the option with its name."""
     if one.default is True and not option.name:
         option = _typed_without(one.name, option.help)
     unit = next((unit for unit in _UNITS if one.name.endswith(unit)), "")
     name = option.name or one.name.removesuffix(unit).replace("_", "-")
     default = one.default if option.default is Parameter.empty else option.default
+    if default is Parameter.empty and one.annotation == "bool":
+        default = False
     if default is Parameter.empty and str(one.annotation).endswith("| None"):
         default = None
     kind = option.kind or _kind(one.annotation, default, _UNITS.get(unit))
@@ -173,7 +167,7 @@ def _option(one: Parameter, option: Option) -> tuple[Parameter, Option]:
 
 
 def _kind(annotation: str, default: Any, unit: str | None) -> Any:
-    """What tyro reads for a parameter that is annotated like this."""
+    """Return the type that tyro reads for an annotation."""
     hint = annotation.replace("str | Path", "Path").replace("Sequence[Path]", "tuple[Path, ...]")
     known = vars(names) | {"Path": Path, "Literal": Literal}
     single = hint.removesuffix(" | None")
@@ -185,10 +179,8 @@ def _kind(annotation: str, default: Any, unit: str | None) -> Any:
 
 
 def _without_body(module: str, name: str) -> Callable[..., Any]:
-    """A function of this name, signature and docstring, with annotations as they are written."""
-    spec = find_spec(module)  # which does not import it
-    assert spec is not None and spec.origin is not None
-    source = Path(spec.origin).read_text(encoding="utf-8")
+    """Make a function of this name, signature and docstring, with annotations as strings."""
+    source = _source(module)
     head, docstring = source[source.index(f"def {name}(") :].split('"""', 2)[:2]
     known: dict[str, Any] = {}
     exec(f'from __future__ import annotations\n{head}"""{docstring}"""', known)
@@ -196,9 +188,31 @@ def _without_body(module: str, name: str) -> Callable[..., Any]:
     return function
 
 
+def _about(annotation: str) -> tuple[list[Parameter], dict[str, str]]:
+    """Return fields of the TypedDict in "Unpack[NAME]", of importers/about.py, and their descriptions."""
+    tree = ast.parse(_source("sarsplat.importers.about"))
+    classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+    fields, helps = list[Parameter](), dict[str, str]()
+    name = annotation.removeprefix("Unpack[").removesuffix("]")
+    while name in classes:
+        stated = [one for one in classes[name].body if isinstance(one, ast.AnnAssign)]
+        kinds = {ast.unparse(one.target): ast.unparse(one.annotation) for one in stated}
+        fields = [*(Parameter(key, Parameter.KEYWORD_ONLY, annotation=kind) for key, kind in kinds.items()), *fields]
+        helps |= _helps(ast.get_docstring(classes[name]) or "")
+        name = ast.unparse(classes[name].bases[0])
+    return fields, helps
+
+
+def _source(module: str) -> str:
+    spec = find_spec(module)  # which does not import it
+    assert spec is not None and spec.origin is not None
+    return Path(spec.origin).read_text(encoding="utf-8")
+
+
 def _helps(docstring: str) -> dict[str, str]:
-    """What a docstring says of each parameter, without what it refers to in Python."""
-    section = re.split(r"\n\n\w[\w ]*\n-{3,}\n", docstring.partition("Parameters\n----------\n")[2])[0]
+    """Return the description of each parameter or attribute in a docstring, without references to Python names."""
+    docstring = re.split(r"(?:Parameters|Attributes)\n-{10}\n", docstring)[-1]
+    section = re.split(r"\n\n\w[\w ]*\n-{3,}\n", docstring)[0]
     told = re.findall(r"^(\w+)(?: : .*)?\n((?: .*\n?)+)", section, re.MULTILINE)
     return {name: re.sub(r" \(see [^)]*\)", "", " ".join(text.split())) for name, text in told}
 

@@ -12,11 +12,11 @@ from sarsplat.cli.importers import Contents, Recognised
 from sarsplat.errors import SarsplatError
 
 _CERTAINTY = 0.1
-"""Certainty of pictures with a table, which may be of anything."""
+"""Certainty that pictures with a table are radar images."""
 
 
 def _named(words: tuple[str, ...], name: str) -> dict[str, str]:
-    """`az=aspect,graz=elev` as a mapping; names may contain spaces, but no commas."""
+    """Parse `az=aspect,graz=elev`; names may contain spaces, but no commas."""
     named = {}
     for word in filter(None, ",".join(words).split(",")):
         meaning, equals, column = word.partition("=")
@@ -27,21 +27,16 @@ def _named(words: tuple[str, ...], name: str) -> dict[str, str]:
 
 
 _COLUMNS = Annotated[tuple[str, ...], tyro.conf.arg(metavar="MEANING=NAME …", help_behavior_hint="(optional)")]
-command = command_of(
-    __name__,
-    "sarsplat.importers.folder:import_folder",
-    reading="pictures from ",
-    columns=Option(_COLUMNS, _named, default=()),
-    spacing_m=Option(
+_WIDTH = "3 dB width, m: one number, or azimuth and range; without it, the pixel spacing."
+OPTIONS = {
+    "columns": Option(_COLUMNS, _named, default=()),
+    "spacing_m": Option(
         Lengths, pair, default=(), help="Pixel spacing in the slant plane, m: one number, or azimuth and range."
     ),
-    resolution_m=Option(
-        Lengths,
-        pair,
-        default=(),
-        help="3 dB width, m: one number, or azimuth and range; without it, the pixel spacing.",
-    ),
-)
+    "resolution_m": Option(Lengths, pair, default=(), help=_WIDTH),
+}
+"""Options of pictures, single ones and those of stacks."""
+command = command_of(__name__, "sarsplat.importers.folder:import_folder", reading="pictures from ", **OPTIONS)
 
 
 def recognise(contents: Contents) -> Recognised | None:

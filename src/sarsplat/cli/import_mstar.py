@@ -36,7 +36,7 @@ _MOST_READ = 500
 
 
 def _whole(words: tuple[str, ...], name: str) -> list[int]:
-    """Depressions are named by whole degrees."""
+    """Parse whole degrees, which name depressions."""
     whole = angles(words, name)
     for angle in whole:
         if not angle.is_integer():  # nor NaN or infinite
@@ -88,7 +88,7 @@ def command(**given: Any) -> int:
 
 
 def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], list[Path]]:
-    """Import a dataset of each class; exit codes, and the folders that were made."""
+    """Import a dataset of each class; return exit codes, and the folders written."""
     from sarsplat.importers.mstar_chips import same_class
     from sarsplat.progress import progress
 
@@ -120,18 +120,17 @@ def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], lis
 
 
 def _refuse_with_split(given: dict[str, Any]) -> None:
-    """A split says itself which vehicles at which depression angles train and test."""
-    if (
-        given["serial"] is not None or given["train_depression"] != (str(_USUAL_DEPRESSION),) or given["test"]
-    ):  # which is typed as --no-test
+    """Raise if options contradict a split, which determines vehicles and depression angles."""
+    no_test = given["test"]  # as typed
+    if given["serial"] is not None or given["train_depression"] != (str(_USUAL_DEPRESSION),) or no_test:
         raise SarsplatError(
-            f"--split {given['split']} says itself which vehicles at which depression angles there are; leave out "
-            "--serial, --train-depression and --no-test"
+            f"--split {given['split']} determines vehicles and depression angles; leave out --serial, "
+            "--train-depression and --no-test"
         )
 
 
 def _all_of_split(given: dict[str, Any]) -> int:
-    """Import the classes of a split, say how many chips there are and should be, and put a plan of a sweep beside."""
+    """Import the classes of a split, print numbers of chips found and published, and write a plan of a sweep."""
     from sarsplat.data.dataset_folder import read_header
     from sarsplat.data.files import write_bytes
     from sarsplat.importers.mstar_chips import same_class

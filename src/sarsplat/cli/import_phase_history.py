@@ -13,7 +13,7 @@ from sarsplat.cli.importers import Contents, Recognised, first_described
 
 
 def _place(text: str, name: str) -> tuple[float, ...]:
-    """The height may be left out."""
+    """Parse x, y and an optional height."""
     return (*numbers(text, name, (2, 3), "12,-7.5"), 0.0)[:3]
 
 

@@ -13,7 +13,7 @@ command = command_of(
 
 
 def recognise(contents: Contents) -> Recognised | None:
-    """Files named like those of the set."""
+    """Recognise files named like those of the set."""
     from sarsplat.importers.sample import named_as_sample
 
     names = [name for name in map(named_as_sample, contents.ending_in(".mat")) if name is not None]

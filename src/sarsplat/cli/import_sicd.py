@@ -9,7 +9,7 @@ from sarsplat.cli.importers import Contents, Recognised, first_described
 
 _ENDINGS = (".nitf", ".ntf", ".sicd")
 _NAMES = {"start": "date", "polarization": "polarisation"}
-"""What else to call facts of a file."""
+"""Names of facts for users."""
 
 command = command_of(
     __name__,

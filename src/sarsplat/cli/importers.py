@@ -1,6 +1,6 @@
 """Importers by name, and the one that recognises a file or folder by its function `recognise`.
 
-`recognise(contents)`, beside the function that is the command, returns a `Recognised`, or None for what is not its own.
+`recognise(contents)`, beside the function that is the command, returns a `Recognised`, or None for other contents.
 """
 
 from __future__ import annotations

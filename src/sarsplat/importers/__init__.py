@@ -1,7 +1,4 @@
-"""Measured images of other formats become datasets: a file for each format, and what they have in common.
-
-Each is loaded when first used.
-"""
+"""Imports of measured images of other formats as datasets: a module for each format, loaded when first used."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
 """Windowed-sinc interpolation of complex, band-limited images.
 
-An image that was sampled densely enough for its bandwidth is known everywhere. The interpolating kernel passes the band
-and suppresses its repetitions; the more an image is oversampled, the shorter it may be.
+The interpolating kernel passes the band and suppresses its repetitions; the more an image is oversampled, the shorter
+it may be.
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ def interpolate(
     column: Float64[np.ndarray, " n"],
     occupied: tuple[float, float],
 ) -> Complex64[np.ndarray, " n"]:
-    """Values of an image at places, in pixels from the centre of the first one.
+    """Interpolate an image at points, in pixels from the centre of the first one; it is zero outside.
 
-    Its band must be centred at zero and fill the shares `occupied` of the sampled one along rows and columns; outside
-    its edges there is nothing.
+    Its band must be centred at zero and fill the shares `occupied` of the sampled one along rows and columns.
     """
     high, wide = (taps(share) for share in occupied)
     padded = np.pad(image, ((high, high), (wide, wide)))
@@ -57,10 +56,10 @@ def interpolate(
 
 
 def resample(pixels: Pixels, rows: Float64[np.ndarray, " m"], columns: Float64[np.ndarray, " n"]) -> Pixels:
-    """An image on another lattice that is parallel to its own; beyond its edges there is nothing.
+    """Resample an image to a parallel lattice, in pixels from the centre of the first one; it is zero outside.
 
-    Its band must be centred at zero, and the lattice (in pixels from the centre of the first one) no coarser than its
-    own. Of power, which has twice the band of the signal, the result is not quite that of the signal's.
+    Its band must be centred at zero, and the lattice no coarser than its own. Power has twice the band of the signal,
+    so that its result is approximate.
     """
     height, width = pixels.shape
     sampled = _matrix(rows, height) @ pixels.astype(np.result_type(pixels, np.float64)) @ _matrix(columns, width).T
@@ -77,11 +76,11 @@ def _matrix(places: Float64[np.ndarray, " m"], size: int) -> Float64[np.ndarray,
 
 
 def _weights(place: Float64[np.ndarray, " n"], count: int, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """First of the pixels that a value at each place is made of, and their weights [count, n]."""
+    """Return the first pixel of the interpolation at each place, and the weights [count, n]."""
     first = np.floor(place).astype(np.int64) - (count // 2 - 1)
     away = place - first - np.arange(count)[:, None]
     beta = 0.1102 * (_SUPPRESSION_DB - 8.7)
     window = np.i0(beta * np.sqrt(np.maximum(1 - (2 * away / count) ** 2, 0))) / np.i0(beta)
     weights = np.sinc(away) * window
-    outside = (first < -count) | (first > size)  # nothing of the image is near
+    outside = (first < -count) | (first > size)  # far from the image
     return np.clip(first, -count, size), np.where(outside, 0, weights).astype(np.float32)

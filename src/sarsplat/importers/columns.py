@@ -1,4 +1,4 @@
-"""What the columns of a table of pictures mean: what the user calls them, or what their usual names say."""
+"""Meanings of the columns in a table of pictures, named by the user or recognised by their usual names."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "baseline": ("baselinerad", "lookoffset"),
     "polarisation": ("polarization", "pol"),
 }
-"""What a column can say, and other usual names of such columns, without units."""
+"""Meanings of columns → other usual names of such columns, without units."""
 
 _SHORT = {
     **{"az": "azimuth", "graz": "grazing", "elev": "grazing", "inc": "incidence", "std": "azimuth-std"},
@@ -46,30 +46,30 @@ _UNITS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters",
 
 _ANGLES = ("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt")
 _OTHER_ANGLES = {"rad", "radian", "radians", "mrad", "gon", "gradian", "gradians", "mil", "mils"}
-"""Words of columns' names that say that angles are not in degrees, as the German Grad does not."""
+"""Words in columns' names for units of angles other than degrees (the German Grad is a degree)."""
 _COMPASS = {"compass", "bearing", "north"}
-"""And that directions count from north."""
+"""Words in columns' names for directions counted from north."""
 
 _ONLY_IF_NAMED = ("scale", "offset")
-"""Too many things are called that."""
+"""Meanings without usual names: too many things are called that."""
 
 _INSTEAD = {"azimuth": {"heading"}, "heading": {"azimuth"}}
-"""Meanings of which one that is chosen leaves the other out."""
+"""Meanings that exclude each other if one is chosen."""
 
 PER_UNIT: dict[str, tuple[Quantity, ...]] = {"dn-per-magnitude": ("amplitude", "complex"), "dn-per-power": ("power",)}
-"""Meaning → what the pixels are then: numbers per unit of magnitude, or of power."""
+"""Meaning (numbers per unit of magnitude, or of power) → possible quantities of the pixels."""
 
 Columns = dict[str, str]
 """Meaning → name of the column."""
 
 LOOKS = {"left": True, "l": True, "right": False, "r": False}
-"""What a cell of a column look may be → whether it is the left."""
+"""Cells of a column look → True if the radar looks left."""
 
 
 def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
-    """The columns that matter: those `named` (meaning, az, graz, inc or std → column), and others by their usual names.
+    """Choose columns: those `named` (meaning, az, graz, inc or std → column), and others by their usual names.
 
-    Refused if there is no such meaning or column, or two columns may have the same meaning.
+    Raises if there is no such meaning or column, or two columns may have the same meaning.
     """
     chosen: Columns = {}
     for key, column in named.items():
@@ -96,7 +96,7 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
 
 
 def unusual_look(table: CsvTable, row: Row) -> str | None:
-    """The column in which a row says that its radar is tilted or looks to its left; None if none does."""
+    """Return the column by which a row's radar is tilted or looks left; None without one."""
     for column in table.columns:
         cell, name = row[1][column].lower(), _plain(column)
         meanings = [one for one in ("look", "tilt") if name in (one.replace("-", ""), *MEANINGS[one])]
@@ -107,7 +107,7 @@ def unusual_look(table: CsvTable, row: Row) -> str | None:
 
 
 def recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
-    """The one column that has a usual name."""
+    """Return the only column with a usual name, or None."""
     usual = (meaning.replace("-", ""), *MEANINGS[meaning])
     candidates = [name for name in table.columns if _plain(name) in usual and name not in chosen.values()]
     if len(candidates) > 1 and (exact := [name for name in candidates if _plain(name) == usual[0]]):
@@ -121,9 +121,9 @@ def recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
 
 
 def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, looking: bool = False) -> None:
-    """Refuse a table that lacks columns, and name all of them; `grazing`, `spacing`: whether its cells are needed.
+    """Raise if a table lacks columns, naming all; those of `grazing` angles and `spacing` only if these are needed.
 
-    Headings serve as azimuths if it is known to which side the radar looks: `looking`, or by a column.
+    Headings serve as azimuths if the side to which the radar looks is known: `looking`, or by a column.
     """
     lacking = [meaning for meaning in ("file", "azimuth") if meaning not in columns]
     also = []
@@ -152,7 +152,7 @@ def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, loo
 
 
 def require_degrees(table: CsvTable, columns: Columns, compass: bool) -> None:
-    """Refuse columns whose names say that they do not hold degrees, or unless they may (`compass`), that 0 is north."""
+    """Raise if a column's name has another unit than degrees or, unless `compass`, counts azimuths from north."""
     for meaning in _ANGLES:
         words = set(_words(columns.get(meaning, "")))
         if words & _OTHER_ANGLES:
@@ -173,7 +173,7 @@ def _words(name: str) -> list[str]:
 
 
 def _plain(name: str) -> str:
-    """`Azimuth (deg)` and `azimuth_angle_deg` are `azimuth`."""
+    """Strip case, signs and units: `Azimuth (deg)` and `azimuth_angle_deg` become `azimuth`."""
     words = _words(name)
     while len(words) > 1 and words[-1] in _UNITS:
         words.pop()

@@ -1,4 +1,4 @@
-"""The part of the scene that all images show: without corners that hold no data, and not what one file decides."""
+"""Part of the scene that all images show, without corners that hold no data."""
 
 from __future__ import annotations
 
@@ -15,48 +15,49 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.importers.measured_image import MeasuredImage
 
 _CHANCE = 1e-4
+"""Probability at which dark pixels form a square of zeros by chance."""
 _THICK = 5
-"""Side of the smallest square of zeros that is no data, in pixels: single zeros are dark pixels."""
+"""Minimum side, pixels, of a square of zeros that counts as no data: single zeros are dark pixels."""
 
 _LEAST_SHARE, _MOST_SHARE = 0.003, 0.6
-"""Of an image: fewer zeros in its corners are left as they are; of more, too little is left of it."""
+"""Shares of an image: fewer zeros in its corners are ignored, more are rejected."""
 
 _LOSS = 0.5
-"""Share of the common part that a few images may cost: a picture of another size is sooner a wrong file."""
+"""Maximum share of the common part that a few images cut off: one of another size is probably a wrong file."""
 
 _MOST_UNLIKE = 10.0
-"""Largest over smallest pixel spacing."""
+"""Maximum ratio of the largest to the smallest pixel spacing."""
 
-_FEW = 1 / 8
-_FEWEST_IMAGES = 3
+_FEW, _FEWEST_IMAGES = 1 / 8, 3
+"""Maximum share of images that are suspected, and minimum number of images for that."""
 
 
 def with_data(images: Sequence[MeasuredImage], ground: bool) -> tuple[list[MeasuredImage], list[str]]:
-    """Images without corners that hold no data, if they show ground, and what is to be said of what they hold."""
+    """Cut corners without data from images that show `ground`; also return sentences on cut corners and cut values."""
     _refuse_other_spacing(images)
     shares = [share_at_top(part) for image in images for part in _numbers(image)]
-    said = []
+    told = []
     if (share := float(np.mean(shares))) >= CUT_OFF_SAID:
-        said.append(
+        told.append(
             f"{share:.2%} of the pixels hold the largest value of their image, {max(shares):.2%} at most: what is "
             "brighter was cut off"
         )
     if not ground:
-        return [*images], said
+        return [*images], told
     cut, sentence = _without_empty_corners(images)
-    return cut, [*said, *([sentence] if sentence else [])]
+    return cut, [*told, *([sentence] if sentence else [])]
 
 
 def _numbers(image: MeasuredImage) -> list[Shaped[np.ndarray, "rows columns"]]:
-    """What may be cut off: power, or both parts of complex amplitudes; of stacks those of the first channel."""
+    """Return power, or both parts of complex amplitudes; of stacks those of the first channel."""
     pixels = image.pixels if image.pixels.ndim == 2 else image.pixels[0]
     return [np.abs(pixels.real), np.abs(pixels.imag)] if pixels.dtype.kind == "c" else [pixels]
 
 
 def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[MeasuredImage], str]:
-    """Images cut to a rectangle that leaves out zeros that reach from a corner, and a sentence about it, or "".
+    """Cut images to a rectangle without zeros that reach from a corner; also return a sentence about it, or "".
 
-    Refused if they are most of an image: then it is the target that was cut out.
+    Raises if they are most of an image: then it is probably the target that was cut out.
     """
     cut: list[MeasuredImage] = []
     changed: list[str] = []
@@ -65,9 +66,8 @@ def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[Measur
         share = float(empty.mean())
         if share > _MOST_SHARE:
             raise SarsplatError(
-                f"{share:.0%} of the pixels of {image.name} are zeros that reach from its corners, as where there are "
-                "no data; cut the image to what it shows, or, if it shows nothing around the target, say so "
-                "(--no-ground, ground=False)"
+                f"{share:.0%} of the pixels of {image.name} are zeros that reach from its corners; cut these off, or, "
+                "if it shows nothing around the target, give ground=False (--no-ground)"
             )
         if share >= _LEAST_SHARE:
             changed.append(image.name)
@@ -83,7 +83,7 @@ def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[Measur
 
 
 def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
-    """Zeros that hang together with a corner, in pieces that are thicker than single dark pixels."""
+    """Return zeros connected with a corner, in pieces thicker than single dark pixels."""
     from scipy.ndimage import binary_opening, label  # here: whoever asks for a file's facts need not load SciPy
 
     share = float(zeros.mean())
@@ -101,7 +101,7 @@ def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, 
 
 
 def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, slice]:
-    """A large rectangle without anything empty: lines at its sides are taken off, the emptiest first."""
+    """Return a large rectangle without empty pixels: lines at its sides are taken off, the emptiest first."""
     top, bottom, left, right = 0, filled.shape[0], 0, filled.shape[1]
     while not (inside := filled[top:bottom, left:right]).all():
         lines = inside[0].mean(), inside[-1].mean(), inside[:, 0].mean(), inside[:, -1].mean()
@@ -129,34 +129,34 @@ def _cut(image: MeasuredImage, rows: slice, columns: slice) -> MeasuredImage:
 def common_part(
     images: Sequence[MeasuredImage],
 ) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"], list[str]]:
-    """Where the part that all images show begins and ends (azimuth, range), m, and the images that decide it.
+    """Return begin and end of the part that all images show (azimuth, range), m, and the images that limit it.
 
-    Refused if there is none, or if without a few images it would be at least twice as large.
+    Raises if it is empty, or if without a few images it would be at least twice as large.
     """
     ends = np.array([_ends(image.grid) for image in images])
-    whole = _common(ends)
-    kept = np.arange(len(images))
+    common = _common(ends)
+    indices = np.arange(len(images))
     most = max(1, int(_FEW * len(images))) if len(images) >= _FEWEST_IMAGES else 0
     for _ in range(most):
-        rest = [kept[kept != out] for out in _at_its_ends(ends, kept)]
-        kept = max(rest, key=lambda some: _area(_common(ends[some])))
-        if (1 - _LOSS) * (larger := _area(_common(ends[kept]))) >= max(_area(whole), 1e-30):
-            without = np.delete(np.arange(len(images)), kept)
+        rest = [indices[indices != out] for out in _at_its_ends(ends, indices)]
+        indices = max(rest, key=lambda subset: _area(_common(ends[subset])))
+        if (1 - _LOSS) * (larger := _area(_common(ends[indices]))) >= max(_area(common), 1e-30):
+            without = np.delete(np.arange(len(images)), indices)
             names = ", ".join(f"{images[k].name} ({_size(images[k].grid)})" for k in without[:3])
             raise SarsplatError(
-                f"all images would be cut to {_area(whole) / larger:.0%} of what the others have in common, for "
-                f"{names}{' and others' if len(without) > 3 else ''} where {images[kept[0]].name} has "
-                f"{_size(images[kept[0]].grid)}; leave out {'this image' if len(without) == 1 else 'these images'}, or "
+                f"all images would be cut to {_area(common) / larger:.0%} of what the others have in common, for "
+                f"{names}{' and others' if len(without) > 3 else ''} where {images[indices[0]].name} has "
+                f"{_size(images[indices[0]].grid)}; remove {'this image' if len(without) == 1 else 'these images'}, or "
                 "cut the others to that size yourself"
             )
-    low, high = -whole[:2], whole[2:]
+    low, high = -common[:2], common[2:]
     if (high < low).any():
         raise SarsplatError("the images have no part in common; give images around one spot")
     return low, high, [images[k].name for k in _at_its_ends(ends, np.arange(len(images)))]
 
 
 def _refuse_other_spacing(images: Sequence[MeasuredImage]) -> None:
-    """Refuse pixels so much larger than others that they are of another unit sooner than of another image."""
+    """Raise if pixels are so much larger than others that their spacing is probably of another unit."""
     spacing = np.array([image.grid.spacing_m for image in images])
     usual = np.median(spacing, axis=0)
     if (spacing.max(axis=0) > _MOST_UNLIKE * spacing.min(axis=0)).any():
@@ -169,19 +169,19 @@ def _refuse_other_spacing(images: Sequence[MeasuredImage]) -> None:
 
 
 def _ends(grid: ImageGrid) -> tuple[float, float, float, float]:
-    """Where an image ends (azimuth, range), m: how far it reaches downwards, negative, and how far upwards."""
+    """Return how far an image reaches, m, towards negative and positive (azimuth, range) of each."""
     azimuth, slant_range = grid.azimuth_m, grid.range_m
     return -azimuth[0], -slant_range[0], azimuth[-1], slant_range[-1]
 
 
 def _common(ends: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, " 4"]:
-    """The ends of the part that all of them show."""
+    """Return the ends of the part that all images show."""
     return ends.min(axis=0)
 
 
-def _at_its_ends(ends: Float64[np.ndarray, "n 4"], kept: Int64[np.ndarray, " k"]) -> list[int]:
-    """The first of the images that ends where the part ends that all of them show, for each of its four ends."""
-    return np.unique(kept[ends[kept].argmin(axis=0)]).tolist()
+def _at_its_ends(ends: Float64[np.ndarray, "n 4"], indices: Int64[np.ndarray, " k"]) -> list[int]:
+    """Return the first of some images that ends where their common part ends, for each of its four ends."""
+    return np.unique(indices[ends[indices].argmin(axis=0)]).tolist()
 
 
 def _area(ends: Float64[np.ndarray, " 4"]) -> float:

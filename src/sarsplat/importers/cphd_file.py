@@ -1,7 +1,6 @@
 """One CPHD file (compensated phase history): its metadata, checked, and the parameters of its pulses.
 
-The format is left to sarkit, but files come from strangers: the lengths in a header must fit the file, and the XML
-must be plain, before sarkit is trusted with them.
+sarkit reads the format, but files are untrusted: the lengths in a header must fit the file, and the XML must be plain.
 """
 
 from __future__ import annotations
@@ -15,7 +14,8 @@ from jaxtyping import Float64, Int64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.importers.needed import require
+from sarsplat.importers.files import raise_damaged
+from sarsplat.importers.optional_packages import require
 from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
 
 if TYPE_CHECKING:
@@ -25,27 +25,27 @@ MAGIC = b"CPHD/"
 _LONGEST_HEADER = 1 << 16
 _END = b"\f\n"
 _SAMPLE_BYTES = {"CI2": 2, "CI4": 4, "CF8": 8}
-"""Formats of samples that the standard knows."""
+"""Formats of samples in the standard → bytes of one."""
 _MOST_BYTES_OF_A_PULSE = 1 << 16
 _LARGEST = 1e12
-"""No number that is used here is larger, but for frequencies none comes near it."""
+"""Maximum of all numbers."""
 _VECTORS = {
     "TxTime": 0, "TxPos": 3, "RcvTime": 0, "RcvPos": 3, "SRPPos": 3, "FX1": 0, "FX2": 0, "TOA1": 0, "TOA2": 0, "SC0": 0,
     "SCSS": 0,
 }  # fmt: skip
-"""Parameters of pulses that every file has, and how many numbers each is (0: one)."""
+"""Parameters of pulses in every file → numbers of each (0: a scalar)."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """What the metadata say of one channel."""
+    """Metadata of one channel."""
 
     name: str
     pulses: int
     samples: int
-    """Of each pulse."""
+    """Number of samples of a pulse."""
     polarisation: str
-    """Transmitted and received, such as "V:V"; "" where the file does not say it."""
+    """Transmitted and received, such as "V:V"; "" if not stated."""
 
     def __str__(self) -> str:
         return shown(self.name) + (f" ({self.polarisation})" if self.polarisation else "")
@@ -53,17 +53,17 @@ class Channel:
 
 @dataclass(frozen=True)
 class Cphd(Metadata):
-    """What one file says; everything in it fits the file."""
+    """Metadata of one file, consistent with its size."""
 
     version: str
     channels: list[Channel]
     domain: str
-    """"FX", samples are of frequencies, or "TOA", of times of arrival."""
+    """Domain of the samples: "FX", frequencies, or "TOA", times of arrival."""
     sign: int
-    """Of the phase of what is farther away, 1 or −1."""
+    """Sign of the phase of more distant scatterers, 1 or −1."""
 
     def load(self, name: str) -> Any:
-        """Value of an element as sarkit reads it; None if there is none."""
+        """Return the value of an element; None if it is missing."""
         from sarkit.cphd import XmlHelper
 
         with sarkit_errors(self.path, "CPHD"):
@@ -71,14 +71,14 @@ class Cphd(Metadata):
 
     @property
     def reference_ecef(self) -> Float64[np.ndarray, " 3"]:
-        """The reference point of its scene, ECEF, m."""
+        """Reference point of the scene, ECEF, m."""
         place = self.load("SceneCoordinates/IARP/ECF")
         if place is None or not np.all(np.abs(place) <= _LARGEST):
-            raise SarsplatError(f"{self.path} does not say where its scene is (SceneCoordinates/IARP); get it again")
+            raise_damaged(self.path, "has no valid reference point (SceneCoordinates/IARP)")
         return np.asarray(place, np.float64)
 
     def channel(self, name: str | None) -> Channel:
-        """The one of this name, or the only one."""
+        """Return the channel of this name, or the only one."""
         known = {channel.name: channel for channel in self.channels}
         told = ", ".join(map(str, self.channels[:20]))
         if name is None and len(known) > 1:
@@ -88,9 +88,9 @@ class Cphd(Metadata):
         return self.channels[0] if name is None else known[name]
 
     def pulses(self, channel: Channel) -> dict[str, np.ndarray]:
-        """Parameters of the pulses of a channel that hold a signal; "index" numbers them in the file.
+        """Read the parameters of a channel's pulses with a signal; "index" numbers them in the file.
 
-        Refused if one that is needed is missing or not finite.
+        Raises if a needed one is missing or not finite.
         """
         import sarkit.cphd
 
@@ -98,7 +98,7 @@ class Cphd(Metadata):
             stored = sarkit.cphd.Reader(file).read_pvps(channel.name)
             names = stored.dtype.names or ()
             if missing := [name for name in _VECTORS if name not in names]:
-                raise SarsplatError(f"{self.path} lacks {', '.join(missing)} of its pulses; get it again")
+                raise_damaged(self.path, f"lacks {', '.join(missing)} of its pulses")
             index: Int64[np.ndarray, " pulses"] = np.arange(len(stored))
             if "SIGNAL" in names:
                 index = np.flatnonzero(stored["SIGNAL"] == 1)
@@ -114,14 +114,14 @@ class Cphd(Metadata):
             wrong = ~(np.abs(numbers) <= _LARGEST)  # also catches NaN
             if numbers.shape[1:] != ((numbers_each,) if numbers_each else ()) or wrong.any():
                 first = f", such as {numbers[wrong][0]:g}" if wrong.any() else ""
-                raise SarsplatError(f"{self.path} has pulses whose {name} is impossible{first}; get it again")
+                raise_damaged(self.path, f"has pulses whose {name} is impossible{first}")
         return {**values, "index": index}
 
 
 def open_cphd(path: Path) -> Cphd:
-    """What one file says, without its pulses.
+    """Read the metadata of one file, without its pulses.
 
-    Refused if it is no CPHD of one radar, of a version that is not read, truncated, garbled, or compressed.
+    Raises if it is no monostatic CPHD of a supported version, truncated, garbled, or compressed.
     """
     require("sarkit", "CPHD files need", "phase-history")
     with open_file(path) as file:
@@ -131,7 +131,7 @@ def open_cphd(path: Path) -> Cphd:
 
     namespace, _, kind = name.removeprefix("{").partition("}")
     if kind != "CPHD":
-        raise SarsplatError(f"{path} holds {shown(name)}, not the metadata of a CPHD; get it again")
+        raise_damaged(path, f"holds {shown(name)}, not the metadata of a CPHD")
     if namespace not in VERSION_INFO:
         known = " and ".join(str(one["version"]) for one in VERSION_INFO.values())
         raise SarsplatError(f"{path} is CPHD of {shown(namespace)}; {known} are read, so get it in one of these")
@@ -144,15 +144,12 @@ def open_cphd(path: Path) -> Cphd:
                 "transmits and receives itself (monostatic) are supported, so give one of these"
             )
         if domain not in ("FX", "TOA") or sign not in (1, -1):
-            raise SarsplatError(
-                f"{path} has {shown(domain)} as its domain and {shown(sign)} as sign of its phase; they must be FX or "
-                "TOA, and 1 or -1, so get it again"
-            )
+            raise_damaged(path, f"has the domain {shown(domain)} and sign {shown(sign)}, not FX or TOA and ±1")
         return replace(made, domain=domain, sign=sign)
 
 
 def _tree(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, dict[str, int]]:
-    """The metadata, and the lengths of the blocks in the file, all of which lie in it."""
+    """Read the metadata, and the lengths of the blocks, which must lie in the file."""
     size = file.seek(0, 2)
     file.seek(0)
     head = file.read(_LONGEST_HEADER)
@@ -168,25 +165,22 @@ def _tree(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, dict[str
     for block in ("XML", "PVP", "SIGNAL"):
         place, length = values.get(f"{block}_BLOCK_BYTE_OFFSET", ""), values.get(f"{block}_BLOCK_SIZE", "")
         if not end or not all(text.isascii() and text.isdigit() and len(text) < 19 for text in (place, length)):
-            raise SarsplatError(f"{path} has a header that does not say where its {block} block is; get it again")
+            raise_damaged(path, f"has a header that does not say where its {block} block is")
         if int(place) + int(length) > size:
-            raise SarsplatError(
-                f"{path} is truncated: it has {size} bytes, and its {block} block ends at byte "
-                f"{int(place) + int(length)}; get it again"
-            )
+            raise_damaged(path, f"is truncated: {size} bytes, but its {block} block ends at {int(place) + int(length)}")
         sections[block] = int(length)
     if sections["XML"] > LONGEST_XML:
-        raise SarsplatError(f"{path} has {sections['XML']} bytes of metadata, more than {LONGEST_XML}; get it again")
+        raise_damaged(path, f"has {sections['XML']} bytes of metadata, more than {LONGEST_XML}")
     file.seek(int(values["XML_BLOCK_BYTE_OFFSET"]))
     return plain_xml(path, file.read(sections["XML"]), "CPHD"), sections
 
 
 def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int]) -> list[Channel]:
-    """Those that the metadata name; their arrays lie in the blocks."""
+    """Read the channels of the metadata, whose arrays must lie in the blocks."""
     data = tree.find("{*}Data")
     listed = [] if data is None else data.findall("{*}Channel")
     if data is None or not listed:
-        raise SarsplatError(f"{path} has no channels in its metadata; get it again")
+        raise_damaged(path, "has no channels in its metadata")
     if data.find("{*}SignalCompressionID") is not None or data.find("{*}Channel/{*}CompressedSignalSize") is not None:
         raise SarsplatError(
             f"{path} has compressed signals ({shown(data.findtext('{*}SignalCompressionID'))}), which only its maker "
@@ -197,7 +191,7 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
         raise SarsplatError(f"{path} has samples of the format {shown(form)}; {', '.join(_SAMPLE_BYTES)} are read")
     each = _whole(path, data, "NumBytesPVP")
     if not 1 <= each <= _MOST_BYTES_OF_A_PULSE:
-        raise SarsplatError(f"{path} has {each} bytes of parameters for a pulse; get it again")
+        raise_damaged(path, f"has {each} bytes of parameters for a pulse")
     found = []
     for one in listed:
         name = (one.findtext("{*}Identifier") or "").strip()
@@ -208,22 +202,22 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
         }
         for block, end in ends.items():
             if end > blocks[block]:
-                raise SarsplatError(
-                    f"{path} says that channel {shown(name)} has {pulses} pulses of {samples} samples, more than its "
-                    f"{block} block holds; get it again"
+                raise_damaged(
+                    path,
+                    f"has {pulses} pulses of {samples} samples in {shown(name)}, more than its {block} block holds",
                 )
         if not name.isprintable() or "'" in name or len(name) > 200 or name != one.findtext("{*}Identifier"):
-            raise SarsplatError(f"{path} has a channel called {shown(name)}, which is no name; get it again")
+            raise_damaged(path, f"has a channel called {shown(name)}, which is no name")
         found.append(Channel(name, pulses, samples, _polarisation(tree, name)))
     if len({one.name for one in found}) < len(found):
-        raise SarsplatError(f"{path} has two channels of the same name; get it again")
+        raise_damaged(path, "has two channels of the same name")
     return found
 
 
 def _whole(path: Path, element: lxml.etree._Element, name: str) -> int:
     text = (element.findtext("{*}" + name) or "").strip()
     if not (text.isascii() and text.isdigit() and len(text) < 16):
-        raise SarsplatError(f"{path} has {shown(text)} as {name}; it must be a whole number, so get it again")
+        raise_damaged(path, f"has {shown(text)} as {name}, but it must be a whole number")
     return int(text)
 
 

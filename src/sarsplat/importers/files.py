@@ -1,4 +1,4 @@
-"""Files to import: those that a user lists, those in a folder, and those that the rows of a table name."""
+"""Files to import: listed by a user, found in a folder, or named by the rows of a table."""
 
 from __future__ import annotations
 
@@ -9,20 +9,23 @@ import unicodedata
 import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from sarsplat.data.csv_table import CsvTable, Row, relative_path
 from sarsplat.data.files import plain_reason
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 
 _MOST_FILES = 100_000
-"""Of more, somebody gave a home folder."""
+"""Maximum number of files in a folder; with more, it is probably a home folder."""
+
+
+def raise_damaged(path: Path, problem: str) -> NoReturn:
+    """Raise a `SarsplatError` on a damaged file; `problem` is its predicate."""
+    raise SarsplatError(f"{path} {problem}; get it again")
 
 
 def each_once(files: Sequence[str | Path]) -> list[Path]:
-    """The files as paths, in their order; none, or one that is there twice, be it by another name, is refused.
-
-    An image that counts twice would outweigh the others.
-    """
+    """Return the files as paths, in their order; raise if the list is empty, or one is given twice or by two names."""
     if not files:
         raise SarsplatError("no files were given; give at least one")
     seen: dict[str, Path] = {}
@@ -35,9 +38,9 @@ def each_once(files: Sequence[str | Path]) -> list[Path]:
 
 
 def files_in(folder: Path, what: str) -> list[Path]:
-    """Every file in the folder of `what` and in its subfolders, sorted; far too many are refused, not cut.
+    """Find all files in the folder of `what` and in its subfolders, sorted, but for hidden ones; raise if too many.
 
-    What is hidden is left out, as the notes that macOS keeps beside each file (`._name.csv`) are.
+    macOS keeps hidden notes beside each file (`._name.csv`).
     """
 
     def shown_file(path: Path) -> bool:
@@ -58,11 +61,10 @@ def files_in(folder: Path, what: str) -> list[Path]:
 def listed_files(
     folder: Path, table: CsvTable, rows: Sequence[Row], column: str, *, of: str, endings: Sequence[str] = ()
 ) -> list[tuple[Row, Path]]:
-    """Rows with the files that they name, relative to the folder of `of`, such as "chip"; endings may be left out.
+    """Find the files that rows name, relative to the folder of `of`, such as "chip"; endings may be left out.
 
-    Names that differ from those of files in nothing but capital letters, or in how letters with accents are stored, are
-    taken for these, in a warning. Rows without a file are counted in another one. Refused if no row has a file, several
-    files may be meant, or one leads out of the folder, be it by a link.
+    Differences in capital letters, or in the encoding of accents, are accepted with a warning; another one counts rows
+    without a file. Raises if no row has a file, several files match, or one leads out of the folder, even by a link.
     """
     names = _Names(folder, table, column, of, endings)
     listed = [(row, path) for row in rows if (path := names.file_of(row))]
@@ -88,17 +90,17 @@ def listed_files(
 
 
 class _Names:
-    """Finds the files in a folder of `of` that rows of a table name in a column."""
+    """Finder of the files in a folder of `of` that rows of a table name in a column."""
 
     def __init__(self, folder: Path, table: CsvTable, column: str, of: str, endings: Collection[str]) -> None:
         self._folder, self._table, self._column, self._of = folder, table, column, of
         self._endings = ("", *endings)
         self._by_plain_name: dict[str, list[Path]] | None = None
         self.otherwise: list[tuple[Row, Path]] = []
-        """Rows that spell the name of their file otherwise."""
+        """Rows whose file has a name of other capitals or accents."""
 
     def file_of(self, row: Row) -> Path | None:
-        """The file of a row; None if there is none."""
+        """Return the file of a row; None if it is missing."""
         text = relative_path(self._table.path, row, self._column, of=f"{self._of}s").replace("\\", "/")
         if not text:
             return None
@@ -133,10 +135,10 @@ class _Names:
 
 
 def _plain(name: str) -> str:
-    """A name without capital letters, its accents stored in one way, and without leading `./`."""
+    """Return a name in small letters, its accents in one encoding, without leading `./`."""
     return unicodedata.normalize("NFC", posixpath.normpath(name)).casefold()
 
 
 def warn_caller(text: str) -> None:
-    """Issue a warning about files that points at the caller's code, not at ours."""
+    """Issue a warning about files that points at the user's code."""
     warnings.warn(text, SarsplatWarning, stacklevel=6)

@@ -1,8 +1,7 @@
-"""Geocoded pictures, which lie on a map, are brought back into azimuth and slant range.
+"""Resampling of geocoded pictures, which lie on a map, to azimuth and slant range.
 
-Whoever geocoded them asked, for each place of the map, at which azimuth and slant range the radar sees the ground
-there, and took the value of the image at these. That is undone place by place: with the same heights of the ground,
-layover and shadow are again where the radar had them.
+Geocoding takes, for each point of the map, the value of the image at the azimuth and slant range of the ground there.
+That is undone point by point: with the same heights, layover and shadow are again where the radar had them.
 """
 
 from __future__ import annotations
@@ -24,15 +23,15 @@ from sarsplat.geometry import ImageGrid, Place, Terrain, View
 from sarsplat.importers.measured_image import MeasuredImage
 
 _FEWEST = 8
-"""Pixels along a side of what is left."""
+"""Minimum number of pixels on a side of the result."""
 
 _BENT = 0.1
-"""Share of a pixel by which a map may be bent between the middle and the corners of the pictures."""
+"""Maximum curvature of a map between the middle and the corners of the pictures, share of a pixel."""
 
 _SPLINE = 3
 
 _WGS_84 = 4326
-"""Number of longitude and latitude in EPSG's list."""
+"""EPSG number of longitude and latitude."""
 
 Lattice = Float64[np.ndarray, "rows columns"]
 
@@ -44,13 +43,13 @@ class MapPicture:
     Parameters
     ----------
     name : str
-        What to call it.
+        Name in messages.
     power : numpy.ndarray, float32 [rows, columns]
         Linear power.
     unknown : numpy.ndarray, bool [rows, columns]
         Pixels that were not measured.
     view : View
-        From where it was taken.
+        Direction of the radar.
     to_ground : numpy.ndarray, float64 [2, 3]
         (x, y) in the scene of the pixel in a column and a row, m: `to_ground @ (column, row, 1)`.
     resolution_m : (float, float)
@@ -70,12 +69,12 @@ class MapPicture:
 
     @property
     def pitch_m(self) -> float:
-        """Distance of its pixels, the smaller of the two, m."""
+        """Smaller of its two pixel spacings, m."""
         return float(np.hypot(*self.to_ground[:, :2]).min())
 
     @property
     def half_m(self) -> float:
-        """How far from the origin what it shows reaches at least along its rows and columns, m."""
+        """Minimum distance from the origin to its edges along rows and columns, m."""
         inverse = np.linalg.inv(self.to_ground[:, :2])
         column, row = -inverse @ self.to_ground[:, 2]  # of the origin
         wide, high = np.hypot(*self.to_ground[:, :2])
@@ -83,9 +82,9 @@ class MapPicture:
         return float(min(column * wide, (columns - 1 - column) * wide, row * high, (rows - 1 - row) * high))
 
     def measured_m(self, directions: Float64[np.ndarray, "2 2"]) -> float:
-        """How far from the origin along both directions what was not measured leaves room, m.
+        """Return the half side, m, of the square along both directions that no unmeasured edge reaches.
 
-        Only of what reaches in from an edge, as after gdalwarp.
+        Holes within the picture do not count.
         """
         down, along = np.nonzero(self.unknown & ~holes_of(self.unknown))
         places = directions @ self.to_ground @ np.stack([along, down, np.ones(len(down))])
@@ -96,10 +95,10 @@ class MapPicture:
 def on_ground(
     shapes: Sequence[tuple[int, int]], georeferences: Sequence[Georeference], x_towards_deg: float, names: Sequence[str]
 ) -> tuple[list[Float64[np.ndarray, "2 3"]], Place | None]:
-    """Where pictures lie in the scene, m (`MapPicture.to_ground`): its origin is the middle of what all of them show.
+    """Return `MapPicture.to_ground` of pictures around the middle of their common part, and the place of that origin.
 
-    `shapes` are their rows and columns; the scene's x axis points to a compass bearing. Also where on earth the origin
-    is, unless their system has no number. Refused if they lie in several systems, or have nothing in common.
+    `shapes` are their rows and columns; the scene's x axis points to a compass bearing. The place is None if their
+    system has no EPSG number. Raises if they lie in several systems, or have no common part.
     """
     first = georeferences[0]
     for other, name in zip(georeferences, names, strict=True):
@@ -139,9 +138,9 @@ def _axes_on_earth(
     x_towards_deg: float,
     name: str,
 ) -> tuple[Float64[np.ndarray, "2 2"], Place]:
-    """(x, y) of the scene, m, for each unit of a map around its `middle`, and where on earth that is.
+    """Return (x, y) of the scene, m, for each unit of a map around its `middle`, and the place of that.
 
-    Refused if the map is bent by a good part of its `pitch` within `half`, or what it needs is missing.
+    Raises if the map is bent by `_BENT` of its `pitch` within `half`, or a grid of its datum is missing.
     """
     steps = np.array([[0, 1, -1, 0, 0, 1, 1, -1, -1], [0, 0, 0, 1, -1, 1, -1, 1, -1]]) * half[:, None]
     degrees = _geodetic(georeference, middle[:, None] + steps, name)
@@ -171,7 +170,7 @@ def _axes_on_earth(
 
 
 def _geodetic(georeference: Georeference, places: Float64[np.ndarray, "2 n"], name: str) -> Float64[np.ndarray, "2 n"]:
-    """Longitude and latitude of places on a map, degrees, WGS 84."""
+    """Convert points of a map to longitude and latitude, degrees, WGS 84."""
     if georeference.epsg in (None, _WGS_84):
         return places
     from pyproj import Transformer
@@ -187,30 +186,30 @@ def _geodetic(georeference: Georeference, places: Float64[np.ndarray, "2 n"], na
 
 
 def _corners(shape: tuple[int, int], georeference: Georeference) -> Float64[np.ndarray, "2 4"]:
-    """Middles of a picture's corner pixels, on the map."""
+    """Return the middles of a picture's corner pixels on the map."""
     rows, columns = shape
     places = np.array([[0, columns - 1, 0, columns - 1], [0, 0, rows - 1, rows - 1], [1, 1, 1, 1]], np.float64)
     return np.asarray(georeference.affine @ places)
 
 
 def resampled(pictures: Sequence[MapPicture], ground: float | Terrain) -> list[MeasuredImage]:
-    """The pictures in azimuth and slant range, all on one grid, as large as they show whole of every look.
+    """Resample pictures to azimuth and slant range, all on the largest grid that all of them cover.
 
-    `ground` is what their producer took for the ground: level at a height, m above the scene's z = 0, or terrain.
-    Refused if too little is left, a pixel that is used was not measured, or terrain is under a tilted look.
+    `ground` is the one that their producer projected from: level at a height, m above the scene's z = 0, or terrain.
+    Raises if too little is left, a pixel that is used was not measured, or terrain is under a tilted look.
     """
     grid = _grid(pictures, ground)
     return [_image(picture, grid, ground) for picture in pictures]
 
 
 def _grid(pictures: Sequence[MapPicture], ground: float | Terrain) -> ImageGrid:
-    """What of azimuth and slant range every picture shows, in pixels as close as the map's are."""
+    """Return the grid that all pictures cover, with the finest spacing of their maps."""
     half_azimuth, half_range, slants = [], [], []
     for picture in pictures:
         frame = picture.view.look.gradients
         if isinstance(ground, Terrain) and not picture.view.look.level:
             raise SarsplatError(
-                f"{picture.name} is tilted, and was geocoded on terrain, which is not undone; give it as it was before"
+                f"{picture.name} is tilted and geocoded on terrain, which is not supported; give the original image"
             )
         x_axis = picture.to_ground[:, 0] / np.hypot(*picture.to_ground[:, 0])
         turned = abs(float(x_axis @ frame[0, :2])) / float(np.hypot(*frame[0, :2]))
@@ -228,14 +227,14 @@ def _grid(pictures: Sequence[MapPicture], ground: float | Terrain) -> ImageGrid:
     )
     if min(columns, rows) < _FEWEST:
         raise SarsplatError(
-            f"of the geocoded pictures {max(columns, 0)} × {max(rows, 0)} pixels (azimuth × range) remain that all of "
-            "them show around their common middle, turned as the radar looks; give larger ones"
+            f"{max(columns, 0)} × {max(rows, 0)} pixels (azimuth × range) remain that all geocoded pictures show "
+            "around their common middle, turned as the radar looks; give larger ones"
         )
     return ImageGrid(rows, columns, spacing, pictures[0].resolution_m)
 
 
 def _highest(ground: float | Terrain, half_m: float) -> float:
-    """Largest distance from z = 0 of the ground within so many metres, m."""
+    """Return the largest |z| of the ground within `half_m` of the origin, m."""
     if not isinstance(ground, Terrain):
         return abs(ground)
     reach = np.linspace(-half_m, half_m, 257)
@@ -253,8 +252,8 @@ def _image(picture: MapPicture, grid: ImageGrid, ground: float | Terrain) -> Mea
         )
         raise SarsplatError(
             f"{picture.name} has {counted(int(missing.sum()), 'pixel')} of {missing.size} in azimuth and range that "
-            f"were not measured, near rows {first} to {last} and columns {left} to {right}; cut the pictures to what "
-            "all of them show, or fill them in, as by gdal_fillnodata"
+            f"were not measured, near rows {first} to {last} and columns {left} to {right}; cut the pictures to their "
+            "common part, or fill them in, as by gdal_fillnodata"
         )
     known = picture.power.astype(np.float64)
     if picture.unknown.any():  # a spline rings beside a sudden end
@@ -277,7 +276,7 @@ def _image(picture: MapPicture, grid: ImageGrid, ground: float | Terrain) -> Mea
 
 
 def _places(picture: MapPicture, grid: ImageGrid, ground: float | Terrain) -> Float64[np.ndarray, "2 m n"]:
-    """(x, y) of the ground whose azimuth and slant range pixels have; where several have them, the nearest ones."""
+    """Return (x, y) of the ground in each pixel; where it lays over, of the nearest point."""
     frame = picture.view.look.gradients
     azimuth, slant = np.meshgrid(grid.azimuth_m, grid.range_m)
     if not isinstance(ground, Terrain):

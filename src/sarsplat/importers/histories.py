@@ -1,4 +1,4 @@
-"""Formats of phase history: each is a file `history_NAME.py` of this folder, or an entry point of another package."""
+"""Formats of phase history: a module `history_NAME` each, or an entry point of another package."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from sarsplat.plugins import discover
 FORMATS = discover("sarsplat.importers", "history_", "FORMAT", "sarsplat.phase_histories")
 """Formats by their names."""
 
-
 _HEAD = 128  # bytes by which a container is known
 _NITF = (
     "a NITF file, not phase history; import it with `sarsplat import sicd` if it is a SICD, and instead of a SIDD the "
@@ -28,29 +27,29 @@ _RELATIVES = {
     b"<CPHD": "the metadata of a CPHD (XML), without its pulses; give the file that holds both",
     b"<CRSD": "the metadata of raw radar data (CRSD, XML); get CPHD or SICD from who made it",
 }
-"""What other files begin with, and what they are."""
+"""First bytes of other radar data → description and remedy."""
 
 
 @dataclass(frozen=True)
 class PhaseHistoryFormat:
-    """A format of phase history.
+    """Format of phase history.
 
     Parameters
     ----------
     what : str
-        What such files are, in a few words.
+        Name of such files, in a few words.
     endings : tuple of str
-        Of their names, in small letters, such as ".mat".
+        Endings of their names, in small letters, such as ".mat".
     read : callable
-        Reads one file, or raises a `SarsplatError` of one sentence: files come from strangers.
+        Reads one file, or raises a `SarsplatError` of one sentence: files are untrusted.
     several : bool
-        Whether files may hold several channels: `read` is then also given the name of one, or None.
+        True if files may hold several channels: `read` is then also given the name of one, or None.
     describe : callable, optional
-        What a file holds, for people to read: names and values, or a `SarsplatError` of one sentence.
+        Returns facts of a file, names and values, or raises a `SarsplatError` of one sentence.
     begins : bytes
-        What every such file begins with, and no other; empty if nothing tells.
+        First bytes of every such file and of no other; empty if they vary.
     container : bytes
-        What it begins with as other files do: that tells only of what is given as phase history.
+        First bytes that such files share with others: decisive only for files given as phase history.
     """
 
     what: str
@@ -63,7 +62,7 @@ class PhaseHistoryFormat:
 
 
 def format_of(path: Path) -> PhaseHistoryFormat | None:
-    """The format of a file: the one that it begins like, or else the one whose ending it has; None if it has none."""
+    """Return the format of a file by its first bytes, or else by its ending; None if unknown."""
     formats = FORMATS.loaded().values()
     with open_file(path) as file:
         start = file.read(max(len(one.begins) for one in formats))
@@ -73,9 +72,9 @@ def format_of(path: Path) -> PhaseHistoryFormat | None:
 
 
 def read_phase_history(path: Path, channel: str | None = None) -> PhaseHistory:
-    """The pulses of one file, of whichever format; of one channel, if it has several.
+    """Read the pulses of one file; of several channels, of the named one.
 
-    Refused if it is of no format that is known here, cannot be used, or a channel is named where there are none.
+    Raises if its format is unknown, it cannot be used, or a channel is named of a format without channels.
     """
     known = format_of(path)
     with open_file(path) as file:
@@ -96,5 +95,5 @@ def read_phase_history(path: Path, channel: str | None = None) -> PhaseHistory:
 
 
 def what_else(start: bytes) -> str | None:
-    """What radar data other than phase history are that begin like this, and what to do with them; None if unknown."""
+    """Describe other radar data by their first bytes, with a remedy; None if unknown."""
     return next((what for magic, what in _RELATIVES.items() if start.lstrip().startswith(magic)), None)

@@ -20,25 +20,25 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place
 from sarsplat.geometry.responses import UNIFORM
 from sarsplat.importers.cphd_file import MAGIC, Channel, Cphd, open_cphd
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.histories import PhaseHistoryFormat
 from sarsplat.importers.phase_apertures import WIDEST_DEG, whole_flight
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory, Recorded
 from sarsplat.importers.sarkit_xml import sarkit_errors
 
 _MONOSTATIC_DEG = 0.5
-"""Angle between the directions to where pulses were sent and received that a moving antenna does not reach."""
+"""Maximum angle between sending and receiving position of a monostatic antenna, degrees."""
 _SAME_BAND = 0.9
-"""Share of its band that a pulse must have in common with all others."""
+"""Minimum share of its band that a pulse has in common with all others."""
 _EXACT = 1e-6
-"""Of a step: what is lost when an index is calculated."""
+"""Rounding tolerance of a calculated index, in steps."""
 
 
 def read_cphd(path: str | Path, channel: str | None = None) -> PhaseHistory:
-    """One channel of a CPHD file; without a name, the only one. Its samples stay in the file until they are needed.
+    """Read one channel of a CPHD file, or the only one; its samples stay in the file until they are needed.
 
-    The world frame is level at the reference point of the scene (IARP), x to the east and y to the north. Refused if it
-    is no CPHD that can be read (`open_cphd`), it has several channels and none is named, the radar is not one, or its
-    pulses have little of their bands in common.
+    The world frame is level at the reference point of the scene (IARP), x to the east and y to the north. Raises as
+    `open_cphd` does, or if it has several channels and none is named, or pulses have little of their bands in common.
     """
     cphd = open_cphd(Path(path))
     chosen = cphd.channel(channel)
@@ -70,17 +70,17 @@ class _Signal(Recorded):
     path: Path
     channel: str
     index: Int64[np.ndarray, " pulses"]
-    """Of the pulses in the file, rising."""
+    """Indices of the pulses in the file, rising."""
     scale: Float64[np.ndarray, " pulses"]
-    """What the stored samples of each are multiplied by."""
+    """Factor on the stored samples of each pulse."""
     conjugate: bool
-    """Whether what is farther away has more phase."""
+    """True if the phase rises with distance."""
     first: int
-    """The first of the frequencies that are used, among the file's or those that its times are transformed to."""
+    """Index of the first frequency used, among the file's or those of its transformed times."""
     count: int
-    """How many are used."""
+    """Number of frequencies used."""
     start_s: Float64[np.ndarray, " pulses"] | None = None
-    """Of samples in time, the first time of each pulse, in units of the interval between them; None of frequencies."""
+    """First time of each pulse, in sampling intervals; None for samples in frequency."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -109,7 +109,7 @@ class _Signal(Recorded):
             return np.ascontiguousarray(samples.T.astype(np.complex64))
 
     def _spectrum(self, samples: Complex64[np.ndarray, "pulses times"]) -> np.ndarray:
-        """What the samples in time are in frequency, from the middle of the band on, which is in the middle."""
+        """Transform samples in time to frequency, the centre of the band in the middle."""
         assert self.start_s is not None
         count = samples.shape[1]
         places = (np.arange(count) - count // 2) / count
@@ -126,7 +126,7 @@ def _complex(stored: np.ndarray) -> Complex64[np.ndarray, "pulses samples"]:
 
 
 def _of_frequencies(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, _Signal]:
-    """First frequency and step of each pulse, and its samples: those that all pulses have within their bands."""
+    """Return first frequency and step of each pulse, and the samples that all pulses have within their bands."""
     first, step = pulses["SC0"], pulses["SCSS"]
     _require_steps(cphd, step)
     with np.errstate(over="ignore"):
@@ -134,14 +134,14 @@ def _of_frequencies(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tup
         high = np.clip(np.floor((pulses["FX2"] - first) / step + _EXACT), -1, channel.samples - 1)
     begin, end = int(low.max()), int(high.min()) + 1
     if end - begin < 2:
-        raise SarsplatError(f"{cphd.path} has samples that are not of its band ({_in_mhz(pulses)}); get it again")
+        raise_damaged(cphd.path, f"has samples that are not of its band ({_in_mhz(pulses)})")
     _require_one_band(cphd, first + begin * step, first + (end - 1) * step)
     signal = _Signal(cphd.path, channel.name, pulses["index"], pulses["AmpSF"], cphd.sign > 0, begin, end - begin)
     return first + begin * step, step, signal
 
 
 def _of_times(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, _Signal]:
-    """The same of samples in time: the frequencies of their Fourier transform."""
+    """Return first frequency and step of each pulse, and the Fourier transform of its samples in time."""
     interval, band = pulses["SCSS"], pulses["FX2"] - pulses["FX1"]
     _require_steps(cphd, interval)
     step = 1 / (channel.samples * interval)
@@ -172,13 +172,11 @@ def _in_mhz(pulses: dict[str, Any]) -> str:
 
 def _require_steps(cphd: Cphd, steps: Float64[np.ndarray, " pulses"]) -> None:
     if not (steps > 0).all():
-        raise SarsplatError(
-            f"{cphd.path} has samples in steps of {steps.min():g}, which must be positive; get it again"
-        )
+        raise_damaged(cphd.path, f"has samples in steps of {steps.min():g}, which must be positive")
 
 
 def _require_one_band(cphd: Cphd, first: Float64[np.ndarray, " pulses"], last: Float64[np.ndarray, " pulses"]) -> None:
-    """Refuse pulses that have little of their bands, between these frequencies, in common."""
+    """Raise if pulses have little of their bands, between these frequencies, in common."""
     each, common = float((last - first).mean()), float(last.min() - first.max())
     if not common >= _SAME_BAND * each:  # also catches NaN
         raise SarsplatError(
@@ -211,7 +209,7 @@ def _place(cphd: Cphd) -> Place:
 def _shown(
     cphd: Cphd, channel: Channel, pulses: dict[str, Any], step_hz: Float64[np.ndarray, " pulses"]
 ) -> Float64[np.ndarray, "pulses 2"]:
-    """Ranges that each pulse shows: where the file says so and its samples tell them apart."""
+    """Return the ranges that each pulse shows, as stated and unambiguous."""
     half = SPEED_OF_LIGHT / 2
     early, late = pulses["TOA1"] * half, pulses["TOA2"] * half
     if cphd.domain == "TOA":
@@ -225,7 +223,7 @@ def _shown(
 
 
 def _times(pulses: dict[str, Any]) -> Float64[np.ndarray, " pulses"]:
-    """When each pulse was at its stabilisation point, s."""
+    """Return the time of each pulse at its stabilisation point, s."""
     from sarkit.cphd import compute_t_ref
 
     with np.errstate(all="ignore"):  # an antenna at that point sees nothing
@@ -236,14 +234,14 @@ def _times(pulses: dict[str, Any]) -> Float64[np.ndarray, " pulses"]:
 
 @dataclass(frozen=True, eq=False)
 class _Dwell:
-    """Which pulses of a channel saw a place: those about its centre of dwell, for as long as it was in the beam."""
+    """Dwell of a channel: the pulses that saw a place, about its centre of dwell while it was in the beam."""
 
     cphd: Cphd
     channel: Channel
     times_s: Float64[np.ndarray, " pulses"]
 
     def lit(self, places: Float64[np.ndarray, "places 3"]) -> Bool[np.ndarray, " pulses"]:
-        """The pulses that saw all of these places, ECEF. Refused if one is outside the file's image area."""
+        """Return the pulses that saw all of these places, ECEF; raise if one is outside the image area."""
         from sarkit.cphd import ecf_to_iac
 
         with sarkit_errors(self.cphd.path, "CPHD"):
@@ -251,11 +249,11 @@ class _Dwell:
             self._require_within(x, y)
             middle, duration = (np.polynomial.polynomial.polyval2d(x, y, part) for part in self._polynomials())
             if not (np.isfinite(middle) & np.isfinite(duration)).all():
-                raise SarsplatError(f"{self.cphd.path} has dwell times that are not finite; get it again")
+                raise_damaged(self.cphd.path, "has dwell times that are not finite")
             return (np.abs(self.times_s - middle[:, None]) <= duration[:, None] / 2).all(axis=0)
 
     def _polynomials(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the centre and the duration of the dwell."""
+        """Load the polynomials of the centre and the duration of the dwell."""
         named = f"Channel/Parameters[{{*}}Identifier='{self.channel.name}']/DwellTimes"
         found = []
         for kind, identifier in (("CODTime", "CODId"), ("DwellTime", "DwellId")):
@@ -264,26 +262,26 @@ class _Dwell:
             if "'" not in chosen:
                 polynomial = self.cphd.load(f"Dwell/{kind}[{{*}}Identifier='{chosen}']/{kind}Poly")
             if polynomial is None:
-                raise SarsplatError(f"{self.cphd.path} does not say when its pulses saw what ({kind}); get it again")
+                raise_damaged(self.cphd.path, f"has no dwell times ({kind})")
             found.append(polynomial)
         return found[0], found[1]
 
     def _require_within(self, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
         corners = [self.cphd.load(f"SceneCoordinates/ImageArea/{name}") for name in ("X1Y1", "X2Y2")]
         if any(corner is None or not np.all(np.isfinite(corner)) for corner in corners):
-            raise SarsplatError(f"{self.cphd.path} does not say what it shows (ImageArea); get it again")
+            raise_damaged(self.cphd.path, "has no valid ImageArea")
         low, high = np.sort(corners, axis=0)
         if min(x.min() - low[0], y.min() - low[1], high[0] - x.max(), high[1] - y.max()) < 0:
             place = _place(self.cphd)
             raise SarsplatError(
                 f"{self.cphd.path} shows {high[0] - low[0]:.0f} m × {high[1] - low[1]:.0f} m about "
-                f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, which does not hold all of what is asked for; "
+                f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, which does not contain the image; "
                 "give a smaller --size, or a --place or an --around within it"
             )
 
 
 def _collection(cphd: Cphd, channel: Channel) -> dict[str, str]:
-    """Who took it, when and how, for people to read."""
+    """Return collector, collection, mode, start and polarisation, as far as stated."""
     names = {
         "collector": "CollectionID/CollectorName",
         "collection": "CollectionID/CoreName",
@@ -295,7 +293,7 @@ def _collection(cphd: Cphd, channel: Channel) -> dict[str, str]:
 
 
 def describe_cphd(path: Path) -> dict[str, str]:
-    """What a file holds, for people to read: of several channels, the first."""
+    """Describe a file, of several channels the first."""
     cphd = open_cphd(path)
     history = read_cphd(path, cphd.channels[0].name)
     assert history.place is not None

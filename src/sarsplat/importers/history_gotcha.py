@@ -1,4 +1,4 @@
-"""Phase history as AFRL's GOTCHA volumetric data set has it: MATLAB files with one record `data`.
+"""Phase history in the layout of AFRL's GOTCHA volumetric data set: MATLAB files with one record `data`.
 
 Its fields: `fp`, samples [frequency, pulse]; `freq`, Hz; `x`, `y`, `z`, the antenna, m; `r0`, its distance from the
 scene centre, where x = y = z = 0; `af`, from an autofocus: `r_correct`, to be added to `r0`, and `ph_correct`,
@@ -15,19 +15,20 @@ import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.histories import PhaseHistoryFormat
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
 _UNEVEN = 0.01
-"""Largest distance of a frequency from its place among evenly spaced ones, in steps. Single precision costs 0.03 %."""
+"""Maximum deviation of frequencies from even spacing, in steps; single precision costs 0.03 %."""
 
 
 def read_gotcha(path: str | Path) -> PhaseHistory:
     """Read one file, and apply the autofocus that it states.
 
-    Refused if it is no MATLAB 5 file, a field is missing or of the wrong kind, sizes contradict one another, `r0` is
-    not the distance from the scene centre, or a number is not finite.
+    Raises if it is no MATLAB 5 file, a field is missing or of the wrong kind, sizes contradict each other, `r0` is not
+    the distance from the scene centre, or a number is not finite.
     """
     path = Path(path)
     record = read_mat(path).get("data")
@@ -54,7 +55,7 @@ def read_gotcha(path: str | Path) -> PhaseHistory:
 
 
 def _band(path: Path, record: dict[str, Any], samples: np.ndarray) -> tuple[float, float]:
-    """The lowest frequency and the step to the next; they must rise evenly."""
+    """Return the lowest frequency and the step between frequencies, which must rise evenly."""
     values = _line(path, record, "freq")
     count = len(values)
     if count != len(samples):
@@ -77,7 +78,7 @@ def _band(path: Path, record: dict[str, Any], samples: np.ndarray) -> tuple[floa
 def _focused(
     path: Path, record: dict[str, Any], samples: np.ndarray, reference: Float64[np.ndarray, " pulses"]
 ) -> tuple[np.ndarray, Float64[np.ndarray, " pulses"]]:
-    """Samples and reference ranges with the autofocus applied, if there is one."""
+    """Apply the autofocus, if there is one, to samples and reference ranges."""
     autofocus = record.get("af")
     if not isinstance(autofocus, dict):
         return samples, reference
@@ -86,11 +87,11 @@ def _focused(
 
 
 def _of_pulses(path: Path, record: dict[str, Any], names: tuple[str, ...], pulses: int) -> list[np.ndarray]:
-    """Fields with a number for each pulse."""
+    """Read fields with a number for each pulse."""
     lines = [_line(path, record, name) for name in names]
     for name, values in zip(names, lines, strict=True):
         if len(values) != pulses:
-            raise SarsplatError(f"{path} has {len(values)} values of {name} for {pulses} pulses; download it again")
+            raise_damaged(path, f"has {len(values)} values of {name} for {pulses} pulses")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""What every format ends in: images with their views, which become a dataset on one grid and one scale."""
+"""Last step of every import: images with their views become a dataset on one grid and one scale."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -18,7 +18,7 @@ from sarsplat.data.coverage import evenly_chosen, largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
 from sarsplat.data.geotiff import LEVELS
-from sarsplat.data.header import Box, Calibration
+from sarsplat.data.header import Calibration
 from sarsplat.data.image import power_of
 from sarsplat.data.map_place import UNCONVERTED
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
@@ -26,6 +26,7 @@ from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Place, Terrain
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.geometry.view import ground_radius_m
+from sarsplat.importers.about import AboutImages
 from sarsplat.importers.band_limited import resample
 from sarsplat.importers.common_part import common_part, with_data
 from sarsplat.importers.measured_image import MeasuredImage
@@ -38,53 +39,22 @@ _SAME = 1e-3
 """Relative difference of lengths that are meant to be the same."""
 
 _SAME_PLACE = 1e-2
-"""Images that lie no further apart than this share of a pixel are not moved."""
+"""Maximum offset of images that are not resampled, share of a pixel."""
 
 _LEAST_POWER = 1e-3
-"""Share of the median power to which zeros are raised: zero has no logarithm, and no radar measures it."""
+"""Power to which zeros are raised, relative to the median: zero has no logarithm, and no radar measures it."""
 
 _FAINTEST = 1e-30
-"""Mean power, in whatever unit; far below it, and far above its reciprocal, float32 loses digits."""
+"""Minimum mean power, and reciprocal of the maximum; beyond them float32 loses digits."""
 
 _MARGIN = 3 / 16
-"""Share of a side that is left out when speckled images are scored: around the target there is only ground."""
+"""Margin left out of scores of images with ground, share of a side."""
 
 _PIXELS = (8, 4096)
-"""Fewest and most on a side of an image that is cut out or focused."""
+"""Minimum and maximum number of pixels on a side of an image that is cut out or focused."""
 
 EXAMINATIONS: WeakKeyDictionary[Dataset, Examination] = WeakKeyDictionary()
-"""Of datasets that have been imported: the command line shows more of it than warnings, and need not look again."""
-
-
-class AboutScene(TypedDict, total=False):
-    """What a user knows of the scene.
-
-    Attributes
-    ----------
-    terrain : Terrain or None
-        Heights of the ground that the images show; level unless given.
-    target_box_m : pair of (x, y, z) or None
-        Lower and upper corner of the box that contains the target, m; x towards the nose, z up. Unless given, it is
-        derived from the images.
-    """
-
-    terrain: Terrain | None
-    target_box_m: Box | None
-
-
-class AboutImages(AboutScene, total=False):
-    """What a user also knows of images that come from anywhere.
-
-    Attributes
-    ----------
-    looks : float or None
-        Number of looks of the speckle, 1 unless given; None if there is none.
-    ground : bool
-        Whether the images show the ground around the target, as they do unless it is said.
-    """
-
-    looks: float | None
-    ground: bool
+"""Examinations of imported datasets, of which the command line shows more than warnings."""
 
 
 @checks_arguments
@@ -98,17 +68,17 @@ def dataset_of(
     place: Place | None = None,
     **about: Unpack[AboutImages],
 ) -> Dataset:
-    """A dataset in memory: images on one grid, assigned to sets, on one scale.
+    """Make a dataset in memory: images on one grid, assigned to sets, on one scale.
 
     Parameters
     ----------
     images : sequence of MeasuredImage
         All complex, or all power. If their spacings differ, all are resampled to the finest; if their sizes or centres
-        differ, all are cut to what they have in common. Either none or all of them are stacks, of as many channels.
+        differ, all are cut to their common part. Either none or all of them are stacks, of as many channels.
     target : str
-        What they show.
+        Name of the target.
     source : dict
-        Where they come from and what was assumed (`assumptions`, a list of sentences); what is decided here is added.
+        Origin of the images and the `assumptions` made (a list of sentences), to which those made here are added.
     train_views : int, optional
         Number K of training views: those nearest to azimuths k·360°/K or, where images are missing on one side, to K
         azimuths evenly spaced over the rest; of several grazing angles, each gets the next azimuth in turn. The others
@@ -116,8 +86,8 @@ def dataset_of(
     calibration : {"absolute", "relative"}
         See `Dataset`. Relative power has mean 1 over the training views; that of noise is in the same unit.
     place : Place, optional
-        Where on earth the origin is; that of the terrain, if it knows one, unless given. With both, the terrain is laid
-        out around this place.
+        Place on earth of the origin; by default that of the terrain, if it has one. With both, the terrain is laid out
+        around this place.
     **about
         Looks, ground, terrain and the target's box: see `AboutImages`.
 
@@ -141,8 +111,8 @@ def dataset_of(
     place, about["terrain"] = _on_earth(place, about.get("terrain"), images, assumptions)
     _refuse_other_channels(images)
     images = _with_sets(images, train_views)
-    images, said = with_data(images, about["ground"])
-    for sentence in said:
+    images, told = with_data(images, about["ground"])
+    for sentence in told:
         assume(assumptions, sentence)
     grid = _common_grid(images, assumptions)
     pixels = np.stack([_on(image, grid) for image in images])
@@ -166,7 +136,7 @@ def dataset_of(
             raise SarsplatError(
                 f"the training images have a mean power of {scale:.3g}, implausible in any unit; scale them"
             )
-        with np.errstate(over="ignore"):  # what is brighter than float32 holds is refused by the dataset
+        with np.errstate(over="ignore"):  # the dataset rejects infinite values
             pixels /= np.sqrt(scale, dtype=np.float32) if pixels.dtype.kind == "c" else np.float32(scale)
         images = [
             replace(image, stack=replace(image.stack, noise=tuple(noise / scale for noise in image.stack.noise)))
@@ -195,7 +165,7 @@ def dataset_of(
 def _on_earth(
     place: Place | None, terrain: Terrain | None, images: Sequence[MeasuredImage], assumptions: list[str]
 ) -> tuple[Place | None, Terrain | None]:
-    """Where the origin is, and the terrain around it."""
+    """Return the place of the origin, and the terrain around it."""
     if terrain is None or terrain.place is None:
         return place, terrain
     if place is None:
@@ -224,10 +194,9 @@ def write_imported(
     overwrite: bool,
     pictures: Mapping[str, Float32[np.ndarray, "rows columns"]] | None = None,
 ) -> Dataset:
-    """Examine the dataset's images, write it, and warn of what they contradict and of what else looks like a mistake.
+    """Examine and write a dataset, and warn of contradictions and probable mistakes.
 
-    Its `source` holds the `contradictions`, if there are any. `pictures` are images beside those of the dataset: power,
-    by the names of their files.
+    Its `source` holds the `contradictions`, if any. `pictures` are further images: power, by the names of their files.
     """
     from sarsplat.examination.contradictions import examine  # here, for it needs scipy: see `sarsplat info`
 
@@ -242,7 +211,7 @@ def write_imported(
 
 
 def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> None:
-    """Refuse a size that makes too few pixels of this spacing, or too many."""
+    """Raise if a size makes too few or too many pixels of this spacing."""
     fewest, most = _PIXELS
     if not (math.isfinite(rows + columns) and fewest <= min(rows, columns) and max(rows, columns) <= most):
         raise SarsplatError(
@@ -252,13 +221,13 @@ def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> Non
 
 
 def check_heading(heading_deg: float) -> None:
-    """Refuse what is no compass heading; NaN, too."""
+    """Raise if a number is no compass heading."""
     if not abs(heading_deg) <= 360:
         raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
 
 
 def said_of_heading(heading_deg: float) -> str:
-    """What it means for azimuths that the scene's x axis points there."""
+    """Return a sentence on azimuths in a scene whose x axis has this heading."""
     return (
         f"the x axis points to the compass heading {heading_deg:g}°, so azimuth = compass bearing of the radar − "
         f"{heading_deg:g}°"
@@ -272,9 +241,9 @@ def assume(assumptions: list[str], text: str) -> None:
 
 
 def summary(dataset: Dataset) -> str:
-    """What was made: "36 views (24 train, 12 test) of 26 m × 26 m, largest gap of the training views 14°".
+    """Describe a dataset: "36 views (24 train, 12 test) of 26 m × 26 m, largest gap of the training views 14°".
 
-    Of stacks also how many channels each view has: "4 views of 3 channels, 26 m × 26 m, …".
+    Stacks have their number of channels as well: "4 views of 3 channels, 26 m × 26 m, …".
     """
     sets = [f"{len(dataset.images(split))} {split}" for split in dataset.splits()]
     training = [entry.view.azimuth_deg for entry in dataset.entries if entry.split == "train"]
@@ -287,7 +256,7 @@ def summary(dataset: Dataset) -> str:
 
 
 def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list[MeasuredImage]:
-    """Each in a set, those to train on first."""
+    """Assign each image to a set, and sort training images first."""
     if any(image.split for image in images):
         if train_views is not None:
             raise SarsplatError(
@@ -338,7 +307,7 @@ def _common_grid(images: Sequence[MeasuredImage], assumptions: list[str]) -> Ima
 
 
 def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "*channels {grid.rows} {grid.columns}"]:
-    """The pixels of an image where those of a grid lie."""
+    """Resample an image to a grid."""
     own = image.grid
     rows = (grid.range_m - own.range_m[0]) / own.spacing_m[1]
     columns = (grid.azimuth_m - own.azimuth_m[0]) / own.spacing_m[0]
@@ -347,7 +316,7 @@ def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "*channels 
     if max(np.abs(rows - whole_rows).max(), np.abs(columns - whole_columns).max()) < _SAME_PLACE:
         return image.pixels[..., top : top + grid.rows, left : left + grid.columns]
     if image.stack is not None:
-        # the ramp of a level plane moves the band away from zero, so it is taken out meanwhile
+        # the ramp of a level plane moves the band away from zero, so it is taken out while resampling
         before, after = (np.exp(1j * image.stack.plane_phases(image.view, one)) for one in (own, grid))
         level = image.pixels * before.conj()
         moved = np.stack([resample(channel, rows, columns) for channel in level]) * after
@@ -362,7 +331,7 @@ def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
 
 
 def _refuse_other_channels(images: Sequence[MeasuredImage]) -> None:
-    """Refuse stacks of different numbers of channels, or beside single images."""
+    """Raise if stacks differ in their number of channels, or are mixed with single images."""
     first, *others = [(image.name, 0 if image.stack is None else len(image.stack)) for image in images]
     for name, channels in others:
         if channels != first[1]:

@@ -1,8 +1,8 @@
 """MATLAB 5 files (`save -v6` and `-v7`): numbers and structs. SciPy's reader crashes on some damaged files.
 
 A file is a list of elements, each a tag (type, bytes) and data; an array is an element that holds further ones: flags,
-dimensions, name, values. The files come from strangers: a size is believed only if it fits what holds it, and what is
-made of a file is bounded by the file's size, however much a compressed element promises.
+dimensions, name, values. Files are untrusted: sizes must fit their container, and the unpacked size is limited by the
+file's.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""Types of elements that hold numbers, with what numpy calls them."""
+"""Types of elements that hold numbers → types of numpy."""
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 _STRUCT = 2
 _CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
-"""Classes of arrays of numbers, with what numpy calls them; a file may hold their values in a narrower type."""
+"""Classes of arrays of numbers → types of numpy; a file may hold values in a narrower type."""
 _COMPLEX = 0x800
 _DEEPEST = 16
 _EXPANSION, _FREE_BYTES = 16, 16 << 20
-"""What is made of a file may be this many times as large, and some bytes more: measured data compress far less."""
+"""Maximum unpacked size: factor on the size of the file, and bytes besides; measured data compress far less."""
 _BYTES_PER_ARRAY = 512
-"""What an array costs beside its values."""
+"""Memory of an array besides its values, bytes."""
 
 
 def read_mat(path: str | Path) -> dict[str, Any]:
-    """The variables of a MATLAB 5 file, as `save -v6` or `save -v7` (MATLAB's default) writes it.
+    """Read the variables of a MATLAB 5 file, as `save -v6` or `save -v7` (MATLAB's default) writes it.
 
-    Numbers are arrays of MATLAB's shape and type, complex ones included; a struct is a dict of its fields. What has no
-    counterpart here (text, cells, arrays of structs, sparse matrices …) is None, and as a variable left out. Refused if
-    it is not such a file, is truncated or garbled, or expands to far more than measured data do.
+    Numbers are arrays of MATLAB's shape and type, complex ones included; a struct is a dict of its fields. Other values
+    (text, cells, arrays of structs, sparse matrices …) are None, and such variables left out. Raises if it is no such
+    file, truncated or garbled, or expands to far more than measured data do.
     """
     path = Path(path)
     with open_file(path) as file:
@@ -65,7 +65,7 @@ def read_mat(path: str | Path) -> dict[str, Any]:
 
 
 def _byte_order(path: Path, header: bytes) -> str:
-    """The byte order that the 128 bytes of the header tell."""
+    """Return the byte order by the 128 bytes of the header."""
     if header.startswith((b"MATLAB 7.3", b"\x89HDF")):
         raise SarsplatError(f"{path} is a MATLAB 7.3 (HDF5) file; load it in MATLAB and save it with -v7")
     order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
@@ -75,7 +75,7 @@ def _byte_order(path: Path, header: bytes) -> str:
 
 
 class _Decoder:
-    """Decodes values from a file's bytes, up to a limit on their total size."""
+    """Decoder of values from a file's bytes, up to a limit on their total size."""
 
     def __init__(self, path: Path, order: str, allowance: int) -> None:
         self.path = path
@@ -94,7 +94,7 @@ class _Decoder:
             )
 
     def decompress(self, data: memoryview) -> tuple[int, memoryview]:
-        """The one element in a compressed one: its type and its data."""
+        """Return type and data of the element in a compressed one."""
         stream = zlib.decompressobj()
         try:
             start = stream.decompress(data, 8)
@@ -110,7 +110,7 @@ class _Decoder:
         return kind, memoryview(rest)
 
     def element(self, data: memoryview) -> tuple[int, memoryview, memoryview]:
-        """The type and the data of the first element, and what follows it."""
+        """Return type and data of the first element, and the rest."""
         if len(data) < 8:
             self.refuse(f"{len(data)} bytes where an element should begin")
         kind, length = np.frombuffer(data[:8], self.order + "u4").tolist()
@@ -123,7 +123,7 @@ class _Decoder:
         return kind, data[start : start + length], data[end:]
 
     def array(self, data: memoryview, depth: int) -> tuple[str, Any]:
-        """The name and the value of an array."""
+        """Return name and value of an array."""
         self.spend(_BYTES_PER_ARRAY)
         if depth > _DEEPEST:
             self.refuse(f"structs nested more than {_DEEPEST} deep")
@@ -149,7 +149,7 @@ class _Decoder:
         return name, joined
 
     def whole(self, data: memoryview, wanted: int) -> tuple[list[int], memoryview]:
-        """An element of whole numbers, and what follows it."""
+        """Return an element of whole numbers, and the rest."""
         kind, values, rest = self.element(data)
         if kind != wanted or len(values) % 4 or len(values) > 4 * 32:
             self.refuse(f"{len(values)} bytes of type {kind} where an array's flags or dimensions should be")
@@ -175,7 +175,7 @@ class _Decoder:
             return np.frombuffer(values, stored).reshape(shape, order="F").astype(wanted), rest
 
     def struct(self, data: memoryview, depth: int) -> dict[str, Any]:
-        """The fields of one struct: names of one length for all, filled up with zeros, and then their values."""
+        """Read the fields of one struct: names padded to one length with zeros, and then their values."""
         lengths, data = self.whole(data, _INT32)
         _, letters, data = self.element(data)
         longest = lengths[0] if len(lengths) == 1 else 0

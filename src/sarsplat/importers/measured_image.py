@@ -21,20 +21,20 @@ class MeasuredImage:
     Parameters
     ----------
     name : str
-        What to call it, e.g. its file.
+        Name in messages, e.g. its file.
     pixels : numpy.ndarray, complex64 or float32 [rows, columns], or complex64 [P, rows, columns]
         Complex amplitude if phase is available, otherwise linear power; row 0 near range, columns rising along the
         flight of a right-looking radar. Of a stack, those of each channel, coregistered, not deramped.
     view : View
-        From where it was taken.
+        Direction of the radar.
     spacing_m, resolution_m : (float, float)
         Pixel spacing and 3 dB width of the power response (azimuth, slant range), m.
     center_m : (float, float)
-        Where the centre of the image lies (azimuth, slant range), m from the scene centre.
+        Centre of the image (azimuth, slant range), m from the scene centre.
     azimuth_std_deg : float
         Standard deviation of the azimuth, degrees.
     split : str or None
-        Its set, if the source says so.
+        Its set, if stated.
     response : Response
         Shape of the power response; Gaussian if unknown.
     stack : Stack or None
@@ -43,7 +43,7 @@ class MeasuredImage:
     Raises
     ------
     SarsplatError
-        If one of them is of another kind, or the pixels are no image.
+        If a field is of another type, or the pixels are no image.
     """
 
     name: str
@@ -79,13 +79,13 @@ class MeasuredImage:
 
     @property
     def grid(self) -> ImageGrid:
-        """Where its pixels lie."""
+        """Grid of its pixels."""
         rows, columns = self.pixels.shape[-2:]
         return ImageGrid(rows, columns, self.spacing_m, self.resolution_m, self.center_m, self.response)
 
 
 def view_of(name: str, azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0) -> View:
-    """From where the image of this name was taken, which an error names."""
+    """Return the view of the image with this name; errors begin with it."""
     try:
         return replace(View(azimuth_deg, grazing_deg, tilt_deg), azimuth_deg=azimuth_deg % 360)
     except SarsplatError as error:

@@ -1,4 +1,4 @@
-"""Import measured MSTAR chips: choose the training views, turn the arrays, raise what is too dark to mean anything.
+"""Import measured MSTAR chips: choose training views, orient arrays, raise insignificant power.
 
 Geometry. The published array has the radar at the bottom; turned by 180° it is our `image[range, azimuth]`, row 0 near.
 TargetAz is 0 with the nose toward the radar, and with growing TargetAz the nose turns clockwise in the displayed chip,
@@ -31,17 +31,18 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.orientation import oriented
 from sarsplat.data.sidecar import UNPLACED
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.importers.about import AboutScene
 from sarsplat.importers.files import warn_caller
-from sarsplat.importers.images import AboutScene, dataset_of, write_imported
+from sarsplat.importers.images import dataset_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage, view_of
 from sarsplat.importers.mstar_chips import Chip, plain_name, read_chips
 from sarsplat.importers.mstar_splits import SPLITS, divide
 from sarsplat.names import MstarSplit
 
 MIN_DN = 2.0
-"""Digital numbers are raised to this: below it lies nothing but quantisation, and zero has no logarithm."""
+"""Minimum to which digital numbers are raised: below it is only quantisation, and zero has no logarithm."""
 MIN_POWER = 1e-3
-"""Power that is not quantised is raised to this fraction of its mean: darker than any shadow, but not zero."""
+"""Minimum to which unquantised power is raised, relative to its mean: darker than any shadow, but not zero."""
 
 
 @checks_arguments
@@ -91,7 +92,7 @@ def import_mstar(
     mirrored : bool
         Treat the published chips as mirror images (see the head of this module).
     test : bool
-        Whether the other chips become test views; if not, JPEGs of these are not even read.
+        Import the other chips as test views; JPEGs of these are not read otherwise.
     overwrite : bool
         Replace an existing dataset.
     **about
@@ -101,7 +102,7 @@ def import_mstar(
     -------
     Dataset
         Of relative calibration, single look, with ground; power with mean 1 over the training views; complex if the
-        chips are Phoenix files. Each image has the name of its chip; `source` says what was assumed.
+        chips are Phoenix files. Each image has the name of its chip; `source` lists assumptions.
 
     Raises
     ------
@@ -142,7 +143,7 @@ def import_mstar(
         unplaced += [(_test_set(chip, several), chip) for chip in divided.test if not chip.placed]
     if not any(chip.magnitude.any() for chip in train):
         black = "the training chip is" if len(train) == 1 else f"all {len(train)} training chips are"
-        raise SarsplatError(f"{black} black; choose others, or remove what is black from {chips}")
+        raise SarsplatError(f"{black} black; choose others, or remove black ones from {chips}")
     chosen = {id(chip) for chip in train}
     others = [chip for chip in every if test and id(chip) not in chosen]
     others.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
@@ -182,7 +183,7 @@ def import_mstar(
 
 
 def _test_set(chip: Chip, several: bool) -> str:
-    """The set of a chip that is not trained on: by depression angle, and by vehicle where a split has several."""
+    """Name the set of a test chip by depression angle, and by vehicle where a split has `several`."""
     name = f"test-{chip.depression}"
     return f"{name}-{plain_name(chip.serial) or 'unnamed'}" if several else name
 
@@ -190,9 +191,9 @@ def _test_set(chip: Chip, several: bool) -> str:
 def _with_unplaced(
     dataset: Dataset, unplaced: list[tuple[str, Chip]], mirrored: bool
 ) -> tuple[Dataset, dict[str, Float32[np.ndarray, "rows columns"]]]:
-    """The dataset, whose source lists chips without azimuth, and their power on its scale by the names of their files.
+    """List chips without azimuth in the dataset's source; also return their power on its scale, by file name.
 
-    They are cut to the size of the others, around the middle; refused if one is smaller.
+    They are cut to the size of the others, around the middle; raises if one is smaller.
     """
     rows, columns = dataset.grid.rows, dataset.grid.columns
     pictures: dict[str, Float32[np.ndarray, "rows columns"]] = {}
@@ -214,7 +215,7 @@ def _with_unplaced(
 
 
 def _planned(chip: Chip) -> dict[str, Any]:
-    """The vehicle and the collection of a chip, by which it is told apart."""
+    """Return vehicle and collection of a chip, which identify it."""
     return {"serial": chip.serial, "depression_deg": chip.depression}
 
 
@@ -235,7 +236,7 @@ def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> li
 
 
 def _check(train_views: int | Literal["all"], depressions: Sequence[int]) -> None:
-    """Refuse what no chips can satisfy."""
+    """Raise if no chips can satisfy these numbers."""
     if train_views != "all" and (isinstance(train_views, str) or train_views < 1):
         raise SarsplatError(f"train_views is {train_views!r}; give at least 1, or 'all'")
     if not depressions or len(set(depressions)) < len(depressions):
@@ -243,20 +244,20 @@ def _check(train_views: int | Literal["all"], depressions: Sequence[int]) -> Non
 
 
 def _training_chips(chips: list[Chip], count: int | Literal["all"], depressions: Sequence[int]) -> list[Chip]:
-    """The distinct chips nearest to k·360°/count, in the order of k; each k asks the next depression in turn.
+    """Choose the distinct chips nearest to k·360°/count, in the order of k, from the depressions in turn.
 
-    All of them are in the order of their azimuths.
+    "all" of them are in the order of their azimuths.
     """
     chosen: dict[int, Chip] = {}
     every: list[Chip] = []
     for first, depression in enumerate(depressions):
         candidates = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
         if not candidates:
-            there = Counter(chip.depression for chip in chips)
+            counts = sorted(Counter(chip.depression for chip in chips).items())
             raise SarsplatError(
                 f"there are no chips at the training depression of {depression}°, but "
-                f"{' and '.join(f'{there[angle]:,} at {angle}°' for angle in sorted(there))}; choose among them with "
-                f"--train-depression {' '.join(map(str, sorted(there)))}"
+                f"{' and '.join(f'{number:,} at {angle}°' for angle, number in counts)}; choose among them with "
+                f"--train-depression {' '.join(str(angle) for angle, _ in counts)}"
             )
         every += candidates
         if count == "all":
@@ -280,9 +281,9 @@ def _training_chips(chips: list[Chip], count: int | Literal["all"], depressions:
 
 
 def _pixels(chips: list[Chip], training: int) -> list[Num[np.ndarray, "rows columns"]]:
-    """Power of each chip, the first of training chips, or its amplitude where the phase is known.
+    """Return the power of each chip, or its complex amplitude where the phase is known; the first are for training.
 
-    If sizes differ, each side is even, so that a common part lies on the pixels of all.
+    If sizes differ, each side is made even, so that a common part lies on the pixels of all.
     """
     magnitudes = [np.maximum(chip.magnitude, np.float32(MIN_DN) * np.float32(chip.step)) for chip in chips]
     pixels = [magnitude**2 for magnitude in magnitudes]
@@ -299,7 +300,7 @@ def _pixels(chips: list[Chip], training: int) -> list[Num[np.ndarray, "rows colu
 
 
 def _calibration(chips: list[Chip]) -> dict[str, Any]:
-    """What was done by `_pixels`, in words and numbers."""
+    """Describe the processing of `_pixels`."""
     mean = "mean_power, the mean over all pixels of the training chips"
     if chips[0].phase is not None:
         return {
@@ -314,7 +315,7 @@ def _calibration(chips: list[Chip]) -> dict[str, Any]:
 
 
 def _assumptions(chips: list[Chip], images: list[MeasuredImage], mirrored: bool) -> list[str]:
-    """What neither chips nor labels say, in words."""
+    """Return sentences on facts that neither chips nor labels state."""
     sides = " or ".join(dict.fromkeys(chip.near for chip in chips))
     lengths = (f"{length:.4g}" for length in (*chips[0].spacing_m, *chips[0].resolution_m))
     assumed = [

@@ -25,27 +25,27 @@ from sarsplat.names import Side
 
 _DESIRED, _MEASURED, _AZIMUTH = "desired_depression_deg", "measured_depression_deg", "target_az_deg"
 LABEL_COLUMNS = ("path", "class", "serial", _DESIRED, _MEASURED, _AZIMUTH)
-"""That a table of labels must have."""
+"""Columns that a table of labels must have."""
 _AZIMUTH_STD = "azimuth_std_deg"
-"""A column that may be missing, and empty."""
+"""Optional column, cells may be empty."""
 _DN_PER_MAGNITUDE = "dn_per_magnitude"
-"""A column that may be missing, and empty, but not for some chips only."""
+"""Optional column, filled for all chips or none."""
 _DN_PER_POWER = "dn_per_power"
-"""Of chips of ours that hold power."""
+"""Column of generated chips that hold power, not magnitude."""
 _NEAR_SIDE = "near_side"
-"""A column that may be missing, and empty: then it is the bottom."""
+"""Optional column; the bottom if empty."""
 _LENGTHS = {
     "spacing_m": ("azimuth_spacing_m", "range_spacing_m"),
     "resolution_m": ("azimuth_resolution_m", "range_resolution_m"),
 }
-"""Columns that may be missing, and empty: then chips have MSTAR's pixels."""
+"""Optional columns; MSTAR's lengths if empty."""
 
-_SAID = (
+_DESCRIBING = (
     *LABEL_COLUMNS[1:],
     *(_AZIMUTH_STD, _DN_PER_MAGNITUDE, _NEAR_SIDE),
     *(column for pair in _LENGTHS.values() for column in pair),
 )
-"""All that a row says of a chip."""
+"""Columns that describe a chip."""
 _LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 
 
@@ -58,13 +58,13 @@ class Chip:
     serial: str
     """Serial number of the vehicle."""
     depression: int
-    """Depression angle as planned, whole degrees: the name of the collection."""
+    """Planned depression angle, whole degrees: the name of the collection."""
     grazing_deg: float
-    """Depression angle as flown."""
+    """Measured depression angle."""
     target_az_deg: float
-    """TargetAz, in [0, 360): 0 = nose toward the radar; NaN if it is not known."""
+    """TargetAz, in [0, 360): 0 = nose toward the radar; NaN if unknown."""
     read: Callable[[], Float32[np.ndarray, "rows columns"]]
-    """Reads its pixels: see `magnitude`."""
+    """Function that reads `magnitude`."""
     step: float
     """Magnitude of one digital number; 0 if magnitudes are not quantised."""
     spacing_m: tuple[float, float] = (0.203125, 0.202148)
@@ -72,45 +72,43 @@ class Chip:
     resolution_m: tuple[float, float] = (0.3229, 0.3013)
     """3 dB widths, as `spacing_m`."""
     response: Response = TAYLOR
-    """Of JPEGs, which do not say, that which the Phoenix files' headers state."""
+    """Response of the system; for JPEGs that of the Phoenix files' headers."""
     near: Side = "bottom"
     """Side of the array that is near the radar."""
     azimuth_std_deg: float | None = None
-    """None where the table does not state it."""
+    """Standard deviation of the azimuth; None if not stated."""
     phase: Float32[np.ndarray, "rows columns"] | None = None
     """Radians; None if unknown."""
 
     @cached_property
     def magnitude(self) -> Float32[np.ndarray, "rows columns"]:
-        """Linear (not power), in whatever unit all chips have in common; a SarsplatError if the file is damaged."""
+        """Linear magnitude (not power), in the common unit of all chips; raises if the file is damaged."""
         return self.read()
 
     @property
     def placed(self) -> bool:
-        """Whether its azimuth is known."""
+        """True if its azimuth is known."""
         return math.isfinite(self.target_az_deg)
 
     @property
     def frame(self) -> str:
-        """Number of its frame, by which files are named: HB03787 of hb03787.jpeg."""
+        """Number of its frame, the name of its file: HB03787 of hb03787.jpeg."""
         return Path(self.name).stem.upper()
 
 
 def read_chips(
     folder: Path, labels: Path | None, target_class: str | tuple[str, ...], *, unplaced: bool = False
 ) -> list[Chip]:
-    """Every chip of one class, by any of its names, in a folder and its subfolders, in the order of the table or files.
+    """Find all chips of one class, by any of its names, in a folder and its subfolders, in the order of table or files.
 
     `labels` is a table (CSV) of JPEGs, whose pixels are not read yet: path relative to `folder`, class, serial,
-    desired_depression_deg, measured_depression_deg (where it is empty, the desired one counts), target_az_deg; where
-    azimuths are uncertain, azimuth_std_deg; and if chips are scaled each in its own way, dn_per_magnitude: digital
-    numbers per unit of magnitude, in any unit that all chips have in common (none for any chip: 1). What is not
-    as in the published chips, it may say too: near_side, and lengths as in `_LENGTHS`. None: read Phoenix
-    files, which carry all that in their headers. `T72` and a Phoenix header's `t72_tank` are the same class. Chips
-    whose azimuth the table does not state are among them only where `unplaced` ones are asked for.
+    desired_depression_deg, measured_depression_deg (the desired one if empty), target_az_deg; optionally
+    azimuth_std_deg, dn_per_magnitude (digital numbers per unit of magnitude, in a unit common to all chips), near_side,
+    and lengths as in `_LENGTHS`. None: read Phoenix files, whose headers state all that. `T72` and a Phoenix header's
+    `t72_tank` are the same class. Chips without azimuth are included only if `unplaced`.
 
-    Refused if the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
-    match no chip, the class is unknown, or a Phoenix file is damaged. What the table lacks otherwise is warned of.
+    Raises if the folder is missing or empty, the labels are garbled, contradict each other, lead out of the folder or
+    match no chip, the class is unknown, or a Phoenix file is damaged. Other gaps in the table are warned of.
     """
     target_class = (target_class,) if isinstance(target_class, str) else target_class
     files = _files(folder)
@@ -121,7 +119,7 @@ def read_chips(
 
 
 def classes_in(folder: Path, labels: Path | None) -> list[str]:
-    """The classes that `read_chips` finds, by the names that the table gives them, or the files' headers."""
+    """Return the classes that `read_chips` finds, as named by the table or by headers."""
     if labels is not None:
         names = {row["class"] for _, row in read_labels(labels).rows} - {""}
     else:
@@ -139,13 +137,13 @@ def _files(folder: Path) -> list[Path]:
 
 
 def plain_name(name: str) -> str:
-    """A name without what people spell it with: `ZSU_23-4` = `zsu234`."""
+    """Return a name in small letters and digits alone: `ZSU_23-4` becomes `zsu234`."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def same_class(wanted: str | tuple[str, ...], given: str) -> bool:
-    """Whether two names, or one of several and another, mean one class: `T-72` = `t72` = `t72_tank`."""
-    plain = {plain_name(name) for name in ((wanted,) if isinstance(wanted, str) else wanted)}
+def same_class(names: str | tuple[str, ...], given: str) -> bool:
+    """Return whether one of some names and another mean one class: `T-72` = `t72` = `t72_tank`."""
+    plain = {plain_name(name) for name in ((names,) if isinstance(names, str) else names)}
     return not plain.isdisjoint((plain_name(given), plain_name(given.split("_")[0])))
 
 
@@ -229,15 +227,15 @@ def _jpeg_chips(
 
 
 def _lengths(table: CsvTable, row: Row) -> dict[str, Any]:
-    """Spacing and resolution, as far as a row states them."""
+    """Return spacing and resolution, as far as a row states them."""
     stated = {name: columns for name, columns in _LENGTHS.items() if all(row[1].get(column) for column in columns)}
     return {name: tuple(table.number(row, column) for column in columns) for name, columns in stated.items()}
 
 
 def _complete(labels: Path, rows: Sequence[Row], unplaced: bool) -> list[Row]:
-    """The rows that have the angles they need; those with empty fields are counted.
+    """Leave out rows without angles, with a warning; an empty measured depression becomes the desired one.
 
-    A measured depression that is empty is taken to be as planned: it differs from that by tenths of a degree.
+    These two differ by tenths of a degree.
     """
     whole = [(line, row) for line, row in rows if row[_DESIRED] and (row[_AZIMUTH] or unplaced)]
     if len(whole) < len(rows):
@@ -256,11 +254,11 @@ def _complete(labels: Path, rows: Sequence[Row], unplaced: bool) -> list[Row]:
 
 
 def _once(labels: Path, rows: Sequence[Row]) -> list[Row]:
-    """Each chip once: one that is there twice could be trained on and tested on."""
+    """Remove repeated labels: no chip may be trained on and tested on."""
     first: dict[Path, Row] = {}
     for line, row in rows:
         other_line, other = first.setdefault(Path(row["path"]), (line, row))
-        if any(row.get(name) != other.get(name) for name in _SAID):
+        if any(row.get(name) != other.get(name) for name in _DESCRIBING):
             raise SarsplatError(
                 f"{labels} gives {shown(row['path'])} two labels, in lines {other_line} and {line}; remove one"
             )
@@ -270,9 +268,9 @@ def _once(labels: Path, rows: Sequence[Row]) -> list[Row]:
 
 
 def read_labels(path: Path) -> CsvTable:
-    """The table of labels.
+    """Read the table of labels.
 
-    Refused if it cannot be read, a column is missing, there are no rows or too many, or a path leads out of the folder.
+    Raises if it cannot be read, a column is missing, there are no rows or too many, or a path leads out of the folder.
     """
     table = read_table(path, "the table of labels", LABEL_COLUMNS)
     for row in table.rows:
@@ -281,7 +279,7 @@ def read_labels(path: Path) -> CsvTable:
 
 
 def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:
-    """Magnitude of one digital number of each chip; 1 if the table scales none of them."""
+    """Return the magnitude of one digital number of each chip; 1 if the table scales none."""
     if _DN_PER_POWER in table.columns:
         raise SarsplatError(
             f"{table.path} has a column {_DN_PER_POWER}, so its chips hold power, but MSTAR's hold magnitude; import "
@@ -306,7 +304,7 @@ def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:
 
 
 def _magnitude(path: Path, step: float) -> Float32[np.ndarray, "rows columns"]:
-    """The pixels of an 8-bit grey picture, of which each digital number is a step."""
+    """Read an 8-bit grey picture as magnitude, `step` for each digital number."""
     pixels = read_pixels(path)
     if pixels.dtype != np.uint8 or pixels.ndim != 2:
         raise SarsplatError(

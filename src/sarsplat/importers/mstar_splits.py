@@ -1,6 +1,6 @@
-"""The standard splits of MSTAR: which vehicles at which depression angles train a recogniser, and which test it.
+"""Standard splits of MSTAR: vehicles and depression angles that train a recogniser, and those that test it.
 
-Numbers of chips are those that papers compare themselves on: S. Chen, H. Wang, F. Xu and Y.-Q. Jin, "Target
+Numbers of chips are those of papers: S. Chen, H. Wang, F. Xu and Y.-Q. Jin, "Target
 Classification Using the Deep Convolutional Networks for SAR Images", IEEE TGRS 54(8), 2016, tables I and IV to VI.
 """
 
@@ -18,7 +18,7 @@ from sarsplat.names import MstarSplit
 
 @dataclass(frozen=True)
 class Part:
-    """Chips of one vehicle at some depression angles, degrees, and how many there are."""
+    """Chips of one vehicle at some depression angles, degrees, and their published number."""
 
     target: str
     serial: str
@@ -26,7 +26,7 @@ class Part:
     count: int
 
     def holds(self, serial: str, depression: int) -> bool:
-        """Whether a chip of the class may belong to it; one whose table names no serial may."""
+        """Return whether a chip of the class belongs to it; one without a serial does."""
         named = plain_name(serial).removeprefix("sn")  # as in SN_132
         return depression in self.depressions and named in ("", plain_name(self.serial))
 
@@ -42,13 +42,13 @@ class Split:
     test: tuple[Part, ...]
 
     def names_of(self, target: str) -> tuple[str, ...]:
-        """What tables may call a class, some of which name its vehicles as well: T72, T72-A64."""
+        """Return names of a class in tables, some of which name its vehicles: T72, T72-A64."""
         parts = [part for part in (*self.train, *self.test) if same_class(target, part.target)]
         return (target, *dict.fromkeys(f"{part.target}-{part.serial}" for part in parts))
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """Classes that are trained, in their order."""
+        """Training classes, in their order."""
         return tuple(dict.fromkeys(part.target for part in self.train))
 
 
@@ -115,12 +115,12 @@ SPLITS: dict[MstarSplit, Split] = {
 
 @dataclass(frozen=True)
 class Divided:
-    """The chips of one class, as a split divides them.
+    """Chips of one class, divided by a split.
 
     Attributes
     ----------
     train, test : list of Chip
-        In the order in which they were found.
+        Chips in the order of the files.
     counts : list of dict
         For each part: its "set" ("train" or "test"), "part" in words, the chips "found" and "published", and how many
         of those found have no azimuth ("without_azimuth").
@@ -132,9 +132,9 @@ class Divided:
 
 
 def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
-    """The chips of a class in a split; a chip that is there twice counts once.
+    """Divide the chips of a class by a split, without copies; warn of those left out.
 
-    Refused if the split does not train that class, or there is no chip to train on. What is left out is warned of.
+    Raises if the split does not train that class, or there is no chip to train on.
     """
     chosen = SPLITS[split]
     if not any(same_class(target, one) for one in chosen.classes):
@@ -146,9 +146,8 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
         for part in parts:
             if not same_class(target, part.target):
                 continue
-            alone = (
-                sum(same_class(target, other.target) for other in parts) == 1
-            )  # or who knows which an unnamed one is
+            # chips without a serial belong to the only vehicle
+            alone = sum(same_class(target, other.target) for other in parts) == 1
             held = [
                 chip
                 for chip in chips
@@ -177,13 +176,13 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
 
 
 def _nothing(chips: Sequence[Chip], split: Split, target: str) -> str:
-    there = sorted({f"{chip.serial or 'unnamed'} at {chip.depression}°" for chip in chips})
-    wanted = " and ".join(str(part) for part in split.train if same_class(target, part.target))
-    return f"there is no chip of {wanted}, but of {', '.join(there)}; get these chips, or leave the class out"
+    present = sorted({f"{chip.serial or 'unnamed'} at {chip.depression}°" for chip in chips})
+    lacking = " and ".join(str(part) for part in split.train if same_class(target, part.target))
+    return f"there is no chip of {lacking}, but of {', '.join(present)}; get these chips, or leave the class out"
 
 
 def _once(chips: Sequence[Chip], target: str) -> list[Chip]:
-    """Each chip once: the same file name of one vehicle at the same angles, in whichever folder."""
+    """Remove copies: the same file name of one vehicle at the same angles in several folders."""
     first: dict[tuple[str, int, str, str], Chip] = {}
     for chip in chips:
         first.setdefault((plain_name(chip.serial), chip.depression, chip.frame, f"{chip.target_az_deg:.4f}"), chip)
@@ -193,7 +192,7 @@ def _once(chips: Sequence[Chip], target: str) -> list[Chip]:
 
 
 def in_words(counts: Sequence[dict[str, int | str]]) -> Iterator[str]:
-    """A sentence for each part of a split: how many chips were found, and how many there should be."""
+    """Yield a sentence for each part of a split: numbers of chips found and published."""
     for one in counts:
         found, published, unplaced = (int(one[key]) for key in ("found", "published", "without_azimuth"))
         said = f"{one['set']}: {one['part']}: {found} of {published} chips"

@@ -22,7 +22,7 @@ logging.getLogger("jbpy").setLevel(logging.CRITICAL)  # what is wrong with a fil
 
 @dataclass(frozen=True)
 class Segment:
-    """Some rows of an image: where they begin in the file, and how many bytes they have there."""
+    """Some rows of an image, with their offset and length in the file, bytes."""
 
     offset: int
     length: int
@@ -32,16 +32,15 @@ class Segment:
 
 
 def is_nitf(path: Path) -> bool:
-    """Whether a file begins as NITF files do."""
+    """Return whether a file begins as NITF files do."""
     with open_file(path) as file:
         return file.read(len(_MAGICS[0])) in _MAGICS
 
 
 def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list[Segment]]:
-    """The metadata of a SICD, without entities or references to other files, and its image segments in their order.
+    """Read the metadata of a SICD, and its image segments in their order.
 
-    Refused if it is no NITF file, is truncated or states lengths that contradict its size, holds no SICD, or its XML is
-    garbled or not plain.
+    Raises if it is no NITF file, truncated or of another size than stated, holds no SICD, or its XML is not plain.
     """
     import jbpy
 

@@ -1,4 +1,4 @@
-"""A flight of pulses cut into sub-apertures: the pulses of each image, their view and their resolution."""
+"""Sub-apertures of a flight: the pulses of each image, their view and their resolution."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
 _MOST = 0.9
-"""Share of an aperture whose steps decide what is unambiguous."""
+"""Share of an aperture whose steps determine the unambiguous extent."""
 _GAP = 1.5
-"""Steps from pulse to pulse that are larger than this, in usual ones, are gaps."""
+"""Minimum step between pulses that is a gap, in median steps."""
 WIDEST_DEG = 60.0
-"""Widest aperture: beyond it the radar has no one direction."""
+"""Maximum width of an aperture: beyond it the radar has no single direction."""
 
 
 @dataclass(frozen=True)
 class Aperture:
-    """Pulses that make one image of what is around a place."""
+    """Pulses of one image around a place."""
 
     history: PhaseHistory
     around_m: Float64[np.ndarray, " 3"]
@@ -42,18 +42,18 @@ class Aperture:
 
     @property
     def looks_left(self) -> bool:
-        """Whether the radar looks to the left of its flight."""
+        """True if the radar looks to the left of its flight."""
         return bool(self.cross[-1] < self.cross[0])
 
     @property
     def tilt_deg(self) -> float:
-        """Turn of the slant plane about the line of sight; on level axes, its tangent displaces what stands up."""
+        """Tilt of the slant plane about the line of sight; on level axes, heights are displaced by its tangent."""
         level = replace(self.view, tilt_deg=0.0).look
         across, up, _ = level.frame @ (self._directions()[-1] - self._directions()[0])
         return math.degrees(math.atan2(math.copysign(1, across) * up, abs(across)))
 
     def tilted(self) -> Self:
-        """With the azimuth axis of its image tilted as the slant plane is."""
+        """Return the aperture with the azimuth axis of its image tilted as the slant plane."""
         return replace(self, view=replace(self.view, tilt_deg=self.tilt_deg))
 
     @property
@@ -63,23 +63,20 @@ class Aperture:
 
     @property
     def unambiguous_m(self) -> float:
-        """Extent along the columns beyond which echoes come back at the other side.
-
-        A few gaps do not do that: the steps of most of the aperture decide.
-        """
+        """Extent along the columns beyond which echoes are aliased, by the steps of most of the aperture."""
         steps = np.sort(np.abs(np.diff(self.cross)))
         share = np.cumsum(steps) / steps.sum()
         return SPEED_OF_LIGHT / (2 * self.history.carrier_hz * float(steps[np.searchsorted(share, _MOST)]))
 
     @property
     def missing(self) -> float:
-        """Share of its extent in which pulses are missing: where steps are larger than is usual."""
+        """Share of its extent without pulses: steps much larger than the median."""
         steps = np.abs(np.diff(self.cross))
         usual = float(np.median(steps))
         return float((steps - usual)[steps > _GAP * usual].sum() / steps.sum())
 
     def resolution_m(self, weighting: Taylor) -> tuple[float, float]:
-        """3 dB width of the power response (azimuth, slant range), m."""
+        """Return the 3 dB width of the power response (azimuth, slant range), m."""
         factor = weighting.width * SPEED_OF_LIGHT / 2
         return factor / (self.history.carrier_hz * self.extent), factor / self.history.bandwidth_hz
 
@@ -88,12 +85,11 @@ class Aperture:
 
 
 def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_deg: float | None) -> list[Aperture]:
-    """The parts of a whole flight around a place, in its order.
+    """Divide a flight around a place into apertures of `width_deg` of azimuth, in its order.
 
-    Each has `width_deg` of azimuth; what is left over is divided between both ends and not used. Without a width, the
-    parts are equal and about as wide as makes the azimuth resolution that of slant range; a shorter flight is one part.
-    Refused if the width is out of range or more than there is, the azimuth turns back during the flight, or the radar
-    is not above the place.
+    The remainder at both ends is not used. Without a width, parts are equal and make azimuth resolution about that of
+    slant range; a shorter flight is one part. Raises if the width is out of range or exceeds the flight, the azimuth
+    turns back, or the radar is not above the place.
     """
     directions = _unit(history.antenna_m - around_m)
     azimuth, span = _azimuths(history, directions)
@@ -119,7 +115,7 @@ def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_
 
 
 def whole_flight(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"]) -> Aperture:
-    """All pulses as one aperture, however wide; refused as by `apertures`."""
+    """Return all pulses as one aperture of any width; raise as `apertures` does."""
     azimuth, span = _azimuths(history, _unit(history.antenna_m - around_m))
     return _aperture(history, around_m, (azimuth[0], azimuth[-1]), span)
 
@@ -127,7 +123,7 @@ def whole_flight(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"]) -> 
 def _azimuths(
     history: PhaseHistory, directions: Float64[np.ndarray, "pulses 3"]
 ) -> tuple[Float64[np.ndarray, " pulses"], float]:
-    """Of all pulses, rad, without jumps; and what they span, half a pulse beyond the outer ones included, degrees."""
+    """Return the azimuths of all pulses, rad, without jumps, and their span, degrees, half a pulse beyond the ends."""
     azimuth = np.unwrap(np.arctan2(-directions[:, 1], directions[:, 0]))
     step = np.diff(azimuth)
     turned = np.flatnonzero(step * step[0] <= 0)
@@ -141,16 +137,16 @@ def _azimuths(
 def _aperture(
     history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], ends: tuple[float, float], width_deg: float
 ) -> Aperture:
-    """That of all pulses; `ends` are the first and the last azimuth, rad."""
+    """Return the aperture of all pulses between azimuths `ends`, rad."""
     middle = _unit(_unit(history.antenna_m - around_m).sum(axis=0, keepdims=True))[0]
     azimuth_deg = math.degrees((ends[0] + ends[1]) / 2) % 360
     if middle[2] <= 0:
-        raise SarsplatError(f"{history.name}: the antenna is not above what --around names; heights are in metres")
+        raise SarsplatError(f"{history.name}: the antenna is not above --around; give heights in metres")
     return Aperture(history, around_m, View(azimuth_deg, View.towards(middle).grazing_deg), width_deg)
 
 
 def _count(history: PhaseHistory, width_deg: float, span_deg: float) -> int:
-    """How many apertures of a width fit into a flight; a pulse more or less does not matter."""
+    """Return the number of apertures of a width in a flight, within about a pulse."""
     if not 0 < width_deg <= WIDEST_DEG:  # also catches NaN
         raise SarsplatError(
             f"an aperture of {width_deg:g}° is not possible; give more than 0° and at most {WIDEST_DEG:g}°"

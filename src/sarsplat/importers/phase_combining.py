@@ -1,9 +1,9 @@
-"""Pulses combined before back-projection, into as few as an image of its extent can tell apart.
+"""Combination of pulses before back-projection, into as few as the extent of the image needs.
 
 What a pulse adds to a pixel is the sum of its samples times exp(4πj f/c·d), d being how much farther the pixel is than
 the middle of the image. From pulse to pulse such a phase changes no faster than it does for the farthest pixels, so
 that those of all pulses can be interpolated between few of them, by least squares over that band. Images are sums over
-pulses; so instead of interpolating what each adds, the same weights, transposed, add the samples of each to those of
+pulses; so instead of interpolating their terms, the same weights, transposed, add the samples of each to those of
 the few. Echoes from beyond the image are not aliased into it. Gaps and uneven flights need nothing of their own: pulses
 that are not interpolated well stay, and their number tells whether anything is gained.
 """
@@ -22,30 +22,30 @@ from scipy import sparse
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
 _ERROR = 1e-5
-"""Largest error of an interpolated phase, as a share of the whole: 100 dB below what causes it."""
+"""Maximum relative error of an interpolated phase: 100 dB below its echo."""
 _TAPS = 14
 _OVERSAMPLING = 2.0
-"""The pulses that are kept, against those that a band of phases needs. With as many taps, they miss by 6e-6 where
-pulses are even; `_few` keeps more where they are not."""
+"""Ratio of kept pulses to those that the band of phases needs. With `_TAPS`, the error is 6e-6 where pulses are even;
+`_few` keeps more elsewhere."""
 _WORTH = 0.5
-"""More than this share of the pulses is not worth it."""
+"""Maximum share of kept pulses that is worth combining."""
 _CHORDS = 64
-"""Parts of the flight over which phases are measured to change: over single pulses, jitter would be measured."""
+"""Number of parts of the flight over which rates of phase are measured; over single pulses, jitter would be."""
 _REGULAR = 1e-13
-"""Added to the likeness of pulses, which is all but singular where they are near each other."""
+"""Regularisation of the nearly singular correlation of adjacent pulses."""
 _BLOCK = 128
 _PULSES_AT_ONCE = 4096
 
 
 @dataclass(frozen=True)
 class Combined:
-    """The pulses that are back-projected, and how all others are added to them."""
+    """Pulses that are back-projected, and the weights with which all others are added to them."""
 
     history: PhaseHistory
     middle_m: Float64[np.ndarray, " 3"]
     """The place whose range is taken out of the phases, world frame."""
     kept: Int64[np.ndarray, " few"]
-    """Which pulses, rising."""
+    """Indices of these pulses, rising."""
     weights: sparse.csc_array
     """few × pulses."""
 
@@ -57,7 +57,7 @@ class Combined:
         edge_m: Float64[np.ndarray, "places 3"],
         cross: Float64[np.ndarray, " pulses"],
     ) -> Self:
-        """For an image with this middle and edge; `cross` is the direction to the antenna along its columns."""
+        """Combine for an image with this middle and edge; `cross` is the direction to the antenna along its columns."""
         phases = _phases(history, middle_m, edge_m)
         kept, weights = _few(cross, phases)
         return cls(history, middle_m, kept, weights)
@@ -65,9 +65,9 @@ class Combined:
     def echoes(
         self, shares: Float64[np.ndarray, " pulses"]
     ) -> Iterator[tuple[int, Complex64[np.ndarray, " frequencies"]]]:
-        """Each pulse that is kept, with its samples and what the others add to them, weighted by `shares`.
+        """Yield each kept pulse with combined samples, weighted by `shares`, without the phase of the middle's range.
 
-        The middle's range is taken out of their phases. The memory is that of some pulses, however long the flight.
+        Memory does not grow with the length of the flight.
         """
         weights = self.weights.astype(np.complex64)  # as the samples are, which are not copied then
         weights.data *= np.repeat(shares, np.diff(weights.indptr))
@@ -87,9 +87,9 @@ class Combined:
     def _moved(
         self, pulses: slice, samples: Complex64[np.ndarray, "frequencies some"]
     ) -> Complex64[np.ndarray, "some frequencies"]:
-        """Samples with the range of the middle taken out of their phases.
+        """Remove the range of the middle from the phases of samples.
 
-        The phases are products of those of every 128th frequency and of the 128 that follow it.
+        Phases are products of those of every 128th frequency and of the 128 that follow it.
         """
         history = self.history
         wave = 4j * np.pi / SPEED_OF_LIGHT * history.beyond_m(pulses, self.middle_m[None])
@@ -103,7 +103,7 @@ class Combined:
 def _phases(
     history: PhaseHistory, middle_m: Float64[np.ndarray, " 3"], edge_m: Float64[np.ndarray, "places 3"]
 ) -> Float64[np.ndarray, "pulses phases"]:
-    """Of the places at the edge, at the lowest and the highest frequency, in turns."""
+    """Return phases of the places at the edge, at the lowest and the highest frequency, in turns."""
     everything = slice(None)
     beyond = history.beyond_m(everything, edge_m) - history.beyond_m(everything, middle_m[None])
     last_hz = history.first_hz + (history.frequencies - 1) * history.step_hz
@@ -114,7 +114,7 @@ def _phases(
 def _few(
     places: Float64[np.ndarray, " pulses"], turns: Float64[np.ndarray, "pulses phases"]
 ) -> tuple[Int64[np.ndarray, " few"], sparse.csc_array]:
-    """Pulses between which phases can be interpolated, and the weights of that, few × pulses; or all of them."""
+    """Return pulses between which phases can be interpolated, or all, and the weights, few × pulses."""
     count = len(places)
     everything = np.arange(count), sparse.csc_array(sparse.eye_array(count))
     chord = np.unique(np.linspace(0, count - 1, _CHORDS + 1).round().astype(int))
@@ -145,20 +145,20 @@ def _interpolating(
     kept: Int64[np.ndarray, " few"],
     band: float,
 ) -> tuple[sparse.csc_array, Float64[np.ndarray, " pulses"]]:
-    """Weights of least squares over all phases of a band, and the largest error that they leave to each pulse."""
+    """Return weights of least squares over all phases of a band, and the maximum error of each pulse."""
     starts = np.clip(np.searchsorted(kept, np.arange(len(places))) - _TAPS // 2, 0, len(kept) - _TAPS)
     rows = starts[:, None] + np.arange(_TAPS)
     weights, errors = [], []
     for first in range(0, len(places), _PULSES_AT_ONCE):
-        some = slice(first, first + _PULSES_AT_ONCE)
-        around = places[kept[rows[some]]]
+        chunk = slice(first, first + _PULSES_AT_ONCE)
+        around = places[kept[rows[chunk]]]
         likeness = np.sinc(band * (around[:, :, None] - around[:, None])) + _REGULAR * np.eye(_TAPS)
-        solved = np.linalg.solve(likeness, np.sinc(band * (around - places[some, None]))[..., None])[..., 0]
-        itself = kept[rows[some]] == np.arange(len(places))[some, None]
+        solved = np.linalg.solve(likeness, np.sinc(band * (around - places[chunk, None]))[..., None])[..., 0]
+        itself = kept[rows[chunk]] == np.arange(len(places))[chunk, None]
         solved = np.where(itself.any(axis=1, keepdims=True), itself, solved)
-        between = np.einsum("pt,ptq->pq", solved, phases[kept[rows[some]]])
+        between = np.einsum("pt,ptq->pq", solved, phases[kept[rows[chunk]]])
         weights.append(solved)
-        errors.append(np.abs(between - phases[some]).max(axis=1))
+        errors.append(np.abs(between - phases[chunk]).max(axis=1))
     ends = np.arange(len(places) + 1) * _TAPS
     table = sparse.csc_array((np.concatenate(weights).ravel(), rows.ravel(), ends), shape=(len(kept), len(places)))
     return table, np.concatenate(errors)

@@ -1,7 +1,4 @@
-"""Phase history: for every pulse, the echo of the scene at every frequency, with the antenna's place.
-
-Pieces of one flight, each from a file of its own, are joined.
-"""
+"""Phase history: the echo of the scene at every frequency of every pulse, with the antenna's position."""
 
 from __future__ import annotations
 
@@ -22,12 +19,12 @@ FARTHEST_M = 1e8
 _LARGEST = 1e9  # no amplitude comes near it, and its square still fits into float32
 _FREQUENCIES_HZ = (1e6, 1e12)
 _LONGEST_GAP = 3
-"""Longest gap between two pieces of one flight, in steps from pulse to pulse."""
+"""Maximum gap between two pieces of one flight, in steps from pulse to pulse."""
 _OTHER_BAND = 0.1  # of the bandwidth: what may differ between passes of one radar
 _SAME_FREQUENCY = 0.01
-"""Difference, in steps, of frequencies that are the same."""
+"""Tolerance of equal frequencies, in steps."""
 _AT_A_TIME = 1 << 19
-"""Samples that are in memory at a time, of a file that is not read at once."""
+"""Maximum number of samples in memory, of a file that is read in pieces."""
 
 
 class Recorded(ABC):
@@ -40,11 +37,11 @@ class Recorded(ABC):
 
     @abstractmethod
     def part(self, pulses: slice) -> Self:
-        """Those of some of the pulses."""
+        """Return the samples of some of the pulses."""
 
     @abstractmethod
     def read(self) -> Complex64[np.ndarray, "frequencies pulses"]:
-        """All of them, refused if they cannot be read."""
+        """Read all samples; raise if they cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -52,32 +49,32 @@ class PhaseHistory:
     """Pulses of one flight, in its order.
 
     A scatterer of amplitude A at p contributes A·exp(−4πj f/c·(R(p) − reference)) to a sample; R is its distance from
-    the antenna, or half of the way there and back if that moved on meanwhile. Refused if sizes do not fit one another,
-    or a number is not finite or absurdly large.
+    the antenna, or half of the way there and back if that moves meanwhile. Raises if sizes contradict each other, or a
+    number is not finite or absurdly large.
     """
 
     name: str
     """Its file, for error messages."""
     first_hz: Float64[np.ndarray, " pulses"]
-    """The lowest frequency of each pulse."""
+    """Lowest frequency of each pulse."""
     step_hz: Float64[np.ndarray, " pulses"]
-    """From one frequency of a pulse to the next."""
+    """Step between frequencies of each pulse."""
     antenna_m: Float64[np.ndarray, "pulses 3"]
-    """Where the antenna was, world frame, midway between sending the pulse and receiving its echo."""
+    """Position of the antenna, world frame, midway between sending the pulse and receiving its echo."""
     reference_m: Float64[np.ndarray, " pulses"]
     """Range whose phase was taken out of each pulse (motion compensation)."""
     samples: Complex64[np.ndarray, "frequencies pulses"] | Recorded
     moved_m: Float64[np.ndarray, "pulses 3"] | None = None
-    """From `antenna_m` to where the echo was received, and from where the pulse was sent to there; None if nothing."""
+    """Vector from the sending position to `antenna_m`, and from there to the receiving position; None if zero."""
     shown_m: Float64[np.ndarray, "pulses 2"] | None = None
-    """Nearest and farthest range that the samples of each pulse show, m beyond its reference; None for as much as its
-    frequencies tell apart."""
+    """Nearest and farthest range that the samples of each pulse show, m beyond its reference; None for the unambiguous
+    extent."""
     place: Place | None = None
-    """Where on earth the world frame is, if the file says so."""
+    """Place on earth of the world frame, if stated."""
     lit: Callable[[Float64[np.ndarray, "places 3"]], Bool[np.ndarray, " pulses"]] | None = None
-    """Which pulses saw all of these places (ECEF, m); None if all see everything."""
+    """Function that returns the pulses that saw all of some places (ECEF, m); None if all see everything."""
     collection: Mapping[str, str] = field(default_factory=dict)
-    """Who took it, when and how, for people to read."""
+    """Facts about the collection."""
 
     def __post_init__(self) -> None:
         frequencies, pulses = self.samples.shape
@@ -115,28 +112,28 @@ class PhaseHistory:
 
     @property
     def frequencies(self) -> int:
-        """How many a pulse has."""
+        """Number of frequencies of a pulse."""
         return self.samples.shape[0]
 
     @property
     def bandwidth_hz(self) -> float:
-        """What the frequencies cover, half a step beyond the outer ones included."""
+        """Bandwidth, half a step beyond the outer frequencies included."""
         return float(self.step_hz.mean()) * self.frequencies
 
     @property
     def carrier_hz(self) -> float:
-        """The middle of the frequencies."""
+        """Mean frequency."""
         return float((self.first_hz + (self.frequencies - 1) / 2 * self.step_hz).mean())
 
     @property
     def limits_m(self) -> Float64[np.ndarray, "pulses 2"]:
-        """Between these ranges beyond its reference a pulse shows everything where it is, and only once."""
+        """Unambiguous ranges of each pulse, beyond its reference."""
         whole = SPEED_OF_LIGHT / (2 * self.step_hz)
-        told_apart = np.stack([-whole / 2, whole / 2], axis=1)
-        return told_apart if self.shown_m is None else self.shown_m
+        unambiguous = np.stack([-whole / 2, whole / 2], axis=1)
+        return unambiguous if self.shown_m is None else self.shown_m
 
     def part(self, pulses: slice) -> Self:
-        """Some of its pulses."""
+        """Return some of its pulses."""
         samples = self.samples
         return replace(
             self,
@@ -151,19 +148,18 @@ class PhaseHistory:
         )
 
     def seeing(self, places: Float64[np.ndarray, "places 3"]) -> Self:
-        """Its pulses that saw all of these places, world frame, m. Refused if there are none."""
+        """Return the pulses that saw all of some places, world frame, m; raise if no pulse did."""
         if self.lit is None or self.place is None:
             return self
         seen = np.flatnonzero(self.lit(self.place.to_ecef(places)))
         if len(seen) < 2:
             raise SarsplatError(
-                f"{self.name}: no pulses saw all of what is asked for, says the file; give a smaller --size, or name "
-                "another place"
+                f"{self.name} states that no pulses saw all of the image; give a smaller --size, or another place"
             )
         return self.part(slice(int(seen[0]), int(seen[-1]) + 1))
 
     def seen_from(self, place: Place) -> Self:
-        """The same in the world frame of another place; it must have one itself."""
+        """Transform a history with a place to the world frame of another."""
         assert self.place is not None
         turn = self.place.axes @ place.axes.T
         return replace(
@@ -174,7 +170,7 @@ class PhaseHistory:
         )
 
     def pieces(self) -> Iterator[tuple[slice, Complex64[np.ndarray, "frequencies some"]]]:
-        """Its samples, as many pulses at a time as memory has room for."""
+        """Yield samples of some pulses at a time, and the slice of these pulses."""
         if isinstance(self.samples, np.ndarray):
             yield slice(0, len(self)), self.samples
             return
@@ -186,7 +182,7 @@ class PhaseHistory:
             yield pulses, samples
 
     def beyond_m(self, pulses: slice, places: Float64[np.ndarray, "places 3"]) -> Float64[np.ndarray, "pulses places"]:
-        """How much farther than their reference places are for pulses."""
+        """Return the range of places beyond the reference of each pulse, m."""
         from_antenna = places - self.antenna_m[pulses, None]
         if self.moved_m is None:
             return np.linalg.norm(from_antenna, axis=2) - self.reference_m[pulses, None]
@@ -196,10 +192,10 @@ class PhaseHistory:
 
 
 def flights(histories: Sequence[PhaseHistory]) -> list[PhaseHistory]:
-    """Whole flights, joined from pieces in any order: a piece that begins where another ends continues it.
+    """Join pieces in any order to whole flights: a piece that begins where another ends continues it.
 
-    The gap between them may be three steps from pulse to pulse; the frequencies must be the same on both sides. Refused
-    if pieces are of different bands, whose images show a target differently.
+    The gap between them may be three steps from pulse to pulse; frequencies must be equal on both sides. Raises if
+    pieces are of different bands, whose images show a target differently.
     """
     waiting = [*histories]
     _require_one_band(histories)

@@ -1,4 +1,4 @@
-"""From phase history to a dataset: flights are cut into apertures, and each becomes an image by back-projection.
+"""Import phase history: each aperture of a flight becomes an image by back-projection.
 
 The echo of one pulse at all distances, Σ_f s(f)·exp(4πj f/c·d), is a Fourier sum at uneven places; `finufft` evaluates
 it to the accuracy asked for, as a direct sum would, without a range profile to interpolate in. Nothing is approximated
@@ -22,11 +22,12 @@ from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, Place
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
+from sarsplat.importers.about import AboutScene
 from sarsplat.importers.files import each_once
 from sarsplat.importers.histories import read_phase_history
-from sarsplat.importers.images import AboutScene, assume, check_sides, dataset_of, write_imported
+from sarsplat.importers.images import assume, check_sides, dataset_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage
-from sarsplat.importers.needed import require
+from sarsplat.importers.optional_packages import require
 from sarsplat.importers.phase_apertures import Aperture, apertures
 from sarsplat.importers.phase_history import FARTHEST_M, SPEED_OF_LIGHT, PhaseHistory, flights
 from sarsplat.progress import progress
@@ -35,10 +36,10 @@ _WEIGHTINGS = {"uniform": UNIFORM, "taylor": TAYLOR}
 _SPACING = 2 / 3
 """Default pixel spacing, as a share of the narrower 3 dB width: power has twice the band of the signal."""
 _TILT_DEG = 3.0
-"""Slant planes turned by more than this are reported: what is 2 m high moves across by a decimetre."""
+"""Minimum tilt of slant planes that is reported: at a height of 2 m it displaces by a decimetre."""
 
 _MISSING = 0.01
-"""Share of an aperture without pulses that is reported."""
+"""Minimum share of an aperture without pulses that is reported."""
 _ACCURACY = 1e-7
 
 
@@ -73,32 +74,32 @@ def import_phase_history(
     size_m : float
         Side of the images in azimuth and slant range, e.g. 64m.
     around_m : (x, y, z)
-        What the images show the surroundings of: x, y and height (0 if left out), m from the scene centre, of CPHD
-        east, north and up. It becomes the origin, and pixels are focused on the ground at its height.
+        Middle of the images: x, y and height (0 if left out), m from the scene centre, of CPHD east, north and up. It
+        becomes the origin, and pixels are focused on the ground at its height.
     place : (latitude, longitude) or (latitude, longitude, height), optional
         The scene centre, of files that say where on earth they are: degrees, and height above the ellipsoid, m (WGS 84;
         that of the first file's reference point if it is left out). Without it, this point.
     channel : str, optional
-        Which channel of each file, if they have several.
+        Channel of each file, if they have several.
     aperture_deg : float, optional
-        Azimuths that make one image, degrees. Without it, equal parts of each flight, about as wide as resolve azimuth
-        as finely as slant range.
+        Azimuths of one image, degrees. Without it, equal parts of each flight that make azimuth resolution about that
+        of slant range.
     spacing_m : float, optional
         Pixel spacing, m. Without it, two thirds of the narrower resolution.
     weighting : {"uniform", "taylor"}
         The narrowest response, or side lobes 35 dB down.
     tilted : bool
-        Tilt the azimuth axis of each image as the slant plane is where the flight is inclined. Without it, axes are
-        level, and what stands up appears beside its place.
+        Tilt the azimuth axis of each image as its slant plane. Without it, axes are level, and heights are displaced in
+        azimuth where the flight is inclined.
     target : str
-        What the images show.
+        Name of the target.
     train_views : int, optional
         Number of training images, nearest to azimuths k·360°/K; the others are test images. Without it, all are for
         training.
     overwrite : bool
         Replace an existing dataset.
     quiet : bool
-        Whether to show no progress.
+        Show no progress.
     **about
         Terrain and the target's box: see `AboutScene`.
 
@@ -115,7 +116,7 @@ def import_phase_history(
     Warns
     -----
     SarsplatWarning
-        If the slant plane is tilted, or the images contradict what is said of them, or look odd (`sarsplat.examine`).
+        If the slant plane is tilted, or the images contradict their metadata, or look odd (`sarsplat.examine`).
     """
     refuse_existing(Path(out), overwrite, marker="dataset.json")
     if weighting not in _WEIGHTINGS:
@@ -139,7 +140,7 @@ def import_phase_history(
     ]
     if tilted:
         parts = [aperture.tilted() for aperture in parts]
-    if train_views is not None and not 1 <= train_views <= len(parts):  # said before minutes of work
+    if train_views is not None and not 1 <= train_views <= len(parts):  # before minutes of work
         raise SarsplatError(
             f"{counted(train_views, 'training view')} asked for, but the flight makes {counted(len(parts), 'image')}; "
             f"ask for 1 to {len(parts)}, or for a narrower --aperture"
@@ -162,16 +163,14 @@ def import_phase_history(
 def _in_one_world(
     histories: list[PhaseHistory], place: tuple[float, ...] | None, around_m: Float64[np.ndarray, " 3"]
 ) -> tuple[list[PhaseHistory], Place | None]:
-    """Histories of files that know where on earth they are, with the origin at `around_m` from the place that is asked
-    for, or from the first file's; all others as they are.
-    """
+    """Move histories that have a place to one world frame, whose origin is `around_m` from `place` or the first's."""
     lacking = next((history for history in histories if history.place is None), None)
     first = histories[0].place
     if lacking is not None or first is None:
         if lacking is None or (place is None and all(history.place is None for history in histories)):
             return histories, None
-        remedy = "leave out --place" if place else "import those files that say it by themselves"
-        raise SarsplatError(f"{lacking.name} does not say where on earth it is; {remedy}")
+        remedy = "leave out --place" if place else "import files that have one by themselves"
+        raise SarsplatError(f"{lacking.name} has no place on earth; {remedy}")
     if place is not None:
         if len(place) not in (2, 3):
             raise SarsplatError(
@@ -261,13 +260,12 @@ def _source(
 def focus(
     aperture: Aperture, grid: ImageGrid, weighting: Taylor, advance: Callable[[int], object] = lambda pulses: None
 ) -> Complex64[np.ndarray, "{grid.rows} {grid.columns}"]:
-    """The complex image of an aperture, row 0 near range, columns along the view's x_r.
+    """Focus the complex image of an aperture, row 0 near range, columns along the view's x_r.
 
-    A scatterer of amplitude A on the ground has A as its peak. Pixels are focused on the places of the ground, at the
-    height of the aperture's place, that the radar frame maps to them, so that what stands there is where `View.look`
-    says, without wavefront curvature. The carrier's phase, 4π f/c times slant range, is taken out, so that the spectrum
-    is around zero. `advance` is told of each pulse. Refused if the grid reaches beyond what the frequencies or the
-    pulses show unambiguously, or finufft is not installed.
+    A scatterer of amplitude A on the ground has A as its peak. Pixels are focused on the ground points, at the height
+    of the aperture's place, that `View.look` maps to them, so that wavefront curvature is removed. The carrier's phase,
+    4π f/c times slant range, is taken out: the spectrum is centred at zero. `advance` counts pulses. Raises if the grid
+    exceeds the unambiguous extent of frequencies or pulses, or finufft is not installed.
     """
     require("finufft", "phase history needs", "phase-history")
     import finufft
@@ -287,7 +285,7 @@ def focus(
     middle = aperture.around_m[None]
     combined = Combined.around(history, aperture.around_m, _edge(aperture, grid), cross)
     total = np.zeros(len(pixels), np.complex128)
-    told = 0
+    counted_pulses = 0
     for pulse, echo in combined.echoes(weights[1]):
         one = slice(pulse, pulse + 1)
         beyond = (history.beyond_m(one, pixels) - history.beyond_m(one, middle))[0]
@@ -295,21 +293,21 @@ def focus(
             wave * history.step_hz[pulse] * beyond, echo * weights[0], eps=_ACCURACY, isign=1, nthreads=1
         )
         total += profile * np.exp(1j * wave * centre[pulse] * beyond)
-        advance(pulse + 1 - told)
-        told = pulse + 1
+        advance(pulse + 1 - counted_pulses)
+        counted_pulses = pulse + 1
     carrier = np.exp(-1j * wave * history.carrier_hz * grid.range_m)
     return (total.reshape(grid.rows, grid.columns) * carrier[:, None]).astype(np.complex64)
 
 
 def ground_points(aperture: Aperture, grid: ImageGrid) -> Float64[np.ndarray, "pixels 3"]:
-    """Where each pixel is on the ground, row by row, world frame, m."""
+    """Return the ground point of each pixel, row by row, world frame, m."""
     across, away = np.pad(aperture.view.look.onto_ground, ((0, 0), (0, 1)))
     rows = grid.range_m[:, None, None] * away
     return (aperture.around_m + rows + grid.azimuth_m[None, :, None] * across).reshape(-1, 3)
 
 
 def _edge(aperture: Aperture, grid: ImageGrid) -> Float64[np.ndarray, "8 3"]:
-    """The corners of an image on the ground, and the places midway between them."""
+    """Return the corners of an image on the ground, and the points midway between them."""
     places = ground_points(aperture, grid).reshape(grid.rows, grid.columns, 3)
     rows, columns = [0, grid.rows // 2, -1], [0, grid.columns // 2, -1]
     return np.delete(places[rows][:, columns].reshape(9, 3), 4, axis=0)

@@ -1,7 +1,7 @@
 """Original MSTAR chips: Phoenix files, an ASCII header followed by magnitudes and phases.
 
 The header is a list of `Key= value` lines. With `native_header_length= 0` the data are big-endian float32: all
-magnitudes, then all phases, row by row. The files come from strangers: a size is believed only if it fits the file's.
+magnitudes, then all phases, row by row. Files are untrusted: sizes must fit the file.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import GAUSSIAN, Response, stated_taylor
+from sarsplat.importers.files import raise_damaged
 
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
@@ -32,12 +33,12 @@ _LARGEST = 1e9  # no magnitude and no number of a header comes near it, and its 
 
 @dataclass(frozen=True)
 class PhoenixChip:
-    """One chip as it was published.
+    """One chip as published.
 
     Parameters
     ----------
     path : Path
-        The file, for error messages.
+        File, for error messages.
     header : dict of str to str
         Every `Key= value` of the header, stripped.
     magnitude : numpy.ndarray, float32 [rows, columns]
@@ -73,12 +74,12 @@ class PhoenixChip:
 
     @property
     def measured_depression_deg(self) -> float:
-        """Depression angle as flown, degrees."""
+        """Measured depression angle, degrees."""
         return _number(self.path, self.header, "MeasuredDepression")
 
     @property
     def desired_depression_deg(self) -> float:
-        """Depression angle as planned, degrees: the name of the collection (15, 17, 30, 45)."""
+        """Planned depression angle, degrees: the name of the collection (15, 17, 30, 45)."""
         return _number(self.path, self.header, "DesiredDepression")
 
     @property
@@ -96,19 +97,19 @@ class PhoenixChip:
 
     @property
     def response(self) -> Response:
-        """That of the Taylor window of the level that the header states, with the usual n̄; otherwise a Gaussian."""
+        """Response of the stated Taylor window, with the usual n̄; otherwise a Gaussian."""
         stated = {self.header.get(f"{axis}Weighting", "") for axis in ("Range", "CrossRange")}
         level, _, window = stated.pop().partition("dB_")
         return stated_taylor(level) if window == "Taylor" and not stated else GAUSSIAN
 
     @property
     def signal(self) -> Complex64[np.ndarray, "rows columns"]:
-        """magnitude·e^(j·phase), in the file's order."""
+        """Complex amplitude magnitude·e^(j·phase), in the file's order."""
         return self.magnitude * np.exp(1j * self.phase)
 
     @property
     def image(self) -> SarImage:
-        """The chip as a complex image, √β⁰ up to a factor, turned by 180° so that row 0 is near range.
+        """Complex image, √β⁰ up to a factor, turned by 180° so that row 0 is near range.
 
         Its azimuth is −TargetAz (see `sarsplat.importers.mstar`).
 
@@ -124,7 +125,7 @@ class PhoenixChip:
         return SarImage.of_complex(oriented(self.signal, "bottom"), view, grid)
 
     def require_radar_at_the_bottom(self) -> None:
-        """Refuse a chip whose radar is at another side of the array."""
+        """Raise if the radar is at another side of the array."""
         if self.radar_position != "bottom":
             raise SarsplatError(
                 f"{self.path} has RadarPosition= {self.radar_position!r}; only 'bottom' is supported, so remove it"
@@ -132,7 +133,7 @@ class PhoenixChip:
 
 
 def is_phoenix(path: Path) -> bool:
-    """Whether the file starts the way Phoenix files do."""
+    """Return whether a file begins as Phoenix files do."""
     with open_file(path) as file:
         return _begins(file.read(len(_MAGIC) + 1))
 
@@ -182,41 +183,38 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
         bad = ~((values >= least) & (values <= most))  # also catches NaN
         if bad.any():
             row, column = np.argwhere(bad)[0]
-            raise SarsplatError(
-                f"{path} holds the {what} {values[row, column]:.6g} at row {row}, column {column}; it must be between "
-                f"{least:g} and {most:g}, so download it again"
+            value = values[row, column]
+            raise_damaged(
+                path, f"holds the {what} {value:.6g} at row {row}, column {column}, not {least:g} to {most:g}"
             )
     return PhoenixChip(path, header, magnitude, phase)
 
 
 def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:
-    """Length of the header in bytes, and its fields."""
+    """Return the length of the header, bytes, and its fields."""
     if not _begins(start):
         raise SarsplatError(f"{path} is not a Phoenix file: it does not start with {_MAGIC.decode()}; give originals")
     stated = re.search(rb"\nPhoenixHeaderLength= *(\d{1,9})\s", start[:256])
     length = int(stated[1]) if stated else 0
     if not 0 < length <= len(start):
-        raise SarsplatError(
-            f"{path} declares a header of {length} bytes but only {len(start)} could be read "
-            f"(at most {_LONGEST_HEADER}); download it again"
-        )
+        raise_damaged(path, f"declares a header of {length} bytes, but only {len(start)} could be read")
     try:
         lines = start[:length].decode("ascii").splitlines()
     except UnicodeDecodeError as error:
         raise SarsplatError(f"{path} has a header that is not ASCII text ({error}); download it again") from error
     if _END not in lines:
-        raise SarsplatError(f"{path} has no {_END} within the {length} bytes of its header; download it again")
+        raise_damaged(path, f"has no {_END} within the {length} bytes of its header")
     header: dict[str, str] = {}
     for key, value in (line.split("=", 1) for line in lines if "=" in line):
         if header.setdefault(key.strip(), value.strip()) != value.strip():
-            raise SarsplatError(f"{path} gives {key.strip()[:40]!r} twice with different values; download it again")
+            raise_damaged(path, f"gives {key.strip()[:40]!r} twice with different values")
     return length, header
 
 
 def _text(path: Path, header: dict[str, str], key: str) -> str:
     value = header.get(key, "")
     if not value.isprintable() or not value:
-        raise SarsplatError(f"{path} has no readable {key} in its header; download it again")
+        raise_damaged(path, f"has no readable {key} in its header")
     return value
 
 
@@ -227,9 +225,7 @@ def _number(path: Path, header: dict[str, str], key: str) -> float:
     except ValueError:
         value = math.nan
     if not abs(value) <= _LARGEST:  # also catches NaN
-        raise SarsplatError(
-            f"{path} has {key}= {text[:40]!r} in its header, which is not a plausible number; download it again"
-        )
+        raise_damaged(path, f"has {key}= {text[:40]!r} in its header, which is not a plausible number")
     return value
 
 

@@ -1,21 +1,22 @@
-"""Pixels of PNG, JPEG, NPY, MATLAB and raster files, and what they stand for: amplitude, power, decibels, complex.
+"""Pixels of PNG, JPEG, NPY, MATLAB and raster files, as linear power or complex amplitude.
 
-Pixels are those that are stored; a header is believed only if it fits.
+Files are untrusted: a header is believed only if it fits the file.
 """
 
 from __future__ import annotations
 
 import io
 import math
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Bool, Shaped
 
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.extras import install_command
-from sarsplat.importers.bands import joined
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster
 from sarsplat.names import Quantity
@@ -24,13 +25,22 @@ from sarsplat.radiometry import from_db
 PICTURE_ENDINGS = (*OTHERS, *TIFF)
 """Usual endings of pictures; others are read by GDAL."""
 _FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
-"""Measured images do not compress much: what unpacks to more than this, and so many times its size, is a bomb."""
+"""Maximum unpacked size of a picture: bytes, or bytes for each byte of its file if that is more."""
+
+Bands = Literal["real and imaginary part", "amplitude and phase in radians", "amplitude and phase in degrees"]
+_HALF_TURNS: dict[Bands, float] = {"amplitude and phase in radians": math.pi, "amplitude and phase in degrees": 180.0}
+_ROUNDING = 1e-5
+"""Share of a half turn by which phases may exceed it."""
+_SPREAD = 0.9
+"""Share of a half turn that the phases of an image reach on both sides of zero."""
+_BOTH_NEGATIVE = 0.75
+"""Maximum share of pixels with negative real and imaginary part; a turning phase has both in a quarter of them."""
 
 _MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError)
 
 
 def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
-    """The pixels alone of `read_picture`; refused if some are left out by a mask."""
+    """Read the pixels of an image (see `read_picture`); raise if a mask leaves some out."""
     pixels, tags = read_picture(path)
     if tags.absent is not None:
         raise SarsplatError(
@@ -41,11 +51,11 @@ def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
 
 
 def read_picture(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
-    """The pixels of one image: [rows, columns], or with a third dimension of 2 on either side of these: two bands.
+    """Read the pixels of one image, [rows, columns] or two bands before or after these, and its tags.
 
-    Grey pictures that are stored in colour are grey here. What is neither PNG, JPEG, NPY nor MATLAB is read by GDAL,
-    and what it says of its pixels is handed back. Refused if it cannot be read, is damaged or of another format, in
-    colour, of several pages or matrices, holds Python objects, or unpacks to far more than its size.
+    Grey pictures stored in colour become grey. Files other than PNG, JPEG, NPY and MATLAB are read by GDAL, which reads
+    tags. Raises if the file is damaged, of another format, in colour, of several pages or matrices, holds Python
+    objects, or unpacks to far more than its size.
     """
     ending, tags = path.suffix.lower(), Tags()
     if ending in OTHERS:
@@ -79,7 +89,7 @@ def _npy(path: Path) -> Shaped[np.ndarray, "*shape"]:
 
 
 def _mat(path: Path) -> Shaped[np.ndarray, "*shape"]:
-    """The one matrix among a file's variables; numbers and lines of numbers may lie beside it."""
+    """Read the only matrix of a file; other variables may be numbers and rows of numbers."""
     variables = read_mat(path)
     matrices = [name for name, value in variables.items() if isinstance(value, np.ndarray) and min(value.shape) > 1]
     if len(matrices) != 1:
@@ -119,9 +129,9 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
 
 
 def likely_quantity(pixels: Shaped[np.ndarray, "*shape"], name: str, real: Quantity | None = None) -> Quantity:
-    """What pixels of this type usually are: complex numbers themselves, and whole numbers scaled amplitudes.
+    """Return the quantity of pixels by their type: complex numbers are complex, whole numbers amplitude, others `real`.
 
-    Of real numbers nothing is usual, so they are refused, unless it is known what they are (`real`).
+    Raises for other numbers if `real` is None.
     """
     if pixels.dtype.kind == "c" or pixels.ndim == 3:
         return "complex"
@@ -130,31 +140,29 @@ def likely_quantity(pixels: Shaped[np.ndarray, "*shape"], name: str, real: Quant
     if pixels.dtype.kind in "iu":
         return "amplitude"
     raise SarsplatError(
-        f"{name} holds {pixels.dtype} numbers, which may be anything; say with --quantity whether they are "
-        "amplitude, power or db"
+        f"{name} holds {pixels.dtype} numbers of unknown meaning; say with --quantity whether they are amplitude, "
+        "power or db"
     )
 
 
 def power_or_signal(
     pixels: Shaped[np.ndarray, "*shape"], quantity: Quantity, name: str, scale: float = 1.0, offset: float = 0.0
 ) -> Shaped[np.ndarray, "rows columns"]:
-    """Linear power (float32), or complex amplitude (complex64) where the phase is available.
+    """Return linear power (float32), or complex amplitude (complex64) where the phase is available.
 
-    Pixels are [rows, columns], or two bands (`bands.joined`), before or after the other dimensions;
-    `quantity` is what `scale`·pixels + `offset` is, for decibels in 8 bits, for example, 60/255 and −60. Refused if
-    they are of another kind than the quantity, or one is not finite, too large, or negative; `name` is what to call the
-    image.
+    Pixels are [rows, columns], or two bands before or after these; `quantity` is that of `scale`·pixels + `offset`, for
+    decibels in 8 bits, for example, 60/255 and −60. Raises, naming the image `name`, if they are not of the quantity's
+    kind, or one is not finite, too large, or negative.
     """
     kind = "complex" if pixels.dtype.kind == "c" or pixels.ndim == 3 else "real"
     if (kind == "complex") != (quantity == "complex"):
         raise SarsplatError(
-            f"{name} holds {kind} numbers, but the quantity is {quantity!r}; give "
-            + ("'complex'" if kind == "complex" else "amplitude, power or db")
+            f"{name} holds {kind} numbers, but the quantity is {quantity!r}; give that of the files, or other files"
         )
     value: Shaped[np.ndarray, "rows columns"]
     with np.errstate(over="ignore", invalid="ignore"):
         if quantity == "complex":
-            value = joined(pixels, name).astype(np.complex64) * np.float32(scale)
+            value = _joined(pixels, name).astype(np.complex64) * np.float32(scale)
         else:
             value = pixels.astype(np.float32) * np.float32(scale) + np.float32(offset)
         if quantity == "db":
@@ -175,3 +183,99 @@ def power_or_signal(
         )
         raise SarsplatError(f"{name} holds {shown(pixels[place].tolist())} at {place}{scaled} as {quantity}; {remedy}")
     return value
+
+
+def meaning_of(pixels: Shaped[np.ndarray, "*shape"], name: str) -> Bands | None:
+    """Return the meaning of two bands, first or last dimension; None for a single band.
+
+    Real and imaginary parts are negative somewhere; amplitudes are not, and their phases spread from minus to plus half
+    a turn. Raises otherwise, naming the image `name`.
+    """
+    if pixels.ndim == 2:
+        return None
+    first, second = _two_bands(pixels)
+    if not np.isfinite(pixels).all() or not pixels.any() or max(first.min(), second.min()) < 0:
+        measured = (first != 0) | (second != 0)
+        if np.count_nonzero((first < 0) & (second < 0)) > _BOTH_NEGATIVE * np.count_nonzero(measured) > 1:
+            raise SarsplatError(
+                f"{name} has two bands that are both negative nearly everywhere, as decibels are and no real and "
+                "imaginary part; give one of them in each file, as by gdal_translate -b 1"
+            )
+        return "real and imaginary part"  # infinite and black pixels are rejected elsewhere
+    low, high = float(second.min()), float(second.max())
+    for bands, half_turn in _HALF_TURNS.items():
+        spread = min(-low, high) >= _SPREAD * half_turn and max(-low, high) <= (1 + _ROUNDING) * half_turn
+        if first.min() >= 0 and spread:
+            return bands
+    which = "neither is ever" if low >= 0 <= first.min() else "one is never"
+    raise SarsplatError(
+        f"{name} has two bands, of which {which} negative: no real and imaginary part, and no amplitude with a phase "
+        "from −π to π after it; give one band of power or amplitude, or complex numbers"
+    )
+
+
+def _joined(pixels: Shaped[np.ndarray, "*shape"], name: str) -> Shaped[np.ndarray, "rows columns"]:
+    """Join two bands, if there are two, to complex numbers."""
+    bands = meaning_of(pixels, name)
+    if bands is None:
+        return pixels
+    first, second = _two_bands(pixels)
+    if bands == "real and imaginary part":
+        return first + np.complex64(1j) * second
+    signal: Shaped[np.ndarray, "rows columns"] = first * np.exp(1j * math.pi / _HALF_TURNS[bands] * second)
+    return signal
+
+
+def _two_bands(pixels: Shaped[np.ndarray, "*shape"]) -> tuple[np.ndarray, np.ndarray]:
+    first, second = pixels if pixels.shape[0] == 2 else np.moveaxis(pixels, -1, 0)
+    return first, second
+
+
+@dataclass(frozen=True)
+class Values:
+    """Values of one picture.
+
+    Parameters
+    ----------
+    image : numpy.ndarray, float32 or complex64 [rows, columns]
+        Linear power, or complex amplitude; 0 where it is not known.
+    unknown : numpy.ndarray, bool [rows, columns]
+        Pixels without data.
+    tags : Tags
+        Tags of the file.
+    quantity : {"amplitude", "power", "db", "complex"}
+        Quantity of the numbers.
+    assumptions : tuple of str
+        Assumptions about tags and bands.
+    """
+
+    image: Shaped[np.ndarray, "rows columns"]
+    unknown: Bool[np.ndarray, "rows columns"]
+    tags: Tags
+    quantity: Quantity
+    assumptions: tuple[str, ...]
+
+
+def read_values(
+    path: Path, quantity: Quantity | None, scale: float, offset: float, real: Quantity | None = None
+) -> Values:
+    """Read a picture; `quantity` is that of scale · pixel + offset, None to infer it from the type of the numbers.
+
+    `real` is the quantity of real numbers, if known. Scale and offset of the file's tags count where neither is given.
+    Raises as `read_picture` and `power_or_signal` do, or if no pixel has data.
+    """
+    pixels, tags = read_picture(path)
+    name, told = str(path), []
+    found = quantity or likely_quantity(pixels, name, real)
+    if (absent := tags.absent) is not None:  # values there are replaced by one that is always valid
+        if absent.all():
+            raise SarsplatError(f"{name} holds nothing but pixels without data; leave out its row")
+        pixels = np.where(absent, pixels[~absent][0] if pixels.ndim == 2 else pixels.dtype.type(0), pixels)
+    if found == "complex" and (bands := meaning_of(pixels, name)):
+        told.append(f"the two bands of complex pictures are {bands}")
+    if (scale, offset) == (1.0, 0.0) != (tags.scale, tags.offset):
+        scale, offset = tags.scale, tags.offset
+        told.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as the files say")
+    image = power_or_signal(pixels, found, name, scale, offset)
+    absent = np.zeros(image.shape, bool) if absent is None else absent
+    return Values(np.where(absent, image.dtype.type(0), image), absent, tags, found, tuple(told))

@@ -1,4 +1,4 @@
-"""Pictures in TIFFs and in other rasters that GDAL reads, with what their files say of the pixels."""
+"""Pictures in TIFFs and other rasters that GDAL reads, with their tags."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _CHANNEL = re.compile(r"(?<![a-z])[hv][hv](?![a-z])", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Tags:
-    """What a file says of its pixels beside their values; usually nothing.
+    """Tags of a file about its pixels.
 
     Parameters
     ----------
     georeference : Georeference or None
-        Where they lie.
+        Georeference of the pixels.
     scale, offset : float
-        What they are multiplied by, and what is then added, to be what they stand for.
+        Factor on the pixels, and number added after that.
     absent : numpy.ndarray, bool [rows, columns], or None
-        Pixels that hold the value of "no data", or that a mask or a band for transparency leaves out; None if none do.
+        Pixels with the value of "no data", or left out by a mask or a band for transparency; None without such.
     """
 
     georeference: Georeference | None = None
@@ -47,11 +47,11 @@ class Tags:
 
 
 def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
-    """The pixels of the one image in a file, as [rows, columns] or [bands, rows, columns], and what it says of them."""
+    """Read the only image of a file, [rows, columns] or [bands, rows, columns], and its tags."""
     if path.suffix.lower() in TIFF and (pixels := _plain_tiff(path)) is not None:
         return pixels, Tags()
     with opened_raster(path) as file:
-        _refuse_meanings(path, file)
+        _require_plain(path, file)
         bands = [k for k, kind in zip(file.indexes, file.colorinterp, strict=True) if kind.name != "alpha"]
         absent = (file.read_masks(bands) == 0).any(axis=0)
         pixels = file.read(bands)
@@ -62,7 +62,7 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
 
 
 def first_georeference(paths: Iterable[Path]) -> Georeference | None:
-    """Where the pixels of the first raster among files lie; what cannot be read says nothing."""
+    """Return the georeference of the first readable raster among files, or None."""
     for path in paths:
         if path.suffix.lower() not in (*OTHERS, ".csv") and path.is_file():
             try:
@@ -74,7 +74,7 @@ def first_georeference(paths: Iterable[Path]) -> Georeference | None:
 
 
 def _plain_tiff(path: Path) -> Shaped[np.ndarray, "rows columns"] | None:
-    """The one uncompressed band of a TIFF whose tags say nothing of it; None if GDAL has to read it."""
+    """Read the only band of an uncompressed TIFF without special tags; None if GDAL has to read it."""
     if any(path.with_name(path.name + ending).exists() for ending in (".msk", ".aux.xml")):
         return None
     with open_file(path) as file:
@@ -92,8 +92,8 @@ def _plain_tiff(path: Path) -> Shaped[np.ndarray, "rows columns"] | None:
             return None
 
 
-def _refuse_meanings(path: Path, file: Any) -> None:
-    """Refuse what would be read as something else than it is."""
+def _require_plain(path: Path, file: Any) -> None:
+    """Raise if the pixels are not plain measured values: several pages or polarisations, inverted or a palette."""
     if file.subdatasets:
         raise SarsplatError(f"{path} has several pages; give one image for each file")
     channels = [_CHANNEL.search(name or "") for name in file.descriptions]

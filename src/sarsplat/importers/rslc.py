@@ -1,9 +1,9 @@
 """Import single-look complex images in NISAR's layout (RSLC): one view, of several polarisations a stack.
 
-Rows of a file are azimuth times and columns slant ranges, at zero Doppler; here they become columns and rows. Phases
-are those of the file, which has exp(−jkR), as `Stack` has. Its polarisations are named by what is transmitted and what
-is received, those of a `Stack` by what is received and what is transmitted. The radar being one antenna, HV and VH of a
-scene are the same but for noise, and their mean is one channel, HV, unless both are asked for.
+Rows of a file are azimuth times and columns slant ranges, at zero Doppler; they become columns and rows. Phases are
+exp(−jkR) in both file and `Stack`. The file names polarisations transmitted-received, a `Stack` received-transmitted.
+With one antenna, HV and VH of a scene are equal but for noise, and their mean is one channel, HV, unless both are
+asked for.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Stack, View
+from sarsplat.importers.about import AboutImages
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.images import (
-    AboutImages,
     check_heading,
     check_sides,
     dataset_of,
@@ -38,7 +39,7 @@ from sarsplat.names import CrossPolarised
 from sarsplat.radiometry import to_db
 
 _HIGHER_M = 10.0
-"""Over which it is seen how far a place moves with its height."""
+"""Height step of the derivative of a place by its height, m."""
 _UNWEIGHTED = 0.886
 """Width of a response at half power, for a band of 1 without weights."""
 
@@ -58,7 +59,7 @@ def import_rslc(
     overwrite: bool = False,
     **about: Unpack[AboutImages],
 ) -> Dataset:
-    """Import an RSLC file in NISAR's layout (HDF5): what one image shows of a spot, in the polarisations it has.
+    """Import an RSLC file in NISAR's layout (HDF5): the surroundings of one spot, in the polarisations it has.
 
     Parameters
     ----------
@@ -77,9 +78,9 @@ def import_rslc(
     cross : {"mean", "both"}
         HV and VH become one channel, their mean, or stay both.
     target : str
-        What the image shows.
+        Name of the target.
     calibration : {"absolute", "relative"}
-        Whether the power in the file is β⁰ itself, or up to one factor, the same for all polarisations.
+        Calibration of the power: β⁰ itself, or up to one factor, the same for all polarisations.
     overwrite : bool
         Replace an existing dataset.
     **about
@@ -88,13 +89,12 @@ def import_rslc(
     Returns
     -------
     Dataset
-        One view, whose channels are HH, HV, VV, or those that the file has; of one polarisation, a complex image.
+        One view, whose channels are the file's polarisations; of one polarisation, a complex image.
 
     Raises
     ------
     SarsplatError
-        If h5py is not installed, the file is not a valid RSLC or does not show the whole of what is asked for, or the
-        output exists.
+        If h5py is not installed, the file is not a valid RSLC or does not contain the image, or the output exists.
     """
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     rslc = read_rslc(Path(file))
@@ -156,18 +156,15 @@ def _spot(rslc: Rslc, pixel: tuple[float, float] | None) -> tuple[float, float]:
 def _seen(
     rslc: Rslc, spot: tuple[float, float], height_m: float, heading_deg: float
 ) -> tuple[View, tuple[float, float], tuple[float, float], bool]:
-    """From where the spot is seen, pixel spacing and 3 dB widths (azimuth, range) there, m, and whether the file states
-    a wider band than its pixels can hold.
+    """Return view, pixel spacing and 3 dB widths (azimuth, range) of the spot, m, and whether the stated band exceeds
+    the sampled one.
     """
     check_heading(heading_deg)
-    time, away = _when_and_where(rslc, spot)
+    time, away = _time_and_range(rslc, spot)
     east, north, speed = rslc.geolocation.at(height_m, time, away)
     up = math.sqrt(max(1 - east**2 - north**2, 0.0))
     if not 0 < up < 1 or not 1 < speed < 1e5:
-        raise SarsplatError(
-            f"{rslc.path} says that its radar is seen from the spot towards {east:g} east and {north:g} north, and "
-            f"that its image moves at {speed:g} m/s; get it again"
-        )
+        raise_damaged(rslc.path, f"has an impossible radar direction {east:g}, {north:g} or speed {speed:g} m/s")
     heading = math.radians(heading_deg)
     ahead = math.sin(heading) * east + math.cos(heading) * north
     left = math.sin(heading) * north - math.cos(heading) * east
@@ -178,8 +175,8 @@ def _seen(
     return View.towards((ahead, left, up)), spacing, widths, tuple(widest) != stated
 
 
-def _when_and_where(rslc: Rslc, spot: tuple[float, float]) -> tuple[float, float]:
-    """Azimuth time, s, and slant range, m, of a pixel."""
+def _time_and_range(rslc: Rslc, spot: tuple[float, float]) -> tuple[float, float]:
+    """Return azimuth time, s, and slant range, m, of a pixel."""
     (start, interval), (near, step) = rslc.times_s, rslc.ranges_m
     return start + interval * spot[0], near + step * spot[1]
 
@@ -187,8 +184,8 @@ def _when_and_where(rslc: Rslc, spot: tuple[float, float]) -> tuple[float, float
 def _place(
     rslc: Rslc, spot: tuple[float, float], height_m: float, heading_deg: float
 ) -> tuple[Place | None, list[str]]:
-    """Where on earth the spot is, if the file's geolocation grid tells it, and what that depends on."""
-    found, higher = (rslc.geolocation.place(h, *_when_and_where(rslc, spot)) for h in (height_m, height_m + _HIGHER_M))
+    """Return the place of the spot by the geolocation grid, or None, and sentences on its dependence on height."""
+    found, higher = (rslc.geolocation.place(h, *_time_and_range(rslc, spot)) for h in (height_m, height_m + _HIGHER_M))
     if found is None:
         return None, []
     place = replace(Place.of_ecef(found, heading_deg), height_m=height_m)
@@ -204,7 +201,7 @@ def _place(
 def _cut(
     rslc: Rslc, spot: tuple[float, float], size_m: float, spacing: tuple[float, float]
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and past the last of the azimuth times, and of the slant ranges."""
+    """Return first and past the last index of azimuth times, and of slant ranges."""
     if not 0 < size_m < math.inf:
         raise SarsplatError(f"the size {size_m:g} m must be positive")
     columns, rows = (round(size_m / step) for step in spacing)
@@ -221,15 +218,15 @@ def _cut(
 
 
 def _cross(signals: dict[str, Complex64[np.ndarray, "rows columns"]]) -> str:
-    """Replace HV and VH by their mean, and say how alike they were."""
+    """Replace HV and VH by their mean, and return a sentence on their similarity."""
     one, other = signals["HV"], signals.pop("VH")
     signals["HV"] = (one + other) / 2
     powers = [float(np.mean(np.square(np.abs(part), dtype=np.float64))) for part in (one, other)]
     product = np.sum(one * other.conj(), dtype=np.complex128) / one.size
-    alike = abs(product) / max(math.sqrt(powers[0] * powers[1]), 1e-30)
+    coherence = abs(product) / max(math.sqrt(powers[0] * powers[1]), 1e-30)
     decibels = float(to_db(powers[0], least=1e-30) - to_db(powers[1], least=1e-30))
     degrees = math.degrees(np.angle(product))
     return (
-        f"HV and VH are one channel, HV, their mean: coherence {alike:.2f}, phase {degrees:.0f}° and {decibels:.1f} dB "
-        "between them, which after calibration are 1, 0° and 0 dB but for noise"
+        f"HV and VH are one channel, HV, their mean: coherence {coherence:.2f}, phase {degrees:.0f}° and "
+        f"{decibels:.1f} dB between them, which after calibration are 1, 0° and 0 dB but for noise"
     )

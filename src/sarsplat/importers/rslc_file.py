@@ -1,8 +1,8 @@
 """One RSLC file of NISAR's layout (HDF5): its metadata, and parts of its images.
 
 `/science/LSAR/RSLC/swaths/frequencyA` holds an image for each polarisation, azimuth times × slant ranges at zero
-Doppler, and `metadata/geolocationGrid` from where the radar saw places. Files come from strangers: only what is stored
-in the file itself is read, never what a link leads to, and nothing is larger than what is needed.
+Doppler, and `metadata/geolocationGrid` directions to the radar. Files are untrusted: links are not followed, and only
+needed arrays are read.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.place import ecef_of_geodetic
-from sarsplat.importers.needed import require
+from sarsplat.importers.files import raise_damaged
+from sarsplat.importers.optional_packages import require
 from sarsplat.importers.pictures import power_or_signal
 
 if TYPE_CHECKING:
@@ -33,28 +34,28 @@ _LOOKS = ("left", "right")
 _WITHOUT_DATA = "it describes images without holding them, as examples of a format do, so give the whole product"
 _MOST_NUMBERS = 1 << 24
 _NEAREST, _ASTRAY_M = 4, 0.2
-"""Places of the geolocation grid between which others are found, and how far those of one fewer may be from these."""
+"""Number of grid points along an axis for interpolation, and maximum difference, m, to the result of one fewer."""
 _WGS_84 = 4326
 _LARGEST_CHUNK = 64 << 20
-"""Bytes that are unpacked at a time, whatever is asked for."""
+"""Maximum size of a chunk, bytes, which is unpacked at a time."""
 
 
 @dataclass(frozen=True)
 class GeolocationGrid:
-    """From where the radar saw places, by height above the ellipsoid (m), azimuth time (s) and slant range (m)."""
+    """Geolocation grid: radar directions by height above the ellipsoid (m), azimuth time (s) and slant range (m)."""
 
     axes: tuple[Float64[np.ndarray, " h"], Float64[np.ndarray, " t"], Float64[np.ndarray, " r"]]
-    """Each rising."""
+    """Axes, each rising."""
     east: Float64[np.ndarray, "h t r"]
     north: Float64[np.ndarray, "h t r"]
-    """Of the unit vector from a place to the radar."""
+    """East and north component of the unit vector from a place to the radar."""
     speed: Float64[np.ndarray, "h t r"]
-    """Of the radar's image along the ground, m/s."""
+    """Speed of the radar's image along the ground, m/s."""
     places: Float64[np.ndarray, "h t r 3"] | None = None
-    """Geocentric, m; None if the file does not give them, or not in longitude and latitude (WGS 84)."""
+    """Geocentric places, m; None if the file lacks them, or has them not in longitude and latitude (WGS 84)."""
 
     def at(self, height_m: float, time_s: float, range_m: float) -> tuple[float, float, float]:
-        """East and north of that unit vector, and the speed; beyond its edges as at these."""
+        """Return interpolated east, north and speed; beyond the edges those at the edge."""
         found = np.stack([self.east, self.north, self.speed], axis=-1)
         for line, place in zip(self.axes, (height_m, time_s, range_m), strict=True):
             index = float(np.interp(place, line, np.arange(len(line))))
@@ -64,20 +65,20 @@ class GeolocationGrid:
         return east, north, speed
 
     def place(self, height_m: float, time_s: float, range_m: float) -> Float64[np.ndarray, " 3"] | None:
-        """What the radar saw at a height, a time and a range, geocentric, m; None if the grid does not tell it.
+        """Return the geocentric place, m, at a height, a time and a range; None if the grid does not determine it.
 
-        Places bend between those of the grid: polynomials through the four nearest along each axis follow them, and
-        what they differ by from those through three is their error.
+        Polynomials through the four nearest grid points along each axis interpolate; their difference to those through
+        three estimates the error.
         """
         if self.places is None:
             return None
         found = [self.places, self.places]
         for line, at in zip(self.axes, (height_m, time_s, range_m), strict=True):
-            if not line[0] <= at <= line[-1] or not (np.diff(line) > 0).all():  # the latter are rounded
+            if not line[0] <= at <= line[-1] or not (np.diff(line) > 0).all():  # rounded axes repeat values
                 return None
             for k, count in enumerate((_NEAREST, _NEAREST - 1)):
                 nearest = np.sort(np.argsort(abs(line - at), kind="stable")[:count])
-                if at in line:  # whatever there is beside it
+                if at in line:  # exact
                     nearest = np.flatnonzero(line == at)
                 elif len(nearest) < count:
                     return None
@@ -87,7 +88,7 @@ class GeolocationGrid:
 
 
 def _weights(nodes: Float64[np.ndarray, " n"], at: float) -> Float64[np.ndarray, " n"]:
-    """Of values at the nodes, in the polynomial through them (Lagrange's)."""
+    """Return Lagrange weights of values at the nodes."""
     return np.array(
         [np.prod((at - np.delete(nodes, k)) / (node - np.delete(nodes, k))) for k, node in enumerate(nodes)]
     )
@@ -95,33 +96,33 @@ def _weights(nodes: Float64[np.ndarray, " n"], at: float) -> Float64[np.ndarray,
 
 @dataclass(frozen=True)
 class Rslc:
-    """What a file says of its images, all of it finite."""
+    """Metadata of the images of one file, all finite."""
 
     path: Path
     group: str
-    """Of the images, such as "science/LSAR/RSLC/swaths/frequencyA"."""
+    """Group of the images, such as "science/LSAR/RSLC/swaths/frequencyA"."""
     shape: tuple[int, int]
-    """Azimuth times and slant ranges."""
+    """Number of azimuth times and slant ranges."""
     polarisations: tuple[str, ...]
-    """As the file calls them: transmitted and received."""
+    """Polarisations as the file names them: transmitted and received."""
     frequency_hz: float
     bandwidths_hz: tuple[float, float]
-    """Processed, of azimuth and range."""
+    """Processed bandwidths of azimuth and range."""
     times_s: tuple[float, float]
     """The first azimuth time, and their interval."""
     ranges_m: tuple[float, float]
     """The first slant range, and their interval."""
     look: str
-    """On which side of the track the scene lies, "left" or "right"."""
+    """Side of the track on which the scene lies, "left" or "right"."""
     mission: str
     geolocation: GeolocationGrid
 
     def read(
         self, polarisation: str, lines: tuple[int, int], samples: tuple[int, int]
     ) -> Complex64[np.ndarray, "lines samples"]:
-        """Amplitudes of one polarisation, from the first azimuth time and slant range to before the last.
+        """Read amplitudes of one polarisation, from the first azimuth time and slant range to before the last.
 
-        Refused if they cannot be read, are not complex, or one is not finite.
+        Raises if they cannot be read, are not complex, or one is not finite.
         """
         name = f"{self.group}/{polarisation}"
         with _opened(self.path) as file:
@@ -135,16 +136,13 @@ class Rslc:
 
 
 def is_hdf5(path: Path) -> bool:
-    """Whether a file begins as HDF5 files do."""
+    """Return whether a file begins as HDF5 files do."""
     with open_file(path) as file:
         return file.read(len(_SIGNATURE)) == _SIGNATURE
 
 
 def read_rslc(path: Path) -> Rslc:
-    """What one file says of its images.
-
-    Refused if it is no RSLC, damaged, or what is needed is missing or impossible.
-    """
+    """Read the metadata of one file; raise if it is no RSLC, damaged, or a field is missing or impossible."""
     require("h5py", "RSLC files need", "rslc")
     if not is_hdf5(path):
         raise SarsplatError(f"{path} is not an HDF5 file; give an RSLC in NISAR's layout")
@@ -170,9 +168,8 @@ def read_rslc(path: Path) -> Rslc:
         shape = shapes.pop()
         times, ranges = fields.line(f"{swaths}/zeroDopplerTime"), fields.line(f"{group}/slantRange")
         if (len(times), len(ranges)) != shape:
-            raise SarsplatError(
-                f"{path} has {len(times)} azimuth times and {len(ranges)} slant ranges for images of {shape[0]} × "
-                f"{shape[1]} pixels; get it again"
+            raise_damaged(
+                path, f"has {len(times)} azimuth times and {len(ranges)} slant ranges for {shown(shape)} pixels"
             )
         identification = f"{product.rpartition('/')[0]}/identification"
         look = fields.text(f"{identification}/lookDirection").lower()
@@ -198,7 +195,7 @@ def read_rslc(path: Path) -> Rslc:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
-    """The file, whose errors are one sentence: a garbled one can fail anywhere inside h5py, with any exception."""
+    """Open a file so that any exception inside h5py, as of a garbled file, becomes one sentence."""
     import h5py
 
     with open_file(path):  # a regular file that can be read
@@ -212,7 +209,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
 
 def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
-    """An array of the file; what lies in another file is refused."""
+    """Return an array of the file; raise if it lies in another file."""
     import h5py
 
     at: Any = file
@@ -235,18 +232,18 @@ _BY_PLACE = "places between them cannot be looked up, so sort them, and what bel
 
 
 def _where(values: np.ndarray) -> str:
-    """The first number that is not larger than the one before it."""
+    """Return the first number that is not larger than the one before it, in parentheses."""
     at = np.flatnonzero(np.diff(values.ravel()) <= 0)
     return f" ({values.ravel()[at[0] + 1]:.9g} after {values.ravel()[at[0]]:.9g})" if len(at) else ""
 
 
 def _is_empty(image: h5py.Dataset) -> bool:
-    """Whether an image has no pixels, or none that were ever written."""
+    """Return whether an image has no pixels, or none that were written."""
     return image.size == 0 or image.id.get_storage_size() == 0
 
 
 class _Fields:
-    """Single fields of a file, each refused with a sentence if it is not what it must be."""
+    """Checked fields of a file."""
 
     def __init__(self, path: Path, file: h5py.File) -> None:
         self._path, self._file = path, file
@@ -257,7 +254,7 @@ class _Fields:
             raise SarsplatError(f"{self._path} has {stored.dtype} of shape {shown(stored.shape)} as {name}")
         values = np.asarray(stored[()], np.float64)
         if not values.size or not np.isfinite(values).all():
-            raise SarsplatError(f"{self._path} has no finite numbers as {name}; get it again")
+            raise_damaged(self._path, f"has no finite numbers as {name}")
         return values
 
     def number(self, name: str, least: float, most: float) -> float:
@@ -270,17 +267,14 @@ class _Fields:
         return float(values.item())
 
     def line(self, name: str) -> Float64[np.ndarray, " n"]:
-        """Rising numbers."""
+        """Read rising numbers."""
         values = self._array(name)
         if values.ndim != 1 or not (np.diff(values) > 0).all():
             raise SarsplatError(f"{self._path} has numbers that do not rise as {name}{_where(values)}; {_BY_PLACE}")
         return values
 
     def axis(self, name: str) -> tuple[Float64[np.ndarray, " n"], int]:
-        """Numbers of a coarse grid, rising, and the step in which they are taken for that: 1, or −1 if they fall.
-
-        Neighbours may be the same, as rounded ones are.
-        """
+        """Read an axis of a grid in rising order, and its step: 1, or −1 if it falls; rounded values may repeat."""
         values = self._array(name)
         for step in (1, -1):
             if values.ndim == 1 and (np.diff(values[::step]) >= 0).all():
@@ -316,12 +310,12 @@ class _Fields:
     def _places(
         self, name: str, heights: Float64[np.ndarray, " h"], shape: tuple[int, ...]
     ) -> Float64[np.ndarray, "h t r 3"] | None:
-        """Geocentric places of a grid with these heights, as it is stored, if it has them in longitude and latitude."""
+        """Return the geocentric places of a grid with these heights, in stored order; None without WGS 84."""
         try:
             if self.number(f"{name}/epsg", 0, 1e9) != _WGS_84:
                 return None
             longitude, latitude = (self._array(f"{name}/{one}") for one in ("coordinateX", "coordinateY"))
-        except SarsplatError:  # the images are of use without it
+        except SarsplatError:  # images are useful without it
             return None
         if not longitude.shape == latitude.shape == shape or abs(latitude).max() > 90 or abs(longitude).max() > 360:
             return None

@@ -1,9 +1,9 @@
 """Import the public SAMPLE set of AFRL: measured MSTAR chips and simulated images of the same vehicles, complex.
 
-Written from the set's public description: how its files are called (such as
-`t72_real_A_elevDeg_016_azCenter_041_77_serial_812.mat`) and which variables they hold. It does not say how the images
-lie. As the measured ones were made of MSTAR's chips, they are taken to lie as these do (see `importers.mstar`): near
-range is the bottom row, and the nose turns clockwise with growing azimuth. `near` and `mirrored` say otherwise.
+Written from the set's public description of file names (such as
+`t72_real_A_elevDeg_016_azCenter_041_77_serial_812.mat`) and variables, which omits the orientation. Measured images are
+MSTAR's chips, so their orientation is assumed (see `importers.mstar`): near range is the bottom row, and the nose turns
+clockwise with growing azimuth, unless `near` and `mirrored` say otherwise.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
+from sarsplat.importers.about import AboutScene
 from sarsplat.importers.files import files_in, warn_caller
-from sarsplat.importers.images import AboutScene, dataset_of, write_imported
+from sarsplat.importers.images import dataset_of, write_imported
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.measured_image import MeasuredImage, view_of
 from sarsplat.importers.pictures import power_or_signal
@@ -33,12 +34,12 @@ _NAME = re.compile(
     r"(?P<target>[A-Za-z0-9]+)_(?P<kind>real|synth)_.*elevDeg_(?P<elevation>\d{3})_azCenter_(?P<azimuth>\d{3})_.*\.mat"
 )
 _MOST_OFF_DEG = 1.0
-"""Names hold whole degrees."""
+"""Maximum difference of an angle from that of the name, which has whole degrees."""
 
 
 @dataclass(frozen=True)
 class SampleName:
-    """What the name of a file says."""
+    """Facts in the name of a file."""
 
     path: Path
     target: str
@@ -134,7 +135,7 @@ def _chosen(folder: Path, target: str, kind: SampleKind) -> list[SampleName]:
 
 
 def named_as_sample(path: Path) -> SampleName | None:
-    """What the name says; None if the set has no such names."""
+    """Parse the name of a file; None if the set has no such names."""
     parts = _NAME.fullmatch(path.name)
     if parts is None:
         return None
@@ -143,7 +144,7 @@ def named_as_sample(path: Path) -> SampleName | None:
 
 
 def _read(named: SampleName, folder: Path, near: Side, mirrored: bool) -> tuple[MeasuredImage, dict[str, Any]]:
-    """The image, and facts to keep."""
+    """Read an image, and facts for the dataset's source."""
     variables = read_mat(named.path)
     pixels = variables.get("complex_img")
     if not isinstance(pixels, np.ndarray) or pixels.ndim != 2 or pixels.dtype.kind != "c":
@@ -159,12 +160,12 @@ def _read(named: SampleName, folder: Path, near: Side, mirrored: bool) -> tuple[
         _lengths(named, variables, "resolution"),
         response=stated_taylor(_number(variables, "taylor_weights")),
     )
-    kept = {name: _number(variables, name) for name in ("center_freq", "bandwidth", "taylor_weights")}
-    return image, {name: value for name, value in kept.items() if value is not None}
+    facts = {name: _number(variables, name) for name in ("center_freq", "bandwidth", "taylor_weights")}
+    return image, {name: value for name, value in facts.items() if value is not None}
 
 
 def _angle(named: SampleName, variables: Mapping[str, Any], name: str, whole_deg: int) -> float:
-    """Degrees; the file's name, which gives whole ones, tells radians from degrees."""
+    """Read an angle, degrees; the whole degrees of the file's name decide between radians and degrees."""
     value = _number(variables, name)
     for degrees in () if value is None else (value, math.degrees(value)):
         if abs((degrees - whole_deg + 180) % 360 - 180) <= _MOST_OFF_DEG:
@@ -175,7 +176,7 @@ def _angle(named: SampleName, variables: Mapping[str, Any], name: str, whole_deg
 
 
 def _lengths(named: SampleName, variables: Mapping[str, Any], name: str) -> tuple[float, float]:
-    """Azimuth and range, m; files made of MSTAR's leave one of them 0 where its header lacked it."""
+    """Read azimuth and range, m; one that is 0, as where MSTAR's header lacks it, is taken for the other."""
     both = [_number(variables, f"{axis}_{name}") or 0.0 for axis in ("xrange", "range")]
     azimuth, slant_range = (own if own > 0 else max(both) for own in both)
     if azimuth <= 0:
@@ -184,7 +185,7 @@ def _lengths(named: SampleName, variables: Mapping[str, Any], name: str) -> tupl
 
 
 def _number(variables: Mapping[str, Any], name: str) -> float | None:
-    """A scalar, if it is one and finite."""
+    """Return a finite scalar variable; None for any other."""
     value = variables.get(name)
     if not isinstance(value, np.ndarray) or value.size != 1 or value.dtype.kind not in "iuf":
         return None

@@ -1,4 +1,4 @@
-"""Metadata of SICD and CPHD files: XML that is read without trust, and single elements of it by sarkit."""
+"""Metadata of SICD and CPHD files: untrusted XML, whose elements are read by sarkit."""
 
 from __future__ import annotations
 
@@ -17,36 +17,34 @@ if TYPE_CHECKING:
     import lxml.etree
 
 LONGEST_XML = 4 << 20
-"""Bytes of metadata, which no file comes near."""
+"""Maximum size of metadata, bytes."""
 _HIGHEST_ORDER = 20
 
 
 @dataclass(frozen=True)
 class Metadata:
-    """The metadata of one file; elements are named by their path, such as "Grid/Row/SS", in whatever version."""
+    """Metadata of one file of any version; elements are named by their path, such as "Grid/Row/SS"."""
 
     path: Path
     tree: lxml.etree._ElementTree
 
     def text(self, name: str) -> str:
-        """Text of an element, for people to read; "" if there is none."""
+        """Return the printable text of an element; "" if it is missing."""
         return printable(self.tree.findtext(any_version(name)))
 
 
 def any_version(name: str) -> str:
-    """A path of elements whatever their namespace, which is that of a version."""
+    """Return a path of elements of any namespace, which differs between versions."""
     return "/".join("{*}" + part for part in name.split("/"))
 
 
 def printable(text: str | None) -> str:
-    """Text of a file, as far as it can be shown."""
+    """Return text without unprintable letters, cut to 80."""
     return "".join(letter if letter.isprintable() else "?" for letter in (text or "").strip())[:80]
 
 
 def plain_xml(path: Path, text: bytes, kind: str) -> lxml.etree._ElementTree:
-    """Metadata of a SICD or another `kind`, without entities or references to other files; refused if they are not
-    plain, or have polynomials of an absurd order.
-    """
+    """Parse the XML of a SICD or another `kind` without resolving entities; raise for a DOCTYPE or absurd exponents."""
     import lxml.etree
 
     plain = lxml.etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
@@ -70,7 +68,7 @@ def plain_xml(path: Path, text: bytes, kind: str) -> lxml.etree._ElementTree:
 
 @contextmanager
 def sarkit_errors(path: Path, kind: str = "SICD") -> Iterator[None]:
-    """One sentence in place of whatever sarkit raises, which trusts its files; its warnings are hidden."""
+    """Turn any exception of sarkit, which trusts its files, into one sentence, and hide its warnings."""
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -1,7 +1,7 @@
-"""SICD files (complex SAR images with their geometry): the surroundings of one spot become a dataset.
+"""Import SICD files (complex SAR images with their geometry): the surroundings of one spot.
 
-Each image is laid out anew as our frame has it, in slant range and level azimuth of its own view, by band-limited
-interpolation of the complex pixels (`sicd_chip`; where they lie is found in `sicd_geometry`).
+Each image is resampled to slant range and level azimuth of its view, by band-limited interpolation of the complex
+pixels (`sicd_chip`) at positions found by `sicd_geometry`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place
+from sarsplat.importers.about import AboutImages
 from sarsplat.importers.files import each_once, warn_caller
 from sarsplat.importers.images import (
-    AboutImages,
     assume,
     check_heading,
     check_sides,
@@ -37,7 +37,7 @@ from sarsplat.importers.sicd_geometry import Layout, layout_around, said_of_plac
 
 _LARGEST_SIZE_M = 1e5
 _LEANS = 0.05
-"""Displacement, m for each metre of height, above which it is reported."""
+"""Minimum displacement that is reported, m for each metre of height."""
 
 
 @checks_arguments
@@ -56,7 +56,7 @@ def import_sicd(
     overwrite: bool = False,
     **about: Unpack[AboutImages],
 ) -> Dataset:
-    """Import SICD files: what one or several complex SAR images show of one spot.
+    """Import SICD files: the surroundings of one spot in one or several complex SAR images.
 
     Parameters
     ----------
@@ -70,20 +70,20 @@ def import_sicd(
         The spot, which becomes the origin: latitude and longitude, degrees, and height above the ellipsoid, m (that of
         the first image's scene centre point if it is left out), WGS 84.
     pixel : (row, column), optional
-        The spot as a pixel of the first file, counted from 0, as high as its scene centre point. With neither, the spot
-        is this point.
+        The spot as a pixel of the first file, counted from 0, at the height of its scene centre point. With neither,
+        the spot is this point.
     heading_deg : float
         Compass heading of the scene's x axis, degrees clockwise from north; 90 is east.
     target : str
-        What the images show.
+        Name of the target.
     train_views : int, optional
         Number of training views, evenly around; the others are test views. Without it, all are for training.
     stack : bool
         The files, coregistered to one grid, are passes or polarisations of one view, that of the first; their phases,
         offsets and names are made those of a `Stack`.
     tilted : bool
-        Keep the azimuth axis of each image as it is: tilted where the radar squints, climbs or dives. Without it,
-        images are resampled to level axes, and what is high appears beside its place.
+        Keep the azimuth axis of each image: tilted where the radar squints, climbs or dives. Without it, images are
+        resampled to level axes, and heights are displaced in azimuth.
     overwrite : bool
         Replace an existing dataset.
     **about
@@ -92,26 +92,26 @@ def import_sicd(
     Returns
     -------
     Dataset
-        Complex images; β⁰ (calibration "absolute") if every file says how to get it. `source["assumptions"]` says what
+        Complex images; β⁰ (calibration "absolute") if every file states the factor. `source["assumptions"]` lists what
         was assumed.
 
     Raises
     ------
     SarsplatError
-        If sarkit is not installed, a file is not a valid SICD or does not show the whole of what is asked for, files of
-        a stack differ in their grids or frequencies, or the output exists.
+        If sarkit is not installed, a file is not a valid SICD or does not contain the image, files of a stack differ in
+        their grids or frequencies, or the output exists.
 
     Warns
     -----
     SarsplatWarning
-        If the projection of a file does not have its scene centre point where it says that this is.
+        If the projection of a file contradicts its scene centre point.
     """
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     paths = each_once(files)
     _check_request(size_m, around, pixel, heading_deg)
     sicds = [read_sicd(path) for path in paths]
-    for said in filter(None, map(said_of_place, sicds)):
-        warn_caller(said)
+    for text in filter(None, map(said_of_place, sicds)):
+        warn_caller(text)
     spot = _spot(sicds[0], around, pixel, heading_deg)
     layouts = [layout_around(sicd, spot, size_m / 2, tilted=tilted) for sicd in (sicds[:1] if stack else sicds)]
     layouts *= len(sicds) // len(layouts)  # all channels of a stack have the first one's
@@ -189,14 +189,14 @@ def _spot(
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Of images: their files' names without ending, numbered where they are the same."""
+    """Return the files' names without ending, numbered where they are equal."""
     stems = [path.stem for path in paths]
     same = Counter(stems)
     return [stem if same[stem] == 1 else f"{stem}-{number}" for number, stem in enumerate(stems, 1)]
 
 
 def _facts(sicd: Sicd, layout: Layout) -> dict[str, Any]:
-    """Human-readable description of one image."""
+    """Describe one image."""
     metadata = sicd.projection
     return {
         "file": sicd.path.name,
@@ -221,7 +221,7 @@ def _assumptions(
     absolute: bool,
     stack: bool,
 ) -> list[str]:
-    """What was taken for granted, in plain English."""
+    """Return sentences on assumptions."""
     around, pixel = given
     how = "as given" if around else f"what pixel {pixel} shows" if pixel else "the first image's scene centre point"
     if around and len(around) == 2:  # type: ignore[arg-type]

@@ -1,15 +1,13 @@
-"""A chip around a spot, cut out of a SICD and resampled to the slant range × azimuth of its view.
+"""Chips around a spot, cut out of a SICD and resampled to the slant range × azimuth of its view.
 
-The complex pixels are interpolated within their band, wherever in the spectrum that lies (`DeltaKCOAPoly`): it is moved
-to zero, and back afterwards. So the phase stays what the file has: SICDs are at baseband, and a scatterer shows, at its
-own pixel, the phase ±4π/λ times its range from the scene centre point, with the sign that the file states.
+The complex pixels are interpolated within their band, which is moved to zero and back (`DeltaKCOAPoly`). So the phase
+stays that of the file: a scatterer has, at its own pixel, ±4π/λ times its range from the scene centre point, with the
+stated sign.
 
-Coregistered SICDs of one scene, passes or polarisations, become the channels of one view.
-
-The first file is the view's. The phase of a scatterer in another file is that of its range from the file's own antenna,
-referred to the range of the scene centre point. On level ground through the spot it is replaced by what parallel rays
-have there (`Stack.plane_phases`), so that the rounding of wavefronts is undone; what stands on the ground keeps its
-difference, and the spot has the same phase in all passes.
+Coregistered SICDs of one scene, passes or polarisations, become the channels of one view, that of the first file. The
+phase of a scatterer in another file is that of its range from the file's antenna, referred to the range of the scene
+centre point. On level ground through the spot it is replaced by that of parallel rays (`Stack.plane_phases`), which
+removes wavefront curvature; higher scatterers keep their difference, and the spot has the same phase in all passes.
 """
 
 from __future__ import annotations
@@ -26,6 +24,7 @@ from sarsplat.geometry import ImageGrid, Place, Stack
 from sarsplat.geometry.responses import GAUSSIAN, Response
 from sarsplat.geometry.stack import POLARISATIONS
 from sarsplat.importers.band_limited import interpolate, taps
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.sarkit_xml import sarkit_errors
@@ -33,34 +32,34 @@ from sarsplat.importers.sicd_file import Axis, Sicd
 from sarsplat.importers.sicd_geometry import Layout, middle_of, on_ground
 
 _ASKEW = 0.05
-"""Slope of an image's axes against ours from which on its side lobes run beside these."""
+"""Maximum slope between axes of image and view at which side lobes run along the latter."""
 
 _APART = 0.1
-"""Pixels by which the corners of one grid may differ from those of another."""
+"""Maximum distance between the corners of equal grids, pixels."""
 
 _SAME_FREQUENCY = 1e-4
-"""Relative difference of centre frequencies that are meant to be the same."""
+"""Relative tolerance of equal centre frequencies."""
 
 _DIGITS = 8
-"""Of offsets, rad: below is rounding, millimetres of the antenna's place."""
+"""Significant decimals of offsets, rad: the rest is rounding, millimetres of the antenna's position."""
 
 
 def spacing_of(sicd: Sicd, layout: Layout) -> tuple[float, float]:
-    """Spacing (azimuth, range), m, that keeps all that the image holds; its own where the axes are parallel."""
+    """Return the coarsest spacing (azimuth, range), m, that keeps the image's band."""
     samples = np.abs(layout.slopes) / [[sicd.row.spacing_m], [sicd.column.spacing_m]]
     azimuth, away = 1 / samples.sum(axis=0)
     return float(azimuth), float(away)
 
 
 def resolution_of(sicd: Sicd, layout: Layout) -> tuple[float, float]:
-    """3 dB widths along (azimuth, range), m, of a response that falls off along rows and columns as a Gaussian does."""
+    """Return 3 dB widths along (azimuth, range), m, of a response that is Gaussian along rows and columns."""
     falls = layout.slopes / [[sicd.row.resolution_m], [sicd.column.resolution_m]]
     azimuth, away = 1 / np.linalg.norm(falls, axis=0)
     return float(azimuth), float(away)
 
 
 def response_along(sicd: Sicd, layout: Layout) -> Response:
-    """Shape of the response along azimuth and range: that of rows and columns, unless they differ or are askew."""
+    """Return the response along azimuth and range: that of rows and columns, Gaussian if they differ or are askew."""
     one, other = np.sort(np.abs(layout.slopes), axis=0).max(axis=1)
     same = sicd.row.response == sicd.column.response and one < _ASKEW * other
     return sicd.row.response if same else GAUSSIAN
@@ -69,11 +68,10 @@ def response_along(sicd: Sicd, layout: Layout) -> Response:
 def chip(
     sicd: Sicd, layout: Layout, shape: tuple[int, int], spacing_m: tuple[float, float], absolute: bool
 ) -> Complex64[np.ndarray, "rows columns"]:
-    """Complex amplitudes around the spot, range (near first) × azimuth; nothing else of the image is read.
+    """Resample complex amplitudes around the spot, range (near first) × azimuth; read nothing else of the image.
 
-    `spacing_m` of (azimuth, range) is at most `spacing_of`; the squared amplitude is β⁰ if it is to be `absolute`,
-    which the file must then say how to get. Refused if the image does not reach as far, a pixel is not finite, or what
-    is said of β⁰ is not positive.
+    `spacing_m` of (azimuth, range) is at most `spacing_of`; the squared amplitude is β⁰ if `absolute`, for which the
+    file must state the factor. Raises if the image is too small, a pixel is not finite, or the factor not positive.
     """
     rows, columns = shape
     azimuth = (np.arange(columns) - (columns - 1) / 2) * spacing_m[0]
@@ -105,7 +103,7 @@ def chip(
             raise SarsplatError(
                 f"{sicd.path} has a BetaZeroSFPoly that is {power.min():.4g} around the spot; it must be positive"
             )
-        # what is laid out on a level azimuth axis takes more of the plane than it does in the tilted slant plane
+        # pixels with a level azimuth axis are larger than in the tilted slant plane
         factor = factor * np.sqrt(power * math.cos(math.radians(layout.tilt_deg - layout.view.tilt_deg)))
     return (values * factor).astype(np.complex64).reshape(shape)
 
@@ -113,7 +111,7 @@ def chip(
 def _carrier(
     sicd: Sicd, middle: Float64[np.ndarray, " 2"], place: Float64[np.ndarray, "*n 2"]
 ) -> Float64[np.ndarray, "*n"]:
-    """Cycles, with their sign, that bring the centre of the band to zero, at places (xrow, ycol)."""
+    """Return signed cycles that bring the centre of the band to zero, at places (xrow, ycol)."""
     in_middle = np.stack([place[..., 0], np.full_like(place[..., 1], middle[1])], axis=-1)
     return _cycles(sicd.row, 0, in_middle) + _cycles(sicd.column, 1, place)
 
@@ -137,11 +135,10 @@ def stack_image(
     spacing_m: tuple[float, float],
     absolute: bool,
 ) -> MeasuredImage:
-    """The channels of one view around a spot, of files on one grid, the first of which is seen from the view.
+    """Make one view around a spot of files on one grid, its channels; the view is that of the first.
 
-    `layout` is where the ground lies in that one; see `chip` for the rest. Refused if there are fewer than two files,
-    their grids or frequencies differ, they do not say which they are, two are the same, or one does not reach as far as
-    is asked for.
+    `layout` is the first's; see `chip` for the rest. Raises if there are fewer than two files, their grids or
+    frequencies differ, polarisations are not stated, two are equal, or one is too small.
     """
     if len(sicds) < 2:
         raise SarsplatError(
@@ -151,8 +148,8 @@ def stack_image(
     for sicd in sicds[1:]:
         _refuse_other_grid(first, sicd)
     frame = layout.view.look.frame
-    here = layout.place_of(np.zeros(1), np.zeros(1))
-    lines = [spot.axes @ (_antenna_at(sicd, here)[0] - spot.ecef) for sicd in sicds]
+    origin = layout.place_of(np.zeros(1), np.zeros(1))
+    lines = [spot.axes @ (_antenna_at(sicd, origin)[0] - spot.ecef) for sicd in sicds]
     seen = np.array(lines) @ frame.T
     offsets = np.round(seen[:, 1] / -seen[:, 2], _DIGITS) + 0.0  # of elevation alone; no negative zero
     names = ", ".join(sicd.path.name for sicd in sicds)
@@ -167,7 +164,7 @@ def stack_image(
     signals = []
     for sicd, level in zip(sicds, plane, strict=True):
         pixels = chip(sicd, layout, shape, spacing_m, absolute)
-        if sicd.row.sign > 0:  # what is farther away has more phase there
+        if sicd.row.sign > 0:  # phase rises with distance
             pixels = pixels.conj()
         to_centre = np.linalg.norm(_antenna_at(sicd, np.zeros((1, 2))) - sicd.projection.SCP)
         farther = _ranges(sicd, spot, layout, azimuth, away) - to_centre - reference
@@ -185,7 +182,7 @@ def stack_image(
 
 
 def _antenna_at(sicd: Sicd, place: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
-    """Where the antenna was (ECEF, m) at the centre of the aperture of each place (xrow, ycol)."""
+    """Return the antenna's position (ECEF, m) at the centre of the aperture of each place (xrow, ycol)."""
     from sarkit.sicd import projection
 
     with sarkit_errors(sicd.path):
@@ -198,7 +195,7 @@ def _antenna_at(sicd: Sicd, place: Float64[np.ndarray, "n 2"]) -> Float64[np.nda
 def _ranges(
     sicd: Sicd, spot: Place, layout: Layout, azimuth_m: Float64[np.ndarray, " n"], range_m: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """From the antenna to level ground in each pixel, m."""
+    """Return the range from the antenna to level ground in each pixel, m."""
     ground = spot.to_ecef(on_ground(layout.view, azimuth_m, range_m))
     antennas = _antenna_at(sicd, layout.place_of(azimuth_m, range_m))
     distances: Float64[np.ndarray, " n"] = np.linalg.norm(antennas - ground, axis=1)
@@ -221,7 +218,7 @@ def _refuse_other_grid(first: Sicd, other: Sicd) -> None:
 
 
 def _corners(sicd: Sicd) -> Float64[np.ndarray, "4 3"]:
-    """Of the image, ECEF, m."""
+    """Return the corners of an image, ECEF, m."""
     rows, columns = sicd.shape
     places = sicd.place_of(np.array([[0, 0], [0, columns - 1], [rows - 1, 0], [rows - 1, columns - 1]], np.float64))
     metadata = sicd.projection
@@ -230,13 +227,11 @@ def _corners(sicd: Sicd) -> Float64[np.ndarray, "4 3"]:
 
 
 def _wavelength(sicds: Sequence[Sicd]) -> float:
-    """That of the centre frequency, m."""
+    """Return the wavelength of the centre frequency, m."""
     frequencies = []
     for sicd in sicds:
         if sicd.frequency_hz is None:
-            raise SarsplatError(
-                f"{sicd.path.name} does not say which frequencies it has (TxFrequencyProc); get it again"
-            )
+            raise_damaged(sicd.path, "does not state its frequencies (TxFrequencyProc)")
         frequencies.append(sicd.frequency_hz)
     if np.ptp(frequencies) > _SAME_FREQUENCY * frequencies[0]:
         raise SarsplatError(
@@ -247,7 +242,7 @@ def _wavelength(sicds: Sequence[Sicd]) -> float:
 
 
 def _polarisations(sicds: Sequence[Sicd]) -> tuple[str, ...] | None:
-    """Received and transmitted, which the files have the other way round; None if all say the same that is none."""
+    """Return received-transmitted polarisations, reversed in the files; None if all state the same unknown one."""
     stated = [sicd.collection.get("polarization", "") for sicd in sicds]
     names = tuple("".join(part[:1] for part in reversed(text.split(":"))) for text in stated)
     if set(names) <= set(POLARISATIONS):

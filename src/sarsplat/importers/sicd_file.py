@@ -1,4 +1,4 @@
-"""One SICD file: its metadata, checked, and parts of its image. The format itself is left to sarkit."""
+"""One SICD file, read by sarkit: its metadata, checked, and parts of its image."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
-from sarsplat.importers.needed import require
+from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.nitf import Segment, read_nitf
+from sarsplat.importers.optional_packages import require
 from sarsplat.importers.sarkit_xml import Metadata, any_version, sarkit_errors
 
 if TYPE_CHECKING:
@@ -23,41 +24,41 @@ if TYPE_CHECKING:
 _MOST_PIXELS_PER_SIDE = 1_000_000
 
 LARGEST = 1e9
-"""No amplitude comes near it, and its square still fits into float32."""
+"""Maximum amplitude, whose square still fits into float32."""
 
 FARTHEST = 1e12
-"""Nor does any number of the metadata that is used here."""
+"""Maximum of all numbers in the metadata."""
 
 _NAMESPACE = "urn:SICD:"
 _READ_AS = dict.fromkeys(("0.4.0", "0.4.1", "0.5.0", "1.0.0", "1.0.1"), "1.1.0") | {"1.2.0": "1.2.1"}
-"""Versions without a schema in sarkit → the next one with it, whose fields that are used here mean the same."""
+"""Versions without a schema in sarkit → the next one with it; fields in use have the same meaning."""
 
 
 @dataclass(frozen=True)
 class Sicd:
-    """The metadata of a SICD file that the importer uses; places (xrow, ycol) are m from the scene centre point."""
+    """Metadata of a SICD file; places (xrow, ycol) are m from the scene centre point."""
 
     path: Path
     version: str
     """Version of the format, as the file states it."""
     projection: MetadataParams
-    """What relates pixels to places, all of it finite."""
+    """Relation of pixels to places, all finite."""
     offsets: AdjustableParameterOffsets | None
-    """Corrections of it."""
+    """Corrections of that relation."""
     row: Axis
     column: Axis
     pixel_type: str
     """"RE32F_IM32F", "RE16I_IM16I" or "AMP8I_PHS8I"."""
     segments: list[Segment]
-    """Where the rows are in the file, all of them and no more."""
+    """Segments of the file with all rows of the image."""
     amplitudes: Float64[np.ndarray, " 256"] | None
-    """What the amplitudes of the last pixel type stand for; None for themselves."""
+    """Amplitudes by index of "AMP8I_PHS8I"; None for the index itself."""
     beta_zero: Float64[np.ndarray, "m n"] | None
-    """What power is multiplied by to be β⁰: a polynomial in (xrow, ycol), m; None if unknown."""
+    """Factor from power to β⁰: a polynomial in (xrow, ycol), m; None if unknown."""
     frequency_hz: float | None
-    """Centre of the processed band; None if the file does not say it."""
+    """Centre of the processed band; None if not stated."""
     collection: dict[str, str]
-    """Sensor, collection, date and polarisation, for people to read."""
+    """Sensor, collection, date and polarisation."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -70,20 +71,17 @@ class Sicd:
         return self.row, self.column
 
     def pixel_of(self, place: Float64[np.ndarray, "*n 2"]) -> Float64[np.ndarray, "*n 2"]:
-        """Rows and columns in this file of places (xrow, ycol)."""
+        """Convert places (xrow, ycol) to rows and columns of this file."""
         metadata = self.projection
         first = np.array([metadata.SCP_Row - metadata.FirstRow, metadata.SCP_Col - metadata.FirstCol])
         return place / [metadata.Row_SS, metadata.Col_SS] + first
 
     def place_of(self, pixel: Float64[np.ndarray, "*n 2"]) -> Float64[np.ndarray, "*n 2"]:
-        """The inverse of `pixel_of`."""
+        """Convert rows and columns to places (xrow, ycol)."""
         return (pixel - self.pixel_of(np.zeros(2))) * [self.projection.Row_SS, self.projection.Col_SS]
 
     def read(self, rows: tuple[int, int], columns: tuple[int, int]) -> Complex64[np.ndarray, "rows columns"]:
-        """Amplitudes from the first row and column to before the last; nothing else of the image is read.
-
-        Refused if an amplitude is not finite or absurdly large.
-        """
+        """Read amplitudes from the first row and column to before the last; raise if one is not finite or too large."""
         raw = self._stored(rows, columns)
         if self.pixel_type == "RE32F_IM32F":
             values = raw.astype(np.complex64)
@@ -97,10 +95,8 @@ class Sicd:
         bad = ~((np.abs(values.real) <= LARGEST) & (np.abs(values.imag) <= LARGEST))
         if bad.any():
             row, column = np.argwhere(bad)[0]
-            raise SarsplatError(
-                f"{self.path} holds {values[row, column]:.6g} at row {rows[0] + row}, column {columns[0] + column}; "
-                f"amplitudes must be finite and at most {LARGEST:g}, so get it again"
-            )
+            at = f"row {rows[0] + row}, column {columns[0] + column}"
+            raise_damaged(self.path, f"holds {values[row, column]:.6g} at {at}")
         return values
 
     def _stored(self, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray:
@@ -117,10 +113,9 @@ class Sicd:
 
 
 def read_sicd(path: Path) -> Sicd:
-    """The metadata of one SICD.
+    """Read the metadata of one SICD.
 
-    Refused if it is not a SICD of one radar (monostatic), truncated, garbled, compressed, or what is needed of its
-    metadata is missing or impossible.
+    Raises if it is no monostatic SICD, truncated, garbled, compressed, or needed metadata are missing or impossible.
     """
     require("sarkit", "SICD files need", "sicd")
     with open_file(path) as file:
@@ -153,17 +148,17 @@ def read_sicd(path: Path) -> Sicd:
 
 
 def _check(path: Path, metadata: MetadataParams) -> None:
-    """What must hold of the metadata before they are calculated with."""
+    """Raise if metadata are missing, impossible or contradictory."""
     if not metadata.is_monostatic():
         raise SarsplatError(f"{path} is bistatic; only images whose radar transmits and receives are supported")
     optional = ("Optional", "None")
     for item in fields(metadata):
         value = getattr(metadata, item.name)
         if value is None and not any(word in str(item.type) for word in optional):
-            raise SarsplatError(f"{path} has no {item.name} (in sarkit's words) in its metadata; get it again")
+            raise_damaged(path, f"has no {item.name} (in sarkit's words) in its metadata")
         if isinstance(value, int | float | np.ndarray) and not np.all(np.abs(value) <= FARTHEST):  # also NaN
             problem = shown(np.asarray(value).tolist())
-            raise SarsplatError(f"{path} has the impossible {item.name} {problem} in its metadata; get it again")
+            raise_damaged(path, f"has the impossible {item.name} {problem} in its metadata")
     for name in ("NumRows", "NumCols"):
         if not 1 <= getattr(metadata, name) <= _MOST_PIXELS_PER_SIDE:
             raise SarsplatError(
@@ -171,19 +166,16 @@ def _check(path: Path, metadata: MetadataParams) -> None:
             )
     units = np.array([metadata.uRow, metadata.uCol])
     if not np.allclose(np.linalg.norm(units, axis=1), 1, atol=1e-3) or abs(units[0] @ units[1]) > 0.99:
-        raise SarsplatError(f"{path} has row and column directions that span no plane; get it again")
+        raise_damaged(path, "has row and column directions that span no plane")
     if metadata.ARP_Poly.ndim != 2 or metadata.ARP_Poly.shape[1] != 3 or len(metadata.ARP_Poly) < 2:
-        raise SarsplatError(f"{path} does not say how its radar moved (Position/ARPPoly); get it again")
+        raise_damaged(path, "has no valid motion of its radar (Position/ARPPoly)")
     left = np.cross(metadata.ARP_SCP_COA, metadata.VARP_SCP_COA) @ (metadata.SCP - metadata.ARP_SCP_COA) > 0
     if metadata.SideOfTrack != ("L" if left else "R"):
-        raise SarsplatError(
-            f"{path} says that its radar looks to side {shown(metadata.SideOfTrack)} of its track, but its position "
-            f"and velocity are those of a {'left' if left else 'right'}-looking one; get it again"
-        )
+        raise_damaged(path, f"has SideOfTrack {shown(metadata.SideOfTrack)}, but positions on the other side")
 
 
 def _check_segments(path: Path, metadata: MetadataParams, pixel_type: str, segments: list[Segment]) -> None:
-    """Image segments must be uncompressed and hold the image's rows, no more and no less."""
+    """Raise if image segments are compressed, or do not hold exactly the image's rows."""
     from sarkit.sicd import PIXEL_TYPES
 
     if any(part.compressed for part in segments):
@@ -191,15 +183,13 @@ def _check_segments(path: Path, metadata: MetadataParams, pixel_type: str, segme
     width = metadata.NumCols * PIXEL_TYPES[pixel_type]["bytes"]
     whole = all(part.columns == metadata.NumCols and part.length == part.rows * width for part in segments)
     if not whole or sum(part.rows for part in segments) != metadata.NumRows:
-        raise SarsplatError(
-            f"{path} says that its image has {metadata.NumRows} × {metadata.NumCols} pixels of type {pixel_type}, but "
-            "its segments hold other numbers of bytes; get it again"
-        )
+        size = f"{metadata.NumRows} × {metadata.NumCols}"
+        raise_damaged(path, f"has {size} pixels of type {pixel_type}, but segments of other sizes")
 
 
 @dataclass(frozen=True)
 class Axis:
-    """What the metadata say of the rows or the columns of an image."""
+    """Metadata of the rows or the columns of an image."""
 
     spacing_m: float
     """Distance of pixels within the image plane."""
@@ -210,11 +200,11 @@ class Axis:
     sign: int
     """Sign of the exponent in the Fourier transform to spatial frequencies, 1 or −1."""
     carrier: Float64[np.ndarray, "m n"]
-    """Where the band is centred, cycles/m: a polynomial in (xrow, ycol), m."""
+    """Centre of the band, cycles/m: a polynomial in (xrow, ycol), m."""
     window: str
-    """How the band was weighted, in the file's words; "" where it does not say."""
+    """Weighting of the band, as the file names it; "" if not stated."""
     response: Response
-    """What follows from that; a Gaussian where the file does not say enough."""
+    """Response of that weighting; Gaussian if not fully stated."""
 
     @property
     def occupied(self) -> float:
@@ -223,7 +213,7 @@ class Axis:
 
 
 class SicdFields(Metadata):
-    """Single fields of the XML, each refused with a sentence if it is not what it must be."""
+    """Checked fields of the XML."""
 
     def _load(self, name: str) -> Any:
         from sarkit.sicd import XmlHelper
@@ -240,14 +230,14 @@ class SicdFields(Metadata):
         return float(value)
 
     def polynomial(self, name: str) -> Float64[np.ndarray, "m n"] | None:
-        """A polynomial in two variables; None where there is none."""
+        """Load a polynomial in two variables; None if it is missing."""
         value = self._load(name)
         if value is not None and not np.all(np.abs(value) <= FARTHEST):
-            raise SarsplatError(f"{self.path} has a polynomial {name} that is not finite; get it again")
+            raise_damaged(self.path, f"has a polynomial {name} that is not finite")
         return value
 
     def axis(self, name: str) -> Axis:
-        """Rows (`Row`) or columns (`Col`)."""
+        """Load the metadata of rows (`Row`) or columns (`Col`)."""
         carrier = self.polynomial(f"Grid/{name}/DeltaKCOAPoly")
         window = self.text(f"Grid/{name}/WgtType/WindowName")
         sign = self._load(f"Grid/{name}/Sgn")
@@ -264,14 +254,14 @@ class SicdFields(Metadata):
         )
 
     def _response(self, name: str, window: str) -> Response:
-        """The response that a window leads to, if it is one of ours and stated with its parameters."""
+        """Return the response of a uniform window or of a Taylor window with stated parameters; otherwise Gaussian."""
         if window == "UNIFORM":
             return UNIFORM
         stated = {item.get("name"): item.text for item in self.tree.iterfind(any_version(f"{name}/Parameter"))}
         return stated_taylor(stated.get("SLL"), stated.get("NBAR")) if window == "TAYLOR" else GAUSSIAN
 
     def pixel_type(self) -> str:
-        """One of those that sarkit knows."""
+        """Return the pixel type; raise if sarkit does not know it."""
         from sarkit.sicd import PIXEL_TYPES
 
         name = self.text("ImageData/PixelType")
@@ -280,21 +270,21 @@ class SicdFields(Metadata):
         return name
 
     def amplitudes(self) -> Float64[np.ndarray, " 256"] | None:
-        """The table of amplitudes, if there is one."""
+        """Load the table of amplitudes, if there is one."""
         values = self._load("ImageData/AmpTable")
         if values is not None and not (np.shape(values) == (256,) and np.all((values >= 0) & (values <= LARGEST))):
-            raise SarsplatError(f"{self.path} has a table of amplitudes that is not 256 numbers ≥ 0; get it again")
+            raise_damaged(self.path, "has a table of amplitudes that is not 256 numbers ≥ 0")
         return values
 
     def centre_frequency(self) -> float | None:
-        """Of the processed band, Hz; None where the file does not say it."""
+        """Return the centre of the processed band, Hz; None if not stated."""
         ends = [self._load(f"ImageFormation/TxFrequencyProc/{name}") for name in ("MinProc", "MaxProc")]
         if not all(isinstance(end, int | float) and 1e6 <= end <= FARTHEST for end in ends):  # also catches NaN
             return None
         return sum(map(float, ends)) / 2
 
     def collection(self) -> dict[str, str]:
-        """Who took it, when and how."""
+        """Return sensor, collection, mode, start and polarisation, as far as stated."""
         names = {
             "sensor": "CollectionInfo/CollectorName",
             "collection": "CollectionInfo/CoreName",
@@ -306,10 +296,7 @@ class SicdFields(Metadata):
 
 
 def modernise(path: Path, tree: lxml.etree._ElementTree) -> str:
-    """Change metadata of a SICD to a version that sarkit has the schema of; returns the version that the file states.
-
-    Refused if it is no version that can be read.
-    """
+    """Change metadata of a SICD to a version with a schema in sarkit; return the file's version; raise if unknown."""
     from sarkit.sicd import VERSION_INFO
 
     root = tree.getroot()

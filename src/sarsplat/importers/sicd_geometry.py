@@ -1,11 +1,11 @@
-"""Where the ground around a spot lies in a SICD, and from where the radar saw it.
+"""Positions of the ground around a spot in a SICD, and the view of the radar.
 
 The world frame is level at the spot: z up, and x towards a compass heading, east unless stated otherwise. A pixel of a
 SICD is a range and a range rate of one antenna position, whatever plane its rows and columns span, so a place on the
-ground is found in it by sarkit's projection, not by angles between axes. Our images have parallel rays and a level
-azimuth axis x_r. Level ground is laid out so that it agrees with them exactly. What stands on it then agrees too if the
-radar's velocity across the line of sight is level; if it is not (a radar that looks ahead or back, or climbs), the
-slant plane is tilted about the line of sight, and what stands one metre high appears `leaning` metres beside its place.
+ground is found in it by sarkit's projection, not by angles between axes. A view has parallel rays and a level azimuth
+axis x_r, with which resampled level ground agrees exactly. Heights agree too if the radar's velocity across the line of
+sight is level; otherwise (the radar squints or climbs) the slant plane is tilted about the line of sight, and a height
+of one metre is displaced by `leaning` metres.
 """
 
 from __future__ import annotations
@@ -32,27 +32,26 @@ _DIGITS = 9  # of angles in degrees: what is left is rounding
 
 @dataclass(frozen=True)
 class Layout:
-    """How level ground around the spot lies in an image."""
+    """Layout of level ground around the spot in an image."""
 
     view: View
     look: str
-    """On which side of the radar's track the spot is, "left" or "right"."""
+    """Side of the radar's track on which the spot is, "left" or "right"."""
     distance_m: float
-    """From the radar to the spot."""
+    """Distance from the radar to the spot."""
     tilt_deg: float
-    """Tilt of the slant plane about the line of sight, of a radar that looks right; 0 if the image's azimuth is level.
-    The view has it, or is level."""
+    """Tilt of the slant plane about the line of sight, of a radar that looks right; also that of a tilted view."""
     extent_m: float
     """Half a side of the square that the fit is for."""
     coefficients: Float64[np.ndarray, "n 2"]
     """Coefficients of the polynomials from (azimuth, range), in units of `extent_m`, to (xrow, ycol), m."""
     leaning: tuple[float, float] = (0.0, 0.0)
-    """How far (azimuth, range), m, what stands one metre high appears from where the view's parallel rays have it."""
+    """Displacement (azimuth, range) of heights against the view's parallel rays, m for each metre."""
 
     def place_of(
         self, azimuth_m: Float64[np.ndarray, "*n"], range_m: Float64[np.ndarray, "*n"]
     ) -> Float64[np.ndarray, "*n 2"]:
-        """(xrow, ycol), m, of what our frame has at (azimuth, slant range), m."""
+        """Convert (azimuth, slant range) of the view, m, to (xrow, ycol), m."""
         return _terms(azimuth_m / self.extent_m, range_m / self.extent_m) @ self.coefficients
 
     @property
@@ -64,7 +63,7 @@ class Layout:
 
 
 def middle_of(sicd: Sicd) -> str:
-    """Where an image is, as options name it."""
+    """Return options for the middle of an image."""
     row, column = (size // 2 for size in sicd.shape)
     spot = spot_of_pixel(sicd, (row, column), 90.0)
     return (
@@ -74,9 +73,9 @@ def middle_of(sicd: Sicd) -> str:
 
 
 def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) -> Place:
-    """The place on the ground, as high as the scene centre point, that a pixel shows.
+    """Return the place of a pixel on the ground, at the height of the scene centre point.
 
-    Refused if the pixel is outside the image or shows no such place.
+    Raises if the pixel is outside the image or shows no such place.
     """
     from sarkit import wgs84
 
@@ -94,13 +93,13 @@ def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) ->
 
 
 def astray_m(sicd: Sicd) -> float:
-    """How far the scene centre point is from where the image's own projection has it, m; 0 in a file that is right."""
+    """Return the distance between the stated and the projected scene centre point, m; 0 in a correct file."""
     with sarkit_errors(sicd.path):
         return float(np.linalg.norm(_ground_of(sicd, np.zeros(2), corrected=False) - sicd.projection.SCP))
 
 
 def _ground_of(sicd: Sicd, place: Float64[np.ndarray, " 2"], *, corrected: bool) -> Float64[np.ndarray, " 3"]:
-    """What is seen at (xrow, ycol) on the ground, as high as the scene centre point: ECEF, m."""
+    """Project (xrow, ycol) to the ground at the height of the scene centre point: ECEF, m."""
     from sarkit.sicd import projection
 
     metadata = sicd.projection
@@ -114,9 +113,9 @@ def _ground_of(sicd: Sicd, place: Float64[np.ndarray, " 2"], *, corrected: bool)
 
 
 def said_of_place(sicd: Sicd) -> str | None:
-    """What is wrong with where a file says that it is, if anything is."""
+    """Return a warning if a file contradicts its own scene centre point; otherwise None."""
     astray, cell = astray_m(sicd), max(axis.resolution_m for axis in sicd.axes)
-    if not astray > _ASTRAY_CELLS * cell:  # of NaN no ground is seen there, which is refused where it is needed
+    if not astray > _ASTRAY_CELLS * cell:  # NaN is rejected where the ground is needed
         return None
     return (
         f"{sicd.path.name} contradicts itself: its scene centre point is {astray:.4g} m from where its own projection "
@@ -126,18 +125,16 @@ def said_of_place(sicd: Sicd) -> str | None:
 
 
 def spot_of_centre(sicd: Sicd, heading_deg: float) -> Place:
-    """The scene centre point of an image."""
+    """Return the scene centre point of an image."""
     metadata = sicd.projection
     return Place(float(metadata.SCP_Lat), float(metadata.SCP_Lon), float(metadata.SCP_HAE), heading_deg)
 
 
 def layout_around(sicd: Sicd, spot: Place, extent_m: float, *, tilted: bool = False) -> Layout:
-    """Where the ground up to `extent_m` from the spot, in azimuth and slant range, lies in an image.
+    """Return the layout of the ground up to `extent_m` from the spot, in azimuth and slant range.
 
-    The azimuth axis of the view is level, or `tilted` as the image's own.
-
-    Refused if the image does not show the spot, its radar is below the horizon there, its metadata contradict
-    themselves, or its slant plane is tilted by more than 60° about the line of sight.
+    The azimuth axis of the view is level, or `tilted` as the image's own. Raises if the image does not show the spot,
+    the radar is below its horizon, metadata are contradictory, or the slant plane is tilted by more than 60°.
     """
     with sarkit_errors(sicd.path):
         place = _locate(sicd, spot, np.zeros((1, 3)))
@@ -163,7 +160,7 @@ def layout_around(sicd: Sicd, spot: Place, extent_m: float, *, tilted: bool = Fa
 
 
 def _locate(sicd: Sicd, spot: Place, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
-    """(xrow, ycol) of places in the world frame."""
+    """Project places in the world frame to (xrow, ycol)."""
     from sarkit.sicd import projection
 
     places, _, ground = projection.scene_to_image(
@@ -183,7 +180,7 @@ def _locate(sicd: Sicd, spot: Place, points: Float64[np.ndarray, "n 3"]) -> Floa
 def _radar(
     sicd: Sicd, spot: Place, place: Float64[np.ndarray, " 2"]
 ) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"], float]:
-    """Direction to the radar when it saw the spot, its velocity, both in the world frame, and its distance."""
+    """Return direction to the radar at the spot's aperture centre and its velocity, world frame, and its distance."""
     from sarkit.sicd import projection
 
     time = projection.compute_coa_time(sicd.projection.cT_COA, place)
@@ -195,7 +192,7 @@ def _radar(
 
 
 def on_ground(view: View, azimuth_m: np.ndarray, range_m: np.ndarray) -> Float64[np.ndarray, "n 3"]:
-    """The places on level ground that a view has at these azimuths and ranges."""
+    """Return the points on level ground at these azimuths and ranges of a view."""
     across, elevation, away = view.look.frame
     rise = -away[2] / elevation[2]  # along the elevation axis for each metre of range
     across = across - view.look.lean * elevation

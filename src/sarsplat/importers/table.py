@@ -1,4 +1,4 @@
-"""A table with a row for each picture: the picture's file, and what the columns say of it."""
+"""Table with a row for each picture: its file, and the contents of its columns."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.importers.about import AboutPictures
 from sarsplat.importers.columns import (
     LOOKS,
     PER_UNIT,
@@ -21,23 +22,24 @@ from sarsplat.importers.columns import (
 )
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
+from sarsplat.importers.rasters import first_georeference
 from sarsplat.names import Quantity, Side
 
 _ROUNDED_DEG = 1.0 + 1e-6
-"""By which grazing and incidence angles of whole degrees may miss a right angle together."""
+"""Maximum difference from 90° of the sum of grazing and incidence angles in whole degrees."""
 
 
 @dataclass(frozen=True)
 class ListedPicture:
-    """One row of the table, lengths in m and angles in degrees; None where no column says it, or the cell is empty."""
+    """Row of the table, lengths in m and angles in degrees; None where there is no column, or the cell is empty."""
 
     name: str
-    """As the table names it."""
+    """Name of the picture in the table."""
     path: Path
     azimuth_deg: float | None
-    """As it stands in the table; None if a heading stands there instead."""
+    """Azimuth in the table's convention; None if only a heading is given."""
     heading_deg: float | None
-    """Of the radar's flight, as it stands in the table; also beside an azimuth, with which it must agree."""
+    """Heading of the radar's flight; beside an azimuth, both must agree."""
     grazing_deg: float | None
     spacing_m: tuple[float | None, float | None]
     """Azimuth, range."""
@@ -47,64 +49,62 @@ class ListedPicture:
     split: str | None
     """"train" or "test…"."""
     looks_left: bool | None
-    """Whether the radar looks to the left of its flight."""
+    """True if the radar looks to the left of its flight."""
     tilt_deg: float | None
-    """By how much its azimuth axis rises above the level one."""
+    """Angle by which its azimuth axis rises above the level one."""
     scale: float | None
-    """What the pixels are multiplied by; where the table says what they hold, 1 / dn-per-magnitude or dn-per-power."""
+    """Factor on the pixels: of a column scale, or 1 / dn-per-magnitude or 1 / dn-per-power."""
     offset: float | None
-    """What is then added to them."""
+    """Number added to the scaled pixels."""
     near: Side | None
     """Side that is near the radar."""
     view: str | None
-    """Of a stack: rows of the same view are its channels."""
+    """Name of the view in a stack: rows of the same view are its channels."""
     baseline_rad: float | None
-    """Of a stack: b/R of the pass."""
+    """b/R of the pass in a stack."""
     polarisation: str | None
-    """Of a stack: as it stands in the table, in capital letters."""
+    """Polarisation in a stack, in capital letters."""
 
 
 @dataclass(frozen=True)
 class PictureTable:
-    """All rows that have a picture, in the order of the table, and which columns say what."""
+    """All rows that have a picture, in the order of the table, and the columns by their meaning."""
 
     path: Path
     columns: Columns
     target: str | None
-    """The class that all of them show; None where no column says it."""
+    """Class of all pictures; None if no column states it."""
     pictures: tuple[ListedPicture, ...]
 
     @property
     def real(self) -> Quantity | None:
-        """What real numbers in the pictures are, by the column of their scale; None if there is none."""
-        known = [held[0] for meaning, held in PER_UNIT.items() if meaning in self.columns]
+        """Quantity of real numbers in the pictures, by the column of their scale, or None."""
+        known = [quantities[0] for meaning, quantities in PER_UNIT.items() if meaning in self.columns]
         return known[0] if known and "scale" not in self.columns else None
 
+    @property
+    def has_stacks(self) -> bool:
+        """True if the table has columns of channels, and several rows for a view."""
+        views = [picture.view for picture in self.pictures if picture.view is not None]
+        return bool(self.columns.keys() & {"baseline", "polarisation"}) and len(set(views)) < len(views)
 
-def read_picture_table(
-    folder: Path,
-    path: Path | None,
-    named: Mapping[str, str],
-    *,
-    target_class: str | None = None,
-    grazing: bool = True,
-    spacing: bool = True,
-    looking: bool = False,
-    compass: bool = False,
-) -> PictureTable:
-    """Read a table (None: the only one in the folder) and find its pictures, in subfolders or not.
 
-    `named` is that of `chosen_columns`; `target_class` is the one whose pictures are wanted; `grazing` and `spacing`
-    say whether the table must have columns of these, `looking` whether it is known to which side the radar looks, and
-    `compass` whether azimuths may count from north. Rows without a picture and pictures without a row are warned of.
-    Refused if the table is missing, damaged or lacks a column, names a file twice, none that exists or one outside the
-    folder, several classes are in it of which none is chosen, or a cell or a column is not what it should be.
+def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = False) -> PictureTable:
+    """Read the table of a folder and find its pictures, in subfolders or not.
+
+    Rows without a picture and pictures without a row are warned of; `compass` allows azimuths from north. Raises if the
+    table is missing, damaged or lacks a column that `about` does not replace, names a file twice, none that exists or
+    one outside the folder, has several classes of which none is chosen, or holds an invalid cell.
     """
-    inside = files_in(folder, "the pictures")
-    table = read_table(_the_table(folder, inside) if path is None else path, "a table with a row for each picture")
+    inside, named = files_in(folder, "the pictures"), about.get("columns") or {}
+    path = about.get("table")
+    table = read_table(
+        _only_table(folder, inside) if path is None else Path(path), "a table with a row for each picture"
+    )
     columns = chosen_columns(table, named)
-    require(table, columns, grazing, spacing, looking)
-    require_degrees(table, columns, compass)
+    spacing = about.get("spacing_m") is None and first_georeference(sorted(folder.rglob("*"))) is None
+    require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
+    require_degrees(table, columns, compass or about.get("azimuth_offset_deg") is not None)
     column = columns["file"]
     row_of: dict[Path, Row] = {}
     for row, picture in listed_files(folder, table, table.rows, column, of="picture", endings=PICTURE_ENDINGS):
@@ -115,15 +115,15 @@ def read_picture_table(
     every = {path for path in inside if path.suffix.lower() in PICTURE_ENDINGS}
     if unlisted := len(every - set(row_of)):
         warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, left out")
-    target = _one_class(table, columns, target_class, list(row_of.values()))
-    wanted = {at: row for at, row in row_of.items() if target is None or row[1][columns["class"]] == target}
+    target = _one_class(table, columns, about.get("target_class"), list(row_of.values()))
+    chosen = {at: row for at, row in row_of.items() if target is None or row[1][columns["class"]] == target}
     heading = _heading(table, columns, named)
-    pictures = (_listed(table, row, columns, heading, at) for at, row in _placed(table, columns, wanted).items())
+    pictures = (_listed(table, row, columns, heading, at) for at, row in _placed(table, columns, chosen).items())
     return PictureTable(table.path, columns, target, tuple(pictures))
 
 
 def _placed(table: CsvTable, columns: Columns, rows: dict[Path, Row]) -> dict[Path, Row]:
-    """The rows that say where the radar was: those whose azimuth is empty are left out, unless that is so of all."""
+    """Leave out rows whose azimuth is empty, unless all are."""
     if "azimuth" not in columns or "heading" in columns:
         return rows
     placed = {at: row for at, row in rows.items() if row[1][columns["azimuth"]]}
@@ -137,21 +137,21 @@ def _placed(table: CsvTable, columns: Columns, rows: dict[Path, Row]) -> dict[Pa
     return placed
 
 
-def _one_class(table: CsvTable, columns: Columns, wanted: str | None, rows: list[Row]) -> str | None:
-    """The class whose pictures are taken: a dataset shows one target."""
+def _one_class(table: CsvTable, columns: Columns, chosen: str | None, rows: list[Row]) -> str | None:
+    """Return the class whose pictures are taken: a dataset shows one target."""
     if "class" not in columns:
-        if wanted is not None:
+        if chosen is not None:
             raise SarsplatError(
-                f"{table.path} has no column of classes to choose {shown(wanted)} from; name it with --columns "
+                f"{table.path} has no column of classes to choose {shown(chosen)} from; name it with --columns "
                 "class=NAME, or leave out --class"
             )
         return None
     classes = list(dict.fromkeys(row[1][columns["class"]] for row in rows))
-    if wanted in classes:
-        return wanted
+    if chosen in classes:
+        return chosen
     names = ", ".join(name if name and name.isprintable() else shown(name) for name in classes[:20])
-    if wanted is not None:
-        raise SarsplatError(f"{table.path} has no picture of the class {shown(wanted)}; choose one of {names}")
+    if chosen is not None:
+        raise SarsplatError(f"{table.path} has no picture of the class {shown(chosen)}; choose one of {names}")
     if len(classes) > 1:
         raise SarsplatError(
             f"{table.path} has pictures of {len(classes)} classes ({names}), and a dataset shows one; choose it with "
@@ -160,7 +160,7 @@ def _one_class(table: CsvTable, columns: Columns, wanted: str | None, rows: list
     return classes[0] or None
 
 
-def _the_table(folder: Path, files: list[Path]) -> Path:
+def _only_table(folder: Path, files: list[Path]) -> Path:
     tables = [path for path in files if path.suffix.lower() == ".csv"]
     if len(tables) != 1:
         number = f"{len(tables)} tables (CSV)" if tables else "no table (CSV) of its pictures"
@@ -169,7 +169,7 @@ def _the_table(folder: Path, files: list[Path]) -> Path:
 
 
 def _heading(table: CsvTable, columns: Columns, named: Mapping[str, str]) -> str | None:
-    """The column of headings: they count beside azimuths, too, unless only the column of these was named."""
+    """Return the column of headings, also beside azimuths, unless only the column of azimuths was named."""
     if "heading" in columns or {"azimuth", "az"} & set(named):
         return columns.get("heading")
     return recognised(table, "heading", columns)
@@ -187,7 +187,7 @@ def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, pa
         azimuth, slant = number(f"azimuth-{meaning}"), number(f"range-{meaning}")
         return (both if azimuth is None else azimuth), (both if slant is None else slant)
 
-    _refuse_other_sum(table, row, columns)
+    _require_right_angle(table, row, columns)
     grazing, incidence = number("grazing"), number("incidence")
     return ListedPicture(
         name=text("file"),
@@ -216,11 +216,8 @@ def _heading_deg(table: CsvTable, row: Row, columns: Columns, heading: str | Non
     return table.direction(row, heading)
 
 
-def _refuse_other_sum(table: CsvTable, row: Row, columns: Columns) -> None:
-    """Of a table with both, grazing and incidence angles must be the same: then it does not matter which is taken.
-
-    Above the curved earth they are not if what is called grazing is a depression or an elevation at the radar.
-    """
+def _require_right_angle(table: CsvTable, row: Row, columns: Columns) -> None:
+    """Raise if grazing and incidence angle of a row do not add to 90°, as depressions at the radar do not."""
     if not {"grazing", "incidence"} <= columns.keys():
         return
     names = columns["grazing"], columns["incidence"]
@@ -236,7 +233,7 @@ def _refuse_other_sum(table: CsvTable, row: Row, columns: Columns) -> None:
 
 
 def _scale(table: CsvTable, row: Row, columns: Columns) -> float | None:
-    """What a row's pixels are multiplied by; one that says nothing is refused if others do: all must compare."""
+    """Return the factor on a row's pixels; None if no row states one."""
     if "scale" in columns:
         return table.number(row, columns["scale"]) if row[1][columns["scale"]] else None
     column = next((columns[one] for one in PER_UNIT if one in columns), None)
@@ -265,7 +262,7 @@ def _looks_left(table: CsvTable, row: Row, text: str) -> bool | None:
 
 
 def near_side(table: CsvTable, row: Row, column: str) -> Side:
-    """The side that a cell names."""
+    """Parse a cell as a side of pictures."""
     side = row[1][column].lower()
     if side not in SIDES:
         raise SarsplatError(

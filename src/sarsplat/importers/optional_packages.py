@@ -1,4 +1,4 @@
-"""Packages that single formats need: they come with an extra of ours, and may be missing."""
+"""Optional packages of single formats."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sarsplat.extras import install_command
 
 
 def require(package: str, what: str, extra: str) -> None:
-    """Refuse to go on without a package, and say how to get it; `what` needs it, such as "SICD files need"."""
+    """Raise if a package is missing, naming the extra that installs it; `what` begins the error: "SICD files need"."""
     try:
         import_module(package)
     except ImportError as error:

@@ -1,0 +1,211 @@
+"""Import stacks: complex pictures of a folder, grouped by their table into passes or polarisations of each view."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data.dataset import Dataset
+from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.geometry import Stack
+from sarsplat.importers.about import AboutPictures
+from sarsplat.importers.listed_images import Angles, in_range, read_pictures, write_pictures
+from sarsplat.importers.measured_image import MeasuredImage
+from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
+from sarsplat.names import Backscatter, Transmit
+
+_NO_RADIANS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters"}
+"""Last words of names of columns that do not hold b/R."""
+
+_SHARED = {
+    "view": "angles",
+    "spacing_m": "pixel spacing",
+    "resolution_m": "resolution",
+    "azimuth_std_deg": "standard deviation of the azimuth",
+    "split": "sets",
+}
+"""Attributes that all channels of a view have in common, in words."""
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """Conventions of all channels; see `import_stack`."""
+
+    wavelength_m: float
+    transmit: Transmit
+    noise: float | None
+    conjugate: bool
+    flattened: bool
+
+
+@checks_arguments
+def import_stack(
+    folder: str | Path,
+    out: str | Path,
+    *,
+    wavelength_m: float,
+    transmit: Transmit = "each",
+    noise: float | None = None,
+    conjugate: bool = False,
+    flattened: bool = False,
+    scale: float = 1.0,
+    backscatter: Backscatter = "beta0",
+    overwrite: bool = False,
+    **about: Unpack[AboutPictures],
+) -> Dataset:
+    """Import stacks of complex pictures (TIFF, NPY, MATLAB) with a table (CSV) of passes or polarisations.
+
+    Rows with the same view are its channels, coregistered: passes, with b/R in radians in the column baseline, or
+    polarisations, received and transmitted, in the column polarisation.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the pictures.
+    out : Path
+        Dataset folder to write.
+    wavelength_m : float
+        Wavelength, m.
+    transmit : {"each", "one"}
+        Each pass transmits itself, or one transmits for all.
+    noise : float, optional
+        Power of each channel's noise, in the unit of the images; learned unless given.
+    conjugate : bool
+        The phase rises with distance.
+    flattened : bool
+        Phases of the level plane z = 0 were taken out. Unless they were, a scatterer at the scene's origin must have
+        the same phase in every pass.
+    scale : float
+        Factor on the pixels.
+    backscatter : {"beta0", "sigma0", "gamma0"}
+        Normalisation of the power: σ⁰ and γ⁰ become β⁰ by the factor of level ground.
+    overwrite : bool
+        Replace an existing dataset.
+    **about
+        Table, lengths, angles, orientation, looks, ground, terrain and the target's box: see `AboutPictures`.
+
+    Raises
+    ------
+    SarsplatError
+        As `import_folder` does, or if channels do not make a stack.
+
+    Warns
+    -----
+    SarsplatWarning
+        As `import_folder` does.
+    """
+    folder = Path(folder)
+    listed = read_picture_table(folder, about)
+    angles = Angles.of(about)
+    pictures, assumptions = read_pictures(listed, about, angles, "complex", scale, 0.0, backscatter)
+    images, layout = in_range(listed, pictures, about, assumptions)
+    images = _stacks(listed, images, _Recording(wavelength_m, transmit, noise, conjugate, flattened))
+    source: dict[str, Any] = {
+        "quantity": "complex",
+        "scale": scale,
+        "offset": 0.0,
+        **layout,
+        "assumptions": [
+            *assumptions,
+            *angles.assumptions(listed, about, backscatter),
+            f"what is farther away has {'more' if conjugate else 'less'} phase in the files",
+            "the phases of the level plane z = 0 were taken out of the files"
+            if flattened
+            else "no phases were taken out of the files, and the scene's origin has the same in every pass",
+        ],
+    }
+    return write_pictures(out, folder, listed, images, about, source, overwrite=overwrite)
+
+
+def _stacks(listed: PictureTable, images: Sequence[MeasuredImage], recording: _Recording) -> list[MeasuredImage]:
+    """Stack the images of the table's rows view by view; raise if those of a view are no channels of one `Stack`."""
+    _check_columns(listed)
+    channels: dict[str, list[tuple[ListedPicture, MeasuredImage]]] = {}
+    for row, image in zip(listed.pictures, images, strict=True):
+        if row.view is None:
+            raise SarsplatError(f"{listed.path} names no view of {row.name}; name it in every row")
+        if row.baseline_rad is None and "baseline" in listed.columns:
+            raise SarsplatError(f"{listed.path} has no baseline of {row.name}; give b/R, rad")
+        if not image.pixels.any():
+            raise SarsplatError(f"{row.name} is zero everywhere, which no channel of a stack is; leave out its row")
+        channels.setdefault(row.view, []).append((row, image))
+    return [_stack(f"{listed.path}: the view {shown(name)}", name, own, recording) for name, own in channels.items()]
+
+
+def _check_columns(listed: PictureTable) -> None:
+    columns = listed.columns
+    if "view" not in columns:
+        raise SarsplatError(
+            f"{listed.path} has no column that says which rows are channels of one view; name it with --columns "
+            "view=NAME, or import single images with `sarsplat import folder`"
+        )
+    if not columns.keys() & {"baseline", "polarisation"}:
+        raise SarsplatError(
+            f"{listed.path} has no column of baselines (b/R, rad) or of polarisations; name it with --columns "
+            "baseline=NAME or polarisation=NAME, or import single images with `sarsplat import folder`"
+        )
+    unit = re.findall(r"[a-z]+", columns.get("baseline", "").lower())[-1:]
+    if set(unit) & _NO_RADIANS:
+        raise SarsplatError(
+            f"the column {shown(columns['baseline'])} of {listed.path} seems to hold {unit[0]}; give perpendicular "
+            "baselines over the range, b/R, in radians, and call it baseline"
+        )
+
+
+def _stack(
+    where: str, name: str, channels: Sequence[tuple[ListedPicture, MeasuredImage]], recording: _Recording
+) -> MeasuredImage:
+    """Stack the channels of one view; `where` begins errors."""
+    rows, images = zip(*channels, strict=True)
+    first = images[0]
+    if len(images) == 1:
+        raise SarsplatError(f"{where} has one row; a stack needs several, so add its others, or remove it")
+    for image in images[1:]:
+        for attribute, words in _SHARED.items():
+            if (own := getattr(image, attribute)) != (expected := getattr(first, attribute)):
+                remedy = "give them the same" if attribute == "split" else "coregister them, and give them the same"
+                raise SarsplatError(
+                    f"{where} has channels of different {words}, {shown(expected)} in {first.name} and {shown(own)} in "
+                    f"{image.name}; {remedy}"
+                )
+        if image.pixels.shape != first.pixels.shape:
+            sizes = (" × ".join(map(str, one.pixels.shape)) for one in (first, image))
+            raise SarsplatError(
+                f"{where} has channels of different sizes, {next(sizes)} pixels in {first.name} and {next(sizes)} in "
+                f"{image.name}; coregister them to the same pixels"
+            )
+    try:
+        stack = Stack(
+            recording.wavelength_m,
+            tuple(row.baseline_rad or 0.0 for row in rows),
+            recording.transmit,
+            None if recording.noise is None else (recording.noise,) * len(rows),
+            _polarisations(rows),
+        )
+    except SarsplatError as error:
+        raise SarsplatError(f"{where}: {error}") from error
+    signal = np.stack([image.pixels for image in images])
+    if recording.conjugate:
+        signal = signal.conj()
+    if recording.flattened:
+        signal = (signal * np.exp(1j * stack.plane_phases(first.view, first.grid))).astype(signal.dtype)
+    return replace(first, name=name, pixels=signal, stack=stack)
+
+
+def _polarisations(rows: Sequence[ListedPicture]) -> tuple[str, ...] | None:
+    """Return the polarisation of each channel; None if no row states it."""
+    named = [row.polarisation for row in rows]
+    if not any(named):
+        return None
+    if missing := [row.name for row in rows if not row.polarisation]:
+        raise SarsplatError(
+            f"{counted(len(missing), 'row')} of {len(rows)} have no polarisation, the first that of {missing[0]}; fill "
+            "the column, or leave it empty in all"
+        )
+    return tuple(str(name) for name in named)
