@@ -226,7 +226,7 @@ def test_values_that_are_not_power(grounded: Dataset, looks: float) -> None:
     assert "take the root" in only(with_power(dataset, dataset.power**2))
     for kind, remedy in (
         ("sicd", "; give another number of looks (--looks)"),
-        ("mstar", "; mend the files, for their"),
+        ("mstar", "; correct the files"),
     ):
         told = only(replace(with_power(dataset, dataset.power**2), source={"kind": kind}))
         assert remedy in told and "--quantity" not in told
