@@ -34,7 +34,7 @@ from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.observations.parts_of_images import Tile, tiles_of
 from sarsplat.renderer import render
-from sarsplat.runs.tile_work import TILE, TileEnd, TileJob
+from sarsplat.runs.tiled_training import TILE, TileEnd, TileJob
 from sarsplat.settings.sections import Densification, Surroundings
 from upright import upright
 
