@@ -45,7 +45,7 @@ def done(dataset: Dataset) -> Run:
 def begun(done: Run, tmp_path: Path) -> Path:
     """A run with one step to go."""
     shutil.copytree(done.folder, tmp_path / "run")
-    newest = Run.load(tmp_path / "run").files.checkpoint_path
+    newest = Run.load(tmp_path / "run").store.checkpoint_path
     assert newest is not None
     newest.unlink()
     return tmp_path / "run"
@@ -72,10 +72,10 @@ def test_one_of_before_there_was_smoothing(dataset: Dataset, tmp_path: Path, mon
     monkeypatch.setattr(levels, "_ACROSS", 2)
     unsmoothed = replace(CONFIG, coarsest=2, smoothing=Smoothing(rounds=0))
     whole = reconstruct(dataset, unsmoothed, tmp_path / "run")
-    tensors, _ = load_checkpoint(whole.files.checkpoint_path)
+    tensors, _ = load_checkpoint(whole.store.checkpoint_path)
     assert "strategy/relocation" in tensors and "strategy/smoothing" not in tensors
-    whole.files.checkpoint_path.unlink()
-    newest = whole.files.checkpoint_path
+    whole.store.checkpoint_path.unlink()
+    newest = whole.store.checkpoint_path
     tensors, state = load_checkpoint(newest)
     del tensors["strategy/growth/times"]
     save_checkpoint(newest, tensors, state)
@@ -157,7 +157,7 @@ def test_another_version(begun: Path, dataset: Dataset, change: dict[str, Any], 
 
 @pytest.mark.parametrize("change", [{"model/optical_depth": None}, {"model/means": torch.empty(0, 3)}])
 def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
-    newest = Run.load(begun).files.checkpoint_path
+    newest = Run.load(begun).store.checkpoint_path
     assert newest is not None
     tensors, state = load_checkpoint(newest)
     save_checkpoint(newest, {name: t for name, t in (tensors | change).items() if t is not None}, state)
@@ -179,7 +179,7 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset, change: 
     ],
 )
 def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
-    newest = Run.load(begun).files.checkpoint_path
+    newest = Run.load(begun).store.checkpoint_path
     assert newest is not None
     tensors, state = load_checkpoint(newest)
     save_checkpoint(newest, tensors, {**state, **change})

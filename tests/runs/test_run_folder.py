@@ -194,11 +194,11 @@ def test_scores_are_kept_as_they_are_and_nothing_else_is(tmp_path: Path, finishe
 
 def test_a_copied_checkpoint_is_none(tmp_path: Path, dataset: Dataset, config: Config, finished: Run) -> None:
     run = Run.load(shutil.copytree(finished.path, tmp_path / "run"))
-    newest = run.files.checkpoint_path
+    newest = run.store.checkpoint_path
     shutil.copy(
         newest.with_name(f"{config.checkpoint_every * 2:08d}.safetensors"), newest.with_name("best.safetensors")
     )
-    assert run.files.checkpoint_path == newest
+    assert run.store.checkpoint_path == newest
     reconstruct(dataset, replace(config, iterations=70), run.path, resume=True, quiet=True)
     assert Run.load(run.path).iteration == 70
     assert newest.with_name("best.safetensors").is_file()

@@ -55,7 +55,7 @@ class Result(ABC):
             return METHODS[self.method].open(snapshot, self.config, self.device, self.store.path)
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
-                f"{self.store.source} does not hold a whole model ({shown(str(error))}); "
+                f"{self._checkpoint} does not hold a whole model ({shown(str(error))}); "
                 "reconstruct it again with overwrite=True"
             ) from error
 
@@ -246,6 +246,11 @@ class Result(ABC):
         return self.reconstruction.gamma0_at(self.points)
 
     @property
+    def _checkpoint(self) -> str:
+        """Name of the checkpoint, for errors."""
+        return str(self.store.checkpoint_path or "the run in memory")
+
+    @property
     def grid(self) -> ImageGrid:
         """Pixels of its images."""
         return self.snapshot.grid
@@ -270,7 +275,7 @@ class Result(ABC):
             return np.zeros(count)
         if offsets.shape != (count,) or not np.isfinite(offsets).all():
             raise SarsplatError(
-                f"{self.store.source} does not hold one azimuth offset for each training view; "
+                f"{self._checkpoint} does not hold one azimuth offset for each training view; "
                 "reconstruct it again with overwrite=True"
             )
         return offsets

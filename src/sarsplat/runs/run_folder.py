@@ -158,7 +158,7 @@ class InMemory:
     metrics: Metrics | None = None
     path: ClassVar[None] = None
     points: ClassVar[None] = None
-    source: ClassVar[str] = "the run in memory"
+    checkpoint_path: ClassVar[None] = None
 
     def keep(self, metrics: Metrics) -> None:
         self.metrics = metrics
@@ -173,16 +173,11 @@ class RunFolder:
     @property
     def snapshot(self) -> Snapshot:
         """Newest checkpoint."""
-        from sarsplat.learning.snapshot import Snapshot  # here: it needs torch
-
         if (checkpoint := self.checkpoint_path) is None:
             raise SarsplatError(f"{self.path} holds no checkpoint; reconstruct it again with overwrite=True")
-        return Snapshot.load(checkpoint)
+        from sarsplat.learning.snapshot import Snapshot  # here: it needs torch
 
-    @property
-    def source(self) -> str:
-        """Name of the checkpoint, for errors."""
-        return str(self.checkpoint_path)
+        return Snapshot.load(checkpoint)
 
     @property
     def header(self) -> Header:
