@@ -92,7 +92,7 @@ def left_open(metrics: Mapping[str, Any]) -> dict[str, str]:
         words["left open"] = f"heights of {share:.0%} of the surface, inside uniform areas"
     if places := metrics.get("missing"):
         where = "; ".join(", ".join(f"{value:.1f}" for value in place) for place in places[:_MAX_NAMED_PLACES])
-        words["missing"] = f"{counted(len(places), 'object')} in images without points, at ({where}) m"
+        words["missing"] = f"{counted(len(places), 'object')} that images show and points lack, at ({where}) m"
     return words
 
 

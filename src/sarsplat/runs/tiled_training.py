@@ -207,7 +207,7 @@ def begin_of_tiles(trainer: Trainer) -> int:
     if tiles > coarsest:
         limit = "the setting coarsest" if coarsest == trainer.config.coarsest else "the scene's size"
         raise SarsplatError(
-            f"tiles is {tiles}, but images of the whole scene have blocks of only {coarsest} × {coarsest} pixels, by "
+            f"tiles is {tiles}, but images of the whole scene have blocks of {coarsest} × {coarsest} pixels, by "
             f"{limit}; give tiles from 1 to {coarsest}"
         )
     return trainer.model.levels.begin_below(tiles)
