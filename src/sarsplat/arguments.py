@@ -1,4 +1,4 @@
-"""Argument checks of public functions: an argument of another type than its annotation is refused in one sentence."""
+"""Argument checks of public functions against their annotations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sarsplat.errors import SarsplatError, advised
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_GIVE = {
+_REMEDIES = {
     "Callable": "a function, not its name",
     "Config": "a Config, such as preset('default')",
     "Dataset": "a Dataset, such as read_dataset(PATH) reads",
@@ -41,12 +41,12 @@ _GIVE = {
     "ndarray": "a numpy.ndarray (numpy.asarray makes one)",
     "str": "a str",
 }
-"""The remedy, by the name of the kind that was expected."""
+"""Name of an expected type → remedy."""
 
 _NUMBERS = {float: Real, int: Integral, bool: Integral}
-_SERIES = (Sequence, Iterable, tuple)
-_ONE_THING = (str, bytes, os.PathLike)
-"""What Python iterates over, or opens, but nobody means as a sequence."""
+_SEQUENCES = (Sequence, Iterable, tuple)
+_SCALARS = (str, bytes, os.PathLike)
+"""Iterable types that are no sequences of arguments."""
 
 
 @typing.overload
@@ -54,12 +54,11 @@ def checks_arguments(function: F) -> F: ...
 @typing.overload
 def checks_arguments(*, instead: Callable[[str, object], str | None]) -> Callable[[F], F]: ...
 def checks_arguments(function: Any = None, *, instead: Callable[[str, object], str | None] | None = None) -> Any:
-    """Decorate a function so that it refuses arguments of other types than its annotations name.
+    """Decorate a function to raise a SarsplatError for arguments of other types than its annotations.
 
-    Kinds are classes, paths, numbers, arrays, functions, mappings and sequences of them, and what a `TypedDict` holds
-    (`**options: Unpack[...]`). Shapes, ranges and choices are left to the function; it raises a SarsplatError in
-    either case, here before anything is done. A name that it does not have is a TypeError, as of any function;
-    `instead` may know where what is so named, with this value, is to be given.
+    Types are classes, paths, numbers, arrays, functions, mappings and sequences of them, and the fields of a
+    `TypedDict` (`**options: Unpack[...]`). Shapes, ranges and choices are left to the function. An unknown name is a
+    TypeError, as usual; `instead` may return the remedy for that name and value.
     """
     if function is None:
         return partial(checks_arguments, instead=instead)
@@ -72,8 +71,8 @@ def checks_arguments(function: Any = None, *, instead: Callable[[str, object], s
         kinds = _kinds(function)
         known = kinds.keys() if closed else names
         if not open_to_all and (unknown := next((name for name in options if name not in known), None)) is not None:
-            told = None if instead is None else instead(unknown, options[unknown])
-            remedy = told or advised(unknown, [name for name in known if name not in ("return", "self")])
+            remedy = None if instead is None else instead(unknown, options[unknown])
+            remedy = remedy or advised(unknown, [name for name in known if name not in ("return", "self")])
             raise TypeError(f"{function.__name__}() got an unexpected keyword argument {unknown!r}; {remedy}")
         for name, value in (*zip(names, arguments, strict=False), *options.items()):
             if name in kinds:
@@ -84,23 +83,23 @@ def checks_arguments(function: Any = None, *, instead: Callable[[str, object], s
 
 
 def expect(kind: Any, **values: object) -> None:
-    """Refuse values that are not of a type; names and wording as in `checks_arguments`."""
+    """Raise for values that are not of a type, as `checks_arguments` does."""
     for name, value in values.items():
         _expect(tuple(_alternatives(kind)), name, value)
 
 
 def _expect(kinds: Sequence[Any], name: str, value: object) -> None:
-    if type(value) not in kinds and not _fits(value, kinds):  # the first is usual, and cheap
-        raise SarsplatError(f"{name} {_instead(value, kinds)}")
+    if type(value) not in kinds and not _fits(value, kinds):  # the first test is cheap
+        raise SarsplatError(f"{name} {_error(value, kinds)}")
 
 
 def is_number(value: object) -> bool:
-    """Whether a value is a real number; True and False are none, although Python counts with them."""
+    """Return whether a value is a real number; True and False are not."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def described(value: object) -> str:
-    """The value as an error quotes it; where that is long, or an address in memory, its type and shape."""
+    """Quote a value for an error; if that is long or an address in memory, its type and shape."""
     shape, text = getattr(value, "shape", None), repr(value)
     if not isinstance(shape, tuple) and len(text) <= 120 and " at 0x" not in text:
         return text
@@ -109,7 +108,7 @@ def described(value: object) -> str:
 
 @cache
 def _kinds(function: Callable[..., Any]) -> dict[str, tuple[Any, ...]]:
-    """The types that each parameter accepts; a class that is imported for type checkers alone is given by its name."""
+    """Return the types that each parameter accepts; classes imported only for type checkers by name."""
     known = vars(sys.modules[function.__module__])
     kinds: dict[str, tuple[Any, ...]] = {}
     for name, hint in function.__annotations__.items():
@@ -127,7 +126,7 @@ def _kinds(function: Callable[..., Any]) -> dict[str, tuple[Any, ...]]:
 
 
 def _alternatives(hint: Any) -> Iterator[Any]:
-    """What an annotation allows, one by one: classes, and sequences, mappings and functions as they are written."""
+    """Yield the members of a union, or the annotation itself; generic ones with their parameters."""
     if typing.get_origin(hint) in (UnionType, typing.Union):
         for part in typing.get_args(hint):
             yield from _alternatives(part)
@@ -136,10 +135,10 @@ def _alternatives(hint: Any) -> Iterator[Any]:
 
 
 def _fits(value: object, kinds: Iterable[Any]) -> bool:
-    return any(_is(value, kind) for kind in kinds)
+    return any(_is_a(value, kind) for kind in kinds)
 
 
-def _is(value: object, kind: Any) -> bool:
+def _is_a(value: object, kind: Any) -> bool:
     if kind is None or isinstance(kind, str):
         return value is kind or any(cls.__name__ == kind for cls in type(value).__mro__)
     origin = typing.get_origin(kind) or kind
@@ -147,17 +146,17 @@ def _is(value: object, kind: Any) -> bool:
         return isinstance(value, tuple(type(choice) for choice in typing.get_args(kind)))
     if origin is Callable:
         return callable(value)
-    if origin in _SERIES:
-        if isinstance(value, _ONE_THING) or not isinstance(value, Iterable):
+    if origin in _SEQUENCES:
+        if isinstance(value, _SCALARS) or not isinstance(value, Iterable):
             return False
         if isinstance(value, Iterator):
             return True
-        if (of := getattr(value, "item_type", None)) is not None:  # it says so, and may not be looked through
+        if (of := getattr(value, "item_type", None)) is not None:  # without iterating, which may be slow
             return of in _items(kind)
         values = [*value]
-        return len(values) == (_fixed(kind) or len(values)) and all(_fits(item, _items(kind)) for item in values)
+        return len(values) == (_tuple_length(kind) or len(values)) and all(_fits(item, _items(kind)) for item in values)
     if not isinstance(origin, type) or origin is Any or getattr(origin, "_is_protocol", False):
-        return True  # what anything is, or the function sees to itself
+        return True  # Any, or checked by the function itself
     if origin in _NUMBERS:
         number = isinstance(value, _NUMBERS[origin]) or getattr(value, "shape", None) == ()
         return number and (
@@ -167,39 +166,39 @@ def _is(value: object, kind: Any) -> bool:
 
 
 def _items(kind: Any) -> tuple[Any, ...]:
-    """The types that each item of a sequence may have."""
+    """Return the types that each item of a sequence may have."""
     return tuple(_alternatives(next(iter(typing.get_args(kind)), Any)))
 
 
-def _fixed(kind: Any) -> int:
-    """How many values a tuple must hold, all of one kind; 0: any number."""
+def _tuple_length(kind: Any) -> int:
+    """Return the length of a tuple type, or 0 for any length."""
     members = typing.get_args(kind)
     return 0 if typing.get_origin(kind) is not tuple or ... in members else len(members)
 
 
-def _instead(value: object, kinds: Sequence[Any]) -> str:
-    """The error sentence for a value of a wrong type: what was given, and what to give."""
+def _error(value: object, kinds: Sequence[Any]) -> str:
+    """Return the error for a value of a wrong type: the value and its remedy."""
     for kind in kinds:
-        if typing.get_origin(kind) in _SERIES:
+        if typing.get_origin(kind) in _SEQUENCES:
             items = _items(kind)
-            if Any not in items and not _fixed(kind) and _fits(value, items):
+            if Any not in items and not _tuple_length(kind) and _fits(value, items):
                 return f"is a single one, {described(value)}; put it into a list"
-            if isinstance(value, Iterable) and not isinstance(value, _ONE_THING):
+            if isinstance(value, Iterable) and not isinstance(value, _SCALARS):
                 for wrong in (item for item in value if not _fits(item, items)):
-                    return f"holds {described(wrong)}; make each {_wanted(items)}"
-    return f"is {described(value)}; give {_wanted(kinds)}"
+                    return f"holds {described(wrong)}; make each {_remedy(items)}"
+    return f"is {described(value)}; give {_remedy(kinds)}"
 
 
-def _wanted(kinds: Sequence[Any]) -> str:
-    some = [kind for kind in kinds if kind is not None and not (kind is str and Path in kinds)]
-    return " or ".join(_remedy(kind) for kind in some)
+def _remedy(kinds: Sequence[Any]) -> str:
+    named = [kind for kind in kinds if kind is not None and not (kind is str and Path in kinds)]
+    return " or ".join(_remedy_of(kind) for kind in named)
 
 
-def _remedy(kind: Any) -> str:
+def _remedy_of(kind: Any) -> str:
     origin, members = typing.get_origin(kind) or kind, typing.get_args(kind)
     if origin is Literal:
         return f"one of {', '.join(map(repr, members))}"
-    if origin in _SERIES:
-        return f"{f'{number} values' if (number := _fixed(kind)) else 'a list'}, each {_wanted(_items(kind))}"
+    if origin in _SEQUENCES:
+        return f"{f'{number} values' if (number := _tuple_length(kind)) else 'a list'}, each {_remedy(_items(kind))}"
     name = kind if isinstance(kind, str) else origin.__name__
-    return _GIVE.get(name, f"an object of the class {name}")
+    return _REMEDIES.get(name, f"an object of the class {name}")

@@ -1,7 +1,7 @@
-"""All colours that have a meaning, defined once for report, viewer, figures and exports.
+"""Colours with a meaning, shared by report, viewer, figures and exports.
 
-Ramps are legible on light and dark pages, and colour-blind readers can distinguish them. Their names are those below,
-or names of colour maps in matplotlib.
+Ramps are legible on light and dark pages and for colour-blind readers. Their names are those below, or those of colour
+maps in matplotlib.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
 
 Palette = UInt8[np.ndarray, "256 4"]
-"""Red, green, blue and opacity of the 256 indices of a picture."""
+"""Red, green, blue and opacity of 256 indices."""
 
 # ---- ramps: their names ----------------------------------------------------------------------------------------------
 POWER = "gray"
 """Power in decibels: dark is weak."""
 
 POWER_RAMPS = (POWER, "cividis", "viridis", "inferno", "magma")
-"""Alternatives for power that readers may choose: their brightness rises evenly."""
+"""Ramps of even brightness that readers may choose for power."""
 
 HEIGHT = "height"
 """Height z, from blue (low) to yellow (high), visible against white and against black."""
 
 ERROR = "error"
-"""Distance to the true surface, or another error without a sign: grey is none."""
+"""Distance to the true surface, or another unsigned error: grey is 0."""
 
 DIFFERENCE = "difference"
-"""Errors with a sign: the larger the error, the more opaque; zero is transparent."""
+"""Signed errors: opacity rises with the error; zero is transparent."""
 
 STRENGTH = "inferno"
 """γ⁰ of points in the world, on a dark background."""
 
 INCIDENCE, SPREAD = "cividis", "inferno"
-"""Radar maps: local incidence angle, and how far apart along elevation scatterers of one pixel lie."""
+"""Radar maps: local incidence angle, and spread of a pixel's scatterers along elevation."""
 
 PHASE = "twilight"
-"""Phases: the colours of −π and π are the same."""
+"""Phases: −π and π have the same colour."""
 
 COHERENCE = "viridis"
 """Coherence, from 0 to 1."""
@@ -78,9 +78,9 @@ _LISTED = {
         "Ho~<BT6(W=N!o!IuJjWh_vy5m1SCzK_+2Be79*q0Xg#o_&`SykB*7c7NQn@fO{<x$$z{pxF?9O+h+oRdEx7"
     ),
 }
-"""Those of `POWER_RAMPS` in matplotlib, which takes long to import: steps of red, of green and of blue, compressed."""
+"""Ramps of matplotlib, which is slow to import: compressed differences of red, green and blue."""
 
-_FAINTER = 1.5  # small differences are disproportionately faint
+_OPACITY_EXPONENT = 1.5  # small differences are disproportionately faint
 
 
 # ---- classes ---------------------------------------------------------------------------------------------------------
@@ -107,16 +107,16 @@ TRUE, PREDICTED = "#0b84d8", "#e66101"
 """Outlines of true and predicted masks."""
 
 RADAR, PICKED = "#ff5c46", "#c8f04a"
-"""The radar in the viewer, and the picked pixel with everything that contributes to it."""
+"""The radar in the viewer, and the picked pixel with its contributors."""
 
 
 @cache
 def ramp(name: str) -> Palette:
-    """The 256 colours of a ramp, or of a colour map of matplotlib; refuses unknown names."""
+    """Return the 256 colours of a ramp or of a colour map of matplotlib; raise for unknown names."""
     if name == DIFFERENCE:
         signed = np.linspace(-1, 1, 256)[:, None]
         colours = np.where(signed < 0, rgb(TOO_DARK), rgb(TOO_BRIGHT))
-        return np.concatenate([colours, 255 * np.abs(signed) ** _FAINTER], axis=1).round().astype(np.uint8)
+        return np.concatenate([colours, 255 * np.abs(signed) ** _OPACITY_EXPONENT], axis=1).round().astype(np.uint8)
     if name in _STOPS:
         corners = np.array([rgb(stop) for stop in _STOPS[name]], dtype=float)
         places = np.linspace(0, len(corners) - 1, 256)
@@ -138,32 +138,32 @@ def ramp(name: str) -> Palette:
 
 
 def hollow(name: str) -> Palette:
-    """The ramp with index 0 transparent, for pixels without data."""
+    """Return the ramp with index 0 transparent, for pixels without data."""
     colours = ramp(name).copy()
     colours[0, 3] = 0
     return colours
 
 
 def over(name: str, background: str) -> UInt8[np.ndarray, "256 3"]:
-    """The ramp as it looks in front of a background."""
+    """Return the ramp blended with a background."""
     opacity: Float[np.ndarray, "256 1"] = ramp(name)[:, 3:] / 255
     return np.round(ramp(name)[:, :3] * opacity + np.array(rgb(background)) * (1 - opacity)).astype(np.uint8)
 
 
 def gradient(name: str) -> str:
-    """The ramp as a CSS gradient from left to right."""
+    """Return the ramp as a CSS gradient from left to right."""
     stops = ramp(name)[np.linspace(0, 255, 9).astype(int)].tolist()
     return f"linear-gradient(90deg, {', '.join(f'rgb({r} {g} {b} / {a / 255:.2f})' for r, g, b, a in stops)})"
 
 
 def colormap(name: str) -> Colormap:
-    """The ramp as a colour map of matplotlib."""
+    """Return the ramp as a colour map of matplotlib."""
     from matplotlib.colors import ListedColormap
 
     return ListedColormap(ramp(name) / 255, name)
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Red, green and blue, 0 to 255, of `#rrggbb`."""
+    """Return red, green and blue, 0 to 255, of `#rrggbb`."""
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue

@@ -1,4 +1,4 @@
-"""Optional dependencies (extras): which there are, and how to install them."""
+"""Optional dependencies (extras) and their installation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _DISTRIBUTIONS = {
     "skimage": "scikit-image",
     "sklearn": "scikit-learn",
 }
-"""Of modules that are called otherwise."""
+"""Module → distribution, where the names differ."""
 
 _MODULES = {
     "simulate": "trimesh mapbox_earcut embreex",
@@ -33,20 +33,17 @@ EXTRAS = {
     extra: {module: _DISTRIBUTIONS.get(module, module) for module in modules.split()}
     for extra, modules in _MODULES.items()
 }
-"""Extra → modules it brings → names of their distributions."""
+"""Extra → its modules → their distributions."""
 
 
 def extra_with(module: str) -> str | None:
-    """The extra that brings a module, or None."""
+    """Return the extra that provides a module, or None."""
     root = module.partition(".")[0]
     return next((extra for extra, modules in EXTRAS.items() if root in modules), None)
 
 
 def install_command(extra: str) -> str:
-    """What to type to get an extra, in a sentence.
-
-    Of a program that is not installed its packages: no index has it, or another one by its name.
-    """
+    """Return the sentence on installing an extra; by its packages if sarsplat itself is not installed."""
     if installed_version("sarsplat") is None:
         return f"install it with: pip install {' '.join(EXTRAS[extra].values())}"
     return f"install it with: pip install 'sarsplat[{extra}]'"

@@ -1,4 +1,4 @@
-"""Memory checks: large work announces what it needs, and is refused before it begins if that does not fit."""
+"""Memory checks before large work: announce its need, or raise if that exceeds the free memory."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 
 from sarsplat.errors import SarsplatError
 
-_STATED_GIB = 1.0  # and anything beyond a quarter of what is free
-_STATED_SHARE = 0.25
+_STATED_GIB, _STATED_SHARE = 1.0, 0.25
+"""Minimum need that is announced, GiB and relative to the free memory."""
 
 _SYSTEM = Path("/")
 _CGROUPS = (  # version 2, and 1: prefix of its line in /proc/self/cgroup, its folder, its files
@@ -18,21 +18,21 @@ _CGROUPS = (  # version 2, and 1: prefix of its line in /proc/self/cgroup, its f
 
 
 def required(what: str, needed_bytes: float, remedy: str) -> str | None:
-    """A line that says how much memory work will take; None if that is little.
+    """Return a line on the memory that work will take, or None if that is little.
 
     Parameters
     ----------
     what : str
         The work, such as "extracting the surface".
     needed_bytes : float
-        An estimate of its largest need beyond what is in use already.
+        Estimated peak beyond the memory in use already.
     remedy : str
         How to need less; it ends the error.
 
     Raises
     ------
     SarsplatError
-        If it is more than what is free.
+        If it exceeds the free memory.
     """
     free, needed = free_bytes() / 2**30, needed_bytes / 2**30
     if needed > free:
@@ -43,14 +43,14 @@ def required(what: str, needed_bytes: float, remedy: str) -> str | None:
 
 
 def free_bytes() -> float:
-    """What this process may still take without swapping: of the machine's memory, and of its container's."""
-    import psutil  # here, because help does without it
+    """Return the memory available to this process without swapping, within the machine and its container."""
+    import psutil  # here, because help does not need it
 
     return min([float(psutil.virtual_memory().available), *_left_in_groups(_SYSTEM)])
 
 
 def _left_in_groups(system: Path) -> Iterator[float]:
-    """What is left of the limit of each Linux control group that the process is in; `system` is the root folder."""
+    """Yield the memory left in each Linux control group of this process; `system` is the root folder."""
     try:
         lines = (system / "proc/self/cgroup").read_text().splitlines()
     except OSError:  # another system

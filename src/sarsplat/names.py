@@ -1,4 +1,4 @@
-"""Names that command-line options accept, without importing what they name, which is too slow for `--help`."""
+"""Choices of command-line options, kept apart from their implementations so that `--help` imports little."""
 
 from __future__ import annotations
 
@@ -9,61 +9,61 @@ from sarsplat.plugins import discover
 TargetName = Literal[
     "t72", "btr70", "2s1", "kraz", "slicy", "building-a", "building-b", "building-c", "village", "satellite", "aircraft"
 ]  # fmt: skip
-"""Built-in targets; a test compares them with `sarsplat.scenes.TARGETS`."""
+"""Built-in targets, the keys of `sarsplat.scenes.TARGETS`."""
 
 SCATTERINGS = discover("sarsplat.gaussians", "law_", "LAW", "sarsplat.scattering")
-"""Laws of scattering by their `kind`; each is imported when it is asked for."""
+"""Laws of scattering by their `kind`, imported at first use."""
 
 Simulator = Literal["raycast", "splat"]
-"""What makes simulated images."""
+"""Simulators of images."""
 
 Swept = Literal["azimuth", "grazing"]
-"""The angle that changes along a film strip."""
+"""Angles that can change along a film strip."""
 
 Quantity = Literal["amplitude", "power", "db", "complex"]
-"""What the numbers of an image mean."""
+"""Quantities of pixels in measured images."""
 
 Transmit = Literal["each", "one"]
-"""Whether each pass of a stack transmits itself, or one transmits for all."""
+"""Transmitters of a stack: each pass, or one for all."""
 
 CrossPolarised = Literal["mean", "both"]
-"""Whether HV and VH of one antenna become one channel, or stay two."""
+"""Channels of HV and VH of one antenna: their mean, or both."""
 
 Backscatter = Literal["beta0", "sigma0", "gamma0"]
-"""What the power of an image is per unit of: of slant plane, ground, or ground seen from the radar."""
+"""Reference areas of power: slant plane, ground, or ground projected towards the radar."""
 
 Projection = Literal["level", "terrain"]
-"""What the producer of geocoded pictures took for the ground."""
+"""Surfaces that geocoded images were projected onto."""
 
 RadarSide = Literal["right", "left"]
-"""Sides of its flight to which a radar looks."""
+"""Look sides of a radar."""
 
 Side = Literal["top", "right", "bottom", "left"]
-"""Sides of a picture, by the number of counter-clockwise quarter turns that bring each to the top."""
+"""Sides of an image, in order of the counter-clockwise quarter turns that bring each to the top."""
 
 Speckle = Literal["response", "white", "none"]
-"""How speckle is correlated: through the radar's response, or not at all; or there is none."""
+"""Models of speckle: correlated by the radar's response, uncorrelated, or none."""
 
 ChipQuantity = Literal["magnitude", "power", "complex"]
-"""What pixels of generated chips mean."""
+"""Quantities of pixels in generated chips."""
 
 ChipScale = Literal["max", "fixed", "calibrated"]
-"""What of generated chips is white: the brightest of each, that of all training images, or nothing."""
+"""Scales of generated chips: white is the maximum of each, or that of all training images; or no scale."""
 
 ChipFormat = Literal["jpeg", "png", "npy"]
-"""Files of generated chips."""
+"""File formats of generated chips."""
 
 MstarSplit = Literal["soc", "eoc-depression", "eoc-configuration", "eoc-version"]
-"""Standard splits of MSTAR's chips into those that train and those that test a recogniser."""
+"""Standard splits of MSTAR chips into training and test sets of classifiers."""
 
 SampleKind = Literal["real", "synthetic"]
-"""Measured or simulated images of the SAMPLE set."""
+"""Kinds of images in the SAMPLE set: measured or simulated."""
 
 Map = Literal["dsm", "gamma0", "layover-shadow"]
-"""What a map of a run shows: heights of the surface, its brightness, or layover and shadow of a view."""
+"""Maps of a run: surface heights, surface γ⁰, or layover and shadow of a view."""
 
 Content = Literal["gaussians", "points", "mesh", "dsm", "gamma0", "layover-shadow"]
-"""Which result of a run a file contains."""
+"""Results of a run that can be exported."""
 
 Colour = Literal["db", "height"]
-"""What the colours of Gaussians show: γ⁰ in decibels, in grey, or the height, from blue (low) to yellow (high)."""
+"""Colours of Gaussians: γ⁰ in decibels, in grey, or the height, from blue (low) to yellow (high)."""

@@ -1,4 +1,4 @@
-"""Plugins: each is a file with a fixed name prefix, or an entry point of another package; no list names them."""
+"""Plugins: files with a name prefix, and entry points of other packages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class Plugins(Mapping[str, Any]):
-    """Plugins by name, sought at first use: that takes 20 ms, which a command's help need not wait for.
+    """Plugins by name, searched at first use: that takes 20 ms, which help need not wait for.
 
     Listing the names imports nothing; `[name]` imports that plugin, or raises a SarsplatError.
     """
@@ -38,7 +38,7 @@ class Plugins(Mapping[str, Any]):
         if name not in self._loaded:
             try:
                 self._loaded[name] = entry.load()
-            except Exception as error:  # whatever third-party code raises
+            except Exception as error:  # third-party code
                 raise SarsplatError(
                     f"the plugin {name} of {entry.group} cannot be imported from {entry.value} "
                     f"({type(error).__name__}: {shown(str(error))}); update or uninstall its package"
@@ -52,17 +52,17 @@ class Plugins(Mapping[str, Any]):
         return len(self._entries)
 
     def module(self, name: str) -> str:
-        """The module that holds a plugin."""
+        """Return the module of a plugin."""
         return self._entries[name].module
 
     def add(self, name: str, plugin: Any) -> None:
-        """Register a plugin under a name, in this process."""
+        """Register a plugin in this process."""
         where = f"{plugin.__module__}:{getattr(plugin, '__qualname__', type(plugin).__qualname__)}"
         self._entries[name] = EntryPoint(name, where, "")
         self._loaded[name] = plugin
 
     def loaded(self) -> dict[str, Any]:
-        """All plugins that can be imported, by name, with a SarsplatWarning for each of the others."""
+        """Return all plugins that can be imported, by name; warn of the others."""
         for name in self._entries:
             try:
                 self[name]
@@ -72,7 +72,7 @@ class Plugins(Mapping[str, Any]):
 
 
 def discover(package: str, prefix: str, attribute: str, group: str, *more_packages: str) -> Plugins:
-    """Plugins of our packages, named after their files, and then those of other packages, named by their entry points.
+    """Return the plugins of our packages, named after their files, and of other packages, by entry points.
 
     Parameters
     ----------
@@ -83,18 +83,18 @@ def discover(package: str, prefix: str, attribute: str, group: str, *more_packag
     attribute : str
         Name of the plugin in each module.
     group : str
-        Group of the entry points, each of which refers to a plugin itself: `name = "module:attribute"`.
+        Group of the entry points, `name = "module:attribute"`.
 
     Warns
     -----
     SarsplatWarning
-        At first use, if the name of an entry point is already in use; it is ignored.
+        At first use, if the name of an entry point is already in use; that one is ignored.
     """
     return Plugins(partial(_search, (package, *more_packages), prefix, attribute, group))
 
 
 def classes_in(package: str, base: type[T]) -> tuple[type[T], ...]:
-    """Every class derived from `base` that another module of the package defines, by its `order`; imports them all."""
+    """Import the modules of a package and return their classes derived from `base`, sorted by `order`."""
     modules = [import_module(f"{package}.{name}") for name in _modules(package)]
     kinds = [
         kind

@@ -15,24 +15,24 @@ from rich.table import Column
 
 T = TypeVar("T")
 
-_SECONDS_BETWEEN_LINES = 4.0  # what takes a second at a time is then heard of within five
+_SECONDS_BETWEEN_LINES = 4.0  # steps of a second then print within five
 
 _FIGURES = 36
-"""Columns of a terminal that numbers and times take in a bar, with the blanks between."""
+"""Width of the numbers and times of a bar with blanks, columns of the terminal."""
 
 _TRUSTED_S, _TRUSTED_SHARE, _PATIENCE_S = 2.0, 0.1, 20.0
-"""Seconds and share of the work after which the time left is guessed, and seconds after which it is anyhow: what goes
-first is often quicker or, where things are loaded and warmed up, far slower than the rest."""
+"""Seconds and share of the work after which the time left is estimated, and seconds after which it is in any case: the
+first steps are often quicker or, while caches warm up, far slower than the rest."""
 
-_shown: ContextVar[Reporter | None] = ContextVar("_shown", default=None)
-"""The progress that is being shown."""
+_current: ContextVar[Reporter | None] = ContextVar("_current", default=None)
+"""Progress on display."""
 
 _tally: ContextVar[Tally | None] = ContextVar("_tally", default=None)
-"""Where the time goes, if anybody asks."""
+"""Tally of the enclosing `tally` block."""
 
 
 class Tally(dict[str, float]):
-    """Seconds by kind of work: what stands before the colon in what is reported as done."""
+    """Seconds by kind of work, which is the reported status up to its colon."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -59,12 +59,12 @@ def _set(variable: ContextVar[Any], value: T) -> Iterator[T]:
 
 
 def tally() -> AbstractContextManager[Tally]:
-    """Counts where the time of the block goes."""
+    """Measure the seconds of each kind of work in the block."""
     return _set(_tally, Tally())
 
 
 class Reporter:
-    """Shows every step that is reported to it, as the terminal allows."""
+    """Progress of one kind of work, as a bar or as lines."""
 
     def __init__(self, total: int, bar: Progress | None, description: str, quiet: bool = False) -> None:
         self._total, self._bar, self._description, self._quiet = total, bar, description, quiet
@@ -75,14 +75,14 @@ class Reporter:
         self._ended = False
 
     def part(self, description: str, total: int) -> Reporter:
-        """The progress of a part of the work."""
+        """Return a reporter of a part of the work, with its own bar."""
         inner = Reporter(total, self._bar, description, self._quiet)
-        inner._spoken = self._spoken  # one after the other, they are not silent for longer than one is
+        inner._spoken = self._spoken  # shared, so that the interval holds across parts
         return inner
 
     def within(self, before: int, name: str) -> Reporter:
-        """The progress of a part of the work that is a part of its steps, after so many."""
-        return _Within(self, before, name)
+        """Return a reporter of a part of the work whose steps follow the first `before` of the whole."""
+        return _PartOfSteps(self, before, name)
 
     def note(self, text: str) -> None:
         """Print a line that stays."""
@@ -92,16 +92,16 @@ class Reporter:
             print(text, flush=True)
 
     def start_at(self, done: int) -> None:
-        """Resume work with this many steps done."""
+        """Resume work with `done` steps done."""
         self._first = done
         self.update(done)
 
     def advance(self, steps: float, status: str = "") -> None:
-        """`steps` more are finished; `status` is a short text such as the loss."""
+        """Report `steps` more; `status` is a short text such as the loss."""
         self.update(self._done + steps, status)
 
     def update(self, done: float, status: str = "") -> None:
-        """`done` steps of the total are finished, of which the last may be part of one."""
+        """Report `done` steps of the total, perhaps a fraction."""
         self._done = done
         if (counted := _tally.get()) is not None:
             counted.count(status or self._description)
@@ -111,22 +111,22 @@ class Reporter:
             return
         if self._quiet or self._ended or (now - self._spoken[0] < _SECONDS_BETWEEN_LINES and done < self._total):
             return
-        self._spoken[0], self._ended = now, done >= self._total  # the last line only once
+        self._spoken[0], self._ended = now, done >= self._total  # print the last line once
         left = self._left(now)
         print(f"{self._description}: {int(done)}/{self._total}  {status}{left and f'  {left}'}", flush=True)
 
     def _left(self, now: float) -> str:
-        """How long the rest takes at the pace so far."""
-        here = self._done - self._first  # without which nothing tells how long the others take
-        took_s, share = now - self._begun, here / max(1, self._total - self._first)
-        if here <= 0 or (took_s < _PATIENCE_S and (took_s < _TRUSTED_S or share < _TRUSTED_SHARE)):
+        """Return the estimated time left as text, or an empty one."""
+        steps = self._done - self._first  # steps of this process
+        took_s, share = now - self._begun, steps / max(1, self._total - self._first)
+        if steps <= 0 or (took_s < _PATIENCE_S and (took_s < _TRUSTED_S or share < _TRUSTED_SHARE)):
             return ""
-        left_s = round(took_s / here * max(0, self._total - self._done))
+        left_s = round(took_s / steps * max(0, self._total - self._done))
         return f"{timedelta(seconds=left_s)} left" if left_s >= 600 else f"{left_s} s left"
 
 
-class _Within(Reporter):
-    """Says everything to another one."""
+class _PartOfSteps(Reporter):
+    """Reporter that passes everything on to another one."""
 
     def __init__(self, outer: Reporter, before: int, name: str) -> None:
         self._outer, self._before, self._name = outer, before, name
@@ -149,12 +149,12 @@ def progress(description: str, total: int, quiet: bool = False) -> Iterator[Repo
         bar = None
         if not quiet and console.is_terminal:
             bar = stack.enter_context(Progress(*_columns(console.width, len(description)), console=console))
-        yield stack.enter_context(_set(_shown, Reporter(total, bar, description, quiet)))
+        yield stack.enter_context(_set(_current, Reporter(total, bar, description, quiet)))
 
 
 def _columns(width: int, described: int) -> Iterator[ProgressColumn]:
-    """Columns of a bar; on a narrow terminal the texts are cut, and never the figures."""
-    shared = max(width - _FIGURES, 0)  # by the bar and two texts
+    """Return the columns of a bar; on a narrow terminal texts are cut, numbers are not."""
+    shared = max(width - _FIGURES, 0)  # of the bar and two texts
     bar, description = min(40, shared // 6), min(max(described, shared // 3), shared * 9 // 20)
     yield _text("{task.description}", description)
     yield BarColumn(bar)
@@ -170,8 +170,8 @@ def _text(template: str, widest: int) -> TextColumn:
 
 @contextmanager
 def stage(description: str, total: int) -> Iterator[Reporter]:
-    """A long part of the work whose progress is being shown, in a bar or lines of its own; quiet if none is."""
-    outer = _shown.get()
+    """Show a long part of the current work in a separate bar or lines; quiet outside of `progress`."""
+    outer = _current.get()
     if outer is None:
         yield Reporter(total, None, description, quiet=True)
         return

@@ -1,4 +1,4 @@
-"""Plain data as values of given types, by msgspec, from any thread."""
+"""Thread-safe decoding of JSON and plain data into types by msgspec."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import msgspec
 
 T = TypeVar("T")
 
-_learned: set[Any] = set()
-_learning = threading.Lock()
+_prepared: set[Any] = set()
+_lock = threading.Lock()
 
 
 def decode(data: bytes, kind: type[T]) -> T:
-    """What JSON text says, which must be of this type; raises what `msgspec.json.decode` does."""
-    _learn(kind)
+    """Decode JSON as a type; raise as `msgspec.json.decode` does."""
+    _prepare(kind)
     return msgspec.json.decode(data, type=kind)
 
 
 def convert(value: Any, kind: type[T]) -> T:
-    """A value of plain data as one of this type; raises what `msgspec.convert` does."""
-    _learn(kind)
+    """Convert plain data to a type; raise as `msgspec.convert` does."""
+    _prepare(kind)
     return msgspec.convert(value, kind)
 
 
-def _learn(kind: Any) -> None:
-    """Let msgspec learn a type's fields, as it does at first use: two threads that do so at once end the process."""
-    if kind not in _learned:
-        with _learning:
+def _prepare(kind: Any) -> None:
+    """Prepare msgspec for a type under a lock: first uses of a type in two threads at once crash the process."""
+    if kind not in _prepared:
+        with _lock:
             msgspec.json.Decoder(kind)
-        _learned.add(kind)
+        _prepared.add(kind)

@@ -1,4 +1,4 @@
-"""Calls of libraries with threads that must keep their memory when Ctrl-C interrupts the wait for them."""
+"""Protection of threaded library calls from Ctrl-C."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 
 def uninterruptible(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """The result of a call that Ctrl-C does not interrupt.
+    """Return the result of a call that Ctrl-C does not interrupt.
 
-    scipy's searches with `workers=-1` need this: their threads continue to write into an array that the interrupted
-    search has freed, and the process crashes.
+    scipy's searches with `workers=-1` need this: after an interrupt, their threads write into freed memory, and the
+    process crashes.
     """
     with ThreadPoolExecutor(1) as thread:  # only the main thread is interrupted, and leaving waits for this one
         return thread.submit(function, *arguments, **options).result()

@@ -1,11 +1,11 @@
-"""Versions of packages, and of this program, which its output files record."""
+"""Versions of packages and of this program."""
 
 from __future__ import annotations
 
 
 def installed_version(distribution: str) -> str | None:
-    """Version of an installed distribution, or None."""
-    from importlib.metadata import PackageNotFoundError, version  # here, because help does without it
+    """Return the version of an installed distribution, or None."""
+    from importlib.metadata import PackageNotFoundError, version  # here, because help does not need it
 
     try:
         return version(distribution)
@@ -14,5 +14,5 @@ def installed_version(distribution: str) -> str | None:
 
 
 def program_version() -> str:
-    """The installed version."""
+    """Return the version of this program, which output files record."""
     return installed_version("sarsplat") or "from source"

@@ -179,7 +179,7 @@ def test_a_damaged_checkpoint_is_refused_before_anything_is_lost(name, change, s
     from sarsplat.data import load_checkpoint, save_checkpoint
 
     run_of("dsr")
-    path = Run.load(tmp_path / "run").files.checkpoint_path
+    path = Run.load(tmp_path / "run").store.checkpoint_path
     assert path is not None
     tensors, state = load_checkpoint(path)
     damaged = tensors.pop(name)

@@ -28,6 +28,7 @@ from sarsplat.evaluation import (
 from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.runs import Run
+from sarsplat.runs.run_folder import InMemory, RunFolder
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -52,13 +53,16 @@ class FakeRun:
     seed: int = 3
     method: str = "sar-gs"
     has_mesh: bool = True
-    memory: None = None
     metrics: Any = None
     state: Any = field(default_factory=lambda: SimpleNamespace(trained=True, has_results=True))
     asked: list[View] = field(default_factory=list)
 
     __class__ = Run  # to `isinstance`
-    files, keep, views_of, model = Run.files, Run.keep, Run.views_of, None
+    keep, views_of, model = Run.keep, Run.views_of, None
+
+    @property
+    def store(self):
+        return RunFolder(self.path) if self.path else InMemory(None, [])
 
     @property
     def normals(self):

@@ -5,5 +5,5 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def coarsely(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The ground is compared in fewer places."""
-    monkeypatch.setattr("sarsplat.examination.neighbouring_views._PLACES", 48)
+    """Compare the ground in fewer samples."""
+    monkeypatch.setattr("sarsplat.examination.neighbouring_views._SAMPLES", 48)

@@ -87,17 +87,11 @@ def test_no_raster_of_hundredths_is_suspected() -> None:
 def make(train: list[View], images: np.ndarray | None = None, test: list[View] | None = None, **options) -> Dataset:
     """A dataset of noise, or of these images."""
     items = [(view, "train") for view in train] + [(view, "test") for view in test or []]
-    if images is None:
-        images = np.random.default_rng(0).exponential(size=(len(items), 8, 8)).astype(np.float32)
-    return dataset_of(options.pop("grid", GRID), items, images, **options)
+    return dataset_of(options.pop("grid", GRID), items, noise(len(items)) if images is None else images, **options)
 
 
 def noise(count: int) -> np.ndarray:
     return np.random.default_rng(1).exponential(size=(count, 8, 8)).astype(np.float32)
-
-
-def test_nothing_is_odd_about_a_sound_dataset() -> None:
-    assert suspicions(make(AROUND, test=[View(60, 30)])) == []
 
 
 @pytest.mark.parametrize(
@@ -127,24 +121,25 @@ def test_what_may_be_degrees_or_radians_is_asked(azimuths, asked: bool) -> None:
     assert ("add views there (or are the azimuths radians?)" in told) is asked
 
 
-@pytest.mark.parametrize("azimuths", [(0, 180), (0, 90, 270), (-90, 0, 90), (0, 120, 240)])
-def test_half_a_circle_is_enough(azimuths: tuple[float, ...]) -> None:
-    assert not any("gap" in told for told in suspicions(make(views(azimuths, [45]))))
+def test_half_a_circle_is_enough() -> None:
+    for azimuths in ((0, 180), (0, 90, 270), (-90, 0, 90), (0, 120, 240)):
+        assert not any("gap" in told for told in suspicions(make(views(azimuths, [45]))))
 
 
 def test_images_all_the_same() -> None:
-    told = suspicions(make(AROUND, np.repeat(noise(1), 3, axis=0)))
-    assert told == ["all 3 training images are the same, pixel by pixel; check the files"]
+    (told,) = suspicions(make(AROUND, np.repeat(noise(1), 3, axis=0)))
+    assert told.startswith("all 3 training images are the same")
 
 
 def test_constant_images_are_counted_and_the_first_is_named() -> None:
     images = noise(5)
     images[1], images[4] = 0.5, 0
-    told = suspicions(make(AROUND, images, test=[View(60, 30), View(70, 30)]))
-    assert told == ["2 of 5 images are constant (image 001 is 0.5 everywhere); check the files"]
+    (told,) = suspicions(make(AROUND, images, test=[View(60, 30), View(70, 30)]))
+    assert told.startswith("2 of 5 images are constant (image 001 is 0.5 everywhere)")
 
 
-def test_a_single_pixel_is_not_called_constant() -> None:
+def test_nothing_is_odd_about_a_sound_dataset_or_a_single_pixel() -> None:
+    assert suspicions(make(AROUND, test=[View(60, 30)])) == []
     assert suspicions(make(AROUND, noise(3)[:, :1, :1].copy(), grid=ImageGrid(1, 1, (1, 1), (1, 1)))) == []
 
 
@@ -168,9 +163,7 @@ def test_warnings_have_one_category_and_are_not_repeated() -> None:
         warnings.simplefilter("default")
         warn(["odd", "odder"])
         warn(["odd"])
-    assert [str(item.message) for item in caught] == ["odd", "odder"]
-    assert {item.category for item in caught} == {SarsplatWarning}
-    assert issubclass(SarsplatWarning, UserWarning)
+    assert [(str(item.message), item.category) for item in caught] == [(t, SarsplatWarning) for t in ("odd", "odder")]
 
 
 def ring(count: int, *grazings: float) -> list[View]:
@@ -194,25 +187,12 @@ UNCERTAIN = {
 OPEN = {"left and right": ring(2, 45), "ten degrees": arc(10, 45), "a single view": [View(10, 30)]}
 
 
-@pytest.mark.parametrize("name", SOUND)
-def test_sound_views_pass_without_a_word(name: str) -> None:
-    assert weak_directions(SOUND[name]) == []
-
-
-@pytest.mark.parametrize("name", UNCERTAIN)
-def test_views_that_leave_the_shape_uncertain_are_told_with_a_remedy(name: str) -> None:
-    (told,) = weak_directions(UNCERTAIN[name])
-    assert "times less well along directions" in told
-    assert "add views at other grazing angles" in told
-    assert not weakest_direction(UNCERTAIN[name]).undetermined
-
-
-@pytest.mark.parametrize("name", OPEN)
-def test_views_that_determine_no_shape_are_told(name: str) -> None:
-    (told,) = weak_directions(OPEN[name])
-    assert "do not determine positions along" in told
-    assert weakest_direction(OPEN[name]).undetermined
-    assert weakest_direction(OPEN[name]).conditioning > 10
+@pytest.mark.parametrize("name", [*SOUND, *UNCERTAIN, *OPEN])
+def test_weak_directions_are_told(name: str) -> None:
+    chosen = (SOUND | UNCERTAIN | OPEN)[name]
+    assert weakest_direction(chosen).undetermined is (name in OPEN)
+    expected = "do not determine positions along" if name in OPEN else "times less well along directions"
+    assert [expected in told for told in weak_directions(chosen)] == [True] * (name not in SOUND)
 
 
 def test_what_is_proposed_helps() -> None:

@@ -53,7 +53,6 @@ def test_a_hot_pixel_is_named(place, level_db):
     assert said.startswith(
         f"1 pixel of 1 image stands alone, such as row {place[1]}, column {place[2]} of 00{place[0]}"
     )
-    assert "replace it by the mean of its neighbours" in said
 
 
 def test_hot_pixels_of_all_images_are_counted():
@@ -65,7 +64,6 @@ def test_a_block_that_is_too_bright_for_any_radar_is_named():
     for ground in (True, False):
         (said,) = found(changed(images(1.2, 20.0, ground), (4, slice(8, 11), slice(8, 11)), 1e15))
         assert said.startswith("the brightest pixel of 004, row 8, column 8, is 1")
-        assert "more than any radar image has; mend the file" in said
 
 
 @pytest.mark.parametrize(("place", "name"), [((1, 7), "row 7"), ((1, slice(None), 7), "column 7")])
@@ -92,10 +90,7 @@ def unweighted(offset: tuple[float, float], reflector_db: float) -> Dataset:
     frequency = np.fft.fftfreq(size)
     rng = np.random.default_rng(4)
     amplitude = rng.standard_normal((count, size, size)) + 1j * rng.standard_normal((count, size, size))
-    along, across = (
-        np.exp(-2j * np.pi * frequency * (place + off)) for place, off in zip((20, 30), offset, strict=True)
-    )
-    point = np.fft.ifft2(np.outer(along, across))
+    point = np.fft.ifft2(np.outer(*(np.exp(-2j * np.pi * frequency * at) for at in np.add((20, 30), offset))))
     power = np.abs(amplitude / np.sqrt(2) + 10 ** (reflector_db / 20) * point) ** 2
     grid = ImageGrid(size, size, (0.2, 0.2), (0.2 * 0.886, 0.2 * 0.886))
     views = [(View(360 * k / count, 30.0), "train") for k in range(count)]

@@ -165,11 +165,11 @@ def test_checkpoints_that_would_render_nonsense_are_refused(
     refined: Run, wrong: tuple[Dataset, np.ndarray], tmp_path: Path, name: str, value: torch.Tensor | None
 ) -> None:
     run = replace(refined, path=shutil.copytree(refined.folder, tmp_path / "run"))
-    assert run.files.checkpoint_path is not None
-    tensors, state = load_checkpoint(run.files.checkpoint_path)
+    assert run.store.checkpoint_path is not None
+    tensors, state = load_checkpoint(run.store.checkpoint_path)
     if value is None:
         del tensors[name]
-    save_checkpoint(run.files.checkpoint_path, tensors if value is None else {**tensors, name: value}, state)
+    save_checkpoint(run.store.checkpoint_path, tensors if value is None else {**tensors, name: value}, state)
     with pytest.raises(SarsplatError, match="does not hold a whole model"):
         run.render([View(10.0, 35.0)])
     with pytest.raises(SarsplatError, match="does not match this version"):

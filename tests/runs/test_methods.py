@@ -22,12 +22,8 @@ def test_names_need_no_torch():
     assert done.stdout.split() == ["sar-gs", "dsr", "sar-nerf", "sar-nerf-grid", "False"]
 
 
-@pytest.fixture
-def in_memory(dataset: Dataset) -> Dataset:
-    return replace(dataset, path=None)
-
-
-def test_a_run_in_a_folder_of_images_in_memory_is_evaluated(in_memory: Dataset, config: Config, tmp_path: Path):
+def test_a_run_in_a_folder_of_images_in_memory_is_evaluated(dataset: Dataset, config: Config, tmp_path: Path):
+    in_memory = replace(dataset, path=None)
     run = reconstruct(in_memory, replace(config, iterations=2), tmp_path / "run", quiet=True)
     assert evaluate_run(run, quiet=True)["images"]
     alone = Run.load(tmp_path / "run")

@@ -24,9 +24,11 @@ from sarsplat import (
 )
 from sarsplat.exports import export
 from sarsplat.report import write_report
+from sarsplat.runs.own_gaussians import usual_grid, without_strays
 from upright import upright
 
 VIEWS = [View(10.0, 30.0), View(200.0, 50.0)]
+PLACES = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))
 
 
 @pytest.fixture(autouse=True)
@@ -35,13 +37,13 @@ def few_rays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sarsplat.surface.points._MOST_RAYS", 1e5)
 
 
+@pytest.mark.filterwarnings("ignore:missing")
 def test_a_run_in_memory_is_saved_with_its_scores_and_resumed(dataset: Dataset, config: Config, tmp_path: Path) -> None:
     short = replace(config, iterations=6, gaussians=80)
     held = reconstruct(dataset, short, on_step=lambda step: step.iteration == 3, quiet=True)
-    with pytest.warns(SarsplatWarning, match="the run is unfinished, 3 of 6 iterations: these are scores of what it"):
+    with pytest.warns(SarsplatWarning, match="the run is unfinished, 3 of 6 iterations"):
         scores = evaluate_run(held, quiet=True)
     saved = held.save(tmp_path / "run")
-    assert saved.path == tmp_path / "run"
     again = Run.load(tmp_path / "run")
     assert again.metrics == saved.metrics == scores
     assert np.array_equal(again.points, held.points)
@@ -53,10 +55,6 @@ def test_a_run_in_memory_is_saved_with_its_scores_and_resumed(dataset: Dataset, 
     with pytest.raises(SarsplatError, match="run already exists"):
         held.save(tmp_path / "run")
     assert Run.load(held.save(tmp_path / "run", overwrite=True).folder).iteration == 3
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "config.json").write_text("{}")
-    with pytest.raises(SarsplatError, match="not the header of a run"):
-        held.save(tmp_path / "mine", overwrite=True)
 
 
 def test_points_that_are_there_are_saved_and_not_extracted_again(
@@ -86,22 +84,18 @@ def test_gaussians_of_ones_own_are_scored_exported_and_shown_in_a_report(
     run = Run.from_gaussians(finished.gaussians, dataset=dataset, time_s=7.0)
     assert (run.grid, run.snapshot.views) == (dataset.grid, dataset.select("train").views)
     np.testing.assert_array_equal(run.render(VIEWS), finished.render(VIEWS))
-    usual = replace(finished.config.points, voxel=run.config.points.voxel, rays_per_pixel=10.0)
-    assert run.config.points == usual
     assert len(run.points) > 200
     assert len(run.mesh().faces) > 100
     scores = evaluate_run(run, quiet=True)
     assert scores["images"]["test"]["psnr_db"] > 15
     assert (scores["time_s"], run.metrics) == (7.0, scores)
     page = write_report(run, tmp_path / "pages" / "own.html")
-    with pytest.raises(SarsplatError, match=r"in memory and has no folder; save it first with run\.save\(PATH\)"):
+    with pytest.raises(SarsplatError, match="in memory and has no folder"):
         write_report(run)
-    with pytest.raises(SarsplatError, match="is a folder; give the name of the page"):
+    with pytest.raises(SarsplatError, match="is a folder; give"):
         write_report(run, tmp_path)
     html = page.read_text()
-    assert f"{scores['points']['visible']['cd_m']:#.3g}" in html
-    assert "own loop" in html
-    assert "Iterations" not in html
+    assert f"{scores['points']['visible']['cd_m']:#.3g}" in html and "own loop" in html and "Iterations" not in html
     export(run, tmp_path / "own.splat")
     export(run, tmp_path / "own.obj")
     saved = Run.load(run.save(tmp_path / "run").folder)
@@ -125,18 +119,15 @@ def test_without_images_they_are_shown_whole_from_all_sides(finished: Run, datas
         assert each.brightest == pytest.approx(images.max(), rel=0.02)
     saved = Run.load(run.save(tmp_path / "run").folder)
     np.testing.assert_array_equal(saved.render(VIEWS), run.render(VIEWS))
-    with pytest.raises(SarsplatError, match=r"own Gaussians has no dataset; give it to Run\.from_gaussians"):
+    with pytest.raises(SarsplatError, match=r"has no dataset; give it by Run\.from_gaussians"):
         _ = saved.dataset
     assert Run.load(saved.folder, dataset=dataset).dataset is dataset
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_harmonics_of_every_degree_and_p_min_are_kept(degree: int, tmp_path: Path) -> None:
-    generator = torch.Generator().manual_seed(0)
-    count = 20
-    places = torch.rand(count, 3, generator=generator)
-    law = Harmonics(torch.randn(count, (degree + 1) ** 2, generator=generator), p_min=0.25)
-    own = upright(places, 0.1, 30.0, law)
+    law = Harmonics(torch.randn(20, (degree + 1) ** 2, generator=torch.Generator().manual_seed(0)), p_min=0.25)
+    own = upright(PLACES[:20], 0.1, 30.0, law)
     saved = Run.load(Run.from_gaussians(own, views=VIEWS).save(tmp_path / "run").folder).gaussians
     assert saved.scattering.settings() == own.scattering.settings()
     for name, tensor in own.tensors().items():
@@ -145,12 +136,25 @@ def test_harmonics_of_every_degree_and_p_min_are_kept(degree: int, tmp_path: Pat
 
 def test_what_no_run_can_hold_is_refused(finished: Run) -> None:
     own = finished.gaussians
-    with pytest.raises(SarsplatError, match="at least one view; give some"):
-        Run.from_gaussians(own, finished.grid, [])
-    with pytest.raises(SarsplatError, match="at least one Gaussian; give some"):
-        Run.from_gaussians(own[:0])
-    with pytest.raises(SarsplatError, match="a Gaussian is not finite, so no grid"):
-        Run.from_gaussians(own.with_tensors(means=own.means * torch.nan))
+    for gaussians, options, words in (
+        (own, {"views": []}, "at least one view"),
+        (own[:0], {}, "at least one Gaussian"),
+        (own.with_tensors(means=own.means * torch.nan), {}, "a Gaussian is not finite"),
+        (upright(PLACES[:1] * 0, 1e13), {}, r"reach .* m from the origin, farther than any image shows"),
+    ):
+        with pytest.raises(SarsplatError, match=words):
+            Run.from_gaussians(gaussians, **options)
+
+
+def test_an_outlier_does_not_set_the_grid_and_is_said() -> None:
+    whole, far = upright(PLACES), PLACES.clone()
+    far[7, 1] = 900.0
+    with pytest.warns(SarsplatWarning, match=r"1 of 60 Gaussians lies apart .*: up to 90\d m .*, 1.\d % of"):
+        grid = usual_grid(upright(far))
+    assert grid.spacing_m[0] == pytest.approx(usual_grid(whole).spacing_m[0], rel=0.1)
+    rest, said = without_strays(upright(far))
+    assert len(rest) == 59 and said.startswith("1 of 60 Gaussians")
+    assert without_strays(whole)[1] == ""
 
 
 def test_a_run_keeps_where_on_earth_its_scene_is(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +20,8 @@ from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.measured import gains
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.regions.target_box import target_box
-from sarsplat.runs import Step
+from sarsplat.runs import Step, training_loop
+from sarsplat.runs.training_loop import ThreadChoice
 from sarsplat.settings import Config
 from sarsplat.settings.sections import FlatGround, Surroundings
 from sarsplat.surface import extract_points
@@ -32,8 +36,7 @@ def same_results(a: Run, b: Run) -> bool:
 def test_it_learns_what_unseen_views_show(finished: Run, dataset: Dataset) -> None:
     truth = np.sqrt(dataset.images("test"))
     rendered = np.sqrt(finished.render(dataset.select("test").views))
-    error = np.linalg.norm(rendered - truth) / np.linalg.norm(truth)
-    assert error < 0.25
+    assert np.linalg.norm(rendered - truth) / np.linalg.norm(truth) < 0.25
     assert finished.history[-1].loss < 0.3 * finished.history[0].loss
     assert finished.iteration == 60
 
@@ -69,17 +72,6 @@ def test_a_stopped_training_resumes_bit_for_bit(
     assert same_results(reconstruct(dataset, config, tmp_path / "stopped", resume=True), finished)
 
 
-def test_a_run_is_not_replaced_unasked(dataset: Dataset, config: Config, finished: Run) -> None:
-    with pytest.raises(SarsplatError, match="exists"):
-        reconstruct(dataset, config, finished.path)
-
-
-def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
-    (tmp_path / "config.json").write_text("{}")
-    with pytest.raises(SarsplatError, match="its schema is None, not 'sarsplat-run'; give a run"):
-        Run.load(tmp_path)
-
-
 def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset) -> None:
     config = replace(preset("measured"), gaussians=200, iterations=5)
     trainer = Trainer(dataset, config)
@@ -96,28 +88,18 @@ def test_measured_scenes_have_ground_noise_and_their_own_shifts(dataset: Dataset
 
 def test_every_term_of_measured_scenes_can_be_switched_off(dataset: Dataset) -> None:
     off = Surroundings(shift_std=0, gain_std=0, side_lobes=0, texture_looks=0)
-    config = replace(
-        preset("measured"),
-        gaussians=200,
-        iterations=5,
-        ground=FlatGround(pitch=0),
-        surroundings=off,
-        dropout=0,
-        sparsity=0,
-        directional_std=None,
-    )
+    few = replace(preset("measured"), gaussians=200, iterations=5)
+    config = replace(few, ground=FlatGround(pitch=0), surroundings=off, dropout=0, sparsity=0, directional_std=None)
     trainer = Trainer(dataset, config)
     for _ in range(5):
         trainer.step()
     parameters = trainer.model.parameters
-    assert "log_side_lobes" not in parameters
-    assert "ground_texture" not in parameters
+    assert not parameters.keys() & {"log_side_lobes", "ground_texture"}
     for name in ("shift", "log_gain"):
         assert not parameters[name].detach().any(), name
     assert trainer.model.penalty() is None
     assert not any(name.startswith("part/") for name in trainer.model.tensors())
-    uniform = replace(preset("measured"), gaussians=200, harmonics_degree=0)
-    assert bool(Trainer(dataset, uniform).step().isfinite())
+    assert bool(Trainer(dataset, replace(few, harmonics_degree=0)).step().isfinite())
     airborne = Trainer(dataset, replace(config, ground=None))
     assert bool(airborne.step().isfinite())
     assert airborne.model.ground() is None
@@ -130,8 +112,7 @@ def test_the_floor_of_an_unseen_chip_is_the_mean_over_gains(dataset: Dataset) ->
     parameters["log_gain"][0] -= 3
     parameters["optical_depth"][:] = 1e-3
     parameters["ground"][0] = -60  # black
-    config = replace(trainer.config, p_min=0)
-    uneven = SceneModel(config, trainer.model.frame, parameters)
+    uneven = SceneModel(replace(trainer.config, p_min=0), trainer.model.frame, parameters)
     factors = gains(uneven.parameters).numpy(force=True)
     assert factors.mean() == pytest.approx(1)
     with torch.no_grad():
@@ -154,20 +135,18 @@ def test_unseen_chips_are_displaced_as_the_others_on_average(dataset: Dataset) -
     torch.testing.assert_close(displaced[0, 3:-4, 6:-4], torch.roll(centred[0], (-1, 2), (0, 1))[3:-4, 6:-4])
 
 
-@pytest.mark.parametrize(("views", "degree"), [(1, 0), (8, 0), (9, 1), (18, 1), (19, 2), (32, 2), (33, 3), (200, 3)])
-def test_directions_need_more_than_two_views_for_each_coefficient(dataset: Dataset, views: int, degree: int) -> None:
+def test_directions_need_more_than_two_views_for_each_coefficient(dataset: Dataset) -> None:
     model = Trainer(dataset, replace(preset("measured"), gaussians=20)).model
-    model.frame = replace(model.frame, views=(View(0.0, 30.0),) * views)
-    assert model.degree(800) == degree
-    model.config = replace(model.config, views_per_coefficient=0)
-    assert model.degree(800) == 3
+    unlimited = replace(model.config, views_per_coefficient=0)
+    for views, degree in ((1, 0), (8, 0), (9, 1), (18, 1), (19, 2), (32, 2), (33, 3), (200, 3)):
+        model.frame = replace(model.frame, views=(View(0.0, 30.0),) * views)
+        assert model.degree(800) == degree
+        assert SceneModel.degree(SimpleNamespace(config=unlimited, frame=model.frame), 800) == 3
 
 
 def test_priors_are_nats_of_normal_distributions(dataset: Dataset) -> None:
     trainer = Trainer(dataset, replace(preset("measured"), gaussians=20, sparsity=0.3))
     model, settings, ground = trainer.model, preset("measured").surroundings, preset("measured").ground
-    assert settings is not None
-    assert ground is not None
     with torch.no_grad():
         model.parameters["optical_depth"][:] = 0.05
         model.parameters["log_gain"][0] = 2 * settings.gain_std
@@ -218,12 +197,18 @@ def test_points_of_no_gaussians_are_none(finished: Run, dataset: Dataset) -> Non
     assert extract_points(nothing, [View(0.0, 30.0)], dataset.grid, finished.config.points).shape == (0, 3)
 
 
-def test_a_foreign_config_is_not_overwritten(dataset: Dataset, config: Config, tmp_path: Path) -> None:
-    (tmp_path / "project").mkdir()
-    (tmp_path / "project" / "config.json").write_text('{"mine": 1}')
-    with pytest.raises(SarsplatError, match="not the header of a run"):
-        reconstruct(dataset, config, tmp_path / "project", overwrite=True)
-    assert (tmp_path / "project" / "config.json").read_text() == '{"mine": 1}'
+def test_folders_of_others_are_neither_read_nor_replaced(
+    dataset: Dataset, config: Config, tmp_path: Path, finished: Run
+) -> None:
+    with pytest.raises(SarsplatError, match="exists"):
+        reconstruct(dataset, config, finished.path)
+    (tmp_path / "config.json").write_text('{"mine": 1}')
+    with pytest.raises(SarsplatError, match="its schema is None, not 'sarsplat-run'"):
+        Run.load(tmp_path)
+    for write in (partial(reconstruct, dataset, config), finished.save):
+        with pytest.raises(SarsplatError, match="not the header of a run"):
+            write(tmp_path, overwrite=True)
+    assert (tmp_path / "config.json").read_text() == '{"mine": 1}'
 
 
 def test_a_torn_log_is_read_up_to_the_tear(finished: Run, tmp_path: Path) -> None:
@@ -242,3 +227,34 @@ def test_a_given_box_is_where_a_target_is_looked_for(dataset: Dataset) -> None:
     given = replace(dataset, target_box_m=((-1.0, -2.0, 0.0), (3.0, 4.0, 5.0)))
     assert SceneFrame.of(config, given).region.high.tolist() == [3.0, 4.0, 5.0]
     assert SceneFrame.of(preset("default"), given).region.high.tolist() == [3.0, 4.0, 5.0]
+
+
+# ---- number of threads -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("slow", "quickest"), [({1: 4, 2: 2, 4: 1}, 4), ({1: 1, 2: 9, 4: 20}, 1), ({1: 2, 2: 1, 4: 4}, 2)]
+)
+def test_steps_have_the_threads_that_are_quickest(
+    slow: dict[int, int], quickest: int, threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads(4)
+    clock = iter(range(10**6))
+    now = 0.0
+
+    def step() -> int:
+        nonlocal now
+        now += slow[torch.get_num_threads()]
+        return next(clock)
+
+    monkeypatch.setattr(training_loop.time, "perf_counter", lambda: now)
+    with ThreadChoice("cpu") as choice:
+        made = [choice.step(step) for _ in range(20)]
+        assert torch.get_num_threads() == quickest
+    assert made == list(range(20))
+    assert torch.get_num_threads() == 4
+
+
+@pytest.mark.parametrize(("device", "count"), [("cuda:0", 4), ("cpu", 1)])
+def test_a_gpu_and_one_thread_are_left_alone(device: str, count: int, threads: Callable[[int], None]) -> None:
+    threads(count)
+    with ThreadChoice(device) as choice:
+        assert [choice.step(torch.get_num_threads) for _ in range(5)] == [count] * 5

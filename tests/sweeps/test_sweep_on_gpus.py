@@ -326,7 +326,7 @@ def test_a_process_whose_gpu_has_failed_answers_and_ends(cells, served):
         raise RuntimeError("CUDA error: an illegal memory access was encountered")
 
     assert len(served(lambda cell, stream: None, 1, synchronize)) == 1
-    reason = worker._why(cells[0], worker._BROKEN_GPU, RUN.go_on)
+    reason = worker._reason(cells[0], worker._BROKEN_GPU, RUN.go_on)
     assert reason == "the GPU failed in another run of its process; start the sweep again to continue it"
 
 

@@ -106,7 +106,7 @@ def _between(low: float, high: float) -> str:
 
 def describe_contents(path: Path) -> bool:
     """List the datasets and runs in a folder; False if there are none."""
-    from sarsplat.runs.told_apart import says_nothing
+    from sarsplat.runs.run_names import is_hashed
 
     entries = sorted(_entries(path))
     if not entries:
@@ -130,7 +130,7 @@ def describe_contents(path: Path) -> bool:
             cells = ("a dataset" if marker == _DATASET else "a run", f"unusable: {error}", "")
         rows.append((str(folder.relative_to(path)), *cells))
     columns = [0, 1, 2, 3]
-    if all(marker == _RUN and says_nothing(folder) for folder, marker in entries):
+    if all(marker == _RUN and is_hashed(folder) for folder, marker in entries):
         columns = [1, 2, 3, 0]  # folders' names last, which are there to be opened
         rows.sort(key=lambda row: row[1])
     for index in columns:
@@ -203,15 +203,15 @@ def _dataset(folder: Path) -> tuple[tuple[str, str, str], SplitSource | None]:
 def _names_of_runs(folders: Sequence[Path]) -> dict[Path, str]:
     """What was learned from in each run whose header can be read, and of those without names what differs."""
     from sarsplat.runs.run_folder import read_header
-    from sarsplat.runs.told_apart import says_nothing, told_apart
+    from sarsplat.runs.run_names import distinguished, is_hashed
 
     headers = {}
     for folder in folders:
         with suppress(SarsplatError):  # which is said in its row
             headers[folder] = read_header(folder)
-    nameless = {folder: header for folder, header in headers.items() if says_nothing(folder)}
-    names = {folder: told_apart([header])[0] for folder, header in headers.items()}
-    return names | dict(zip(nameless, told_apart([*nameless.values()], with_method=False), strict=True))
+    nameless = {folder: header for folder, header in headers.items() if is_hashed(folder)}
+    names = {folder: distinguished([header])[0] for folder, header in headers.items()}
+    return names | dict(zip(nameless, distinguished([*nameless.values()], with_method=False), strict=True))
 
 
 def _run(folder: Path, name: str) -> tuple[str, str, str]:

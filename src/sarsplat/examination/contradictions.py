@@ -16,37 +16,42 @@ from sarsplat.examination.on_map import OnMap, on_map
 from sarsplat.examination.orientation import Orientation, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
-from sarsplat.examination.scaling import MUCH, examine_cut_off, examine_scaling
+from sarsplat.examination.scaling import MUCH_CLIPPED, examine_cut_off, examine_scaling
 from sarsplat.examination.single_values import examine_single_values
 from sarsplat.examination.units import examine_units
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import Side
 from sarsplat.radiometry import bright_level
 
-_MOST_IMAGES = 120
-"""Evenly chosen of more: they say the same."""
+_MAX_IMAGES = 120
+"""Maximum number of images that are examined; evenly chosen of more."""
 
-_EMPTY = 1e-6
-"""Power at the edges of images that show nothing there, relative to the bright ones: far below any ground."""
+_MAX_EMPTY = 1e-6
+"""Edge power below which images show no ground, relative to their bright level."""
 
-_FALL: dict[Side, str] = {"top": "downwards", "right": "to the left", "bottom": "upwards", "left": "to the right"}
-"""Side that is near → where shadows fall."""
+_SHADOW_DIRECTION: dict[Side, str] = {
+    "top": "downwards",
+    "right": "to the left",
+    "bottom": "upwards",
+    "left": "to the right",
+}
+"""Near side → direction in which shadows fall."""
 
 _WAS_MAP = "cannot be determined from neighbours: resampled from a map, they match by whatever angles are given"
 
-_BEARINGS: dict[Side, str] = {
+_AZIMUTH_REMEDY: dict[Side, str] = {
     "top": "check the table's azimuths",
     "right": "name the column of azimuths a heading (--columns heading=NAME --look left), or add 90° to them",
     "bottom": "add 180° to the table's azimuths, which must be bearings of the radar, not of its look",
     "left": "name the column of azimuths a heading (--columns heading=NAME --look right), or take 90° from them",
 }
-"""Side that is near → what mends azimuths of geocoded pictures."""
+"""Near side → remedy for the azimuths of geocoded pictures."""
 
 TWINS = (
     "Images with --mirrored and azimuths in the other sense would match as well, as those of a mirrored target: "
     "which way the table counts azimuths decides."
 )
-"""What the table of orientations does not show."""
+"""Note on the table of orientations: a mirror cannot be distinguished from opposite azimuths."""
 
 _TABLE = ("import with", "shadow beyond", "bright edge", "layover", "neighbours match", "")
 
@@ -58,17 +63,16 @@ def examine(dataset: Dataset) -> Examination:
     Parameters
     ----------
     dataset : Dataset
-        At most 120 images, evenly chosen, are looked at, of stacks their first channel; for images that are the same,
-        constant or of another unit, all.
+        At most 120 images, evenly chosen, are examined, of stacks their first channel; all images for duplicates,
+        constant images and other units.
 
     Returns
     -------
     Examination
-        Contradictions: angles that look like radians; images that are constant or the same; pixels and lines that are
-        too bright to be echoes, or were cut off; images that are not on one scale; images that lie on a map; near range
-        that is not row 0; azimuths in the opposite sense, or mirrored images; grazing angles that are incidence angles;
-        ground in images that are said to show none; values that are not power; speckle of another number of looks; a
-        resolution that the images do not have. The zero of the azimuth cannot be determined from images.
+        Contradictions: angles in radians; constant or duplicate images; pixels and lines that are too bright for echoes
+        or clipped; images of different scales; geocoded images; near range that is not row 0; azimuths in the opposite
+        sense, or mirrored images; incidence for grazing angles; ground in images declared to have none; values that are
+        not power; another number of looks; another resolution. Images do not determine the zero of the azimuth.
     """
     examined = Examination()
     columns = dataset.source.get("columns")
@@ -79,18 +83,18 @@ def examine(dataset: Dataset) -> Examination:
     differ = "the only one is not constant" if len(dataset) == 1 else f"all {len(dataset)} differ, none is constant"
     examined.conclude("images", wrong, differ)
     hot = examine_single_values(dataset, examined)
-    cut_off = 0.0 if hot else examine_cut_off(dataset, examined)  # a line of hot pixels is not what is bright
-    count = min(len(dataset), _MOST_IMAGES)
+    cut_off = 0.0 if hot else examine_cut_off(dataset, examined)  # a line of hot pixels is not clipped
+    count = min(len(dataset), _MAX_IMAGES)
     chosen = _of_one_channel(dataset.take([k * len(dataset) // count for k in range(count)]))
     if not angles and np.ptp(chosen.power, axis=(1, 2)).any():
-        speckled = cut_off < MUCH and examine_units(_upright(chosen, examined), examined)
+        speckled = cut_off < MUCH_CLIPPED and examine_units(_upright(chosen, examined), examined)
         if not hot:
             examine_scaling(dataset, examined, speckled, cut_off)
     return examined
 
 
 def _of_one_channel(dataset: Dataset) -> Dataset:
-    """The first channel of stacks, since a mean over channels has more looks; other datasets as they are."""
+    """Return the first channel of stacks, since a mean over channels has more looks; other datasets unchanged."""
     if dataset.signal is None or not dataset.passes:
         return dataset
     entries = tuple(replace(entry, stack=None) for entry in dataset.entries)
@@ -98,7 +102,7 @@ def _of_one_channel(dataset: Dataset) -> Dataset:
 
 
 def _upright(dataset: Dataset, examined: Examination) -> Dataset:
-    """The dataset with near range on top, and with ground if images show it; notes what contradicts that."""
+    """Return the dataset with near range on top, and with ground if images show it; add contradictions of that."""
     if dataset.views[0].aloft:
         examined.checks["orientation"] = "cannot be determined: what is aloft turns about any axis and has no shadow"
         return dataset
@@ -107,35 +111,35 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
             "not examined: shadows fall to the sides of the images, for the azimuth axes are tilted too much"
         )
         return dataset
-    ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _EMPTY * bright_level(dataset.power))
+    ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _MAX_EMPTY * bright_level(dataset.power))
     centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
     look = partial(orientation, dataset.power, dataset.views, dataset.grid, centred=centred)
-    seen = look(ground=ground)
+    estimate = look(ground=ground)
     if ground and not dataset.ground:
-        if seen.by_shadow:
+        if estimate.by_shadow:
             examined.contradictions.append(
-                f"the images are said to show no ground, but there is shadow on it, {seen.shadow.lead:.1f} dB darker "
-                "than on the other sides of the target; import them without --no-ground (ground=True)"
+                f"the dataset declares no ground, but images show shadow, {estimate.shadow.lead:.1f} dB darker than "
+                "on the other sides of the target; import them without --no-ground (ground=True)"
             )
-        else:  # a floor of noise, for all that is seen
+        else:  # the floor may be noise
             ground = False
-            seen = look(ground=False)
+            estimate = look(ground=False)
     layout = Layout.of(dataset.source)
-    if not seen.by_shadow:
-        mapped = on_map(dataset.power, dataset.views, dataset.grid, seen, ground=ground)
+    if not estimate.by_shadow:
+        mapped = on_map(dataset.power, dataset.views, dataset.grid, estimate, ground=ground)
         if mapped.certain:
             examined.conclude("geometry", [_on_map(mapped)], "")
             return dataset  # neither side is near range
-    near = seen.near or "top"
-    examined.checks["near range"] = _near_range(seen)
+    near = estimate.near or "top"
+    examined.checks["near range"] = _near_range(estimate)
     geocoded = bool(dataset.source.get("geocoded"))
-    examined.checks["azimuths"] = _WAS_MAP if geocoded else _azimuths(seen)
-    examined.checks["grazing angles"] = _WAS_MAP if geocoded else _grazing(seen)
-    if near != "top" or seen.opposite:
-        examined.contradictions.append(_orientation(dataset, seen, near, layout, geocoded))
-    if seen.incidence:
-        examined.contradictions.append(_incidence(dataset, seen))
-    examined.orientations.extend(_table(seen, layout or Layout()))
+    examined.checks["azimuths"] = _WAS_MAP if geocoded else _azimuths(estimate)
+    examined.checks["grazing angles"] = _WAS_MAP if geocoded else _grazing(estimate)
+    if near != "top" or estimate.opposite:
+        examined.contradictions.append(_orientation(dataset, estimate, near, layout, geocoded))
+    if estimate.incidence:
+        examined.contradictions.append(_incidence(dataset, estimate))
+    examined.orientations.extend(_table(estimate, layout or Layout()))
     return replace(
         dataset,
         power=oriented(dataset.power, near),
@@ -146,13 +150,13 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
 
 
 def _shaded_below(view: View, grid: ImageGrid) -> bool:
-    """Whether an image shows shadows where they are looked for: rather below what casts them than beside it."""
+    """Return whether shadows fall downwards in the image rather than sideways."""
     across, away = view.look.gradients[:, :2] @ -view.direction[:2] / grid.spacing_m
     return bool(abs(across) < away)
 
 
 def _edges(power: np.ndarray) -> np.ndarray:
-    """The outermost pixels of all images."""
+    """Return the outermost pixels of all images."""
     return np.concatenate([power[:, [0, -1]].ravel(), power[:, :, [0, -1]].ravel()])
 
 
@@ -163,25 +167,27 @@ def _on_map(mapped: OnMap) -> str:
     )
 
 
-def _orientation(dataset: Dataset, seen: Orientation, near: Side, layout: Layout | None, geocoded: bool) -> str:
-    """Contradictions in orientation with their remedy, a half turn rather than a mirror where both would do."""
-    opposite = seen.opposite is True
+def _orientation(dataset: Dataset, estimate: Orientation, near: Side, layout: Layout | None, geocoded: bool) -> str:
+    """Describe a wrong orientation and its remedy, a half turn rather than a mirror where both would do."""
+    opposite = estimate.opposite is True
     wrong = []
-    if near != "top" and seen.by_shadow:
-        darker = f"{seen.shadow.lead:.1f} dB darker there than on the other sides of the target"
-        wrong.append(f"shadows fall {_FALL[near]} ({darker}), so near range is at the {near} of the dataset's images")
+    if near != "top" and estimate.by_shadow:
+        darker = f"{estimate.shadow.lead:.1f} dB darker there than on the other sides of the target"
+        wrong.append(
+            f"shadows fall {_SHADOW_DIRECTION[near]} ({darker}), so near range is at the {near} of the dataset's images"
+        )
     elif near != "top":
         wrong.append(f"what is high leans to the {near} of the dataset's images, so near range is there")
     if opposite:
-        higher = f"correlation higher by {-seen.sense.mean:.2f}"
+        higher = f"correlation higher by {-estimate.sense.mean:.2f}"
         wrong.append(f"images of neighbouring azimuths match better if azimuths run the other way ({higher})")
-    unsure = "" if seen.near else " (which side is near cannot be determined)"
+    unsure = "" if estimate.near else " (which side is near cannot be determined)"
     tilted = any(view.tilt_deg for view in dataset.views)
-    remedy = _BEARINGS[near] if geocoded else _mend(near, opposite, layout, tilted)
+    remedy = _AZIMUTH_REMEDY[near] if geocoded else _remedy(near, opposite, layout, tilted)
     return f"{', and '.join(wrong)}; {remedy}{unsure}"
 
 
-def _mend(near: Side, opposite: bool, layout: Layout | None, tilted: bool) -> str:
+def _remedy(near: Side, opposite: bool, layout: Layout | None, tilted: bool) -> str:
     if layout is None:
         remedies = [f"turn the images (np.rot90(power, {SIDES.index(near)}, axes=(1, 2)))"] * (near != "top")
         if opposite:
@@ -197,7 +203,7 @@ def _mend(near: Side, opposite: bool, layout: Layout | None, tilted: bool) -> st
     return f"import with {mended}, or with {twin}: images do not tell which"
 
 
-def _incidence(dataset: Dataset, seen: Orientation) -> str:
+def _incidence(dataset: Dataset, estimate: Orientation) -> str:
     grazings = [entry.view.grazing_deg for entry in dataset.entries]
     columns = dataset.source.get("columns")
     remedy = "give 90° less them"
@@ -208,54 +214,54 @@ def _incidence(dataset: Dataset, seen: Orientation) -> str:
         remedy += f" (--grazing {90 - grazings[0]:g})"
     return (
         f"images match better if grazing angles ({min(grazings):.4g}° to {max(grazings):.4g}°) are incidence angles "
-        f"(correlation higher by {-seen.grazing.mean:.2f}); {remedy}"
+        f"(correlation higher by {-estimate.grazing.mean:.2f}); {remedy}"
     )
 
 
-def _near_range(seen: Orientation) -> str:
-    if seen.near is None:
+def _near_range(estimate: Orientation) -> str:
+    if estimate.near is None:
         return "cannot be determined: neither shadows nor layover and bright edges tell, or there are too few images"
-    if seen.by_shadow:
-        images = counted(seen.shadow.count, "image")
-        darker = f"{seen.shadow.lead:.1f} dB darker beyond the target than on its other sides"
-        return f"at the {seen.near}: {darker}, in {images}"
-    return f"at the {seen.near}, to which what is high leans"
+    if estimate.by_shadow:
+        images = counted(estimate.shadow.count, "image")
+        darker = f"{estimate.shadow.lead:.1f} dB darker beyond the target than on its other sides"
+        return f"at the {estimate.near}: {darker}, in {images}"
+    return f"at the {estimate.near}, to which what is high leans"
 
 
-def _azimuths(seen: Orientation) -> str:
-    if seen.opposite is None:
+def _azimuths(estimate: Orientation) -> str:
+    if estimate.opposite is None:
         return "cannot be determined: images 2° to 60° apart match as well in both senses, or are too few"
-    sense = "in the opposite sense" if seen.opposite else "as given"
+    sense = "in the opposite sense" if estimate.opposite else "as given"
     return (
-        f"{counted(seen.sense.count, 'pair')} of neighbouring views match better with azimuths {sense} (correlation "
-        f"{abs(seen.sense.mean):.2f} higher), which mirrored images with the other sense would, too"
+        f"{counted(estimate.sense.count, 'pair')} of neighbouring views match better with azimuths {sense} "
+        f"(correlation {abs(estimate.sense.mean):.2f} higher), which mirrored images with the other sense would, too"
     )
 
 
-def _grazing(seen: Orientation) -> str:
-    if seen.near is None or (not seen.grazing.supports(0.0) and not seen.incidence):
+def _grazing(estimate: Orientation) -> str:
+    if estimate.near is None or (not estimate.grazing.supports(0.0) and not estimate.incidence):
         return "cannot be determined: as grazing and as incidence angles they explain the images as well"
-    better = "if they are incidence angles" if seen.incidence else "as given than if they were incidence angles"
+    better = "if they are incidence angles" if estimate.incidence else "as given than if they were incidence angles"
     return (
-        f"{counted(seen.grazing.count, 'pair')} of neighbouring views match better {better} (correlation "
-        f"{abs(seen.grazing.mean):.2f} higher)"
+        f"{counted(estimate.grazing.count, 'pair')} of neighbouring views match better {better} (correlation "
+        f"{abs(estimate.grazing.mean):.2f} higher)"
     )
 
 
-def _table(seen: Orientation, layout: Layout) -> list[tuple[str, ...]]:
-    """The eight orientations, with what speaks for each."""
+def _table(estimate: Orientation, layout: Layout) -> list[tuple[str, ...]]:
+    """Return the table of the eight orientations with the evidence for each."""
     rows: list[tuple[str, ...]] = [_TABLE]
     for k, side in enumerate(SIDES):
         for opposite in (False, True):
             notes = ["as it is"] * (side == "top" and not opposite)
-            notes += ["best"] * (side == seen.near and opposite == seen.opposite)
+            notes += ["best"] * (side == estimate.near and opposite == estimate.opposite)
             rows.append(
                 (
                     str(layout.corrected(side, opposite)),
-                    f"{seen.shadow.mean[k]:.2f} dB" if seen.shadow.count else "–",
-                    f"{seen.edge.mean[k]:+.2f}" if seen.edge.count else "–",
-                    f"{seen.layover.mean[k]:.3f}" if seen.layover.count else "–",
-                    f"{seen.correlation[side][opposite]:.3f}" if seen.correlation else "–",
+                    f"{estimate.shadow.mean[k]:.2f} dB" if estimate.shadow.count else "–",
+                    f"{estimate.edge.mean[k]:+.2f}" if estimate.edge.count else "–",
+                    f"{estimate.layover.mean[k]:.3f}" if estimate.layover.count else "–",
+                    f"{estimate.correlation[side][opposite]:.3f}" if estimate.correlation else "–",
                     ", ".join(notes),
                 )
             )

@@ -1,8 +1,8 @@
 """Correlation of images from neighbouring azimuths after rotating one onto the other in the ground plane.
 
-Between two azimuths a target turns by their difference, and with it its image, in one sense and not in the other. What
-is high is displaced towards the radar in every image. Lengths in range, divided by the cosine of the grazing angle, are
-those on the ground; between two grazing angles they only match with the right ones.
+Between two azimuths the target, and so its image, turns by their difference. High parts are displaced towards the radar
+in every image. Slant lengths divided by cos(grazing) are ground lengths: between two grazing angles they match only if
+the angles are right.
 """
 
 from __future__ import annotations
@@ -18,59 +18,56 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 from sarsplat.geometry import ImageGrid, View
 
-_BETWEEN_DEG = (2.0, 60.0)
-_PREFERRED_DEG = 15.0
-"""Azimuths of images that are compared: so close that they show the same, so far apart that the sense matters."""
+_AZIMUTH_STEP_DEG = (2.0, 60.0)
+_PREFERRED_STEP_DEG = 15.0
+"""Azimuth differences of compared images: small enough to show the same parts, large enough to show the sense."""
 
 _SAME_GRAZING_DEG = 5.0
 _OTHER_GRAZING_DEG = (5.0, 40.0)
-"""Between grazing angles of images that show the same heights, and of those whose lengths in range differ."""
+"""Differences of grazing angles at which layover is about the same, and at which lengths in range differ."""
 
-_MOST_PAIRS = 60
-_PLACES = 96
-"""Along a side of the ground."""
+_MAX_PAIRS = 60
+_SAMPLES = 96
+"""Samples along each side of the ground."""
 
-_FREE = 0.5
-"""Shift with which images may match, of half the side of the ground: they are centred to a pixel or two, and what is
-high is displaced."""
+_MAX_SHIFT = 0.5
+"""Maximum shift between matching images, relative to half the side of the ground: centring errors and layover."""
 
-_RADII = np.arange(1, 6) / 5 / 3
-"""Displacements towards the radar that are tried, of half the side of the ground."""
+_LAYOVERS = np.arange(1, 6) / 5 / 3
+"""Displacements towards the radar that are tried, relative to half the side of the ground."""
 
-
-_ANYWAY = 0.4
-"""Share of the correlation by which images turned by an angle match better if less stretched, of 1 − cos of that angle
-and for each e-fold of lengths in range: what is high is displaced, and not as lengths on the ground are. Of honest sets
-of buildings, vehicles and SLICY at 48° to 60°, 10° to 30° apart, it is at most 0.3 where that is more than 0.01; of
-such at 30° that are said to be at 60°, 0.97 to 3.1."""
+_STRETCH_BIAS = 0.4
+"""Relative gain in correlation from less stretched ranges, per 1 − cos(turn) and e-fold of length, with right angles:
+layover does not scale as ground lengths do. Measured: at most 0.3 for buildings, vehicles and SLICY at 48° to 60°, 10°
+to 30° step_deg, where the gain exceeds 0.01; 0.97 to 3.1 for images at 30° labelled 60°."""
 
 
 @dataclass(frozen=True)
 class Matches:
     """Correlation of pairs of images as a function of the shift, after rotating one onto the other on the ground."""
 
-    correlations: Float64[np.ndarray, "n places places"]
-    """Of one pair each; shifts are wrapped around, as `numpy.fft.fftfreq` has them."""
+    correlations: Float64[np.ndarray, "n samples samples"]
+    """Correlation of each pair by shift, in the order of `numpy.fft.fftfreq`."""
     turns: Float64[np.ndarray, "n 2 2"]
-    """What brings (azimuth, ground range) of the first image to that of the second."""
+    """Rotation of (azimuth, ground range) from the first image of a pair to the second."""
     half_m: float
-    """Half the side of the ground that was compared."""
+    """Half the side of the compared ground, m."""
     pitch_m: float
-    """Distance of its places."""
+    """Sample spacing, m."""
 
     def best(self) -> Float64[np.ndarray, " n"]:
-        """Each pair's highest correlation, the shift being free."""
+        """Return each pair's highest correlation over all allowed shifts."""
         shift = np.fft.fftfreq(self.correlations.shape[1], 1 / self.correlations.shape[1]) * self.pitch_m
-        near = np.hypot(shift[:, None], shift) <= _FREE * self.half_m
+        near = np.hypot(shift[:, None], shift) <= _MAX_SHIFT * self.half_m
         return self.correlations[:, near].max(axis=1, initial=-1.0)
 
     def displaced(self, sense: int) -> Float64[np.ndarray, " n"]:
-        """Each pair's mean correlation if what is bright is displaced to row 0 (−1) or away from it (+1)."""
-        off = np.stack([np.zeros(len(_RADII)), sense * _RADII * self.half_m], axis=1)
+        """Return each pair's mean correlation with bright pixels displaced towards row 0 (−1) or away from it (+1)."""
+        layover = np.stack([np.zeros(len(_LAYOVERS)), sense * _LAYOVERS * self.half_m], axis=1)
         size = self.correlations.shape[1]
         means = []
         for correlation, turn in zip(self.correlations, self.turns, strict=True):
-            shift = (off @ turn - off) / self.pitch_m  # turn.T is the inverse
+            shift = (layover @ turn - layover) / self.pitch_m  # turn.T is the inverse
             at = [shift[:, 1] % size, shift[:, 0] % size]
             means.append(map_coordinates(correlation, at, order=1, mode="grid-wrap").mean())
         return np.array(means)
@@ -87,21 +84,21 @@ def match(
 ) -> Matches:
     """Correlate pairs of images on the ground.
 
-    `bright` is decibels above the ground, or above what counts as nothing, not negative: shadows do not turn with the
-    target. `sense` is 1 if azimuths run as given, −1 if they run the other way, 0 if nothing turns; `within` is the
-    radius of the ground that is compared, of the largest that every image shows.
+    `bright` is dB above the ground or noise floor, clipped at 0, since shadows do not turn with the target. `sense` is
+    1 for azimuths as given, −1 for the opposite sense, 0 for no rotation; `within` is the compared radius relative to
+    the largest that every image shows.
     """
-    half = reach(grid)
-    axis = np.linspace(-half, half, _PLACES)
+    half = common_half_side_m(grid)
+    axis = np.linspace(-half, half, _SAMPLES)
     across, along = np.meshgrid(axis, axis)
     inside = np.hypot(across, along) < within * half
     pitch = axis[1] - axis[0]
-    coarse = [max(1, round(pitch / spacing)) for spacing in reversed(grid.spacing_m)]  # no pixel is left out
+    coarse = [max(1, round(pitch / spacing)) for spacing in reversed(grid.spacing_m)]  # every pixel counts
     used = sorted({k for pair in pairs for k in pair})
     ground = {
-        k: _shown_at(uniform_filter(bright[k], coarse), grid, *views[k].look.to_image(across, along)) for k in used
+        k: _sampled(uniform_filter(bright[k], coarse), grid, *views[k].look.to_image(across, along)) for k in used
     }
-    padded = (next_fast_len(2 * _PLACES),) * 2
+    padded = (next_fast_len(2 * _SAMPLES),) * 2
     first = {k: rfft2(_normalised(ground[k], inside), padded).conj() for k, _ in pairs}
     correlations, turns = [], []
     for i, j in pairs:
@@ -121,34 +118,34 @@ def as_grazing_and_incidence(
     pairs: Sequence[tuple[int, int]],
     sense: int,
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Each pair's highest correlation with grazing angles as given, and with 90° less them.
+    """Return each pair's highest correlation with grazing angles as given, and as incidence angles.
 
-    As many pixels are compared either way: the more ground is around a target, the lower is the correlation.
+    Both compare the same number of pixels: more ground around a target lowers the correlation.
     """
-    meant = views, [replace(view, grazing_deg=view.incidence_deg) for view in views]
-    scales = [float(np.mean([view.look.slant_range(1.0) for view in views])) for views in meant]
+    interpretations = views, [replace(view, grazing_deg=view.incidence_deg) for view in views]
+    scales = [float(np.mean([view.look.slant_range(1.0) for view in views])) for views in interpretations]
     given, swapped = (
         match(bright, views, grid, pairs, sense=sense, within=math.sqrt(min(scales) / scale)).best()
-        for views, scale in zip(meant, scales, strict=True)
+        for views, scale in zip(interpretations, scales, strict=True)
     )
     return given, swapped
 
 
-def less_stretched_anyway(
+def stretch_bias(
     views: Sequence[View], pairs: Sequence[tuple[int, int]], correlations: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
-    """By how much pairs that match so well may match better with 90° less their grazing angles, though these are right.
+    """Return each pair's expected gain in correlation from taking right grazing angles for incidence angles.
 
-    Nothing where lengths in range become no shorter by that.
+    The gain is 0 where that does not shorten lengths in range.
     """
-    steep = [math.log(look.sine / float(look.slant_range(1.0))) for look in (view.look for view in views)]
-    shorter = np.array([max((steep[i] + steep[j]) / 2, 0.0) for i, j in pairs])
+    stretch = [math.log(look.sine / float(look.slant_range(1.0))) for look in (view.look for view in views)]
+    shortening = np.array([max((stretch[i] + stretch[j]) / 2, 0.0) for i, j in pairs])
     turned = np.array([1 - float(views[i].look.ahead @ views[j].look.ahead) for i, j in pairs])
-    return _ANYWAY * shorter * turned * np.maximum(correlations, 0.0)
+    return _STRETCH_BIAS * shortening * turned * np.maximum(correlations, 0.0)
 
 
-def reach(grid: ImageGrid) -> float:
-    """Half the side of the ground around the origin that every image shows, whichever side of it is near, m."""
+def common_half_side_m(grid: ImageGrid) -> float:
+    """Return half the side of the ground around the origin that every image shows for any near side, m."""
     return min(
         pixels * spacing / 2 - abs(middle)
         for pixels in (grid.rows, grid.columns)
@@ -157,28 +154,30 @@ def reach(grid: ImageGrid) -> float:
 
 
 def neighbours(views: Sequence[View]) -> list[tuple[int, int]]:
-    """Each view with the one clockwise of it that suits best; evenly chosen of too many."""
+    """Pair each view with its most suitable clockwise neighbour; at most `_MAX_PAIRS`, evenly chosen."""
     azimuths, grazings = _angles(views)
     pairs = []
     for k in range(len(views)):
-        apart = (azimuths - azimuths[k]) % 360
-        suits = (apart > _BETWEEN_DEG[0]) & (apart <= _BETWEEN_DEG[1])
-        suits &= np.abs(grazings - grazings[k]) <= _SAME_GRAZING_DEG
-        if suits.any():
-            pairs.append((k, int(np.where(suits, np.abs(apart - _PREFERRED_DEG), np.inf).argmin())))
+        step_deg = (azimuths - azimuths[k]) % 360
+        suitable = (step_deg > _AZIMUTH_STEP_DEG[0]) & (step_deg <= _AZIMUTH_STEP_DEG[1])
+        suitable &= np.abs(grazings - grazings[k]) <= _SAME_GRAZING_DEG
+        if suitable.any():
+            pairs.append((k, int(np.where(suitable, np.abs(step_deg - _PREFERRED_STEP_DEG), np.inf).argmin())))
     return _evenly(pairs)
 
 
 def steeper_neighbours(views: Sequence[View]) -> list[tuple[int, int]]:
-    """Each view with the nearest one of about the same azimuth that is steeper; evenly chosen of too many."""
+    """Pair each view with the nearest steeper view of about the same azimuth; at most `_MAX_PAIRS`, evenly chosen."""
     azimuths, grazings = _angles(views)
     pairs = []
     for k in range(len(views)):
-        apart = np.abs((azimuths - azimuths[k] + 180) % 360 - 180)
+        step_deg = np.abs((azimuths - azimuths[k] + 180) % 360 - 180)
         steeper = grazings - grazings[k]
-        suits = (apart <= _PREFERRED_DEG) & (steeper > _OTHER_GRAZING_DEG[0]) & (steeper <= _OTHER_GRAZING_DEG[1])
-        if suits.any():
-            pairs.append((k, int(np.where(suits, apart + steeper, np.inf).argmin())))
+        suitable = (
+            (step_deg <= _PREFERRED_STEP_DEG) & (steeper > _OTHER_GRAZING_DEG[0]) & (steeper <= _OTHER_GRAZING_DEG[1])
+        )
+        if suitable.any():
+            pairs.append((k, int(np.where(suitable, step_deg + steeper, np.inf).argmin())))
     return _evenly(pairs)
 
 
@@ -187,31 +186,31 @@ def _angles(views: Sequence[View]) -> tuple[Float64[np.ndarray, " v"], Float64[n
 
 
 def _evenly(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    count = min(len(pairs), _MOST_PAIRS)
+    count = min(len(pairs), _MAX_PAIRS)
     return [pairs[k * len(pairs) // count] for k in range(count)]
 
 
 def _at(
     image: Real[np.ndarray, "rows columns"],
-    column: Float64[np.ndarray, "places places"],
-    row: Float64[np.ndarray, "places places"],
-) -> Real[np.ndarray, "places places"]:
+    column: Float64[np.ndarray, "samples samples"],
+    row: Float64[np.ndarray, "samples samples"],
+) -> Real[np.ndarray, "samples samples"]:
     return map_coordinates(image, [row, column], order=1, mode="constant", cval=0.0)
 
 
-def _shown_at(
+def _sampled(
     image: Real[np.ndarray, "rows columns"],
     grid: ImageGrid,
-    azimuth_m: Float64[np.ndarray, "places places"],
-    range_m: Float64[np.ndarray, "places places"],
-) -> Real[np.ndarray, "places places"]:
-    """What an image shows at these azimuths and slant ranges; nothing beyond its edges."""
+    azimuth_m: Float64[np.ndarray, "samples samples"],
+    range_m: Float64[np.ndarray, "samples samples"],
+) -> Real[np.ndarray, "samples samples"]:
+    """Interpolate an image at azimuths and slant ranges, m; 0 beyond its edges."""
     column = (azimuth_m - grid.azimuth_m[0]) / grid.spacing_m[0]
     return _at(image, column, (range_m - grid.range_m[0]) / grid.spacing_m[1])
 
 
-def _normalised(image: Real[np.ndarray, "places places"], inside: np.ndarray) -> Real[np.ndarray, "places places"]:
-    """Normalise to mean 0 and norm 1 inside the mask, 0 outside; 0 everywhere if nothing varies."""
-    rest = np.where(inside, image - image[inside].mean(), 0.0)
-    norm = math.sqrt(float((rest**2).sum()))
-    return rest / norm if norm > 0 else rest
+def _normalised(image: Real[np.ndarray, "samples samples"], inside: np.ndarray) -> Real[np.ndarray, "samples samples"]:
+    """Normalise to mean 0 and norm 1 inside the mask; 0 outside, and everywhere if the image is constant."""
+    centred = np.where(inside, image - image[inside].mean(), 0.0)
+    norm = math.sqrt(float((centred**2).sum()))
+    return centred / norm if norm > 0 else centred

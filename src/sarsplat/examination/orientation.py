@@ -1,8 +1,7 @@
-"""Orientation of images, from the images: which side is near range, and which way azimuths run.
+"""Orientation of images, estimated from the images: near side and sense of the azimuths.
 
-Eight orientations are told apart: each of the four sides may be near, and the images mirrored or not. Mirrored images
-with azimuths in the opposite sense are those of a mirrored target, and no image shows a target to be mirrored: so a
-wrong sense of the azimuths and a mirror are one finding.
+There are eight orientations: four near sides, mirrored or not. Mirrored images with azimuths in the opposite sense show
+a mirrored target, which no image can reveal: a wrong sense of the azimuths and a mirror are one finding.
 """
 
 from __future__ import annotations
@@ -19,74 +18,74 @@ from sarsplat.data.image import in_blocks
 from sarsplat.data.orientation import SIDES, oriented
 from sarsplat.examination.neighbouring_views import (
     as_grazing_and_incidence,
-    less_stretched_anyway,
+    common_half_side_m,
     match,
     neighbours,
-    reach,
     steeper_neighbours,
+    stretch_bias,
 )
 from sarsplat.examination.significance import CHANCE, Evidence, SideEvidence
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import Side
 from sarsplat.regions.outlines import Outline, levels_db, outline
 
-LEAST_SHADOW_DB = 0.2
-LEAST_EDGE = 0.05
-_LEAST_LAYOVER = 0.005
-LEAST_SENSE = 0.01
-_LEAST_GRAZING = 0.01
-"""Differences of decibels, skewness and correlation below these are no evidence, however many images show them."""
+MIN_SHADOW_DB = 0.2
+MIN_EDGE = 0.05
+_MIN_LAYOVER = 0.005
+MIN_SENSE = 0.01
+_MIN_GRAZING = 0.01
+"""Minimum mean differences of decibels, skewness and correlation that count as evidence, for any number of images."""
 
 _BRIGHT_DB, _BRIGHTEST_DB = 3.0, 23.0
-"""Above the ground: from where on something stands out from speckle, and where its brightness says no more."""
+"""Levels above the ground between which the weight of bright pixels rises, dB: it is 0 for speckle."""
 
 _DARKEST_DB = -10.0
-"""Below the ground: what is darker says no more."""
+"""Level relative to the ground at which the darkness of shadow is clipped, dB."""
 
 _PIXELS = 256
-"""Most on a side in the search for shadow: larger images are averaged."""
+"""Maximum pixels per side in the search for shadow; larger images are averaged."""
 
 
 @dataclass(frozen=True)
 class Orientation:
-    """What images say of their orientation."""
+    """Estimated orientation of images, with its evidence."""
 
     near: Side | None
-    """The side that is near the radar; None if they do not tell."""
+    """Side near the radar; None if undetermined."""
     shadow: SideEvidence
-    """Decibels by which it is darker than the ground beyond what is bright; of no images if they show no ground."""
+    """Darkness behind bright pixels, dB below the ground; no images if they show no ground."""
     edge: SideEvidence
     """Skewness of the target's amplitude away from each side."""
     layover: SideEvidence
-    """Correlation of neighbouring images if what is bright is displaced to that side."""
+    """Correlation of neighbouring images with bright pixels displaced to each side."""
     correlation: dict[Side, tuple[float, float]]
-    """Side that is near → mean correlation of neighbouring images, with azimuths as given and in the opposite sense.
-    Empty if there are no such images."""
+    """Near side → mean correlation of neighbouring images, with azimuths as given and in the opposite sense; empty
+    without neighbours."""
     sense: Evidence
-    """By how much that is higher with azimuths as given."""
+    """Correlation with azimuths as given, less that in the opposite sense."""
     grazing: Evidence
-    """By how much it is higher with grazing angles as given than with 90° less them."""
+    """Correlation with grazing angles as given, less that with them as incidence angles."""
     steeper: Evidence
-    """The same, and what lengths that are less stretched are ahead by anyway."""
+    """`grazing` plus `stretch_bias`: negative only for incidence angles."""
     stays: Evidence
-    """By how much neighbouring images match better without being turned by their azimuths than in either sense."""
+    """Correlation of neighbouring images without rotation, less that with the better sense of rotation."""
 
     @property
     def by_shadow(self) -> bool:
-        """Whether shadow alone tells which side is near."""
-        return self.shadow.side(LEAST_SHADOW_DB) is not None
+        """True if shadow alone determines the near side."""
+        return self.shadow.side(MIN_SHADOW_DB) is not None
 
     @property
     def opposite(self) -> bool | None:
-        """Whether azimuths run the other way, or the images are mirrored; None if they do not tell."""
-        if self.sense.supports(LEAST_SENSE):
+        """True if azimuths have the opposite sense or images are mirrored; None if undetermined."""
+        if self.sense.supports(MIN_SENSE):
             return False
-        return True if self.sense.against(LEAST_SENSE) else None
+        return True if self.sense.against(MIN_SENSE) else None
 
     @property
     def incidence(self) -> bool:
-        """Whether grazing angles seem to be incidence angles."""
-        return self.near is not None and self.steeper.against(_LEAST_GRAZING)
+        """True if grazing angles seem to be incidence angles."""
+        return self.near is not None and self.steeper.against(_MIN_GRAZING)
 
 
 def orientation(
@@ -97,10 +96,9 @@ def orientation(
     ground: bool,
     centred: bool = False,
 ) -> Orientation:
-    """What images (β⁰, linear power) say of their orientation.
+    """Estimate the orientation of images (β⁰, linear power).
 
-    `centred` is whether the world's origin surely lies where the grid says, so that layover alone tells which side is
-    near.
+    With `centred`, the world's origin surely is where the grid has it, so that layover alone determines the near side.
     """
     levels = levels_db(power, grid, ground)
     shadow = shadow_sides(levels if ground else levels[:0], views)
@@ -108,7 +106,7 @@ def orientation(
     sideways = turned_grid(grid, "right")
     frames = [(levels, grid), (levels_db(oriented(power, "right"), sideways, ground), sideways)]
     bright = [np.maximum(shown, 0.0) for shown, _ in frames]
-    pairs = neighbours(views) if reach(grid) > 0 else []
+    pairs = neighbours(views) if common_half_side_m(grid) > 0 else []
     senses = [[match(bright[k], views, frames[k][1], pairs, sense=sense) for sense in (1, -1)] for k in (0, 1)]
     best = [[matches.best() for matches in both] for both in senses]  # by axis of range and sense
     better = [int(np.argmax([values.sum() for values in both])) for both in best]
@@ -116,8 +114,8 @@ def orientation(
     layover = SideEvidence(np.stack(displaced, axis=1))
     near = _near(shadow, edge, layover, centred)
     axis = SIDES.index(near) % 2 if near else int(best[1][better[1]].sum() > best[0][better[0]].sum())
-    more = [*pairs, *(steeper_neighbours(views) if pairs else [])]
-    given, swapped = as_grazing_and_incidence(bright[axis], views, frames[axis][1], more, (1, -1)[better[axis]])
+    all_pairs = [*pairs, *(steeper_neighbours(views) if pairs else [])]
+    given, swapped = as_grazing_and_incidence(bright[axis], views, frames[axis][1], all_pairs, (1, -1)[better[axis]])
     return Orientation(
         near,
         shadow,
@@ -126,7 +124,7 @@ def orientation(
         {side: (float(best[k % 2][0].mean()), float(best[k % 2][1].mean())) for k, side in enumerate(SIDES) if pairs},
         Evidence(best[axis][0] - best[axis][1]),
         Evidence(given - swapped),
-        Evidence(given - swapped + less_stretched_anyway(views, more, np.maximum(given, swapped))),
+        Evidence(given - swapped + stretch_bias(views, all_pairs, np.maximum(given, swapped))),
         Evidence(match(bright[0], views, grid, pairs, sense=0).best() - _highest([*best[0], *best[1]])),
     )
 
@@ -136,29 +134,29 @@ def _highest(correlations: Sequence[Float64[np.ndarray, " n"]]) -> Float64[np.nd
 
 
 def turned_grid(grid: ImageGrid, near: Side) -> ImageGrid:
-    """The grid of images whose side `near` is brought to the top; spacings stay those of azimuth and range."""
+    """Return the grid after turning side `near` to the top; spacings stay those of azimuth and range."""
     return grid if SIDES.index(near) % 2 == 0 else replace(grid, rows=grid.columns, columns=grid.rows)
 
 
 def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centred: bool) -> Side | None:
-    """Shadow decides; where it does not, layover and the bright edge together.
+    """Return the near side by shadow or, without a result, by layover and bright edge together.
 
-    Layover alone might be targets that do not lie in the middle of their images.
+    Layover alone is ambiguous with targets away from the middle of their images.
     """
-    certain = shadow.side(LEAST_SHADOW_DB) or (layover.side(_LEAST_LAYOVER) if centred else None)
+    certain = shadow.side(MIN_SHADOW_DB) or (layover.side(_MIN_LAYOVER) if centred else None)
     if certain is not None:
         return certain
     significance = math.sqrt(CHANCE)  # of each of the two
-    by_layover = layover.side(_LEAST_LAYOVER, significance)
-    agree = by_layover == edge.side(LEAST_EDGE, significance) and (not shadow.count or shadow.strongest == by_layover)
+    by_layover = layover.side(_MIN_LAYOVER, significance)
+    agree = by_layover == edge.side(MIN_EDGE, significance) and (not shadow.count or shadow.strongest == by_layover)
     return by_layover if agree else None
 
 
 def shadow_sides(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[View]) -> SideEvidence:
-    """For each side as near range: how much darker than the ground it is behind the bright target, dB.
+    """Measure for each near side how much darker than the ground (`levels`, dB above it) it is behind the target, dB.
 
-    Beyond is the quadrant around the direction away from that side, as far as half the shorter side of the images. All
-    distances count the same, and bright pixels by their decibels; `levels` are decibels above the ground.
+    "Behind" is the quadrant around the direction away from that side, to half the shorter side of the images. All
+    distances have the same weight; bright pixels are weighted by their decibels.
     """
     step = math.ceil(max(levels.shape[1:]) / _PIXELS)
     rows, columns = (pixels // step for pixels in levels.shape[1:])
@@ -167,7 +165,7 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[
     distance = np.hypot(down, right)
     weight = np.where((distance > 0) & (distance <= min(rows, columns) / 2), 1 / np.maximum(distance, 1.0), 0.0)
     beyond = (down > abs(right), -right > abs(down), -down > abs(right), right > abs(down))  # of top, right …
-    quadrants = [rfft2(weight * where) for where in beyond]
+    quadrants = [rfft2(weight * mask) for mask in beyond]
     darkness, directions = [], []
     for level, view in zip(levels, views, strict=False):
         bright = rfft2(_coarse(np.clip(level - _BRIGHT_DB, 0.0, _BRIGHTEST_DB - _BRIGHT_DB), step), padded)
@@ -180,15 +178,14 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[
 
 
 def _coarse(image: Float64[np.ndarray, "rows columns"], step: int) -> Float64[np.ndarray, "m n"]:
-    """Means of squares of pixels; what is left over at the ends is left out."""
+    """Average blocks of step × step pixels; incomplete blocks at the ends are dropped."""
     return in_blocks(image, step).mean(axis=(1, 3))
 
 
 def edge_sides(levels: Float64[np.ndarray, "v rows columns"], outlines: Sequence[Outline]) -> SideEvidence:
-    """Skewness of the target's amplitude, summed over lines along each side, away from it.
+    """Measure the skewness of the target's amplitude away from each side; `levels` are dB above ground or noise floor.
 
-    It is positive if the target has a bright edge on that side, and a long tail beyond it; `levels` are decibels above
-    the ground, or above what counts as nothing.
+    It is positive for a bright edge on that side with a long tail behind it.
     """
     targets = np.array([outline.target for outline in outlines])
     amplitude = np.where(targets, 10 ** (levels / 20), 0.0)
@@ -198,8 +195,8 @@ def edge_sides(levels: Float64[np.ndarray, "v rows columns"], outlines: Sequence
 
 
 def _skewness(profiles: Float64[np.ndarray, "v n"]) -> Float64[np.ndarray, " v"]:
-    place = np.arange(profiles.shape[1], dtype=float)
+    position = np.arange(profiles.shape[1], dtype=float)
     share = profiles / profiles.sum(axis=1, keepdims=True)
-    off = place - (share @ place)[:, None]
-    spread = np.maximum((share * off**2).sum(axis=1), 1e-9)
-    return (share * off**3).sum(axis=1) / spread**1.5
+    offset = position - (share @ position)[:, None]
+    spread = np.maximum((share * offset**2).sum(axis=1), 1e-9)
+    return (share * offset**3).sum(axis=1) / spread**1.5

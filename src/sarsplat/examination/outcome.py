@@ -1,4 +1,4 @@
-"""The result of examining a dataset: contradictions, checks, and a table of orientations."""
+"""Result of an examination: contradictions, checks, and a table of orientations."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Examination:
-    """The result of examining a dataset.
+    """Result of examining a dataset.
 
     Attributes
     ----------
     contradictions : list of str
-        What contradicts the dataset's own statements: one sentence each, with the remedy. Empty if nothing does.
+        Contradictions to the dataset's metadata, each a sentence with its remedy.
     checks : dict of str to str
-        What was looked at, and what there was to see, or why nothing can be said.
+        Check → its finding, or the reason for no finding.
     orientations : list of (str, ...)
-        A table of the eight orientations and what speaks for each, its head first; empty if they were not looked at.
+        Table of the eight orientations with the evidence for each, head first; empty if not examined.
     """
 
     contradictions: list[str] = field(default_factory=list)
@@ -25,6 +25,6 @@ class Examination:
     orientations: list[tuple[str, ...]] = field(default_factory=list)
 
     def conclude(self, check: str, wrong: Sequence[str], otherwise: str) -> None:
-        """Add the contradictions that one check found, or, if there are none, what there was to see."""
+        """Add the contradictions that one check found, or else its finding."""
         self.contradictions.extend(wrong)
         self.checks[check] = "see below" if wrong else otherwise

@@ -1,11 +1,10 @@
-"""Single values that would set the scale of everything: pixels and lines that stand alone, and impossible ranges.
+"""Checks of single values that would set the scale of all others: hot pixels and lines, and impossible dynamic ranges.
 
-A true point target, however bright, is spread over neighbouring pixels by the response of the system, so that the
-brightest of its neighbours cannot be darker than the response is one pixel away from its peak. Speckle may add to that:
-in N pixels of one look, drawn independently of each other, some pixel exceeds all of its eight neighbours t times with
-a probability below 8! N / t⁸. A Gaussian response stands for any of its width, also for that without weighting, whose
-zeros lie on the neighbours where pixels are as far apart as can be: there, a point exceeds them by what it is off the
-middle of its pixel.
+The response spreads any point target over its neighbours, so that the brightest of these is no darker than the response
+one pixel from its peak. Speckle adds to that: among N independent pixels of one look, one exceeds all eight neighbours
+t times with a probability below 8! N / t⁸. A Gaussian response represents any of its width, also an unweighted one,
+whose zeros lie on the neighbours of pixels at the largest spacing: a point then exceeds these only by its offset from
+the middle of its pixel.
 """
 
 from __future__ import annotations
@@ -25,47 +24,46 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import Gaussian
 from sarsplat.radiometry import bright_level, to_db
 
-WIDEST_RANGE_DB = 100.0
-"""From the ground to the brightest pixel of an image: more than any radar, and any echo, has."""
+MAX_RANGE_DB = 100.0
+"""Maximum ratio of the brightest pixel to the ground: above that of any radar."""
 
-A_FEW = 5
-"""Brightest pixels of an image without which its range is that of its unit."""
+UNIT_RANK = 5
+"""Rank of the pixel by which a range shows a wrong unit rather than hot pixels."""
 
 _LINE_DB = 10.0
-"""By which medians of neighbouring rows or columns of ground may differ, beside what the response allows."""
+"""Tolerance of the difference between medians of neighbouring rows or columns, besides the response."""
 
 _SINC_WIDTH = 0.8859
-"""3 dB width of the response without weighting, of the distance from its peak to its first zero."""
+"""3 dB width of the unweighted response, relative to the distance of its peak from its first zero."""
 
-_FEWEST_LINES = 3
-_FEWEST_IMAGES = 3
+_MIN_LINES = 3
+_MIN_IMAGES = 3
 
 
 def examine_single_values(dataset: Dataset, examined: Examination) -> bool:
-    """Add contradictions of pixels and lines that no response can make, and of images with an impossible range.
+    """Add contradictions of pixels and lines that no response produces, and impossible ranges; return True if any.
 
-    Returns whether there are any. Where most images have an impossible range, and not by a few pixels, it is their unit
-    that is wrong: see `examine_units`.
+    If most images have an impossible range, and not by a few pixels, their unit is wrong: see `examine_units`.
     """
-    if 2 * (ranges_db(dataset, A_FEW) > WIDEST_RANGE_DB).sum() > len(dataset):
+    if 2 * (ranges_db(dataset, UNIT_RANK) > MAX_RANGE_DB).sum() > len(dataset):
         return False
     bright = bright_level(dataset.power)
-    limit_db = _point_db(dataset.grid) + _speckle_db(dataset.power.size)
-    alone = [peak for k, image in enumerate(dataset.power) for peak in _alone(image, k, bright, limit_db)]
-    wrong = _said_of(alone, dataset)
-    wrong += _ranges(dataset, {peak.index for peak in alone})
+    limit_db = _point_db(dataset.grid) + _speckle_limit_db(dataset.power.size)
+    peaks = [peak for k, image in enumerate(dataset.power) for peak in _peaks(image, k, bright, limit_db)]
+    wrong = _hot_pixels(peaks, dataset)
+    wrong += _wide_ranges(dataset, {peak.index for peak in peaks})
     wrong += _lines(dataset, bright)
     examined.conclude("single values", wrong, "no pixel, row or column is too bright to be an echo")
     return bool(wrong)
 
 
-def _said_of(alone: Sequence[_Peak], dataset: Dataset) -> list[str]:
-    if not alone:
+def _hot_pixels(peaks: Sequence[_Peak], dataset: Dataset) -> list[str]:
+    if not peaks:
         return []
-    worst = max(alone, key=lambda peak: peak.lead_db)
-    images = counted(len({peak.index for peak in alone}), "image")
+    worst = max(peaks, key=lambda peak: peak.lead_db)
+    images = counted(len({peak.index for peak in peaks}), "image")
     return [
-        f"{counted(len(alone), 'pixel')} of {images} {'stands' if len(alone) == 1 else 'stand'} alone, such as row "
+        f"{counted(len(peaks), 'pixel')} of {images} {'stands' if len(peaks) == 1 else 'stand'} alone, such as row "
         f"{worst.row}, column {worst.column} of {dataset.entries[worst.index].name}, {worst.lead_db:.0f} dB above all "
         f"of its neighbours, where a point of the stated resolution is {_point_db(dataset.grid):.0f} dB above them; a "
         "hot pixel sets the scale of all others, so replace it by the mean of its neighbours, or correct the "
@@ -74,26 +72,26 @@ def _said_of(alone: Sequence[_Peak], dataset: Dataset) -> list[str]:
 
 
 def _floors(dataset: Dataset) -> Float64[np.ndarray, " v"]:
-    """Of each image, the power of its ground; without ground, the second brightest peak of all images for all."""
+    """Return the power of each image's ground; without ground, the second brightest peak of all images."""
     if dataset.ground:
         return np.maximum(np.median(dataset.power, axis=(1, 2)).astype(np.float64), np.finfo(np.float32).tiny)
     peaks = np.sort(dataset.power.max(axis=(1, 2)))
-    floor = float(peaks[-2]) if len(peaks) >= _FEWEST_IMAGES else float(peaks[-1])
+    floor = float(peaks[-2]) if len(peaks) >= _MIN_IMAGES else float(peaks[-1])
     return np.full(len(dataset), max(floor, np.finfo(np.float32).tiny))
 
 
-def ranges_db(dataset: Dataset, place: int = 1) -> Float64[np.ndarray, " v"]:
-    """From the ground of each image to its brightest pixel, or to that in another place."""
-    place = min(place, dataset.power[0].size)
-    brightest = [np.partition(image, -place, axis=None)[-place] for image in dataset.power]  # one by one, for memory
+def ranges_db(dataset: Dataset, rank: int = 1) -> Float64[np.ndarray, " v"]:
+    """Return the ratio of each image's brightest pixel, or of that of another rank, to the ground, dB."""
+    rank = min(rank, dataset.power[0].size)
+    brightest = [np.partition(image, -rank, axis=None)[-rank] for image in dataset.power]  # one by one, for memory
     return np.asarray(to_db(np.array(brightest), _floors(dataset)))
 
 
-def _ranges(dataset: Dataset, explained: Collection[int]) -> list[str]:
-    """Single images whose brightest pixel is impossibly bright, but for those whose pixels have been named."""
+def _wide_ranges(dataset: Dataset, hot_images: Collection[int]) -> list[str]:
+    """Describe images whose brightest pixel is impossibly bright, except those with hot pixels."""
     ranges = ranges_db(dataset)
-    ranges[[*explained]] = 0.0
-    wide = np.flatnonzero(ranges > WIDEST_RANGE_DB)
+    ranges[[*hot_images]] = 0.0
+    wide = np.flatnonzero(ranges > MAX_RANGE_DB)
     if not len(wide):
         return []
     worst = int(wide[ranges[wide].argmax()])
@@ -102,7 +100,7 @@ def _ranges(dataset: Dataset, explained: Collection[int]) -> list[str]:
     others = f" (so in {counted(len(wide), 'image')})" if len(wide) > 1 else ""
     return [
         f"the brightest pixel of {dataset.entries[worst].name}, row {row}, column {column}, is {ranges[worst]:.0f} dB "
-        f"above {above}{others}, more than any radar image has; mend the file: all else sinks beside it"
+        f"above {above}{others}, more than any radar image has; correct that pixel, which sets the scale"
     ]
 
 
@@ -116,11 +114,11 @@ class _Peak:
     lead_db: float
 
 
-def _alone(image: Real[np.ndarray, "rows columns"], index: int, bright: float, limit_db: float) -> list[_Peak]:
-    """The bright pixels of an image that exceed all of their neighbours by more than the limit."""
+def _peaks(image: Real[np.ndarray, "rows columns"], index: int, bright: float, limit_db: float) -> list[_Peak]:
+    """Find the bright pixels of an image that exceed all of their neighbours by more than the limit."""
     rows, columns = np.nonzero(image >= bright)
     padded = np.pad(image, 1)
-    beside = np.full(len(rows), _usual(image))
+    beside = np.full(len(rows), _typical_power(image))
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             if (down, right) != (0, 0):
@@ -133,51 +131,51 @@ def _alone(image: Real[np.ndarray, "rows columns"], index: int, bright: float, l
     ]
 
 
-def _usual(image: Real[np.ndarray, "rows columns"]) -> float:
-    """Mean power but for the brightest tenth: where ground is quantised coarsely, single pixels and medians jump."""
+def _typical_power(image: Real[np.ndarray, "rows columns"]) -> float:
+    """Return the mean power without the brightest tenth: with coarse quantisation, medians jump."""
     dark = image[image <= np.quantile(image, 0.9)].mean(dtype=np.float64)
     return max(float(dark), float(np.finfo(np.float32).tiny))
 
 
 def _point_db(grid: ImageGrid) -> float:
-    """By how much a point at the middle of a pixel exceeds the brightest of its neighbours, dB."""
-    return min(_next_db(grid, axis) for axis in (0, 1))
+    """Return the ratio of a point at the middle of a pixel to its brightest neighbour, dB."""
+    return min(_fall_db(grid, axis) for axis in (0, 1))
 
 
-def _next_db(grid: ImageGrid, axis: int) -> float:
-    """Of azimuth (0) or range (1): by how much the response falls from its peak to the next pixel, dB."""
-    apart = np.array([0.0, grid.spacing_m[axis] / grid.resolution_m[axis]])
-    peak, beside = grid.response.density(apart)
+def _fall_db(grid: ImageGrid, axis: int) -> float:
+    """Return the fall of the response from its peak to the next pixel in azimuth (0) or range (1), dB."""
+    offset = np.array([0.0, grid.spacing_m[axis] / grid.resolution_m[axis]])
+    peak, beside = grid.response.density(offset)
     fall = float(to_db(peak, max(float(beside), 1e-30 * float(peak))))
     if not isinstance(grid.response, Gaussian):
         return fall
-    unweighted = float(np.sinc(min(_SINC_WIDTH * apart[1], 1.0)))
+    unweighted = float(np.sinc(min(_SINC_WIDTH * offset[1], 1.0)))
     return max(fall, -20 * math.log10(max(unweighted, math.sqrt(CHANCE) / 2)))  # off the middle along both axes
 
 
-def _speckle_db(pixels: int) -> float:
-    """By how much speckle of one look exceeds all eight neighbours, but for a chance, in so many pixels, dB."""
+def _speckle_limit_db(pixels: int) -> float:
+    """Return the ratio to all eight neighbours that speckle of one look exceeds in `pixels` with `CHANCE`, dB."""
     return 10 / 8 * math.log10(math.factorial(8) * pixels / CHANCE)
 
 
 def _lines(dataset: Dataset, bright: float) -> list[str]:
-    """Rows or columns that are brighter, as a whole, than both of their neighbours, beyond what a response can do."""
-    found = []
-    usual = np.array([_usual(image) for image in dataset.power])[:, None]
-    for name, axis, own in (("row", 2, 1), ("column", 1, 0)):
+    """Describe rows or columns brighter as a whole than both of their neighbours beyond the response."""
+    texts = []
+    typical = np.array([_typical_power(image) for image in dataset.power])[:, None]
+    for name, axis, grid_axis in (("row", 2, 1), ("column", 1, 0)):
         medians = np.median(dataset.power, axis=axis)  # [v, lines]
-        if medians.shape[1] < _FEWEST_LINES:
+        if medians.shape[1] < _MIN_LINES:
             continue
         padded = np.pad(medians, ((0, 0), (1, 1)))
-        beside = np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), usual)
-        lead = np.where(medians >= (usual if dataset.ground else bright), to_db(medians, beside), -np.inf)
-        limit = _next_db(dataset.grid, own) + _LINE_DB
+        beside = np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), typical)
+        lead = np.where(medians >= (typical if dataset.ground else bright), to_db(medians, beside), -np.inf)
+        limit = _fall_db(dataset.grid, grid_axis) + _LINE_DB
         if lead.max() > limit:
             index, line = np.unravel_index(int(lead.argmax()), lead.shape)
             images = counted(int((lead > limit).any(axis=1).sum()), "image")
-            found.append(
+            texts.append(
                 f"{name} {line} of {dataset.entries[index].name} is as a whole {lead[index, line]:.0f} dB brighter "
                 f"than the {name}s beside it, as no echo of the stated resolution is (such {name}s are in {images}); "
                 "mend the files, or cut the images"
             )
-    return found
+    return texts

@@ -1,4 +1,4 @@
-"""Whether the statistics of clutter, and sharpness, contradict the unit, looks and resolution that are stated."""
+"""Checks of unit, looks and resolution by the statistics of clutter and by sharpness."""
 
 from __future__ import annotations
 
@@ -13,74 +13,74 @@ from scipy.ndimage import binary_dilation
 from sarsplat.data import Dataset
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.significance import Evidence
-from sarsplat.examination.single_values import A_FEW, WIDEST_RANGE_DB, ranges_db
+from sarsplat.examination.single_values import MAX_RANGE_DB, UNIT_RANK, ranges_db
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import width_of
 from sarsplat.radiometry import brighter
 from sarsplat.regions.outlines import Outline, levels_db, outline
 
 _SPECKLED = 0.4
-"""Contrast from which on ground is speckled: about that of six looks."""
+"""Minimum contrast of speckled ground: about that of six looks."""
 
-_LEAST_SKEWNESS = 0.2
-"""Of the amplitude, to the dark side: less is no evidence of decibels. Amplitude read as power has up to 0.13, decibels
-of 16 looks have 0.25 and those of fewer more."""
+_MIN_SKEWNESS = 0.2
+"""Minimum negative skewness of the amplitude that is evidence of decibels. Measured: up to 0.13 for amplitude read as
+power; 0.25 for decibels of 16 looks, more of fewer."""
 
 _SMOOTH = 0.1
-"""Contrast of ground that has neither speckle nor coarse steps."""
+"""Maximum contrast of ground without speckle and coarse quantisation."""
 
-_FEWEST_VALUES = 8
-"""In a block of ground: of fewer, neither speckle nor its correlation can be measured."""
+_MIN_VALUES = 8
+"""Minimum number of different values in a block of ground for statistics of speckle."""
 
-_MOST_LOOKS = 1e6
-"""Of speckle that can be seen: more mean that there is none."""
+_MAX_LOOKS = 1e6
+"""Maximum number of looks; more mean no speckle."""
 
 _WIDTH_RATIOS = {"speckle": (0.5, 1.7), "structure": (0.8, 2.0)}
-"""Measured over stated resolution, within which they agree: by how far pixels of speckle correlate, and by the sharpest
-structure, which may be smoother than a point but not sharper."""
+"""Range of measured over stated resolution, by correlation of speckle and by the sharpest structure, which may be
+smoother than a point but not sharper."""
 
-_LEAST_PIXEL = 0.5
-"""Least resolution, in pixels: finer ones are those of other images."""
+_MIN_RESOLUTION = 0.5
+"""Minimum resolution, pixels."""
 
 _DECIBELS = "--quantity db, with --scale and --offset for decibels in 8 bits"
 
-_EVERY = ("quantity", "looks")
+_ALL_OPTIONS = ("quantity", "looks")
 _OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "phase-history": ()}
-"""Which of them an import has that lacks some, by the kind of the dataset's `source`."""
+"""Options of the import by the kind of the dataset's `source`; `_EVERY` for other kinds."""
 
-_KNOWN: dict[str, dict[str, str]] = {
+_QUANTITY_REMEDIES: dict[str, dict[str, str]] = {
     "db": {"quantity": "double the decibels (--scale 2) if they are 10·log10 of amplitudes"},
     "complex": {},
 }
-"""What else may be wrong of images whose power is known by their kind of numbers."""
+"""Remedies besides the looks for quantities that determine power."""
 
 _CELLS_PER_BLOCK, _SMALLEST_BLOCK = 6, 8
-"""Side of the blocks of clutter, in resolution widths and in pixels: ground hardly changes within one."""
+"""Side of the blocks of clutter in resolution widths, and minimum in pixels: ground hardly changes within one."""
 
 _BLOCKS_PER_SIDE = 4
-"""Of an image at least, if that is large enough: the resolution stated may be far too coarse."""
+"""Minimum number of blocks along each side of an image, should the stated resolution be far too coarse."""
 
-_FEWEST_BLOCKS = 20
-_WHITE = 0.1
-"""Neighbouring pixels of speckle that correlate less are taken as drawn independently of each other."""
+_MIN_BLOCKS = 20
+_MIN_CORRELATION = 0.1
+"""Correlation below which neighbouring pixels of speckle count as independent."""
 
-_MOST_ALIKE = 0.75
-"""Mean correlation of a block's pixels above which it holds hardly more than one cell, and tells nothing of speckle."""
+_MAX_CORRELATION = 0.75
+"""Maximum mean correlation of a block's pixels: above, a block holds hardly more than one resolution cell."""
 
 _ROUNDS = 10
-"""Of widths that follow from how much of the variance a block's mean takes, which follows from the widths."""
+"""Fixed-point iterations for widths and the variance of block means, which depend on each other."""
 
 _BRIGHT_DB = 25.0
-"""Below the brightest of an image: what is darker is not looked at for its sharpness."""
+"""Dynamic range of the sharpness test, dB below the image's maximum."""
 
 _SHARPEST = 0.9999
-"""Quantile of curvatures: that of the sharpest structure, but not of a single pixel."""
+"""Quantile of curvatures that represents the sharpest structure, but not a single pixel."""
 
 
 def examine_units(dataset: Dataset, examined: Examination) -> bool:
     """Add contradictions in unit, looks and resolution, given a dataset with near range on top.
 
-    Returns whether there is ground with speckle as it is stated.
+    Return True if the ground has speckle of the stated looks.
     """
     if dataset.ground and not _plausible_range(dataset, examined):
         return False
@@ -100,9 +100,9 @@ def examine_units(dataset: Dataset, examined: Examination) -> bool:
 
 
 def _plausible_range(dataset: Dataset, examined: Examination) -> bool:
-    """Whether the brightest pixels are as far above the ground as can be; if not, nothing else needs be said."""
-    range_db = float(np.median(ranges_db(dataset, A_FEW)))
-    if range_db <= WIDEST_RANGE_DB:
+    """Return whether the range is plausible for power; add a contradiction if not."""
+    range_db = float(np.median(ranges_db(dataset, UNIT_RANK)))
+    if range_db <= MAX_RANGE_DB:
         return True
     examined.checks["unit"] = f"brightest pixels are {range_db:.0f} dB above the ground"
     examined.contradictions.append(
@@ -116,28 +116,28 @@ def _plausible_range(dataset: Dataset, examined: Examination) -> bool:
 
 
 def _options(dataset: Dataset) -> tuple[str, ...]:
-    return _OPTIONS.get(str(dataset.source.get("kind")), _EVERY)
+    return _OPTIONS.get(str(dataset.source.get("kind")), _ALL_OPTIONS)
 
 
 def _remedy(dataset: Dataset, **by_option: str) -> str:
-    """What to do, as far as the import of the dataset has the options that this takes."""
+    """Join the remedies whose options the dataset's import has."""
     named = [text for option, text in by_option.items() if option in _options(dataset)]
-    return ", or ".join(named) or "mend the files, for their import has no option that does"
+    return ", or ".join(named) or "correct the files, since their import has no such option"
 
 
 def _speckle(dataset: Dataset, examined: Examination) -> bool:
-    """Whether the ground has speckle, and as much as is stated."""
+    """Compare the contrast of the ground with the stated looks; return True if it is speckle of these."""
     levels = levels_db(dataset.power, dataset.grid, dataset.ground)
     ground = clutter(dataset.power, levels, [outline(level) for level in levels], dataset.grid)
     if ground is None:
         examined.checks["unit"] = "cannot be determined: too little ground around the target"
         return False
-    if ground.values < _FEWEST_VALUES and ground.contrast > _SMOOTH:
+    if ground.values < _MIN_VALUES and ground.contrast > _SMOOTH:
         few = f"the ground has only {ground.values:g} different values in a block of pixels"
         examined.checks["unit"] = f"cannot be determined: so coarsely are pixels quantised that {few}"
         return False
     measured = f"standard deviation over mean of the ground is {ground.contrast:.2f}"
-    if dataset.looks is None or dataset.looks > _MOST_LOOKS:
+    if dataset.looks is None or dataset.looks > _MAX_LOOKS:
         examined.checks["unit"] = f"{measured}; without speckle, this does not tell power from amplitude"
         if ground.contrast > _SPECKLED:
             examined.contradictions.append(
@@ -146,7 +146,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             )
             examined.checks["resolution"] = "cannot be determined from speckle of unknown looks"
         return False
-    if ground.alike > _MOST_ALIKE:
+    if ground.correlation > _MAX_CORRELATION:
         examined.checks["unit"] = "cannot be determined: resolution cells are about as large as a quarter of the images"
         return False
     contrast = ground.contrast_of_many
@@ -155,7 +155,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
     stated = f"{dataset.looks:g} look{'' if dataset.looks == 1 else 's'}"
     examined.checks["unit"] = f"{measured}; power of {stated} has {of_power:.2f}, amplitude {of_amplitude:.2f}"
     wrong = ""
-    if Evidence(ground.skewness).against(_LEAST_SKEWNESS):
+    if Evidence(ground.skewness).against(_MIN_SKEWNESS):
         wrong = (
             f"more of the ground is dark than bright (skewness {ground.skewness.mean():.2f}), as in decibels, not in "
             f"power or amplitude; {_remedy(dataset, quantity=f'import with {_DECIBELS}')}"
@@ -170,14 +170,14 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             )
         )
     elif contrast < (of_power * of_amplitude) ** 0.5:
-        known = _KNOWN.get(str(dataset.source.get("quantity")))
+        remedies_of_quantity = _QUANTITY_REMEDIES.get(str(dataset.source.get("quantity")))
         remedies = {
             "quantity": "square the values (--quantity amplitude)",
             "looks": "give another number of looks (--looks) if they are power",
         }
-        if known is not None:  # no numbers that could be squared: the looks are wrong sooner
-            remedies = {"looks": "give another number of looks (--looks)"} | known
-        elif dataset.source.get("geocoded"):  # so that amplitude is what they are less likely to be
+        if remedies_of_quantity is not None:  # squares are impossible: the looks are wrong
+            remedies = {"looks": "give another number of looks (--looks)"} | remedies_of_quantity
+        elif dataset.source.get("geocoded"):  # amplitude is less likely
             looks = f"--looks {1 / contrast**2:.2g}"
             remedies = {
                 "looks": f"give the looks that are left after pixels were interpolated to the map ({looks})",
@@ -199,19 +199,19 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
         )
     if wrong:
         examined.contradictions.append(wrong)
-    else:  # what it says of the width holds for power only
+    else:  # the width holds for power only
         _resolution(dataset, ground.width_m, "speckle", examined)
     return not wrong
 
 
 def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by: str, examined: Examination) -> None:
-    """Hold measured 3 dB widths in azimuth and range against those stated."""
+    """Compare measured 3 dB widths in azimuth and range with the stated ones."""
     measured, low_high = [], _WIDTH_RATIOS[by]
-    how = "pixels of speckle correlate as" if by == "speckle" else "the sharpest structure is as"
+    evidence = "pixels of speckle correlate as" if by == "speckle" else "the sharpest structure is as"
     for name, width, spacing, stated in zip(
         ("azimuth", "range"), widths, dataset.grid.spacing_m, dataset.grid.resolution_m, strict=True
     ):
-        if stated < _LEAST_PIXEL * spacing:
+        if stated < _MIN_RESOLUTION * spacing:
             examined.contradictions.append(
                 f"the resolution of {stated:.3g} m in {name} is less than half a pixel of {spacing:.3g} m, which such "
                 f"pixels cannot show; correct the resolution or the pixel spacing in {name}"
@@ -225,11 +225,11 @@ def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by:
         if not low_high[0] <= ratio <= low_high[1]:
             options = " (--resolution, --spacing)" * ("quantity" in _options(dataset))  # which go together
             examined.contradictions.append(
-                f"{how} of a resolution of {width:.2g} m in {name}, but {stated:.3g} m is stated, with pixels of "
+                f"{evidence} of a resolution of {width:.2g} m in {name}, but {stated:.3g} m is stated, with pixels of "
                 f"{spacing:.3g} m; correct the resolution or the pixel spacing in {name}{options}"
             )
     if measured:
-        examined.checks["resolution"] = f"{how} of {' and '.join(measured)}"
+        examined.checks["resolution"] = f"{evidence} of {' and '.join(measured)}"
     else:
         examined.checks["resolution"] = (
             "cannot be determined: neighbouring pixels do not correlate, or too little is seen"
@@ -238,30 +238,28 @@ def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by:
 
 @dataclass(frozen=True)
 class Clutter:
-    """What blocks of ground look like, away from target and shadow."""
+    """Statistics of blocks of ground away from target and shadow."""
 
     contrast: float
-    """Standard deviation over mean, the median of all blocks."""
+    """Standard deviation over mean, median over blocks."""
     skewness: Float64[np.ndarray, " blocks"]
-    """Of each block's amplitude: positive for speckle, negative if decibels were read as power or amplitude."""
+    """Skewness of each block's amplitude: positive for speckle, negative for decibels read as power or amplitude."""
     values: float
-    """Number of different values in a block, the median of all: few if pixels are quantised coarsely."""
+    """Number of different values in a block, median over blocks: few with coarse quantisation."""
     width_m: tuple[float | None, float | None]
-    """3 dB width in azimuth and slant range of the response that correlates neighbouring pixels of speckle so much;
-    None if they hardly do."""
-
-    alike: float
-    """Mean correlation of the speckle in all pixels of a block, by that width: what its mean takes of the variance."""
+    """3 dB width in azimuth and slant range by the correlation of speckle; None if pixels are independent."""
+    correlation: float
+    """Mean correlation of a block's pixels by that width: the share of the variance in the block's mean."""
 
     @property
     def contrast_of_many(self) -> float:
-        """That of speckle in blocks of many resolution cells, if it is speckle."""
-        return self.contrast / math.sqrt(1 - self.alike)
+        """Contrast corrected to speckle in blocks of many resolution cells."""
+        return self.contrast / math.sqrt(1 - self.correlation)
 
     @property
     def coarse(self) -> bool:
-        """Whether pixels have too few values to measure speckle by."""
-        return self.values < _FEWEST_VALUES
+        """True if pixels have too few values for statistics of speckle."""
+        return self.values < _MIN_VALUES
 
 
 def clutter(
@@ -270,105 +268,104 @@ def clutter(
     outlines: Sequence[Outline],
     grid: ImageGrid,
 ) -> Clutter | None:
-    """Statistics of the ground around the target, given decibels above it; None if too little of it is seen."""
+    """Measure the ground around the target, given levels above it, dB; None if too little ground is visible."""
     across, along = (
         max(_SMALLEST_BLOCK, min(math.ceil(_CELLS_PER_BLOCK * width / spacing), pixels // _BLOCKS_PER_SIDE))
         for width, spacing, pixels in zip(grid.resolution_m, grid.spacing_m, (grid.columns, grid.rows), strict=True)
     )
     parts = []
-    for image, level, seen in zip(power, levels, outlines, strict=True):
-        other = binary_dilation(seen.target | seen.shadow | (np.abs(level) > 6.0))
+    for image, level, regions in zip(power, levels, outlines, strict=True):
+        excluded = binary_dilation(regions.target | regions.shadow | (np.abs(level) > 6.0))
         blocks = _blocks(image, along, across)
-        parts.append(blocks[(blocks.mean(axis=(1, 2)) > 0) & ~_blocks(other, along, across).any(axis=(1, 2))])
+        parts.append(blocks[(blocks.mean(axis=(1, 2)) > 0) & ~_blocks(excluded, along, across).any(axis=(1, 2))])
     blocks = np.concatenate(parts).astype(np.float64)
-    if len(blocks) < _FEWEST_BLOCKS:
+    if len(blocks) < _MIN_BLOCKS:
         return None
-    rest = _standardised(blocks)
+    standardised = _standardised(blocks)
     pixels = np.sort(blocks.reshape(len(blocks), -1), axis=1)
-    steps = [float((np.diff(rest, axis=axis) ** 2).mean()) / 2 for axis in (2, 1)]  # the mean plays no part in them
-    widths, alike = _widths(steps, (across, along), grid.spacing_m)
-    one, other = (
-        None if width and stated > width > side * spacing / 2 else width  # no block shows how wide it really is
+    steps = [float((np.diff(standardised, axis=axis) ** 2).mean()) / 2 for axis in (2, 1)]  # independent of the mean
+    widths, correlation = _widths(steps, (across, along), grid.spacing_m)
+    azimuth_m, range_m = (
+        None if width and stated > width > side * spacing / 2 else width  # wider than a block can show
         for width, stated, side, spacing in zip(widths, grid.resolution_m, (across, along), grid.spacing_m, strict=True)
     )
     return Clutter(
         float(np.median(blocks.std(axis=(1, 2), ddof=1) / blocks.mean(axis=(1, 2)))),
         (_standardised(np.sqrt(blocks)) ** 3).mean(axis=(1, 2)),
         float(np.median(1 + (np.diff(pixels, axis=1) > 0).sum(axis=1))),
-        (one, other),
-        alike,
+        (azimuth_m, range_m),
+        correlation,
     )
 
 
 def _widths(
     steps: Sequence[float], side: tuple[int, int], spacing_m: tuple[float, float]
 ) -> tuple[tuple[float | None, float | None], float]:
-    """3 dB widths along both axes, and the mean correlation of all pixels of a block: its mean takes that much of them.
+    """Return the 3 dB widths along both axes and the mean correlation of a block's pixels.
 
-    `steps` are half the squared differences of neighbouring pixels of blocks whose variance is 1.
+    `steps` are half the mean squared differences of neighbouring pixels along both axes in blocks of variance 1.
     """
     widths: tuple[float | None, float | None] = (None, None)
-    alike = 0.0
+    correlation = 0.0
     for _ in range(_ROUNDS):
-        one, other = (
-            _response_width(1 - step * (1 - alike), spacing) for step, spacing in zip(steps, spacing_m, strict=True)
+        azimuth_m, range_m = (
+            _response_width(1 - step * (1 - correlation), pitch) for step, pitch in zip(steps, spacing_m, strict=True)
         )
-        widths = one, other
+        widths = azimuth_m, range_m
         lines = zip(widths, side, spacing_m, strict=True)
-        alike = math.prod(_alike(width, pixels, spacing) for width, pixels, spacing in lines)
-    return widths, alike
+        correlation = math.prod(_mean_correlation(width, pixels, spacing) for width, pixels, spacing in lines)
+    return widths, correlation
 
 
-def _alike(width_m: float | None, pixels: int, spacing_m: float) -> float:
-    """Mean correlation of the speckle in all pixels of a line with one another."""
+def _mean_correlation(width_m: float | None, pixels: int, spacing_m: float) -> float:
+    """Return the mean correlation of the speckle between all pairs of pixels of a line."""
     if width_m is None:
         return 1 / pixels
-    apart = np.arange(1, pixels) * spacing_m / width_m
-    return float(1 + 2 * ((1 - np.arange(1, pixels) / pixels) * np.exp(-2 * math.log(2) * apart**2)).sum()) / pixels
+    lags = np.arange(1, pixels) * spacing_m / width_m
+    return float(1 + 2 * ((1 - np.arange(1, pixels) / pixels) * np.exp(-2 * math.log(2) * lags**2)).sum()) / pixels
 
 
 def _standardised(blocks: Float64[np.ndarray, "n along across"]) -> Float64[np.ndarray, "n along across"]:
-    """Each block with mean 0 and standard deviation 1; 0 if it is constant."""
-    rest = blocks - blocks.mean(axis=(1, 2), keepdims=True)
-    return rest / np.maximum(blocks.std(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
+    """Scale each block to mean 0 and standard deviation 1; 0 if constant."""
+    standardised = blocks - blocks.mean(axis=(1, 2), keepdims=True)
+    return standardised / np.maximum(blocks.std(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
 
 
 def _blocks(image: Shaped[np.ndarray, "rows columns"], along: int, across: int) -> Shaped[np.ndarray, "n along across"]:
-    """An image cut into blocks; what is left over at its ends is left out."""
+    """Cut an image into blocks; incomplete blocks at the ends are dropped."""
     rows, columns = (pixels // side for pixels, side in zip(image.shape, (along, across), strict=True))
     cut = image[: rows * along, : columns * across].reshape(rows, along, columns, across)
     return cut.swapaxes(1, 2).reshape(-1, along, across)
 
 
 def _response_width(correlation: float, spacing_m: float) -> float | None:
-    """3 dB width of a Gaussian response, from the correlation of speckle power, which is √2 times as wide."""
-    if not _WHITE < correlation < 1:
+    """Return the 3 dB width of a Gaussian response from the correlation of speckle power, which is √2 times as wide."""
+    if not _MIN_CORRELATION < correlation < 1:
         return None
     return spacing_m * math.sqrt(2 * math.log(2) / -math.log(correlation))
 
 
 def contrast_of(looks: float) -> tuple[float, float]:
-    """Standard deviation over mean of speckle of so many looks: of power, and of amplitude."""
+    """Return standard deviation over mean of speckle of `looks` looks in power and in amplitude."""
     ratio = math.exp(math.lgamma(looks) + math.lgamma(looks + 1) - 2 * math.lgamma(looks + 0.5))
     return 1 / math.sqrt(looks), math.sqrt(ratio - 1)
 
 
 def sharpest_widths_m(power: Real[np.ndarray, "v rows columns"], grid: ImageGrid) -> tuple[float, float] | None:
-    """3 dB widths in azimuth and slant range of the sharpest structure in images without speckle, m.
+    """Measure the 3 dB widths in azimuth and slant range of the sharpest structure in images without speckle, m.
 
-    However scatterers lie, the logarithm of a sum of Gaussian responses is nowhere curved more than that of one. None
-    if there is nothing to look at.
+    The logarithm of any sum of Gaussian responses is nowhere curved more than that of one. None without structure.
     """
     peak = power.max(axis=(1, 2), keepdims=True)
     bright = brighter(power, -_BRIGHT_DB, peak) & (power > 0)
     logarithm = np.log(np.where(bright, power, 1.0), dtype=np.float64)
     widths = []
     for axis, spacing in zip((2, 1), grid.spacing_m, strict=True):
-        values, shown = np.moveaxis(logarithm, axis, 2), np.moveaxis(bright, axis, 2)
+        values, valid = np.moveaxis(logarithm, axis, 2), np.moveaxis(bright, axis, 2)
         curvature = (2 * values[..., 1:-1] - values[..., 2:] - values[..., :-2]) / spacing**2
-        curvature = curvature[shown[..., 1:-1] & shown[..., 2:] & shown[..., :-2]]
-        most = float(np.quantile(curvature, _SHARPEST)) if len(curvature) else 0.0
-        if not most > 0:
+        curvature = curvature[valid[..., 1:-1] & valid[..., 2:] & valid[..., :-2]]
+        sharpest = float(np.quantile(curvature, _SHARPEST)) if len(curvature) else 0.0
+        if not sharpest > 0:
             return None
-        widths.append(width_of(1 / most))
+        widths.append(width_of(1 / sharpest))
     return widths[0], widths[1]

@@ -1,4 +1,4 @@
-"""Who does jobs that do not know of each other, as runs of a sweep and tiles of a scene. Loaded when first used."""
+"""Executors of independent jobs (sweep runs, tiles), locally or on Ray; imported at first use."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Jobs, the kinds of work that they are, and executors of them: modules `executor_NAME.py` here, and entry points."""
+"""Protocols of jobs and executors, which are modules `executor_NAME.py` and entry points."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from sarsplat.plugins import discover
 
 
 class Job(Protocol):
-    """A piece of work that does not need the others: a `msgspec.Struct`, sent as JSON to whoever does it."""
+    """An independent job: a `msgspec.Struct`, sent as JSON to a worker."""
 
     work: ClassVar[str]
-    """Its kind, `module:NAME` of a `Work`."""
+    """Address of its `Work`, `module:NAME`."""
 
     @property
     def address(self) -> str:
-        """By which it is known among the others."""
+        """Unique name among the jobs of a call."""
 
     @property
     def device(self) -> str:
-        """Where it is done: cpu or cuda."""
+        """Device type: cpu or cuda."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """A kind of work.
+    """A kind of job, with the functions that do it.
 
     Parameters
     ----------
     job, result : type
-        Of its jobs and their results: both a `msgspec.Struct`.
+        Types of its jobs and their results, each a `msgspec.Struct`.
     do : callable
-        Do a job: given it, the folder that all of them write to, and whether what failed is tried again. Its result;
-        None if another process is doing it. It raises nothing.
+        (job, output folder of all jobs, retry failed ones) → its result, or None if another process is doing the job.
+        Must not raise.
     lost : callable
-        The result of a job whose process has ended, given it, the folder and the reason; None likewise.
+        (job, output folder, reason) → result of a job whose process has ended, or None likewise.
     go_on : str
-        How to go on with what was lost, for errors: the end of a sentence.
+        Remedy for a lost job, the end of an error's sentence.
     """
 
     job: type[Any]
@@ -56,22 +56,22 @@ J = TypeVar("J", bound=Job)
 
 @dataclass(frozen=True)
 class Means:
-    """What an executor may use; each takes what concerns it.
+    """Resources of an executor; each executor uses the ones that it knows.
 
     Parameters
     ----------
     processes : int or None
-        Jobs at a time on the CPU of this machine; None: as many as there are processors.
+        Jobs at a time on the CPU of this machine; None: one for each processor.
     address : str
-        Of the Ray cluster, as in `ray.init`; "auto" is the one that is running here.
+        Address of the Ray cluster, as in `ray.init`; "auto": the one running here.
     gpus : float or None
-        GPUs of a job on a Ray cluster: 0.25 lets four of them share one; None: one if its device is cuda.
+        GPUs per job on a Ray cluster: 0.25 lets four jobs share one; None: 1 on cuda.
     retries : int
-        How often Ray starts a job again whose node or process has died.
+        Maximum restarts by Ray of a job whose node or process has died.
     again : bool
-        Whether failed runs of a sweep are tried again.
+        Retry failed runs of a sweep.
     per_device : int or None
-        Jobs at a time on each GPU of this machine, in one process; None: four, or as many as it has processors.
+        Jobs at a time on each GPU of this machine, in one process; None: up to four, limited by processors.
     """
 
     processes: int | None = None
@@ -92,21 +92,21 @@ class Means:
 
 
 class Executor(Protocol):
-    """Does jobs, each by the `do` of its work in a process that has one thread of the engine; GPUs may be shared."""
+    """Executor of jobs: runs the `do` of their work in processes with one engine thread; GPUs may be shared."""
 
     def __call__(self, jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:
-        """Yield every job, all of one work, with its result as it ends; None where another process is at it.
+        """Yield every job, all of one work, with its result as it ends; None if another process is doing the job.
 
-        What is left undone when the iterator is closed, or an exception leaves it, is stopped at once.
+        Unfinished jobs are stopped when the iterator is closed or raises.
         """
 
 
 EXECUTORS = discover("sarsplat.executors", "executor_", "run", "sarsplat.executors")
-"""By name, as on the command line; each is imported when it is asked for."""
+"""Executors by name, as on the command line; imported at first use."""
 
 
 def executor_named(name: str) -> Executor:
-    """One of `EXECUTORS`; a SarsplatError if there is none of that name."""
+    """Return one of `EXECUTORS`; raise for unknown names."""
     if name not in EXECUTORS:
         raise SarsplatError(f"executor {shown(name)} is unknown; {advised(name, EXECUTORS)}")
     executor: Executor = EXECUTORS[name]
@@ -114,7 +114,7 @@ def executor_named(name: str) -> Executor:
 
 
 def work_named(name: str) -> Work:
-    """The work of a `Job.work`."""
+    """Import the `Work` of a `Job.work`."""
     module, _, attribute = name.partition(":")
     work: Work = getattr(import_module(module), attribute)
     return work

@@ -1,4 +1,4 @@
-"""Jobs on this machine: on the CPU in processes with one thread each, on a GPU several at a time in one process."""
+"""Local executor: CPU jobs in processes of one thread each, GPU jobs several at a time in a process per GPU."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ import torch
 from sarsplat.executors.executor import J, Job, Means
 from sarsplat.executors.worker import Worker
 
-_PER_DEVICE = 4
-"""Trainings of a GPU at a time, unless it is said. A guess, not measured: one should leave the GPU idle while Python
-and scores keep a core busy, but they all wait for the one Python of their process, and for memory."""
+_MAX_PER_DEVICE = 4
+"""Default number of jobs at a time on a GPU. A guess, not measured: one leaves the GPU idle while Python and scores
+keep a core busy, but all share the interpreter lock of their process, and memory."""
 
 _VISIBLE = "CUDA_VISIBLE_DEVICES"
 
 
 class Team:
-    """Workers that share jobs, each with places for so many at a time."""
+    """Pool of workers, each with `at_a_time` slots for jobs."""
 
     def __init__(self, workers: Sequence[Worker], at_a_time: int = 1) -> None:
         self._workers = workers
         self._free: SimpleQueue[Worker] = SimpleQueue()
-        for worker in [*workers] * at_a_time:  # so that every GPU gets one before any gets two
+        for worker in [*workers] * at_a_time:  # every GPU gets one before any gets two
             self._free.put(worker)
         self._pool = ThreadPoolExecutor(len(workers) * at_a_time)
 
-    def ask(self, jobs: Sequence[J]) -> dict[Future[Any], J]:
-        """Have these done, one after the other as places become free."""
+    def submit(self, jobs: Sequence[J]) -> dict[Future[Any], J]:
+        """Queue jobs for the next free slots."""
         return {self._pool.submit(self._one, job): job for job in jobs}
 
     def _one(self, job: Job) -> Any:
@@ -43,7 +43,7 @@ class Team:
             self._free.put(worker)
 
     def end(self) -> None:
-        """Stop what is left at once."""
+        """Kill all workers and wait for their end."""
         for worker in self._workers:
             worker.kill()
         self._pool.shutdown(cancel_futures=True)
@@ -52,25 +52,22 @@ class Team:
 
 
 def run(jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:
-    """Do jobs on this machine (see `Executor`).
-
-    Of those on the CPU there are as many at a time as there are processors, and of those on GPUs, at most four on each.
-    """
+    """Do jobs on this machine (see `Executor`), by default one per processor and up to four per GPU."""
     teams: list[Team] = []
-    asked: dict[Future[Any], J] = {}
+    jobs_by_future: dict[Future[Any], J] = {}
     try:
         if on_cpu := [job for job in jobs if job.device != "cuda"]:
             count = min(means.processes or _processors(), len(on_cpu))
             teams.append(Team([Worker(jobs[0].work, out, means.again) for _ in range(count)]))
-            asked |= teams[-1].ask(on_cpu)
+            jobs_by_future |= teams[-1].submit(on_cpu)
         if on_gpu := [job for job in jobs if job.device == "cuda"]:
             gpus = _gpus()[: len(on_gpu)]
-            at_a_time = means.per_device or min(_PER_DEVICE, max(1, _processors() // len(gpus)))
+            at_a_time = means.per_device or min(_MAX_PER_DEVICE, max(1, _processors() // len(gpus)))
             at_a_time = min(at_a_time, -(-len(on_gpu) // len(gpus)))
             teams.append(Team([Worker(jobs[0].work, out, means.again, at_a_time, gpu) for gpu in gpus], at_a_time))
-            asked |= teams[-1].ask(on_gpu)
-        for future in as_completed(asked):
-            yield asked[future], future.result()
+            jobs_by_future |= teams[-1].submit(on_gpu)
+        for future in as_completed(jobs_by_future):
+            yield jobs_by_future[future], future.result()
     finally:
         for team in teams:
             team.end()
@@ -81,10 +78,10 @@ def _processors() -> int:
 
 
 def _gpus() -> list[dict[str, str]]:
-    """By which environment a process sees each GPU that torch sees here, and no other; without any, as it is here."""
+    """Return an environment for each visible GPU in which a process sees only that one; [{}] for at most one."""
     count = torch.cuda.device_count()
     if count < 2:
         return [{}]
-    named = os.environ.get(_VISIBLE)
-    names = named.split(",") if named else [*map(str, range(count))]
+    visible = os.environ.get(_VISIBLE)
+    names = visible.split(",") if visible else [*map(str, range(count))]
     return [{_VISIBLE: name} for name in names[:count]]

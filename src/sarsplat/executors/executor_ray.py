@@ -1,4 +1,4 @@
-"""Jobs on a Ray cluster, whose nodes all see the folders that they read and write."""
+"""Ray executor: jobs on a cluster whose nodes share the folders that they read and write."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.executors.executor import J, Job, Means, work_named
 from sarsplat.typed import convert
 
-_AHEAD = 4
-"""Jobs that are handed to the cluster at a time, for each of its processors: waiting for many takes long."""
+_SUBMITTED_PER_CPU = 4
+"""Submitted jobs per processor of the cluster: `ray.wait` is slow with many."""
 
 
 def run(jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:
-    """Do jobs on a cluster, each on one processor (see `Executor`); Ray starts those again whose node has died."""
+    """Do jobs on a cluster, each on one processor (see `Executor`); Ray restarts those whose node has died."""
     import ray
 
-    ours = not ray.is_initialized()
-    if ours:
+    initialised_here = not ray.is_initialized()
+    if initialised_here:
         terminate = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address=means.address, log_to_driver=False, logging_level="ERROR")
@@ -33,14 +33,14 @@ def run(jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:
                 "`ray start --head`, or give its address"
             ) from error
         if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, terminate)  # Ray's own ends the process without a word
+            signal.signal(signal.SIGTERM, terminate)  # Ray's handler ends the process silently
     running: dict[Any, J] = {}
     waiting = list(reversed(jobs))
     remote = ray.remote(_do)
     try:
         while waiting or running:
-            ahead = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
-            while waiting and len(running) < ahead:
+            limit = _SUBMITTED_PER_CPU * max(1, int(ray.cluster_resources().get("CPU", 1)))
+            while waiting and len(running) < limit:
                 job = waiting.pop()
                 gpus = means.gpus if means.gpus is not None else float(job.device == "cuda")
                 task = remote.options(num_cpus=1, num_gpus=gpus, max_retries=means.retries, name=job.address)
@@ -51,12 +51,12 @@ def run(jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:
     finally:
         for task in running:
             ray.cancel(task, force=True)
-        if ours:
+        if initialised_here:
             ray.shutdown()
 
 
 def _do(work: str, job: dict[str, Any], out: str, again: bool) -> dict[str, Any] | None:
-    """Remote function of Ray: the `do` of a work, with plain data as arguments and result."""
+    """Run the `do` of a work remotely, with plain data as arguments and result."""
     kind = work_named(work)
     result = kind.do(convert(job, kind.job), Path(out), again)
     return None if result is None else msgspec.to_builtins(result)

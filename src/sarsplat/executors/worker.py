@@ -1,6 +1,6 @@
-"""A process that does jobs, one or several at a time; it lives as long as there is something to do.
+"""Worker process, one or several jobs at a time, and its handle.
 
-As a program, this is such a process: a line of JSON for each job in, one for each result out; it ends with its parent.
+The module is also the worker's program: JSON lines of jobs in, of results out; it ends with its parent.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ from sarsplat.typed import decode
 _SIGNALS = {one.value: one.name for one in signal.Signals}
 
 _BROKEN_GPU = 75
-"""Exit code of a process whose GPU does nothing more."""
+"""Exit code of a worker whose GPU has failed."""
 
 Answer = tuple[str, Any]
-"""The address of a job, and its result; None if another process is doing it."""
+"""Address of a job and its result, or None if another process is doing the job."""
 
 
 class Worker:
-    """Such a process, started when it is first asked, and again where it has died.
+    """Handle of a worker process, which starts with the first job and again after it has died.
 
     Parameters
     ----------
     work : str
-        Kind of all jobs that it is asked for.
+        Address of the `Work` of all its jobs.
     out : Path
-        Folder that they write to.
+        Output folder of the jobs.
     again : bool
-        Whether failed ones are tried again.
+        Retry failed jobs.
     at_a_time : int
-        How many threads ask at a time, for as many jobs.
+        Number of jobs at a time, each asked from another thread.
     environment : mapping of str to str
-        Variables that are other ones there.
+        Environment variables that differ in the process.
     """
 
     def __init__(
         self, work: str, out: Path, again: bool, at_a_time: int = 1, environment: Mapping[str, str] | None = None
     ) -> None:
-        self._words = [work, str(out), str(again), str(at_a_time)]
+        self._arguments = [work, str(out), str(again), str(at_a_time)]
         self._work, self._out, self._environment, self._ended = work_named(work), out, environment or {}, False
         self._process: subprocess.Popen[bytes] | None = None
         self._listener: threading.Thread | None = None
@@ -60,7 +60,7 @@ class Worker:
         self._lock = threading.Lock()
 
     def ask(self, job: Job) -> Any:
-        """Do a job; a process that dies is a result with its reason, for every job that it was asked for."""
+        """Do a job and return its result; if the process dies, that of `Work.lost`."""
         answer: Future[Any] = Future()
         with self._lock:
             if self._ended:
@@ -77,23 +77,23 @@ class Worker:
         return answer.result()
 
     def kill(self) -> None:
-        """End it at once: a job may be stopped at any moment."""
+        """Kill the process at once, in whatever job."""
         with self._lock:
             self._ended = True
             if self._process is not None:
                 self._process.kill()
 
     def close(self) -> None:
-        """Wait for the end of a process that was killed."""
+        """Wait for the end of a killed process."""
         if self._listener is not None:
             self._listener.join()
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
-        """Hand out the answers of a process, and after its end the results of those jobs that it was at."""
+        """Pass on the results of a process and, after its end, `Work.lost` for its unfinished jobs."""
         assert process.stdout is not None
         kind: Any = tuple[str, self._work.result | None]  # type: ignore[name-defined]
         for line in process.stdout:
-            if line.endswith(b"\n"):  # not half a line, which was its last
+            if line.endswith(b"\n"):  # complete, unlike the last line of a killed process
                 address, result = decode(line, kind)
                 self._asked.pop(address)[1].set_result(result)
         code = process.wait()
@@ -103,14 +103,14 @@ class Worker:
                 pass
         for job, answer in unanswered.values():
             try:
-                lost = None if self._ended else self._work.lost(job, self._out, _why(job, code, self._work.go_on))
+                lost = None if self._ended else self._work.lost(job, self._out, _reason(job, code, self._work.go_on))
                 answer.set_result(lost)
-            except Exception as error:  # of whoever asks: it cannot write
+            except Exception as error:  # such as a full disk
                 answer.set_exception(error)
 
     def _started(self) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
-            [sys.executable, "-m", "sarsplat.executors.worker", *self._words],
+            [sys.executable, "-m", "sarsplat.executors.worker", *self._arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={
@@ -120,25 +120,25 @@ class Worker:
                 "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
                 **self._environment,
             },
-            start_new_session=True,  # Ctrl-C in the terminal is for whoever asks, who ends the workers
+            start_new_session=True,  # Ctrl-C reaches the parent, which kills the workers
         )
 
 
-def _why(job: Job, code: int, go_on: str) -> str:
-    """Why a job was lost when its process ended with a code, in a sentence."""
+def _reason(job: Job, code: int, go_on: str) -> str:
+    """Describe the loss of a job by its process's exit code."""
     if code == _BROKEN_GPU:
         return f"the GPU failed in another run of its process; {go_on}"
     by = _SIGNALS.get(-code, f"signal {-code}")
     ended = f"was ended by {by}" if code < 0 else f"ended with code {code}"
     fewer = "--per-device" if job.device == "cuda" else "--processes"
-    why = f", as when memory runs out: give fewer {fewer}" if by == "SIGKILL" else ""
-    return f"its process {ended}{why}; {go_on}"
+    hint = f", as when memory runs out: give fewer {fewer}" if by == "SIGKILL" else ""
+    return f"its process {ended}{hint}; {go_on}"
 
 
 def work(kind: Work, out: Path, again: bool, at_a_time: int) -> None:
-    """Do what lines ask for, so many at a time, until there are no more."""
+    """Do the jobs on stdin, `at_a_time` at once, until it closes."""
     answers = Answers(os.fdopen(os.dup(1), "wb"))
-    os.dup2(2, 1)  # whatever is printed is no answer
+    os.dup2(2, 1)  # prints go to stderr
     asked: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_listen, args=(asked,), daemon=True).start()
     for _ in range(at_a_time - 1):
@@ -147,7 +147,7 @@ def work(kind: Work, out: Path, again: bool, at_a_time: int) -> None:
 
 
 class Answers:
-    """Where threads write their answers, each a line."""
+    """Thread-safe output of answers, one per line."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self._lock = file, threading.Lock()
@@ -159,7 +159,7 @@ class Answers:
 
 
 def serve(kind: Work, asked: SimpleQueue[bytes], answers: Answers, out: Path, again: bool) -> None:
-    """Do one job after the other; those on a GPU in a queue of their own there, beside those of other threads."""
+    """Do queued jobs one after the other; on a GPU, in a separate CUDA stream per thread."""
     stream = None
     while True:
         job = decode(asked.get(), kind.job)
@@ -171,12 +171,12 @@ def serve(kind: Work, asked: SimpleQueue[bytes], answers: Answers, out: Path, ag
         if stream is not None:
             try:
                 stream.synchronize()
-            except RuntimeError:  # after such an error, a process gets nothing but errors from its GPU
+            except RuntimeError:  # the CUDA context is lost
                 os._exit(_BROKEN_GPU)
 
 
 def _listen(asked: SimpleQueue[bytes]) -> None:
-    """Pass lines on; when there can be no more, whoever asked has ended, and nobody waits for an answer."""
+    """Queue the lines of stdin; exit when it closes, since the parent has ended."""
     for line in sys.stdin.buffer:
         asked.put(line)
     os._exit(0)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64, Shaped
 
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.examination.scaling import CUT_OFF_SAID, share_at_top
+from sarsplat.examination.scaling import MIN_CLIPPED_REPORTED, share_at_top
 from sarsplat.geometry import ImageGrid
 from sarsplat.importers.measured_image import MeasuredImage
 
@@ -37,7 +37,7 @@ def with_data(images: Sequence[MeasuredImage], ground: bool) -> tuple[list[Measu
     _refuse_other_spacing(images)
     shares = [share_at_top(part) for image in images for part in _numbers(image)]
     told = []
-    if (share := float(np.mean(shares))) >= CUT_OFF_SAID:
+    if (share := float(np.mean(shares))) >= MIN_CLIPPED_REPORTED:
         told.append(
             f"{share:.2%} of the pixels hold the largest value of their image, {max(shares):.2%} at most: what is "
             "brighter was cut off"

@@ -1,4 +1,4 @@
-"""Trainings by any method, their folders, and what they have learned. What needs torch is loaded when first used."""
+"""Trainings by any method, their folders and results; modules that need torch are imported at first use."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Which methods there are: modules `method_NAME.py` of `learning` and `baselines`, and entry points. Needs no torch."""
+"""Methods: modules `method_NAME.py` of `learning` and `baselines`, and entry points; without torch."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
 
 _PLUGINS = discover("sarsplat.learning", "method_", "METHOD", "sarsplat.methods", "sarsplat.baselines")
 METHODS: Mapping[str, Method] = _PLUGINS
-"""By name, as on the command line; each is imported when it is asked for."""
+"""Methods by name, as on the command line; imported at first use."""
 
 
 def method_named(name: str) -> Method:
-    """One of `METHODS`; a SarsplatError if there is none of that name, or it cannot be imported."""
+    """Return one of `METHODS`; raise for unknown names and failed imports."""
     if name not in METHODS:
         raise SarsplatError(f"there is no method {shown(name)}; choose one of {', '.join(METHODS)}")
     return METHODS[name]
 
 
 def module_of(name: str) -> str:
-    """The module that a method is, ours or another package's."""
+    """Return the module of a method."""
     method_named(name)
     return _PLUGINS.module(name)

@@ -1,4 +1,4 @@
-"""From a dataset to a run, by any method."""
+"""`reconstruct`: train any method on a dataset."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from sarsplat.progress import progress
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import RunFolder
-from sarsplat.runs.tiled_training import Others, TiledTraining, steps_of
+from sarsplat.runs.tiled_training import TiledTraining, TileExecutor, steps_of
 from sarsplat.runs.training_loop import Step, Training, train
 from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
 
 
 def _as_setting(name: str, value: object) -> str | None:
-    """How to give a setting of ours, which is no argument of `reconstruct`."""
+    """Return the remedy for a setting given as an argument of `reconstruct`; None for other names."""
     if name not in Config.__dataclass_fields__:
         return None
     return (
@@ -58,115 +58,113 @@ def reconstruct(
     Parameters
     ----------
     dataset : Dataset, str or Path
-        The images, or the folder that holds them.
+        The images or their folder.
     preset : str or AnyConfig
-        How: a name in `PRESETS`, settings of your own, or "auto": of `sar-gs`, "scene" or "measured", by a short
-        trial, where images show speckle on ground, "speckled" where there is only speckle, "default" elsewhere; of
-        other methods, their defaults. To resume, "auto" is what the run was begun with.
+        A name in `PRESETS`, settings, or "auto". For `sar-gs`, "auto" is "scene" or "measured", by a short trial, for
+        images with speckle on ground, "speckled" for speckle alone, otherwise "default"; for other methods, their
+        defaults; to resume, the settings of the run.
     out : str or Path, optional
-        Folder of the run; it appears, or replaces an earlier run, with the first checkpoint. Without it everything
-        stays in memory.
+        Folder of the run; it appears, or replaces an earlier run, with the first checkpoint. None: in memory.
     method : str
         Name of the method, one of `METHODS`.
     masks : str or Path, optional
-        Folder of masks of the training images (`read_masks`), for methods that learn from them. The run keeps them.
+        Folder of masks of the training images (`read_masks`), for methods that learn from them; stored in the run.
     scattering : str, optional
-        For `sar-gs`, instead of the configuration's: the kind of a law of scattering, of ours ("harmonics",
+        For `sar-gs`, instead of the configuration's: kind of a law of scattering, built in ("harmonics",
         "normal-lobes") or registered (`sarsplat.gaussians.register_scattering`).
     loss : callable, optional
-        For `sar-gs`, instead of the configuration's: `loss(rendered, truth)` is given two float32 stacks
-        [V, rows, columns] of β⁰, linear power, and returns one number that torch can differentiate. It is first asked
-        for the loss of black images, the unit of `scattering_penalty`. The run's configuration has its name; to
-        resume, give it again.
+        For `sar-gs`, instead of the configuration's: `loss(rendered, truth)` takes two float32 tensors
+        [V, rows, columns] of β⁰, linear power, and returns a differentiable scalar. The first call is for black images,
+        the unit of `scattering_penalty`. The run stores its name; to resume, give it again.
     strategies : sequence
-        For `sar-gs`: what else happens between steps, besides what the configuration says.
+        For `sar-gs`: strategies between steps in addition to the configuration's.
     device : {"auto", "cpu", "cuda"}
-        Where to train; "auto" is a GPU if there is one that passes the CUDA engine's check, unless steps are quicker
-        on the CPU or fail on the GPU, which is tried and said.
+        Where to train; "auto" is a GPU that passes the CUDA engine's check, unless a trial of steps is quicker on the
+        CPU or fails on the GPU.
     executor : str, optional
-        Who learns the tiles, if the settings ask for some (`tiles`): a name in `sarsplat.executors.EXECUTORS`, such as
-        "local" or "ray"; unless given, this process, one after the other. `on_step` is not called for others' steps.
+        Executor of tiles, if the settings have some (`tiles`): a name in `sarsplat.executors.EXECUTORS`, such as
+        "local" or "ray"; by default this process, one after the other. Other processes do not call `on_step`.
     means : Means, optional
-        What the executor may use.
+        Resources of the executor.
     on_step : callable, optional
-        Called after every step (`Step`). If it returns True, the training ends there, and the run
-        is what has been learned so far. An exception ends it too; what has been learned is then kept in `out`.
+        Called after every step (`Step`). If it returns True, the training ends with the state so far; on an exception,
+        that state stays in `out`.
     quiet : bool
         Show no progress.
     resume : bool
-        Go on from the newest checkpoint in `out`, exactly as if the training had never stopped. The settings must be
-        those the run was started with, except `iterations`, `checkpoint_every` and, of `sar-gs`, `points`: more
-        iterations extend a run, even a finished one, and its points are extracted anew.
+        Continue from the newest checkpoint in `out`, bit for bit as without the interruption. Settings must equal the
+        run's except `iterations`, `checkpoint_every` and, for `sar-gs`, `points`: more iterations extend even a
+        finished run, whose points are extracted anew.
     overwrite : bool
         Replace an existing run.
 
     Returns
     -------
     Run
-        The finished run. If KeyboardInterrupt or another exception ends the training, what was saved stays usable; but
-        an earlier run stays if the new one has no checkpoint yet.
+        The finished run. After KeyboardInterrupt or another exception, `out` has the newest checkpoint, or still the
+        earlier run if there is no checkpoint yet.
 
     Raises
     ------
     SarsplatError
-        If there is no such method, the dataset lacks what it learns from, it does not use what was given, `out` exists
-        (to resume: does not), another process is writing it, or dataset, method or settings are not those the run was
-        started with.
+        If the method is unknown or does not support the dataset or an argument, `out` exists (to resume: does not),
+        another process is writing it, or dataset, method or settings differ from those of the run to resume.
     """
     chosen = method_named(method)
     inputs = Inputs(None if masks is None else Path(masks), scattering, loss, tuple(strategies))
     chosen.refuse_others(inputs)
-    on = device_named(device)
+    target_device = device_named(device)
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))
-    begun = Run.load(out) if resume and out is not None else None
-    if begun is not None and begun.method != method:
-        raise SarsplatError(f"{out} was started with the method {begun.method}, not {method}; resume it with that")
+    earlier = Run.load(out) if resume and out is not None else None
+    if earlier is not None and earlier.method != method:
+        raise SarsplatError(f"{out} was started with the method {earlier.method}, not {method}; resume it with that")
     if isinstance(preset, str):
-        config = begun.config if begun is not None and preset == "auto" else chosen.preset(preset, dataset)
+        config = earlier.config if earlier is not None and preset == "auto" else chosen.preset(preset, dataset)
     else:
         config = chosen.checked(preset)
     warn(suspicions(dataset))
-    saved = begun if begun is not None and RunFolder(begun.folder).checkpoint_path is not None else None
+    saved = earlier if earlier is not None and RunFolder(earlier.folder).checkpoint_path is not None else None
     learned = None if saved is None else lambda: saved.reconstruction
-    if device == "auto" and begun is not None and begun.trained_on == "cpu":
-        on = device_named("cpu")  # as it was begun
+    if device == "auto" and earlier is not None and earlier.trained_on == "cpu":
+        target_device = device_named("cpu")  # as before
     note = ""
-    if device == "auto" and on.type == "cuda" and begun is None and not (loss or strategies):
-        on, note = quicker_device(lambda d: chosen.trainer(dataset, config, inputs, d, None), on, config.iterations)
-    trainer = chosen.trainer(dataset, config, inputs, on, learned)
+    if device == "auto" and target_device.type == "cuda" and earlier is None and not (loss or strategies):
+        target_device, note = quicker_device(
+            lambda where: chosen.trainer(dataset, config, inputs, where, None), target_device, config.iterations
+        )
+    trainer = chosen.trainer(dataset, config, inputs, target_device, learned)
     heading, about = chosen.about(trainer.config, dataset.grid)
     by_tiles = chosen.by_tiles(config)
-    others = None if executor is None else _others(executor, means or Means(), by_tiles, dataset, out, inputs)
+    tile_executor = (
+        None if executor is None else _tile_executor(executor, means or Means(), by_tiles, dataset, out, inputs)
+    )
     steps = steps_of(cast(Trainer, trainer)) if by_tiles else config.iterations
     with progress(f"reconstruct ({heading})", steps, quiet) as shown:
-        for said in filter(None, (about, note)):
-            shown.note(said)
+        for line in filter(None, (about, note)):
+            shown.note(line)
         where = None if dataset.path is None else dataset.path.resolve()
-        known: dict[str, Any] = {"dataset_path": where, "trained_on": on.type, "place": dataset.place}
-        new = Run(method, trainer.config, dataset.fingerprint(), **known)
+        provenance: dict[str, Any] = {"dataset_path": where, "trained_on": target_device.type, "place": dataset.place}
+        run = Run(method, trainer.config, dataset.fingerprint(), **provenance)
         folder = None if out is None else Path(out)
         training: Training[Any]
         if by_tiles:
-            training = TiledTraining(cast(Trainer, trainer), on_step, shown, dataset, inputs, others)
+            training = TiledTraining(cast(Trainer, trainer), on_step, shown, dataset, inputs, tile_executor)
         else:
             training = Training(trainer, on_step, shown)
-        return train(training, new, dataset, folder, resume=resume, overwrite=overwrite)
+        return train(training, run, dataset, folder, resume=resume, overwrite=overwrite)
 
 
-def _others(
+def _tile_executor(
     executor: str, means: Means, by_tiles: bool, dataset: Dataset, out: str | Path | None, inputs: Inputs
-) -> Others:
-    """Who learns tiles instead of this process; refused if there are none, or they cannot be handed over."""
+) -> TileExecutor:
+    """Return the function that has tiles trained by an executor; raise without tiles, or if they cannot be sent."""
     if not by_tiles:
-        raise SarsplatError(
-            f"the executor is {executor}, which learns tiles, and the settings have none; give tiles, or no executor"
-        )
+        raise SarsplatError(f"executor is {executor}, but the settings have no tiles; set tiles, or leave executor out")
     if dataset.path is None or out is None:
         raise SarsplatError(
-            "other processes read the dataset and write the tiles that they learn; give the dataset's folder and "
-            "`out`, or no executor"
+            "an executor needs the dataset and the run as folders; give the dataset's folder and out, or no executor"
         )
     if inputs.loss is not None:
-        raise SarsplatError("other processes do not have a loss of one's own; leave it out, or give no executor")
+        raise SarsplatError("an executor does not support a custom loss; leave loss or executor out")
     chosen = executor_named(executor)
     return lambda jobs, folder: chosen(jobs, folder, means)

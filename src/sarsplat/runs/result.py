@@ -1,4 +1,4 @@
-"""What a training has learned: it renders, and has points, normals and a mesh, without its dataset."""
+"""Results of a training, computed from its checkpoint alone: images, points, normals, mesh."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from sarsplat.learning.model import SceneModel
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.names import Speckle
 from sarsplat.runs.methods import METHODS
-from sarsplat.runs.run_folder import RunFolder
+from sarsplat.runs.run_folder import InMemory, RunFolder
 from sarsplat.settings.config import OWN_LOOP, SCATTERERS
 
 if TYPE_CHECKING:
     import trimesh
 
 _NORMAL = ("nx", "ny", "nz")
-"""The columns of `points.ply` that hold normals."""
+"""Columns of normals in `points.ply`."""
 
 
 class Result(ABC):
-    """What was learned by a method, with its settings, on a device; from a checkpoint in memory or in a folder."""
+    """Results of a method's checkpoint."""
 
     method: str
     config: Any
@@ -39,20 +39,20 @@ class Result(ABC):
 
     @property
     @abstractmethod
-    def snapshot(self) -> Snapshot:
-        """The newest state of its training."""
+    def store(self) -> RunFolder | InMemory:
+        """Storage of the checkpoint."""
 
-    @property
-    @abstractmethod
-    def files(self) -> RunFolder | None:
-        """Its folder; None if it is in memory only."""
+    @cached_property
+    def snapshot(self) -> Snapshot:
+        """Newest state of the training."""
+        return self.store.snapshot
 
     @cached_property
     def reconstruction(self) -> Reconstruction:
-        """What its method has learned."""
-        snapshot, folder = self.snapshot, None if self.files is None else self.files.path
+        """Model that the method has learned."""
+        snapshot = self.snapshot
         try:
-            return METHODS[self.method].open(snapshot, self.config, self.device, folder)
+            return METHODS[self.method].open(snapshot, self.config, self.device, self.store.path)
         except (KeyError, ValueError, TypeError, IndexError, RuntimeError, SarsplatError) as error:
             raise SarsplatError(
                 f"{self._checkpoint} does not hold a whole model ({shown(str(error))}); "
@@ -61,24 +61,24 @@ class Result(ABC):
 
     @property
     def gaussians(self) -> Gaussians | None:
-        """The target's Gaussians; None of methods that learn none."""
+        """Gaussians of the target; None for methods without."""
         return self.reconstruction.gaussians
 
     @property
     def model(self) -> SceneModel | None:
-        """The learned scene of Gaussians; None of methods that learn something else."""
+        """Learned scene of Gaussians; None for methods without."""
         return self.reconstruction.model
 
     @checks_arguments
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """Images as seen from any views.
+        """Render images from any views.
 
         Parameters
         ----------
         views : sequence of View
             V views.
         grid : ImageGrid, optional
-            Pixels and resolution; its own if omitted, and for other methods than `sar-gs` only that.
+            Pixels and resolution; by default the run's, the only one of methods other than `sar-gs`.
 
         Returns
         -------
@@ -101,28 +101,28 @@ class Result(ABC):
     def render_covariances(
         self, views: Sequence[View], stack: Stack | Sequence[Stack], grid: ImageGrid | None = None
     ) -> Complex64[np.ndarray, "v p p rows columns"]:
-        """Expected covariances E[y_i y_j*] between the passes of stacks around any views.
+        """Render expected covariances E[y_i y_j*] between the passes of stacks around any views.
 
         Parameters
         ----------
         views : sequence of View
             V views, at least one.
         stack : Stack or sequence of Stack
-            P passes, around every view or around each its own; not only those it was learned from.
+            P passes around all views, or one stack for each view; any, not only the training stacks.
         grid : ImageGrid, optional
-            Pixels and resolution; its own if omitted.
+            Pixels and resolution; by default the run's.
 
         Returns
         -------
         numpy.ndarray, complex64 [V, P, P, rows, columns]
-            Hermitian; phases are not deramped (`Stack.plane_phases`). On the diagonal is β⁰ with noise, the mean of all
-            passes that it was learned from; other than those of `sarsplat.render_covariances`, which have none.
+            Hermitian; phases are not deramped (`Stack.plane_phases`). Unlike in `sarsplat.render_covariances`, the
+            diagonal β⁰ includes noise, the mean over training passes.
 
         Raises
         ------
         SarsplatError
-            If it was not learned from interferometric stacks, there are no views, there are more or fewer stacks than
-            views, of different numbers of passes, or of polarisations that it has not learned.
+            If the run was not trained on interferometric stacks, there are no views, or stacks differ from the views
+            in number, from each other in passes, or from the training in polarisations.
 
         Warns
         -----
@@ -133,10 +133,9 @@ class Result(ABC):
 
     @checks_arguments
     def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
-        """How what lies in a box returns several polarisations together, on average over the training views.
+        """Return the polarimetric covariance of the Gaussians in a box, averaged over the training views.
 
-        Single Gaussians share pixels with others, and only their sum is determined: ask about parts that are larger
-        than a resolution cell.
+        Gaussians share pixels, so that only sums are determined: use boxes larger than a resolution cell.
 
         Parameters
         ----------
@@ -146,12 +145,12 @@ class Result(ABC):
         Returns
         -------
         numpy.ndarray, complex128 [P, P]
-            E[y_i y_j*], m²: radar cross-sections on the diagonal, in order of its scattering's `polarisations`.
+            E[y_i y_j*], m², in the order of the scattering's `polarisations`; the diagonal has radar cross-sections.
 
         Raises
         ------
         SarsplatError
-            If it was not learned from stacks of several polarisations, or no Gaussian lies in the box.
+            If the run was not trained on several polarisations, or no Gaussian lies in the box.
         """
         return self.reconstruction.covariance_within(box)
 
@@ -165,53 +164,52 @@ class Result(ABC):
         speckle: Speckle = "response",
         scatterers: float = SCATTERERS,
     ) -> Complex64[np.ndarray, "rows columns"]:
-        """One image as the radar would deliver it from a view, on the run's own grid; `sarsplat.chips` draws many.
+        """Draw one image with speckle as the radar would deliver it, on the run's grid; `sarsplat.chips` draws many.
 
-        Where `render` gives the expected power, this draws what belongs to a single image: gain and displacement,
-        normally distributed as those of the training images were, and speckle with receiver noise.
+        `render` gives the expected power; this also draws gain and displacement, normally distributed as in the
+        training images, and speckle with receiver noise.
 
         Parameters
         ----------
         view : View
-            From where.
+            The view.
         seed : int
-            Of all that is drawn, at least 0: the same view and seed give the same image.
+            Seed of all random numbers, at least 0.
         ground : str or numpy.ndarray, float32 [R, C]
-            "learned": as the training images show it, with all that is peculiar to their site; "uniform": of its mean
-            brightness everywhere; or linear power of other ground without speckle, relative to that brightness, at
-            least as large as the images, with pixels of the same size and near range at the top, of which parts are
-            drawn (`sarsplat.samples.backdrop_of` reads it from a picture).
+            "learned": as in the training images; "uniform": their mean brightness; or linear power of other ground
+            without speckle relative to that brightness, with the same pixels and near range at the top, at least as
+            large as an image; parts of it are drawn (`sarsplat.samples.backdrop_of` reads it from a picture).
         speckle : {"response", "white", "none"}
-            Complex noise through the radar's response, so that neighbouring pixels are alike; without that
-            correlation; or none, for the power expected with this gain and displacement.
+            Complex noise correlated by the radar's response, uncorrelated noise, or none, which leaves the expected
+            power with this gain and displacement.
         scatterers : float
-            How many scatterers of the target a pixel sees through the response at a time, on average: the fewer, the
-            more its power is in single points (a K-distribution of this shape; math.inf: the exponential one of
-            speckle, which that of the ground has in any case). The number is for vehicles at 0.3 m and 10 GHz.
+            Mean number of the target's scatterers per resolution cell, the shape of its K-distribution: the fewer, the
+            more power is in single points; math.inf: exponential, as ground always is. The default is for vehicles at
+            0.3 m and 10 GHz.
 
         Returns
         -------
         numpy.ndarray, complex64 [rows, columns]
-            √β⁰·e^jψ, row 0 near range; |·|² is β⁰, linear power, up to the drawn gain. Phases mean nothing where
-            there is no speckle.
+            √β⁰·e^jψ, row 0 near range; |·|² is β⁰, linear power, up to the drawn gain. Phases are meaningless without
+            speckle.
 
         Raises
         ------
         SarsplatError
-            If the run has not learned how single images differ (`measured` and `speckled` do), or a choice is unknown
-            or does not suit it, or there are no scatterers.
+            If the run has not learned the variation of single images (`measured` and `speckled` do), or an argument is
+            invalid or does not fit the run.
         """
         if seed < 0:
-            raise SarsplatError(f"seed {seed} must be at least 0")
+            raise SarsplatError(f"seed is {seed}; give at least 0")
         return self.reconstruction.sampler(ground, speckle, scatterers)(view, seed)
 
     @checks_arguments
     def masks(self, views: Sequence[View]) -> UInt8[np.ndarray, "v rows columns"]:
-        """What the pixels of any views show: 0 clutter, 1 target, 2 shadow; on its grid, uint8."""
+        """Return masks of any views on the run's grid: 0 clutter, 1 target, 2 shadow."""
         return self.reconstruction.masks(views, self.points)
 
     def mesh(self) -> trimesh.Trimesh:
-        """Its surface as triangles, world frame, m; perhaps without faces. Made once: copy it before changing it.
+        """Return the surface as triangles, world frame, m; perhaps without faces. It is cached: copy before changes.
 
         Raises
         ------
@@ -222,20 +220,17 @@ class Result(ABC):
 
     @cached_property
     def _mesh(self) -> trimesh.Trimesh:
-        """Scores, report and exports share it: in a large scene it takes minutes."""
+        """Mesh shared by scores, report and exports: in a large scene it takes minutes."""
         return self.reconstruction.mesh(self.points, self.normals)
 
     @cached_property
     def points(self) -> Float32[np.ndarray, "p 3"]:
-        """The reconstructed surface, world frame, m.
-
-        From `points.ply`; extracted anew if there is none, as after a training that was killed.
-        """
+        """Points of the surface, world frame, m; from `points.ply`, extracted if that is missing."""
         return self.reconstruction.points() if self._stored is None else self._stored[0]
 
     @cached_property
     def normals(self) -> Float32[np.ndarray, "p 3"]:
-        """Unit normals of the points, on the side that the radar saw; from `points.ply` as well, if it has them."""
+        """Unit normals of the points towards the radar; from `points.ply` if it has them."""
         columns = {} if self._stored is None else self._stored[1]
         if not columns.keys() >= set(_NORMAL):
             return self.reconstruction.normals_at(self.points)
@@ -243,17 +238,17 @@ class Result(ABC):
 
     @cached_property
     def _stored(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:
-        return None if self.files is None else self.files.points
+        return self.store.points
 
     @cached_property
     def points_gamma0(self) -> Float32[np.ndarray, " p"] | None:
-        """γ⁰ of the points, linear, as the training views saw it; None if the method does not know it."""
+        """γ⁰ of the points from the training views, linear; None for methods without."""
         return self.reconstruction.gamma0_at(self.points)
 
     @property
     def _checkpoint(self) -> str:
-        """Where its state is, for errors."""
-        return "the run in memory" if self.files is None else str(self.files.checkpoint_path)
+        """Name of the checkpoint, for errors."""
+        return str(self.store.checkpoint_path or "the run in memory")
 
     @property
     def grid(self) -> ImageGrid:
@@ -262,17 +257,17 @@ class Result(ABC):
 
     @property
     def brightest(self) -> float:
-        """Largest β⁰ of the training images, linear power: what pictures show as white."""
+        """Largest β⁰ of the training images, linear power; white in pictures."""
         return self.snapshot.brightest
 
     @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"]:
-        """By how much the azimuths of the training views were corrected, degrees, float64 [K].
+        """Corrections of the training views' azimuths, degrees, float64 [K].
 
         Raises
         ------
         SarsplatError
-            If the checkpoint holds something else.
+            If the checkpoint is damaged.
         """
         offsets = self.reconstruction.azimuth_offset_deg
         count = len(self.snapshot.views)
@@ -292,7 +287,7 @@ class Result(ABC):
 
     @property
     def time_s(self) -> float:
-        """Training time so far, s of wall clock."""
+        """Training time so far, wall clock, s."""
         return self.snapshot.seconds
 
     @property
@@ -303,12 +298,12 @@ class Result(ABC):
 
     @property
     def learned(self) -> str:
-        """What was learned, in words: `4,123 Gaussians`."""
+        """Size of the learned model in words: `4,123 Gaussians`."""
         return self.reconstruction.learned
 
     @property
     def facts(self) -> dict[str, str]:
-        """How it was made, for readers: names and values."""
+        """Names and values of the settings, for readers."""
         if getattr(self.config, "preset", None) == OWN_LOOP:
             return self.reconstruction.facts
         steps, each = self.config.iterations, counted(self.config.views_per_step, "view")
@@ -316,7 +311,7 @@ class Result(ABC):
 
     @property
     def about(self) -> dict[str, str]:
-        """What it has learned and how it was made, for readers: names and values."""
+        """Names and values of size, settings, seed, time and corrections, for readers."""
         rows = {"learned": self.learned, **self.facts, "seed": str(self.seed), "time": f"{self.time_s:.1f} s"}
         if (offset_deg := self.azimuth_offset_deg).any():
             rms, largest = (offset_deg**2).mean() ** 0.5, abs(offset_deg).max()
@@ -325,5 +320,5 @@ class Result(ABC):
 
     @property
     def loss_title(self) -> tuple[str, str]:
-        """What its training minimised, and the unit of that."""
+        """Title of the loss, and its unit."""
         return METHODS[self.method].loss_title(self.config)

@@ -1,4 +1,4 @@
-"""A run: what a training has learned, the folder that holds it if there is one, and the dataset it was made from."""
+"""`Run`: results of a training with their storage (folder or memory) and dataset."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, Place, View
 from sarsplat.learning.device_choice import device_named
-from sarsplat.learning.snapshot import Snapshot
 from sarsplat.progress import progress
 from sarsplat.runs.methods import METHODS, method_named
 from sarsplat.runs.own_gaussians import own_scene
@@ -27,11 +26,11 @@ from sarsplat.runs.result import Result
 from sarsplat.runs.run_folder import (
     ABOUT,
     HEADER,
-    METRICS,
     POINTS,
     SCHEMA,
     SCHEMA_VERSION,
     Header,
+    InMemory,
     LogLine,
     Metrics,
     RunFolder,
@@ -44,43 +43,33 @@ from sarsplat.settings.config import DEFAULT_METHOD
 from sarsplat.typed import convert
 
 
-@dataclass
-class InMemory:
-    """What a run without a folder holds itself."""
-
-    snapshot: Snapshot
-    history: tuple[LogLine, ...]
-    metrics: Metrics | None = None
-    """The scores of the last evaluation."""
-
-
 @dataclass(frozen=True)
 class Run(Result):
-    """A reconstruction: renders, and has points, normals and a mesh, without its dataset.
+    """A reconstruction: images, points, normals and a mesh from its checkpoint, without its dataset.
 
     Parameters
     ----------
     method : str
-        Name of the method that made it, one of `METHODS`.
+        Name of its method, one of `METHODS`.
     config : AnyConfig
-        How it was made: settings of that method.
+        Settings of that method.
     fingerprint : str
         Fingerprint of its dataset when training began.
     path : Path or None
-        Its folder: `config.json`, `metrics.jsonl`, `metrics.json`, `checkpoints/`, `points.ply`, `report/` and what
-        else its method writes. None if it is in memory only.
+        Its folder: `config.json`, `metrics.jsonl`, `metrics.json`, `checkpoints/`, `points.ply`, `report/` and files of
+        its method. None in memory.
     dataset_path : Path or None
-        The dataset it was made from, if that is a folder.
+        Folder of its dataset.
     memory : InMemory or None
-        What it holds if it has no folder.
+        Its storage without a folder.
     device : str
-        Where it renders and extracts points, "cpu" or "cuda"; results come back as arrays either way.
+        Device that renders and extracts points, "cpu" or "cuda"; results are arrays on the CPU.
     images : Dataset or None
-        The dataset it was made from, where that is in memory.
+        Its dataset in memory.
     trained_on : str
-        The kind of device that it was begun on, "cpu" or "cuda"; "" if that is not known.
+        Device of its training, "cpu" or "cuda"; "" if unknown.
     place : Place or None
-        Where on earth its scene's origin is, as its dataset said; None if that is not known.
+        Georeference of the scene's origin from its dataset.
     """
 
     method: str
@@ -98,24 +87,15 @@ class Run(Result):
         where, preset = self.path or "in memory", getattr(self.config, "preset", None)
         return f"Run({where}, {self.method}{f', {preset}' if preset else ''}, seed {self.seed})"
 
-    @cached_property
-    def snapshot(self) -> Snapshot:
-        """The newest state of its training."""
-        if self.memory is not None:
-            return self.memory.snapshot
-        if (checkpoint := RunFolder(self.folder).checkpoint_path) is None:
-            raise SarsplatError(f"{self.path} holds no checkpoint; reconstruct it again with overwrite=True")
-        return Snapshot.load(checkpoint)
-
     @property
-    def files(self) -> RunFolder | None:
-        """Its folder, file by file; None if it is in memory only."""
-        return None if self.path is None else RunFolder(self.path)
+    def store(self) -> RunFolder | InMemory:
+        """Storage of checkpoint, log and scores."""
+        return self.memory or RunFolder(self.folder)
 
-    # ---- what it was made from --------------------------------------------------------------------------------------
+    # ---- its dataset -------------------------------------------------------------------------------------------------
     @cached_property
     def target(self) -> str:
-        """What its dataset shows, as that says; "" if it is not known."""
+        """Target of its dataset; "" if unknown."""
         if self.images is not None:
             return self.images.target
         if self.path is not None and (self.path / HEADER).is_file() and (known := read_header(self.path).target):
@@ -125,48 +105,44 @@ class Run(Result):
 
     @cached_property
     def dataset(self) -> Dataset:
-        """The dataset it was made from.
+        """The dataset of its training.
 
         Raises
         ------
         SarsplatError
-            If it is no longer there, or has changed since.
+            If it is missing or has changed.
         """
         if self.images is not None:
             return self.images
         if self.dataset_path is None and not self.fingerprint:
             raise SarsplatError(
-                "this run of one's own Gaussians has no dataset; give it to Run.from_gaussians(…, dataset=…), or to "
-                "Run.load(…, dataset=…)"
+                "this run has no dataset; give it by Run.from_gaussians(…, dataset=…) or Run.load(…, dataset=…)"
             )
         if self.dataset_path is None:
             raise SarsplatError(
                 f"{self.path} was made from images in memory; give them with Run.load({str(self.path)!r}, "
-                f"dataset=…), or write them with write_dataset and `sarsplat reconstruct DATASET --out {self.path} "
-                "--resume`"
+                "dataset=…), or resume it with the dataset that write_dataset writes"
             )
         if not self.dataset_path.exists():
             raise SarsplatError(
-                f"{self.path} needs its dataset, which is no longer at {self.dataset_path}; "
-                f"say where it is with `sarsplat evaluate {self.path} --dataset DIR`, in Python with "
-                f"Run.load(…, dataset=…), or for good with `sarsplat reconstruct DATASET --out {self.path} --resume`"
+                f"{self.path} needs its dataset, which is no longer at {self.dataset_path}; give it with "
+                f"`sarsplat evaluate {self.path} --dataset DIR` or Run.load(…, dataset=…), or resume the run with it"
             )
         dataset = read_dataset(self.dataset_path)
         if dataset.fingerprint() != self.fingerprint:
             raise SarsplatError(
-                f"the dataset {self.dataset_path} is not what {self.path} was made from: it has changed since; "
-                "reconstruct again"
+                f"the dataset {self.dataset_path} has changed since {self.path} was made from it; reconstruct again"
             )
         return dataset
 
     @checks_arguments
     def views_of(self, dataset: Dataset) -> tuple[View, ...]:
-        """From where images of a dataset were taken, as far as the training corrected the passes that they are of.
+        """Return the views of a dataset with the corrections of the passes that the training learned.
 
         Parameters
         ----------
         dataset : Dataset
-            Images of its own dataset, such as its test images.
+            Images of the run's dataset, such as its test images.
         """
         if not any(entry.turn is not None for entry in dataset.entries):
             return dataset.views
@@ -183,15 +159,15 @@ class Run(Result):
         path : str or Path
             The folder.
         device : {"auto", "cpu", "cuda"}
-            Where it renders; "auto" is the best there is.
+            Device that renders; "auto" is the best available.
         dataset : Dataset, optional
-            The dataset it was made from, if that was in memory, or is no longer where it was.
+            Its dataset, if that was in memory or has moved.
 
         Raises
         ------
         SarsplatError
-            If it is missing, or not a run of this version, there is no such method, the device cannot be used, or it
-            was made from another dataset.
+            If it is missing or not a run of this version, method or device are unavailable, or it was made from another
+            dataset.
         """
         path = Path(path)
         header = read_header(path)
@@ -222,35 +198,35 @@ class Run(Result):
         time_s: float = 0.0,
         device: str = "cpu",
     ) -> Run:
-        """A run in memory of Gaussians from a loop of one's own or from a file: for viewer, exports, scores and report.
+        """Make an in-memory run of Gaussians from a custom training loop or a file.
 
         Parameters
         ----------
         gaussians : Gaussians
-            The target alone; copied.
+            Gaussians of the target; copied.
         grid : ImageGrid, optional
-            Pixels and resolution of its images; the unit of lengths in points and mesh is its resolution cell. Without
-            it the dataset's, or else 128 × 128 pixels that show all Gaussians.
+            Pixels and resolution of its images, which also scale the spacing of points and mesh; by default the
+            dataset's, or else 128 × 128 pixels that show all Gaussians.
         views : sequence of View, optional
-            From where its images were taken: its points and mesh are what these see. Without them the dataset's
-            training views, or else 24 views from all sides.
+            Views of its images, which see its points and mesh; by default the dataset's training views, or else 24
+            views from all sides.
         dataset : Dataset, optional
-            The images that it was learned from; scores and report need them.
+            Its training images, for scores and report.
         time_s : float
-            How long that took, s.
+            Training time, s.
         device : {"auto", "cpu", "cuda"}
-            Where it renders.
+            Device that renders.
 
         Returns
         -------
         Run
-            Its `config` has the preset "own loop", the number and the scattering of the Gaussians; what else stands
-            there, `iterations` among it, says how the Gaussians are held, and nothing of how they were made.
+            Its `config` has the preset "own loop" with the number and scattering of the Gaussians; other settings,
+            `iterations` included, are placeholders.
 
         Raises
         ------
         SarsplatError
-            If there are no Gaussians or no views, or the law of scattering is not a registered one.
+            If there are no Gaussians or no views, or the law of scattering is not registered.
         """
         brightest = None
         if dataset is not None:
@@ -259,20 +235,20 @@ class Run(Result):
         config, snapshot = own_scene(gaussians, grid, views, brightest, time_s)
         where = None if dataset is None or dataset.path is None else dataset.path.resolve()
         fingerprint = "" if dataset is None else dataset.fingerprint()
-        held, on = InMemory(snapshot, ()), device_named(device).type
+        held, on = InMemory(snapshot, []), device_named(device).type
         place = None if dataset is None else dataset.place
         return cls(DEFAULT_METHOD, config, fingerprint, None, where, held, on, dataset, place=place)
 
     @checks_arguments
     def save(self, path: str | Path, *, overwrite: bool = False, quiet: bool = False) -> Run:
-        """Write the run to a folder, from where every command takes it; with the scores, if it was evaluated.
+        """Write the run with its scores to a folder, for every command.
 
-        Points that it has, in its folder or since they were asked for, are not extracted again.
+        Points that exist, in its folder or in memory, are not extracted again.
 
         Parameters
         ----------
         path : str or Path
-            The folder; it appears when it is whole.
+            The folder; it appears when complete.
         overwrite : bool
             Replace an existing run.
         quiet : bool
@@ -281,7 +257,7 @@ class Run(Result):
         Returns
         -------
         Run
-            The run in that folder. A finished training in it can be extended as any other.
+            The run in that folder; it can be resumed.
 
         Raises
         ------
@@ -296,8 +272,8 @@ class Run(Result):
             copy.write_header()
             files.save(self.snapshot)
             write_bytes(files.log_path, log_text(self.history))
-            if self.files is not None and self.state.has_results:
-                for name, content in self.files.results().items():
+            if self.path is not None and self.state.has_results:
+                for name, content in RunFolder(self.path).results().items():
                     write_bytes(folder / name, content)
             else:
                 vars(copy).update({name: vars(self)[name] for name in ("points", "normals") if name in vars(self)})
@@ -305,17 +281,17 @@ class Run(Result):
                     copy.write_results()
                     shown.advance(1, "points and normals")
             if self.metrics is not None:
-                write_json(folder / METRICS, self.metrics)
+                files.keep(self.metrics)
         return replace(self, path=path, memory=None)
 
     @property
     def folder(self) -> Path:
-        """Where it is on the disk.
+        """Folder of the run.
 
         Raises
         ------
         SarsplatError
-            If it is in memory only.
+            If the run is in memory.
         """
         if self.path is None:
             raise SarsplatError("this run is in memory and has no folder; save it first with run.save(PATH)")
@@ -323,48 +299,39 @@ class Run(Result):
 
     @property
     def state(self) -> TrainingState:
-        """How far its training is."""
-        if self.files is not None:
-            return self.files.state
+        """Progress of its training."""
+        if self.memory is None:
+            return RunFolder(self.folder).state
         planned = getattr(self.config, "iterations", self.iteration)
         return TrainingState(self.iteration, planned, has_results=True)
 
     @property
     def history(self) -> list[LogLine]:
-        """The lines of its log, which its folder has as `metrics.jsonl`."""
-        if self.memory is not None:
-            return list(self.memory.history)
-        return RunFolder(self.folder).history
+        """Lines of the training's log (`metrics.jsonl`)."""
+        return self.store.history
 
     @property
     def metrics(self) -> Metrics | None:
-        """The scores of the last evaluation; None before."""
-        if self.memory is not None:
-            return self.memory.metrics
-        return None if self.files is None else self.files.metrics
+        """Scores of the last evaluation; None before."""
+        return self.store.metrics
 
     @checks_arguments
     def keep(self, metrics: dict[str, Any]) -> None:
-        """Take these scores, what `evaluate_run` returns, as its last ones; in its folder if it has one.
+        """Store the scores that `evaluate_run` returned.
 
         Raises
         ------
         SarsplatError
-            If they are something else, or another process is writing the run.
+            If they are no scores, or another process is writing the run.
         """
         try:
             scores = convert(metrics, Metrics)
         except msgspec.ValidationError as error:
-            raise SarsplatError(
-                f"these are not the scores of a run ({error}); give what evaluate_run returns"
-            ) from error
-        if self.files is not None:
-            write_json(self.files.path / METRICS, scores)
-        elif self.memory is not None:
-            self.memory.metrics = scores
+            raise SarsplatError(f"metrics are no scores of a run ({error}); give those of evaluate_run") from error
+        self.store.keep(scores)
 
     def write_header(self) -> None:
-        """Write the `config.json` of its folder."""
+        """Write `config.json`."""
         where = None if self.dataset_path is None else str(self.dataset_path)
         settings = self.config.as_dict()
         made = self.fingerprint, settings, self.method, self.target, self.trained_on
@@ -372,7 +339,7 @@ class Run(Result):
         write_json(self.folder / HEADER, header)
 
     def write_results(self) -> None:
-        """Write what other programs read: `points.ply`, `about.json`, and what else its method has."""
+        """Write `points.ply`, `about.json` and files of its method, for other programs."""
         learned = self.reconstruction
         learned.write(self.folder)
         write_json(self.folder / ABOUT, self.about)

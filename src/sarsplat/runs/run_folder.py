@@ -1,4 +1,4 @@
-"""A run's folder, file by file, whatever its method. Reading settings, log and scores takes no torch."""
+"""Storage of runs of any method, in a folder or in memory; settings, log and scores are read without torch."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NotRequired, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NotRequired, TypedDict
 
 import msgspec
 import numpy as np
 from jaxtyping import Float32, Real
 
-from sarsplat.data import read_json, read_points_ply, read_versioned_json
+from sarsplat.data import read_json, read_points_ply, read_versioned_json, write_json
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.header import PlaceHeader
 from sarsplat.errors import SarsplatError, counted
@@ -26,20 +26,20 @@ SCHEMA_VERSION = 4
 HEADER = "config.json"
 
 CHECKPOINTS = "checkpoints"
-_CHECKPOINTS_KEPT = 2
+_MAX_CHECKPOINTS = 2
 
 LOG = "metrics.jsonl"
-_LONGEST_LOG = 1 << 22  # bytes; a training writes some tens of thousands
+_MAX_LOG_BYTES = 1 << 22  # bytes; a training writes some tens of thousands
 
 METRICS = "metrics.json"
 POINTS = "points.ply"
 ABOUT = "about.json"
-"""What `Run.about` says of a finished run, for those who will not wait for torch."""
+"""File of `Run.about` of a finished run, read without torch."""
 
 MESH = "mesh.ply"
-"""The surface, of methods that learn one as such."""
+"""Surface of methods that learn a mesh."""
 
-_PLACES_NAMED = 3
+_MAX_NAMED_PLACES = 3
 """Maximum number of missing objects whose places are named."""
 
 _RESULTS = ("gaussians.ply", MESH, ABOUT, POINTS)
@@ -48,7 +48,7 @@ _Scores = dict[str, int | float | None]
 
 
 class Truth(TypedDict):
-    """What surface the points were compared with: its file, unless it is the dataset's, and how they were moved."""
+    """Surface that points were compared with (null: the dataset's), and their alignment with it."""
 
     mesh: str | None
     sha256: NotRequired[str]
@@ -58,14 +58,14 @@ class Truth(TypedDict):
 
 
 class ByImage(TypedDict):
-    """One metric of each image of a test set, in the dataset's order."""
+    """Scores of each image of a test set by one metric, in the dataset's order."""
 
     metric: str
     scores: list[float | None]
 
 
 class Metrics(TypedDict):
-    """What `metrics.json` holds: scores by test set, surface or baseline, and by metric."""
+    """Content of `metrics.json`: scores by test set, surface or baseline, and by metric."""
 
     images: dict[str, _Scores]
     by_image: NotRequired[dict[str, ByImage]]
@@ -86,12 +86,12 @@ class Metrics(TypedDict):
 
 
 def left_open(metrics: Mapping[str, Any]) -> dict[str, str]:
-    """Words, by title, for what images do not determine of a surface, and for what they show and the points lack."""
+    """Describe undetermined heights and missing objects; title → text."""
     words = {}
     if isinstance(share := metrics.get("undetermined"), float):
-        words["left open"] = f"heights of {share:.0%} of the surface, inside of what looks the same everywhere"
+        words["left open"] = f"heights of {share:.0%} of the surface, inside uniform areas"
     if places := metrics.get("missing"):
-        where = "; ".join(", ".join(f"{value:.1f}" for value in place) for place in places[:_PLACES_NAMED])
+        where = "; ".join(", ".join(f"{value:.1f}" for value in place) for place in places[:_MAX_NAMED_PLACES])
         words["missing"] = f"{counted(len(places), 'object')} that images show and points lack, at ({where}) m"
     return words
 
@@ -104,15 +104,15 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     config: dict[str, Any]
     method: str
     target: str = ""
-    """What its dataset shows."""
+    """Target of the dataset."""
     trained_on: str = ""
-    """Kind of the device that it was begun on; "" if that is not known."""
+    """Device of the training, "cpu" or "cuda"; "" if unknown."""
     place: PlaceHeader | msgspec.UnsetType = msgspec.UNSET
-    """Where on earth the scene's origin is; absent if that is not known."""
+    """Georeference of the scene's origin; absent if unknown."""
 
 
 class LogLine(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One line of a training's log; the number of Gaussians is there if any are learned."""
+    """Line of a training's log; `gaussians` is the number of them, None for methods without."""
 
     iteration: Annotated[int, msgspec.Meta(ge=0, le=10**9)]
     seconds: Annotated[float, msgspec.Meta(ge=0, le=1e10)]
@@ -122,23 +122,23 @@ class LogLine(msgspec.Struct, frozen=True, omit_defaults=True):
 
 @dataclass(frozen=True)
 class TrainingState:
-    """How far a training is."""
+    """Progress of a training."""
 
     done: int
-    """Iterations done: those of the newest checkpoint, from which everything is made and a training goes on."""
+    """Iterations of the newest checkpoint."""
     planned: int
-    """Iterations asked for; as many as are done if the Gaussians were trained elsewhere."""
+    """Iterations of the settings; `done` for Gaussians trained elsewhere."""
     has_results: bool
-    """Whether its points have been extracted."""
+    """True if points have been extracted."""
 
     @property
     def trained(self) -> bool:
-        """Whether all iterations are done."""
+        """True if all iterations are done."""
         return self.done >= self.planned
 
     @property
     def finished(self) -> bool:
-        """Whether nothing is left to do."""
+        """True if all iterations are done and points extracted."""
         return self.trained and self.has_results
 
     def __str__(self) -> str:
@@ -149,11 +149,35 @@ class TrainingState:
         return "finished" if self.has_results else "trained, but its points have not been extracted"
 
 
+@dataclass
+class InMemory:
+    """Storage of a run without a folder."""
+
+    snapshot: Snapshot
+    history: list[LogLine]
+    metrics: Metrics | None = None
+    path: ClassVar[None] = None
+    points: ClassVar[None] = None
+    checkpoint_path: ClassVar[None] = None
+
+    def keep(self, metrics: Metrics) -> None:
+        self.metrics = metrics
+
+
 @dataclass(frozen=True)
 class RunFolder:
-    """The files of a run; each property reads them anew."""
+    """Storage of a run as files, read anew by each property."""
 
     path: Path
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """Newest checkpoint."""
+        if (checkpoint := self.checkpoint_path) is None:
+            raise SarsplatError(f"{self.path} holds no checkpoint; reconstruct it again with overwrite=True")
+        from sarsplat.learning.snapshot import Snapshot  # here: it needs torch
+
+        return Snapshot.load(checkpoint)
 
     @property
     def header(self) -> Header:
@@ -164,18 +188,18 @@ class RunFolder:
         return next(reversed(self._checkpoints()), None)
 
     def _checkpoints(self) -> list[Path]:
-        """Those that trainings have written, the newest last; a copy by another name is none."""
+        """Return the checkpoints with a training's file names, newest last."""
         files = (self.path / CHECKPOINTS).glob("*.safetensors")
         return sorted((file for file in files if re.fullmatch(r"\d{8,}", file.stem)), key=lambda file: int(file.stem))
 
     def save(self, snapshot: Snapshot) -> None:
-        """Add a checkpoint, and remove all but the newest."""
+        """Add a checkpoint and remove all but the newest two."""
         folder = self.path / CHECKPOINTS
         with plain_os_errors("write", folder):
             folder.mkdir(parents=True, exist_ok=True)
         snapshot.save(folder / f"{snapshot.iteration:08d}.safetensors")
         with plain_os_errors("write", folder):
-            for old in self._checkpoints()[:-_CHECKPOINTS_KEPT]:
+            for old in self._checkpoints()[:-_MAX_CHECKPOINTS]:
                 old.unlink()
 
     @property
@@ -184,14 +208,14 @@ class RunFolder:
 
     @property
     def history(self) -> list[LogLine]:
-        """The lines up to the first that a crash has torn; none if there is no file. Refused if longer than 4 MiB."""
+        """Lines of the log up to the first damaged one; [] without a file. Raise if longer than 4 MiB."""
         path = self.log_path
         if not path.is_file():
             return []
         with open_file(path) as file:
-            data = file.read(_LONGEST_LOG + 1)
-        if len(data) > _LONGEST_LOG:
-            raise SarsplatError(f"{path} is longer than {_LONGEST_LOG} bytes, which no training produces; remove it")
+            data = file.read(_MAX_LOG_BYTES + 1)
+        if len(data) > _MAX_LOG_BYTES:
+            raise SarsplatError(f"{path} is longer than {_MAX_LOG_BYTES} bytes, which no training produces; remove it")
         history: list[LogLine] = []
         for line in data.splitlines():
             try:
@@ -209,16 +233,16 @@ class RunFolder:
 
     @property
     def points(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:
-        """The content of `points.ply`, if there is one: positions, and other columns."""
+        """Positions and other columns of `points.ply`; None without the file."""
         return read_points_ply(self.path / POINTS) if (self.path / POINTS).is_file() else None
 
     def results(self) -> dict[str, bytes]:
-        """The content of the files that were made from the newest checkpoint, by name."""
+        """Return the files made from the newest checkpoint: name → content."""
         with plain_os_errors("read", self.path):
             return {name: (self.path / name).read_bytes() for name in _RESULTS if (self.path / name).is_file()}
 
     def remove_results(self) -> None:
-        """Remove what was made from the newest checkpoint."""
+        """Remove the files made from the newest checkpoint."""
         with plain_os_errors("write", self.path):
             for name in (*_RESULTS, METRICS, "report/index.html"):
                 (self.path / name).unlink(missing_ok=True)
@@ -227,9 +251,13 @@ class RunFolder:
     def metrics(self) -> Metrics | None:
         return read_json(self.path / METRICS, Metrics) if (self.path / METRICS).is_file() else None
 
+    def keep(self, metrics: Metrics) -> None:
+        """Write the scores."""
+        write_json(self.path / METRICS, metrics)
+
 
 def read_header(path: Path) -> Header:
-    """The header of a run's folder; refused if it is missing, or not a run of this version."""
+    """Read the header of a run's folder; raise if it is missing or not of this version."""
     header = path / HEADER
     if not header.is_file():
         if (path / "dataset.json").is_file():
@@ -251,7 +279,7 @@ def read_header(path: Path) -> Header:
 
 
 def require_replaceable(out: Path) -> None:
-    """Refuse to overwrite a folder that is not a run, of whatever version: many programs keep a `config.json`."""
+    """Raise if a folder's `config.json` is another program's."""
     header = out / HEADER
     if header.is_file():
         data = read_json(header, dict[str, Any])
@@ -260,5 +288,5 @@ def require_replaceable(out: Path) -> None:
 
 
 def log_text(lines: Iterable[LogLine]) -> bytes:
-    """Log lines as `metrics.jsonl` has them."""
+    """Encode log lines as in `metrics.jsonl`."""
     return b"".join(msgspec.json.encode(line) + b"\n" for line in lines)

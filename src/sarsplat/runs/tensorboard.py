@@ -1,4 +1,4 @@
-"""What a training does, for TensorBoard: curves, and images of a few fixed views."""
+"""TensorBoard logs of trainings: curves, and images of a few fixed views."""
 
 from __future__ import annotations
 
@@ -28,20 +28,19 @@ _GROWTH = math.sqrt(2)
 
 
 class TensorBoard:
-    """A callback (`on_step`) of a training of any method that writes a log for TensorBoard.
+    """Callback (`on_step`) of a training that writes a log for TensorBoard.
 
-    It only looks: the training's result is the same, bit for bit, with and without it. A folder that already holds such
-    a log is continued; what a killed training logged beyond the checkpoint from which it is resumed is hidden.
+    The training's result is the same bits with and without it. A log that exists is continued; after a resume, entries
+    beyond its checkpoint are hidden.
 
     Parameters
     ----------
     folder : str or Path
-        Where to write. Inside the folder of a run that is not there yet, the log begins with the first checkpoint, and
-        has everything from before.
+        Folder of the log. Inside the folder of a new run, the log is written at the first checkpoint, complete.
     dataset : Dataset
-        Its images are the truth of the fixed views.
+        Source of the fixed views and their true images.
     training_views, test_views : int
-        How many of its views are shown, evenly chosen.
+        Maximum numbers of fixed views, evenly chosen.
 
     Raises
     ------
@@ -50,14 +49,14 @@ class TensorBoard:
 
     Notes
     -----
-    Scalars, whenever the training's own log gets a line: `loss`, a mean over the steps since the line before;
-    `terms/…`, what is minimised besides; `learning rate/…`; `Gaussians`; `seconds per step`. Images: the truth once, at
-    step 0, and renderings at intervals that grow.
+    Scalars with each line of the training's log: `loss`, the mean since the previous line; `terms/…`, its other terms;
+    `learning rate/…`; `Gaussians`; `seconds per step`. Images: the truth at step 0, and renderings at growing
+    intervals.
     """
 
     @checks_arguments
     def __init__(self, folder: str | Path, dataset: Dataset, *, training_views: int = 2, test_views: int = 2) -> None:
-        _writer_class()  # say at once that it is missing
+        _writer_class()  # raises if it is missing
         self._folder = Path(folder)
         tested = [index for index, entry in enumerate(dataset.entries) if entry.split != "train"]
         trained = [index for index, entry in enumerate(dataset.entries) if entry.split == "train"]
@@ -69,10 +68,10 @@ class TensorBoard:
         self._writer: SummaryWriter | None = None
         self._began_at: int | None = None
         self._last: tuple[int, float] | None = None  # iteration and seconds of the last line
-        self._awaited: Path | None = None  # the run's folder, if it is not there yet and nothing else is
+        self._awaited: Path | None = None  # folder of a new run, which must appear before the log is written
 
     def __call__(self, step: Step[Any]) -> None:
-        """Look at a training after a step."""
+        """Log a step."""
         if self._began_at is None:
             self._begin(step)
         if step.line is not None:
@@ -90,7 +89,7 @@ class TensorBoard:
             self.close()
 
     def close(self) -> None:
-        """Write what waited for the run's folder, if that is there now, and close the file."""
+        """Write pending entries, unless the run's folder never appeared, and close the file."""
         if self._waiting and self._awaited is not None and self._awaited.is_dir():
             self._write()
         self._waiting, self._began_at = [], None
@@ -122,10 +121,10 @@ class TensorBoard:
             self._waiting.append(methodcaller("add_scalar", name, value, line.iteration))
 
     def _images(self, kind: str, power: Float32[np.ndarray, "v rows columns"], iteration: int) -> None:
-        """White is the `white_level` of the truth; row 0, near range, at the top."""
+        """Log images with white at the `white_level` of the truth, row 0 (near range) at the top."""
         grey = np.round(255 * shade(power, max(self._brightest, LEAST_POWER))).astype(np.uint8)
         for entry, image in zip(self._entries, grey, strict=True):
-            name = entry.name.replace("/", " ")  # which would make groups
+            name = entry.name.replace("/", " ")  # slashes make groups
             angles = f"azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°{entry.view.unusual}"
             tag = f"{entry.split} {name}, {angles}/{kind}"
             self._waiting.append(methodcaller("add_image", tag, image, iteration, dataformats="HW"))
@@ -138,7 +137,7 @@ class TensorBoard:
                 self._writer = _writer_class()(str(self._folder), purge_step=self._began_at if begun else None)
             for add in self._waiting:
                 add(self._writer)
-            self._writer.flush()  # what a killed process leaves can be read
+            self._writer.flush()  # readable even if killed
         self._waiting = []
 
 
@@ -151,7 +150,7 @@ def _writer_class() -> type[SummaryWriter]:
 
 
 def _evenly(indices: list[int], count: int) -> list[int]:
-    """At most so many of them, the first included."""
+    """Choose at most `count` indices evenly, the first included."""
     count = min(count, len(indices))
     return [indices[k * len(indices) // count] for k in range(count)]
 

@@ -1,4 +1,4 @@
-"""The training loop of all methods: step, log, save now and then, and resume where an earlier one stopped."""
+"""Training loop of all methods: steps, log, checkpoints and resuming."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from sarsplat.data.folders import only_writer, refuse_existing
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.method import Trainable
 from sarsplat.progress import Reporter
-from sarsplat.runs.run import InMemory, Run
-from sarsplat.runs.run_folder import ABOUT, HEADER, LogLine, RunFolder, log_text, require_replaceable
+from sarsplat.runs.run import Run
+from sarsplat.runs.run_folder import ABOUT, HEADER, InMemory, LogLine, RunFolder, log_text, require_replaceable
 from sarsplat.settings.config import AnyConfig, refuse_other_settings
 
-_LINES_PER_RUN = 200
-"""About how many lines `metrics.jsonl` gets."""
+_LOG_LINES = 200
+"""Approximate number of lines of `metrics.jsonl`."""
 
-_SECONDS_UNSEEN = 5.0
-"""The progress is shown at least this often, if steps are not longer."""
+_UPDATE_S = 5.0
+"""Maximum interval between progress updates, unless a step takes longer."""
 
 _TRIAL_EVERY = 100
-"""Steps between trials: the load of the machine and the size of the images change."""
+"""Steps between trials of thread counts: the load of the machine and the size of images change."""
 
 _TRIAL_STEPS = 2
-"""Steps of a trial with each number of threads, of which the quicker one counts."""
+"""Steps of a trial with each number of threads; the quickest counts."""
 
-_HOPELESS = 1.5
-"""Time of a step, relative to the quickest, after which more threads are not tried."""
+_MAX_SLOWDOWN = 1.5
+"""Time of a step relative to the quickest above which more threads are not tried."""
 
 M = TypeVar("M")
 T = TypeVar("T", bound=Trainable)
@@ -44,28 +44,27 @@ T = TypeVar("T", bound=Trainable)
 
 @dataclass(frozen=True)
 class Step(Generic[T]):
-    """What is passed to a watcher of a training after each step."""
+    """State after a step, the argument of `on_step`."""
 
     iteration: int
-    """Steps done, this one included."""
+    """Iterations done, this one included."""
     loss: Tensor
-    """Its loss, a single number; reading it waits for the device."""
+    """Loss, a scalar; reading it waits for the device."""
     trainer: T
-    """The training itself, between two steps; that of `sar-gs` has the target as it is now, `trainer.gaussians`."""
+    """Trainer between two steps; `trainer.gaussians` is the current target of `sar-gs`."""
     line: LogLine | None = None
-    """The line that the log gets after this step; None after most."""
+    """New line of the log; None after most steps."""
     folder_to_come: Path | None = None
-    """The run's folder as long as it is being built elsewhere, which is until after the first checkpoint: nothing may
-    be written there yet. Then, and for a run in memory, None."""
+    """Final folder of the run until it appears with the first checkpoint: nothing may be written there before. None
+    afterwards, and in memory."""
     last: bool = False
-    """Whether this process makes no more steps: there are none, or others make them."""
+    """True if it is the last step of this process."""
 
 
 class Training(Generic[T]):
-    """A trainer at work: counts the time, calls `on_step`, and keeps the log.
+    """Loop around a trainer that measures time, calls `on_step` and writes log and checkpoints.
 
-    `run` is the one whose folder gets the log and the checkpoints; None in memory. `ended` is whether `on_step` asked
-    for the end.
+    `run` has the folder of log and checkpoints; None in memory. `ended` is True after `on_step` has returned True.
     """
 
     def __init__(
@@ -84,16 +83,16 @@ class Training(Generic[T]):
 
     @property
     def seconds(self) -> float:
-        """Time trained so far, s of wall clock."""
+        """Training time so far, wall clock, s."""
         return time.monotonic() - self._begun
 
     @property
     def last(self) -> bool:
-        """Whether the step that was just made is the last one of this process."""
+        """True if the last step was the final one of this process."""
         return self.trainer.iteration >= self.trainer.config.iterations
 
     def resume(self, dataset: Dataset) -> None:
-        """Bring the trainer, the log and the folder to the newest checkpoint of `run`."""
+        """Restore trainer, log and folder to the newest checkpoint of `run`."""
         run, config = self.run, self.trainer.config
         assert run is not None
         if run.fingerprint != dataset.fingerprint():
@@ -120,7 +119,9 @@ class Training(Generic[T]):
                     f"{files.checkpoint_path} does not match this version ({error}); start again with overwrite=True"
                 ) from error
             self._begun -= snapshot.seconds
-            self.history = [line for line in run.history if line.iteration <= snapshot.iteration]  # a killed one's end
+            self.history = [
+                line for line in run.history if line.iteration <= snapshot.iteration
+            ]  # without lines beyond it
             self.shown.start_at(snapshot.iteration)
         if resumed != run:
             resumed.write_header()
@@ -131,7 +132,7 @@ class Training(Generic[T]):
         write_bytes(files.log_path, log_text(self.history))
 
     def advance_to(self, iterations: int) -> None:
-        """Step until so many iterations are done; what has been learned is saved whatever ends it between two steps."""
+        """Step until `iterations` are done; save a checkpoint however the loop ends between two steps."""
         trainer, begun = self.trainer, self.trainer.iteration
         try:
             with ThreadChoice(str(getattr(trainer, "device", "cpu"))) as threads:
@@ -143,7 +144,7 @@ class Training(Generic[T]):
 
     def _steps(self, iterations: int, threads: ThreadChoice) -> None:
         trainer, config = self.trainer, self.trainer.config
-        every = max(1, config.iterations // _LINES_PER_RUN)
+        every = max(1, config.iterations // _LOG_LINES)
         losses: list[Tensor] = []
         while trainer.iteration < iterations and not self.ended:
             self._between_steps = False
@@ -153,16 +154,16 @@ class Training(Generic[T]):
                 logs = trainer.iteration % every == 0 or trainer.iteration == config.iterations
                 saves = self.run is not None and trainer.iteration % config.checkpoint_every == 0
                 if logs or saves:
-                    trainer.check()  # as a part of the step: what is wrong is not saved
+                    trainer.check()  # before saving
             except SarsplatError:
-                self._require_finite(losses)  # or what came of a loss that is not would be named instead of it
+                self._require_finite(losses)  # report its cause, a loss that is not finite, first
                 raise
             line = self._line(losses) if logs else None
             self._between_steps = True
             if line is not None:
                 losses = []
                 self._log(line)
-            elif time.monotonic() - self._shown_at > _SECONDS_UNSEEN:
+            elif time.monotonic() - self._shown_at > _UPDATE_S:
                 self._show(loss.item())
             if saves:
                 self._save()
@@ -174,13 +175,13 @@ class Training(Generic[T]):
         return LogLine(self.trainer.iteration, round(self.seconds, 3), loss, self.trainer.gaussian_count)
 
     def _require_finite(self, losses: list[Tensor]) -> list[float]:
-        """The losses of the last iterations; refused if one is not finite."""
+        """Return losses as numbers; raise if one is not finite."""
         values: list[float] = torch.stack(losses).tolist() if losses else []  # one wait for the device
-        for ago, value in enumerate(reversed(values)):
-            if not math.isfinite(value) and all(map(math.isfinite, values[: len(values) - ago - 1])):
+        for back, value in enumerate(reversed(values)):
+            if not math.isfinite(value) and all(map(math.isfinite, values[: len(values) - back - 1])):
                 raise SarsplatError(
-                    f"the loss became {value} at iteration {self.trainer.iteration - ago}; lower the learning rates, "
-                    "or see that a loss of your own is finite for all images (the last checkpoint is from before)"
+                    f"the loss became {value} at iteration {self.trainer.iteration - back}; lower the learning rates, "
+                    "or make a custom loss finite for all images (the last checkpoint is from before)"
                 )
         return values
 
@@ -206,9 +207,9 @@ class Training(Generic[T]):
 
 
 class ThreadChoice:
-    """Runs steps with the quickest of 1, 2, 4, … threads, found anew every 100 steps.
+    """Choice of the quickest of 1, 2, 4, … threads for steps, repeated every 100 steps.
 
-    The context restores torch's number of threads at its end. Inactive on GPUs and outside of the main thread.
+    The context restores torch's number of threads. Inactive on GPUs and outside of the main thread.
     """
 
     def __init__(self, device: str) -> None:
@@ -239,24 +240,23 @@ class ThreadChoice:
         count = self._untried.pop(0)
         torch.set_num_threads(count)
         begun = time.perf_counter()
-        made = make()
-        took = time.perf_counter() - begun
-        self._seconds[count] = min(took, self._seconds.get(count, took))
-        if count not in self._untried and self._seconds[count] > _HOPELESS * min(self._seconds.values()):
+        result = make()
+        elapsed = time.perf_counter() - begun
+        self._seconds[count] = min(elapsed, self._seconds.get(count, elapsed))
+        if count not in self._untried and self._seconds[count] > _MAX_SLOWDOWN * min(self._seconds.values()):
             self._untried = []
         if not self._untried:
             torch.set_num_threads(min(self._seconds, key=lambda threads: self._seconds[threads]))
-        return made
+        return result
 
 
 def train(
     training: Training[Any], new: Run, dataset: Dataset, out: Path | None, *, resume: bool, overwrite: bool
 ) -> Run:
-    """Train to the end, in memory or, with `out`, in a folder from which it can be resumed at any time.
+    """Train to the end and return the run, in memory or in the folder `out`; raise as `reconstruct`.
 
-    `training` is at its beginning; `new` is the run as it will be, with settings and the dataset's fingerprint. An
-    exception leaves a checkpoint, from which a run shows what it has learned; only a finished one gets its points,
-    which may take longer than the training. Refusals are those of `reconstruct`.
+    `training` is at its beginning; `new` is the run with settings and fingerprint, without storage. An exception leaves
+    a checkpoint; points, which may take longer than the training, are extracted only at the end.
     """
     config = training.trainer.config
     if resume and overwrite:
@@ -265,7 +265,7 @@ def train(
         raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
     if out is None:
         training.advance_to(config.iterations)
-        held = InMemory(training.trainer.snapshot(training.seconds), tuple(training.history))
+        held = InMemory(training.trainer.snapshot(training.seconds), training.history)
         return replace(new, memory=held, images=dataset)
     if resume:
         training.run = Run.load(out)
@@ -297,7 +297,7 @@ def train(
         if stopped is not None:
             raise stopped
         training.advance_to(config.iterations)
-        if RunFolder(out).state.finished and (out / ABOUT).is_file():  # there was nothing to go on with
+        if RunFolder(out).state.finished and (out / ABOUT).is_file():  # nothing was left to do
             return replace(Run.load(out), images=dataset)
         training.shown.note("extracting the surface: points and normals; Ctrl-C leaves that for later")
         finished = replace(Run.load(out), images=dataset)

@@ -1,4 +1,4 @@
-"""What people call runs whose folders' names say nothing: their datasets, and what differs between them."""
+"""Readable names of runs: folder names or, for hashed folders of sweeps, dataset and differing settings."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from typing import Any
 from sarsplat.runs.run_folder import Header, read_header
 
 
-def says_nothing(folder: Path) -> bool:
-    """Whether a run's folder has no name but an address, as sweeps give them."""
+def is_hashed(folder: Path) -> bool:
+    """Return whether a run's folder has a hash for a name, as in sweeps."""
     return re.fullmatch(r"[0-9a-f]{16}", folder.name) is not None
 
 
 def names_of(folders: Sequence[Path]) -> list[str]:
-    """What to call runs: their folders' names, or what differs where these say nothing; paths where that coincides."""
-    nameless = [folder for folder in folders if says_nothing(folder)]
-    known = dict(zip(nameless, told_apart([read_header(folder) for folder in nameless]), strict=True))
-    names = [known.get(folder, folder.absolute().name) for folder in folders]
+    """Return names of runs: folder names, or distinguishing names of hashed folders; paths if these coincide."""
+    hashed = [folder for folder in folders if is_hashed(folder)]
+    values_of_kind = dict(zip(hashed, distinguished([read_header(folder) for folder in hashed]), strict=True))
+    names = [values_of_kind.get(folder, folder.absolute().name) for folder in folders]
     return names if len({*names}) == len(names) else [str(folder) for folder in folders]
 
 
-def told_apart(headers: Sequence[Header], with_method: bool = True) -> list[str]:
-    """A name for each run: its dataset, its seed, and what of method, preset and settings is not that of all.
+def distinguished(headers: Sequence[Header], with_method: bool = True) -> list[str]:
+    """Name each run by dataset, differing method, preset and settings, and seed.
 
-    Settings are told of runs of one dataset, method and preset: others differ in most of them. Of a section that others
-    do not have, the name is told.
+    Settings are compared between runs of one dataset, method and preset, as others differ in most. A section that other
+    runs lack is named without its settings.
     """
     methods = {header.method for header in headers}
-    presets = {header.config["preset"] for header in headers if "preset" in header.config}  # other methods have none
-    datasets: dict[str, set[str]] = {}  # by their folders' names
-    values: dict[tuple[str, str, str], dict[str, list[str]]] = {}  # of each setting, of runs that differ in little
+    presets = {header.config["preset"] for header in headers if "preset" in header.config}  # only of sar-gs
+    datasets: dict[str, set[str]] = {}  # folder name → paths
+    values: dict[tuple[str, str, str], dict[str, list[str]]] = {}  # kind → setting → values
     for header in headers:
         datasets.setdefault(Path(_dataset(header)).name, set()).add(_dataset(header))
-        known = values.setdefault(_kind(header), {})
+        values_of_kind = values.setdefault(_kind(header), {})
         for name, value in _dotted(header.config):
-            known.setdefault(name, []).append(str(value))
-    alike = Counter(map(_kind, headers))
+            values_of_kind.setdefault(name, []).append(str(value))
+    kind_counts = Counter(map(_kind, headers))
     names = []
     for header in headers:
         name = Path(_dataset(header)).name if len(datasets[Path(_dataset(header)).name]) == 1 else _dataset(header)
@@ -49,9 +49,9 @@ def told_apart(headers: Sequence[Header], with_method: bool = True) -> list[str]
         settings = ((name, value) for name, value in _dotted(header.config) if name not in ("preset", "seed"))
         for setting, value in settings:
             given, (section, dot, _) = values[_kind(header)][setting], setting.partition(".")
-            if len({*given}) > 1 or (len(given) < alike[_kind(header)] and not dot):
+            if len({*given}) > 1 or (len(given) < kind_counts[_kind(header)] and not dot):
                 words.append(f"{setting} {value}")
-            elif len(given) < alike[_kind(header)] and section not in words:
+            elif len(given) < kind_counts[_kind(header)] and section not in words:
                 words.append(section)
         words += [f"seed {header.config['seed']}"] if "seed" in header.config else []
         names.append(", ".join(words))
