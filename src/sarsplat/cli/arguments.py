@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import ast
 import math
 import os
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform, get_args
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 import tyro
 
@@ -68,22 +67,22 @@ _MAX_ANGLES = 10_000
 def option_group(record: type[T]) -> type[T]:
     """Make a frozen dataclass whose fields are options, with the docstrings below them as help.
 
-    tyro would find these by itself, but takes 10 ms a class. The record's module imports `Annotated` and `tyro`.
+    tyro would find these by itself, but takes 10 ms a class.
     """
-    helps, body = {}, _classes(sys.modules[record.__module__].__file__ or "")[record.__name__].body
-    for statement, following in pairwise(body):
-        match statement, following:
-            case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(text))):
-                helps[name] = " ".join(text.split())
-    for name, kind in record.__annotations__.items():
-        record.__annotations__[name] = f"Annotated[{kind}, tyro.conf.arg(help={helps.get(name, '')!r})]"
+    source = _source(sys.modules[record.__module__].__file__ or "").partition(f"class {record.__name__}:\n")[2]
+    helps = dict(_DOCUMENTED.findall(source.partition("\n\n\n")[0]))
+    for name, kind in get_type_hints(record, include_extras=True).items():
+        record.__annotations__[name] = Annotated[kind, tyro.conf.arg(help=" ".join(helps.get(name, "").split()))]
     return dataclass(frozen=True)(record)
 
 
+_DOCUMENTED = re.compile(r'^    (\w+): .*\n(?:        .*\n|    \].*\n)*    """([^"]*)"""', re.MULTILINE)
+"""A field of a class and the docstring below it."""
+
+
 @cache
-def _classes(file: str) -> dict[str, ast.ClassDef]:
-    """Return the classes of a source file by name."""
-    return {node.name: node for node in ast.parse(Path(file).read_text("utf-8")).body if isinstance(node, ast.ClassDef)}
+def _source(file: str) -> str:
+    return Path(file).read_text("utf-8")
 
 
 def one_of(literal: Any, hint: str = "(optional)") -> Any:

@@ -46,8 +46,6 @@ Law = Annotated[tuple[float, float] | tuple[float, float, float], tyro.conf.arg(
 
 @option_group
 class Target:
-    """Surface to simulate."""
-
     target: Annotated[TargetName | None, one_of(TargetName)] = None
     """A built-in target: a vehicle, one of the paper's buildings, a satellite or an aircraft (with --isar), or a
     village, .64 as wide as the images (256 pixels unless others are given), of houses drawn by --seed."""
@@ -70,8 +68,6 @@ class Target:
 
 @option_group
 class Views:
-    """Training views."""
-
     protocol: Literal["paper", "mstar"] = "paper"
     """Views and pixels: 24 training + 48 test views at 15, 45, 75° incidence (paper), or 36 + 72 at 17 and 15°
     grazing (mstar)."""
@@ -143,8 +139,6 @@ class Views:
 
 @option_group
 class TestViews:
-    """Test views."""
-
     __test__ = False  # no class of tests
 
     test_protocol: bool = False
@@ -182,8 +176,6 @@ def _direction(view: View) -> tuple[float, ...]:
 
 @option_group
 class Isar:
-    """Inverse SAR of a rotating target."""
-
     isar: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X Y Z …", help_behavior_hint="(optional)")] = ()
     """Inverse SAR of a target in free space instead: axes about which it turns, in its own frame, three numbers each.
     Of each axis, frames are spread over a whole turn, and test frames lie between them (docs/how-to/isar.md)."""
@@ -220,8 +212,6 @@ class Isar:
 
 @option_group
 class Sensor:
-    """Pixels, response and speckle."""
-
     pixels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N [N]", help_behavior_hint="(optional)")] = ()
     """Size of an image: one number, or rows (slant range) and columns (azimuth) (default: the protocol's 128)."""
     spacing: Lengths = ()
@@ -254,8 +244,6 @@ class Sensor:
 
 @option_group
 class Ground:
-    """Ground below the target."""
-
     ground: OptionalNumber = None
     """γ⁰ (linear) of the ground (default: no ground)."""
     terrain: OptionalFile = None
@@ -276,8 +264,6 @@ class Ground:
 
 @option_group
 class Echoes:
-    """Simulation of echoes."""
-
     source: Simulator = "raycast"
     """Ray casting, which is independent of the renderer, or the renderer itself, on Gaussians that cover the
     surface."""
@@ -294,8 +280,6 @@ class Echoes:
 
 @option_group
 class Stacks:
-    """Stacks of complex images."""
-
     passes: OptionalCount = None
     """Simulate stacks of so many passes a little apart in elevation, complex, of one look (docs/concepts/stacks.md)."""
     baseline: Annotated[tuple[float, ...], tyro.conf.arg(metavar="RAD …", help_behavior_hint="(optional)")] = ()
