@@ -22,13 +22,14 @@ from results import RESULTS, machine, save
 
 from sarsplat import read_dataset, sweep, write_dataset
 from sarsplat.cli.simulate import simulate
+from sarsplat.cli.simulation_options import Options, Sensor, Target, TestViews, Views
 from sarsplat.executors import Means
 
 PROCESSES = 2
 TINY = {"iterations": 5, "gaussians": 50, "points.voxel": 0.5, "points.rays_per_pixel": 2}
-FEW = {"azimuth": ("0:360:60",), "grazing": ("45",), "test_azimuth": ("45",), "test_grazing": ("45",)}
+FEW = Views(azimuth=("0:360:60",), grazing=("45",)), TestViews(test_azimuth=("45",), test_grazing=("45",))
 KINDS: dict[str, tuple[dict[str, Any], dict[str, Any], tuple[int, ...]]] = {
-    "tiny": ({"pixels": (32,), "spacing": (0.6,), **FEW}, TINY, (2, 20, 120)),
+    "tiny": ({"sensor": Sensor((32,), (0.6,)), "views": FEW[0], "test_views": FEW[1]}, TINY, (2, 20, 120)),
     "t72": ({}, {}, (2,)),
 }
 """Options of a simulation, settings, and how many runs. Tiny ones: the first sweep is not counted, for it reads the
@@ -79,7 +80,7 @@ def main(executors: Sequence[str]) -> None:
     with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
         folder = Path(place)
         for kind, (options, *_) in KINDS.items():
-            simulate(target="t72", out=folder / "made" / kind, **options)
+            simulate(Options(folder / "made" / kind, target=Target("t72"), **options))
             made_of = read_dataset(folder / "made" / kind)  # scoring a surface would take longer than all else
             write_dataset(folder / kind, made_of if kind == "t72" else replace(made_of, truth_mesh=None))
         for executor in executors:

@@ -16,6 +16,7 @@ from results import REPOSITORY
 
 from sarsplat import sweep
 from sarsplat.cli.simulate import simulate
+from sarsplat.cli.simulation_options import Options, Sensor, Target
 
 sys.path.insert(0, str(REPOSITORY / "docs"))
 from fill_block import fill_block
@@ -44,7 +45,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place, cluster() as made:
         folder = Path(place)
         said: list[str] = []
-        simulate(target="t72", out=folder / "t72", pixels=(64,), spacing=(0.6,))
+        simulate(Options(folder / "t72", target=Target("t72"), sensor=Sensor((64,), (0.6,))))
         (folder / "plan.toml").write_text(PLAN)
         words = ["sweep", "plan.toml", "--out", "fleet", "--executor", "ray", "--address", made.address]
         begun = time.monotonic()

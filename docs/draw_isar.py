@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 
 from sarsplat import Run, reconstruct
 from sarsplat.cli.simulate import simulate
+from sarsplat.cli.simulation_options import Isar, Options, Sensor, Target
 from sarsplat.colours import HEIGHT, POWER, colormap
 from sarsplat.evaluation import read_truth_mesh, visible_surface
 from sarsplat.names import TargetName
@@ -59,7 +60,7 @@ def main() -> None:
     for row, target in zip(axes, TARGETS, strict=True):
         with TemporaryDirectory() as folder:
             out = Path(folder) / target
-            simulate(out=out, target=target, isar=AXES, line_of_sight=SIGHT, pixels=(80,))
+            simulate(Options(out, target=Target(target), isar=Isar(AXES, SIGHT), sensor=Sensor((80,))))
             run = reconstruct(out)
             assert run.dataset.truth_mesh is not None  # it was simulated
             mesh = read_truth_mesh(run.dataset.truth_mesh)

@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from sarsplat import Run, View, reconstruct
 from sarsplat.cli.simulate import simulate
+from sarsplat.cli.simulation_options import Options, Target
 from sarsplat.colours import ERROR, POWER, colormap
 from sarsplat.evaluation import Yardstick, read_truth_mesh, visible_surface
 from sarsplat.names import TargetName
@@ -69,7 +70,7 @@ def main() -> None:
     )
     for row, vehicle in zip(axes, VEHICLES, strict=True):
         with TemporaryDirectory() as folder:
-            simulate(out=Path(folder) / vehicle, target=vehicle)
+            simulate(Options(Path(folder) / vehicle, target=Target(vehicle)))
             run = reconstruct(Path(folder) / vehicle)
             dataset = run.dataset
             rays_m = Yardstick.of(dataset.grid).ray_spacing_m

@@ -18,6 +18,7 @@ from finished import Finished
 from sarsplat import Dataset, import_mstar, read_dataset, target_mesh, write_dataset
 from sarsplat.baselines import BaselineMethod
 from sarsplat.baselines.baseline import BaselineConfig
+from sarsplat.cli.parser import parse
 from sarsplat.data import read_masks
 from sarsplat.data.mesh import write_mesh
 from sarsplat.runs import METHODS
@@ -71,8 +72,6 @@ def missing(experiment: Experiment, work: Path) -> dict[Path, Options]:
 
 def make(experiment: Experiment, work: Path, chips: Chips | None) -> None:
     """Simulate or import what is missing; chips only if it is said where they are."""
-    from sarsplat.cli.simulate import simulate
-
     for folder, dataset in missing(experiment, work).items():
         folder.parent.mkdir(parents=True, exist_ok=True)
         if "scene" in dataset:
@@ -80,10 +79,10 @@ def make(experiment: Experiment, work: Path, chips: Chips | None) -> None:
             dataset = {"mesh": mesh, **{name: value for name, value in dataset.items() if name != "scene"}}
         if experiment.quick and "target_class" not in dataset:
             whole = folder.with_suffix(".whole")
-            simulate(out=whole, **dataset)
+            parse(simulation_words(whole, dataset))()
             write_dataset(folder, **_without_truth(read_dataset(whole)))
         elif "target_class" not in dataset:
-            simulate(out=folder, **dataset)
+            parse(simulation_words(folder, dataset))()
         elif chips is not None:
             options = {name: value for name, value in dataset.items() if name != "folded"}
             if dataset.get("folded"):
@@ -91,6 +90,16 @@ def make(experiment: Experiment, work: Path, chips: Chips | None) -> None:
                 write_dataset(folder, folded(every))
             else:
                 import_mstar(chips.folder, folder, labels=chips.labels, **options)
+
+
+def simulation_words(out: Path, options: Options) -> list[str]:
+    """Return the words of `sarsplat simulate` that ask for these options."""
+    words = ["simulate", "--out", str(out)]
+    for name, value in options.items():
+        if value is not None and value is not False:
+            words.append(f"--{name.replace('_', '-')}")
+            words += () if value is True else map(str, value if isinstance(value, tuple) else (value,))
+    return words
 
 
 def _without_truth(dataset: Dataset) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from datasets import dataset_of
 from programs import ROOT
 from sarsplat import ImageGrid, View, import_mstar, sweep
 from sarsplat.cli.arguments import views_from
-from sarsplat.cli.simulate import simulate
+from sarsplat.cli.parser import parse
 from sarsplat.evaluation import Yardstick, all_metrics
 from sarsplat.executors import EXECUTORS, Means
 from sarsplat.settings import preset
@@ -69,7 +69,7 @@ def lines(made: SimpleNamespace, table, results: Sequence[Result], kept: Path | 
 
 
 def test_every_experiment_can_be_run_and_reported(made):
-    options, keys = set(inspect.signature(simulate).parameters), {metric.key for metric in all_metrics(Yardstick(0.3))}
+    keys = {metric.key for metric in all_metrics(Yardstick(0.3))}
     of_chips = {*inspect.signature(import_mstar).parameters, "folded"}
     every = made.catalogue.EXPERIMENTS
     assert len({found.name for found in every}) == len(every)
@@ -86,7 +86,10 @@ def test_every_experiment_can_be_run_and_reported(made):
                 assert (start.with_settings(line.changes) != start) == bool(line.changes), line.name
             assert not line.full or line.full in {other.label for other in found.groups()[line.group]}
             for dataset in line.drawn(0):
-                assert set(dataset) <= (of_chips if "target_class" in dataset else options | {"scene"})
+                if "target_class" in dataset:
+                    assert set(dataset) <= of_chips
+                else:
+                    parse(made.plans.simulation_words(Path("made"), {**dataset, "scene": None}))
                 for angles in ("azimuth", "test_azimuth"):
                     assert views_from(dataset.get(angles, ("0",)), ("45",), ())
         small = found.in_small()

@@ -26,7 +26,7 @@ MISTAKES = {
     f"{SIMULATE} --test-azimuth 5": "--azimuth as well",
     f"{SIMULATE} {ONE_VIEW} --looks -1": "looks -1.0",
     f"{SIMULATE} {ONE_VIEW} --pixels 0": "0 × 0",
-    f"{SIMULATE} --clean-tests": "give --looks too",
+    f"{SIMULATE} --clean-tests": "add --looks",
     f"{SIMULATE} --response hann": "the response 'hann' is unknown; choose one of gaussian",
     f"simulate --target t72 {ONE_VIEW} --out full": "--overwrite",
     "reconstruct nowhere --out new": "nowhere does not exist",

@@ -16,7 +16,7 @@ from datasets import FEW_POINTS
 from sarsplat import Run, preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.cli.arguments import angles, views_from
-from sarsplat.cli.simulated import Raster, simulated_views
+from sarsplat.cli.simulation_options import TestViews, Views
 from sarsplat.data import Dataset, read_dataset, read_masks
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import View
@@ -24,13 +24,12 @@ from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
 from sarsplat.scenes import paper_views
 from terrains import terrain, write_geotiff
 
-NONE: Raster = ((), (), ())
 PAPER_TEST = [(view, split) for view, split in paper_views() if split == "test"]
 
 
-def chosen(train: Raster = NONE, test: Raster = NONE, **others: Any) -> list[tuple[View, str]]:
-    options = {"random": None, "seed": 0, "test_theirs": False, **others}
-    return simulated_views(paper_views(), train, options["random"], options["seed"], test, options["test_theirs"])
+def chosen(seed: int = 0, **options: Any) -> list[tuple[View, str]]:
+    test = TestViews(**{name: options.pop(name) for name in [*options] if name.startswith("test_")})
+    return Views(**options).splits(test, seed)
 
 
 def of(views: list[tuple[View, str]], split: str) -> list[View]:
@@ -38,7 +37,7 @@ def of(views: list[tuple[View, str]], split: str) -> list[View]:
 
 
 def test_random_training_views_lie_between_the_grazing_angles() -> None:
-    views = of(chosen(random=400), "train")
+    views = of(chosen(random_views=400), "train")
     assert len(views) == len(set(views)) == 400
     grazings = np.array([view.grazing_deg for view in views])
     assert 15 <= grazings.min() < 16
@@ -48,30 +47,30 @@ def test_random_training_views_lie_between_the_grazing_angles() -> None:
     assert (grazings < middle).mean() == pytest.approx(0.5, abs=0.08)
     azimuths = np.radians([view.azimuth_deg for view in views])
     assert np.hypot(np.cos(azimuths).mean(), np.sin(azimuths).mean()) < 0.15
-    assert chosen(random=12, seed=1) == chosen(random=12, seed=1) != chosen(random=12, seed=2)
-    narrow = of(chosen(((), ("20", "40"), ()), random=50), "train")
+    assert chosen(1, random_views=12) == chosen(1, random_views=12) != chosen(2, random_views=12)
+    narrow = of(chosen(grazing=("20", "40"), random_views=50), "train")
     assert all(20 <= view.grazing_deg <= 40 for view in narrow)
-    assert all(view.grazing_deg == 30 for view in of(chosen(((), (), ("60",)), random=5), "train"))
+    assert all(view.grazing_deg == 30 for view in of(chosen(incidence=("60",), random_views=5), "train"))
 
 
 def test_views_are_the_protocol_s_or_own_ones_tested_on_these() -> None:
     assert chosen() == paper_views()
-    ring = chosen((("0:360:45",), ("45",), ()), test_theirs=True)
+    ring = chosen(azimuth=("0:360:45",), grazing=("45",), test_protocol=True)
     assert of(ring, "train") == [View(float(azimuth), 45.0) for azimuth in range(0, 360, 45)]
     assert ring[8:] == PAPER_TEST
-    assert chosen(random=12, test_theirs=True)[12:] == PAPER_TEST
-    overlapping = chosen((("15", "-330"), ("45",), ()), test_theirs=True)
+    assert chosen(random_views=12, test_protocol=True)[12:] == PAPER_TEST
+    overlapping = chosen(azimuth=("15", "-330"), grazing=("45",), test_protocol=True)
     assert len(of(overlapping, "test")) == 46  # what was trained on is no test
 
 
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"random": 12, "train": (("0",), (), ())}, "--random-views draws the azimuths"),
-        ({"random": 0}, "0 random views cannot be drawn"),
-        ({"random": 3, "seed": -1}, "seed -1"),
-        ({"random": 3, "test": ((), ("30",), ())}, "--test-azimuth is missing"),
-        ({"random": 3, "test": (("30",), ("30",), ()), "test_theirs": True}, "both --test-protocol and"),
+        ({"random_views": 12, "azimuth": ("0",)}, "--random-views draws the azimuths"),
+        ({"random_views": 0}, "0 random views cannot be drawn"),
+        ({"random_views": 3, "seed": -1}, "seed -1"),
+        ({"random_views": 3, "test_grazing": ("30",)}, "--test-azimuth is missing"),
+        ({"random_views": 3, "test_azimuth": ("30",), "test_protocol": True}, "both --test-protocol and"),
     ],
 )
 def test_views_that_contradict_each_other_are_refused(options: dict[str, Any], told: str) -> None:
@@ -379,7 +378,7 @@ def test_inverse_sar_of_what_flies(tmp_path: Path) -> None:
     ("words", "message"),
     [
         (["--isar", "0", "0"], "--isar has 2 numbers; give three"),
-        (["--isar", "0", "0", "1", "--ground", "0.1"], "--isar has views of its own and no ground, but --ground"),
+        (["--isar", "0", "0", "1", "--ground", "0.1"], "but --ground was given"),
         (["--isar", "1", "0", "0.5"], "along the line of sight"),
         ([], "the satellite is in free space; give the axis"),
     ],
