@@ -330,7 +330,7 @@ def test_evaluating_images_alone_keeps_the_points_and_says_so(run: Path, tmp_pat
     assert "earlier evaluation" not in told
     with warnings.catch_warnings(record=True):
         assert main(["export", str(run), str(tmp_path / "g.splat")]) == 0
-    assert "4 of 6,000 iterations: this is what it has learned so far" in capsys.readouterr().err
+    assert "4 of 6,000 iterations; its result so far is used" in capsys.readouterr().err
     assert f"{run} is unfinished, 4 of 6,000 iterations: the scores are provisional" in complaints
 
 

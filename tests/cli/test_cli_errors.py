@@ -59,7 +59,7 @@ STACKS = {
     "--passes 3 --baseline 0 0.1": "--baseline has 2 numbers for 3 passes",
     "--passes 2 --baseline 0.004 --looks 4": "--looks is for single images",
     "--passes 2 --baseline 0.004 --ray-spacing 0.1": "--ray-spacing is for single images",
-    "--passes 2 --baseline 0.004 --source splat": "--source splat makes no stacks",
+    "--passes 2 --baseline 0.004 --source splat": "--source splat is for single images",
     "--passes 2 --baseline 0.004 --wavelength 0": "wavelength",
     "--passes 2 --baseline 0": "--baseline is 0, so that all passes would be the same; give b/R",
     "--passes 2 --baseline 0.1 0.1": "two passes are the same",
@@ -137,7 +137,7 @@ def test_a_missing_extra_names_the_command_to_get_it(tmp_path: Path, monkeypatch
     simulate = f"simulate --target t72 --out {tmp_path / 'new'} {ONE_VIEW}"
     assert "pip install 'sarsplat[simulate]'" in refused(simulate)
     monkeypatch.setattr(extras, "installed_version", lambda _: None)  # from source: no index has our package
-    assert "not installed; install it with: pip install trimesh embreex" in refused(simulate)
+    assert "not installed; install it with: pip install trimesh" in refused(simulate)
     assert extras.extra_with("json") is None
 
 

@@ -227,11 +227,11 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
     assert format_of(Path("gamma0.tif"), "dsm")[1] == "dsm"
     cases: list[tuple[str, dict[str, Any], str]] = [
         ("layover-shadow.tif", {}, "where the radar is; give one direction"),
-        ("dsm.tif", {"view": View(0, 30)}, "the same from every direction"),
+        ("dsm.tif", {"view": View(0, 30)}, "does not depend on the direction"),
         ("dsm.tif", {"pixel_m": 0.001}, "finer than the points of the surface are apart"),
         ("dsm.tif", {"pixel_m": -1.0}, "positive number of metres"),
         ("a.ply", {"pixel_m": 1.0}, "has no pixel"),
-        ("dsm.tif", {"crs": "EPSG:32633"}, "does not know where on earth it is"),
+        ("dsm.tif", {"crs": "EPSG:32633"}, "has no georeference"),
         ("layover-shadow.tif", {"view": View(0, 30, tilt_deg=9)}, "level, monostatic view"),
         ("layover-shadow.tif", {"view": View(0, 30, aloft=True)}, "aloft"),
         ("layover-shadow.tif", {"view": View(0, 0.001)}, "is too large; give a larger --pixel"),

@@ -100,7 +100,7 @@ def test_heights_above_the_sea_are_not_said_to_be_ellipsoidal(anywhere: Run, tmp
     [
         ("EPSG:4326", r"\(WGS 84\) is not in metres on a plane; give a projected one, such as EPSG:32632"),
         ("EPSG:2263", "is not in metres on a plane"),
-        ("EPSG:5555", "has heights of its own, and heights are not converted"),
+        ("EPSG:5555", "includes heights, which are not converted"),
         ("EPSG:99999", "is not a known coordinate system; give one as EPSG:NUMBER"),
         ("utm", "is not a known coordinate system"),
     ],
@@ -202,7 +202,7 @@ def test_a_ring_is_cut_where_it_crosses_the_date_line() -> None:
 
 @pytest.mark.parametrize(("name", "crs"), [("a.las", "EPSG:32632"), ("a.geojson", None)])
 def test_a_run_of_no_place_says_how_to_give_it_one(anywhere: Run, tmp_path: Path, name: str, crs: Any) -> None:
-    with pytest.raises(SarsplatError, match=r"the run in memory does not know where on earth it is; import SICDs or"):
+    with pytest.raises(SarsplatError, match=r"the run in memory has no georeference; import SICDs or"):
         export(anywhere, tmp_path / name, crs=crs)
     assert list(tmp_path.iterdir()) == []
 
@@ -224,7 +224,7 @@ def test_the_command_says_where_it_is(anywhere: Run, tmp_path: Path, capsys: pyt
     place = Place(-33.9, 151.2, -12.0, 17.0)
     folder = at(anywhere, place).save(tmp_path / "run", quiet=True).folder
     assert main(["export", str(folder), str(tmp_path / "a.ply")]) == 0
-    assert "a.ply.place.json: where on earth that is" in " ".join(capsys.readouterr().out.split())
+    assert "a.ply.place.json: its georeference" in " ".join(capsys.readouterr().out.split())
     assert main(["info", str(folder)]) == 0
     assert "33.900000° S, 151.200000° E (WGS 84), -12.0 m above the ellipsoid" in capsys.readouterr().out
 

@@ -264,8 +264,8 @@ def test_a_rejected_import_is_said_again_where_it_is_trained_on(tmp_path, capsys
     assert "contradicts" not in capsys.readouterr().err
     assert main(reconstruct) in (0, 2)
     told = capsys.readouterr().err
-    assert f"{out} contradicts itself, so what is learned from it may be wrong: 4 of 4 images are constant" in told
-    assert f"`sarsplat check {out}` says how to mend it" in told
+    assert f"{out} contradicts itself, so the result may be wrong: 4 of 4 images are constant" in told
+    assert f"`sarsplat check {out}` explains it" in told
     write_pictures(folder, POWER)
     assert main([*words, "--overwrite"]) == 0
     assert "contradictions" not in read_dataset(out).source

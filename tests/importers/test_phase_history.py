@@ -226,7 +226,7 @@ OPTIONS = {
     "no aperture": (["--size", "4", "--aperture", "0"], "an aperture of 0° is not possible"),
     "too narrow": (["--size", "4", "--aperture", "0.05"], "holds 0 of 20 pulses"),
     "no length": (["--size", "wide"], "--size 'wide' is not a valid length; give metres, such as 64 or 64m"),
-    "no place": (["--size", "4", "--around", "here"], "--around 'here' is not what it should be; write it as 12,-7.5"),
+    "no place": (["--size", "4", "--around", "here"], "numbers with commas; write it as 12,-7.5"),
     "beyond the world": (["--size", "4", "--around", "1e308,0"], "must be metres from the scene centre, at most 1e+08"),
     "too many views": (["--size", "2", "--train-views", "2"], "2 training views asked for"),
 }  # fmt: skip

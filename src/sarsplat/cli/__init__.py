@@ -1,4 +1,4 @@
-"""The command line, `sarsplat`. Commands import what is heavy inside, so that help is instant."""
+"""Command line `sarsplat`. Commands import heavy packages inside, so that help is instant."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Sequence
 
-from sarsplat.cli.ending import SIGNALLED, terminate
+from sarsplat.cli.signals import SIGNALLED, terminate
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         not parse end the process with code 2.
     """
     main_thread = threading.current_thread() is threading.main_thread()  # the only one that receives signals
-    before = signal.signal(signal.SIGTERM, terminate) if main_thread else None
+    previous = signal.signal(signal.SIGTERM, terminate) if main_thread else None
     try:
         from sarsplat.cli.app import run  # here, because Ctrl-C may come while this is imported
 
@@ -39,8 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return SIGNALLED + number
     finally:
         if main_thread:
-            signal.signal(signal.SIGTERM, before)
-        if arguments is None:  # the process ends: a late Ctrl-C must not make it look as if it had not done its work
+            signal.signal(signal.SIGTERM, previous)
+        if arguments is None:  # the process ends: a late Ctrl-C must not hide that its work is done
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

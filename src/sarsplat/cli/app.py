@@ -1,4 +1,4 @@
-"""Runs a command: errors and warnings become sentences, and the exit code is set."""
+"""Execution of a command: errors and warnings become sentences, and the exit code is set."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _READER_LEFT = 141  # as shells have it
 
 
 def run(words: list[str]) -> int:
-    """Do what the words after the program's name ask for; the exit code is 0, or 2 after a mistake in the input.
+    """Carry out the words after the program's name; return the exit code, 2 after invalid input.
 
-    `sarsplat check` and `sarsplat import` end with 1 if images contradict what is said of them, `sarsplat sweep` if
-    a run has failed.
+    `sarsplat check` and `sarsplat import` return 1 if images contradict the dataset, `sarsplat sweep` if a run has
+    failed.
     """
     # before torch is loaded: threads that spin while they wait cost tens of milliseconds a step on a shared machine
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -35,12 +35,12 @@ def run(words: list[str]) -> int:
         warnings.simplefilter("ignore", AssumptionWarning)
         warnings.showwarning = _show_warning  # type: ignore[assignment]
         try:
-            from sarsplat.cli.parser import parse  # here, for it may warn of what other packages offer
+            from sarsplat.cli.parser import parse  # here, for plug-ins of other packages may warn
 
             code = parse(words or ["--help"])()
         except SarsplatError as error:
             text = str(error).replace("overwrite=True", "--overwrite").replace("resume=True", "--resume")
-            console.complain(text)  # as it is called here
+            console.complain(text)
             return _MISUSED
         except ModuleNotFoundError as error:
             extra = extras.extra_with(error.name or "")
@@ -51,7 +51,7 @@ def run(words: list[str]) -> int:
         except BrokenPipeError:  # the program that reads our output has ended, as `head` does
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python flushes at its end
             return _READER_LEFT
-        except OSError as error:  # what no command foresaw: no permission to look, a name too long
+        except OSError as error:  # unforeseen: no permission, a name too long
             from sarsplat.data.files import plain_reason
 
             console.complain(f"cannot use {error.filename or 'a file'}: {plain_reason(error)}")

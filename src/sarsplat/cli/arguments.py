@@ -1,4 +1,4 @@
-"""Argument types that several commands share, and their parsers: angles, lengths, boxes, runs."""
+"""Types of options that several commands share, and their parsers: angles, lengths, boxes, runs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ OptionalNumber = Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_be
 OptionalCount = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(optional)")]
 Metres = Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="(optional)")]
 Lengths = Annotated[tuple[float, ...], tyro.conf.arg(metavar="METRES [METRES]", help_behavior_hint="(optional)")]
-"""In azimuth and range, or one for both; see `pair`."""
+"""Lengths in azimuth and range, or one for both; see `pair`."""
 
 TargetBox = Annotated[
     tuple[float, float, float, float, float, float] | None,
@@ -58,7 +58,7 @@ Angles = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DEG …", help_behavi
 """Numbers or ranges start:stop:step, degrees, with spaces or commas between them; see `angles`."""
 
 DEFAULT_PORT = 8765
-"""Of the pages that `view` and `reconstruct --view` show."""
+"""Default port of the pages of `view` and `reconstruct --view`."""
 
 _MAX_ANGLES = 10_000
 
@@ -86,12 +86,12 @@ def _source(file: str) -> str:
 
 
 def one_of(literal: Any, hint: str = "(optional)") -> Any:
-    """Help text of an option that is one name of a `Literal`, or left out; tyro would list None as well."""
+    """Return the help of an optional name of a `Literal`; tyro would list None as well."""
     return tyro.conf.arg(metavar=f"{{{','.join(get_args(literal))}}}", help_behavior_hint=hint)
 
 
 def angles(texts: Sequence[str], name: str) -> list[float]:
-    """Degrees from words such as `30`, `-7.5` and `0:360:15` (start:stop:step; the stop is left out)."""
+    """Return degrees from words such as `30`, `-7.5` and `0:360:15` (start:stop:step; the stop is excluded)."""
     values: list[float] = []
     for text in ",".join(texts).split(","):
         try:
@@ -110,14 +110,14 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
                 f"--{name} {text!r} has no angles: steps of {step:g}° do not lead from {start:g}° to {stop:g}°; give "
                 f"{start:g}:{stop:g}:{-step:g}, or change the stop"
             )
-        if not steps <= _MAX_ANGLES:  # also catches what overflowed
+        if not steps <= _MAX_ANGLES:  # also catches overflow
             raise SarsplatError(f"--{name} {text!r} is a range of {steps:.0f} angles; give 1 to {_MAX_ANGLES}")
         values += [start + step * k for k in range(math.ceil(steps))]
     return values
 
 
 def metres(text: str, name: str) -> float:
-    """A length from `64m` or `64`."""
+    """Return a length, m, from `64m` or `64`."""
     try:
         return float(text.strip().removesuffix("m"))
     except ValueError:
@@ -125,7 +125,7 @@ def metres(text: str, name: str) -> float:
 
 
 def corners(box: tuple[float, float, float, float, float, float] | None) -> Box | None:
-    """The corners given by --target-box, m; refused if it is no box."""
+    """Return the corners of --target-box, m; raise if it is empty."""
     if box is not None and not all(
         -math.inf < low < high < math.inf for low, high in zip(box[:3], box[3:], strict=True)
     ):
@@ -137,27 +137,29 @@ def corners(box: tuple[float, float, float, float, float, float] | None) -> Box 
 
 
 def heights(path: Path | None) -> Terrain | None:
-    """Terrain read from the file of --terrain, with heights relative to that of the scene's origin."""
+    """Return the terrain of --terrain, with heights relative to that of the scene's origin."""
     from sarsplat.data import read_terrain
 
     return None if path is None else read_terrain(path).centred()
 
 
 def pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:
-    """(azimuth, range) from one or two lengths; None if no length is given."""
+    """Return (azimuth, range) from one or two lengths; None if no length is given."""
     if len(lengths) > 2:
         raise SarsplatError(f"--{name} has {len(lengths)} numbers; give one, or two: azimuth and range")
     return (lengths[0], lengths[-1]) if lengths else None
 
 
 def numbers(text: str, name: str, counts: tuple[int, ...], example: str) -> tuple[float, ...]:
-    """Numbers with commas between them, as many as `counts` allows; any other text is refused."""
+    """Return numbers with commas between them; raise unless their number is one of `counts`."""
     try:
         values = tuple(map(float, text.split(",")))
     except ValueError:
         values = ()
     if len(values) not in counts:
-        raise SarsplatError(f"--{name} {text!r} is not what it should be; write it as {example}")
+        raise SarsplatError(
+            f"--{name} {text!r} is not {' or '.join(map(str, counts))} numbers with commas; write it as {example}"
+        )
     return values
 
 
@@ -168,9 +170,9 @@ def views_from(
     prefix: str = "",
     like: Sequence[View] = (),
 ) -> list[View]:
-    """Every azimuth at every grazing (or incidence) angle, without repetition; `prefix` names the options in errors.
+    """Return every azimuth at every grazing (or incidence) angle once; `prefix` names the options in errors.
 
-    They look as the views `like` do (`seen_alike`).
+    Tilt and side are those of the views `like` (`seen_alike`).
     """
     from sarsplat.examination.plausible import suspicious_angles, warn
     from sarsplat.geometry import View
@@ -199,14 +201,14 @@ def views_from(
 
 
 def is_gaussians(path: Path) -> bool:
-    """Return whether a path is that of Gaussians in a file, not of a run."""
+    """Return whether a path is a file of Gaussians, not a run."""
     return not path.is_dir() and path.suffix.lower() in (".ply", ".splat")
 
 
 def run_at(path: Path, *, strays: bool = True) -> Run:
-    """The run in a folder, or a run in memory of the Gaussians in a file, with or without strays among them.
+    """Return the run in a folder, or a run in memory of the Gaussians in a file, with or without outliers.
 
-    It is where on earth FILE.place.json says, if that is beside the file.
+    FILE.place.json is the georeference of a file.
     """
     from sarsplat.exports.place_file import read_place
     from sarsplat.runs import Run
@@ -220,10 +222,7 @@ def run_at(path: Path, *, strays: bool = True) -> Run:
 
 
 def gaussians_around_origin(path: Path, *, strays: bool) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
-    """The Gaussians in a file, and what was subtracted from their places, m; says so if anything was.
-
-    And if strays among them are left out.
-    """
+    """Return the Gaussians in a file and the vector subtracted from their means, m; print it and removed outliers."""
     from sarsplat.data.ply import read_centred_gaussians
     from sarsplat.runs.own_gaussians import without_strays
 
@@ -239,17 +238,17 @@ def gaussians_around_origin(path: Path, *, strays: bool) -> tuple[Gaussians, Flo
 
 
 def trained_so_far(path: Path) -> Run:
-    """The run in a folder; says so if its training is not finished."""
+    """Return the run in a folder; warn if its training is not finished."""
     from sarsplat.runs import Run
 
     run = Run.load(path)
     if not run.state.trained:
-        console.warn(f"{path} is {run.state}: this is what it has learned so far")
+        console.warn(f"{path} is {run.state}; its result so far is used")
     return run
 
 
 def refuse_existing(path: Path, overwrite: bool, *, marker: str | None = None) -> None:
-    """Say at once, not after minutes of work, that an output is in the way; `marker` is as for `new_folder`."""
+    """Raise if an output exists, before minutes of work; `marker` is as for `new_folder`."""
     if marker is not None:
         from sarsplat.data import folders
 

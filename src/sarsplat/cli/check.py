@@ -1,4 +1,4 @@
-"""`sarsplat check`: do the images of a dataset contradict what it says of them?"""
+"""`sarsplat check`: find contradictions between the images of a dataset and its header."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def check(
     verbose: bool = False,
     overwrite: bool = False,
 ) -> int:
-    """Hold a dataset's images against what it says of them; the exit code is 1 if they contradict each other.
+    """Compare a dataset's images with its header; the exit code is 1 if they contradict each other.
 
     Checked are near range (shadow lies beyond the target), the sense of the azimuths (neighbouring images match),
     grazing angles (lengths in range fit), the unit (speckle of power has another contrast than that of amplitude or
@@ -39,7 +39,7 @@ def check(
     images
         Number of images on the sheet, evenly chosen.
     verbose
-        Also list what speaks for each of the eight orientations of the images.
+        Also list the evidence for each of the eight orientations of the images.
     overwrite
         Replace an existing sheet.
     """
@@ -77,7 +77,7 @@ def check(
 
 
 def _show(orientations: list[tuple[str, ...]]) -> None:
-    """Print the table of the eight orientations, and how to read it."""
+    """Print the table of the eight orientations with its legend."""
     from rich.table import Table
 
     from sarsplat.examination.contradictions import TWINS

@@ -1,4 +1,4 @@
-"""`sarsplat chips`: make chips from runs, to train a classifier on."""
+"""`sarsplat chips`: generate chips from runs to train a classifier."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Angles, Folder, Group, OptionalCount, angles, option_group, refuse_existing
-from sarsplat.cli.ending import keeping
+from sarsplat.cli.signals import keeping
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.settings.config import SCATTERERS
@@ -33,7 +33,7 @@ class Draws:
     seed: int = 0
     """Random seed; each chip depends on it and on the chip's number alone."""
     ground: Annotated[str, tyro.conf.arg(metavar="{learned,uniform}|FILE")] = "learned"
-    """Ground as the training images show it, with what is peculiar to their site; uniform, of the same mean brightness;
+    """Ground: that of the training images, with the peculiarities of their site; uniform, of the same mean brightness;
     or a picture of ground, near range at the top, of which parts are drawn."""
     speckle: Speckle = "response"
     """Complex noise through the radar's response; white, without correlation; or none."""
@@ -41,7 +41,7 @@ class Draws:
     """Scatterers of the target in a pixel at a time: the fewer, the more its power is in single points; inf: speckle
     alone."""
     shard: OptionalCount = None
-    """Write WebDataset shards instead: tar files of so many chips."""
+    """Write WebDataset shards instead: tar files of this number of chips."""
 
     def grazing_deg(self) -> tuple[float, float] | None:
         """Return both ends of --grazing, degrees; one angle is both."""
@@ -82,7 +82,7 @@ def chips(
     draws: Group[Draws],
     pixels: Group[Pixels],
 ) -> None:
-    """Make chips to train a classifier on: samples of runs from all around, with speckle, as the radar delivers them.
+    """Generate chips to train a classifier on: speckled samples of runs from all around.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def chips(
 
 
 def _write_measured(datasets: tuple[Path, ...], out: Path, encoding: dict[str, Any], overwrite: bool) -> None:
-    """Write measured chips, and say how to train on them."""
+    """Write measured chips, and print how to train on them."""
     from sarsplat.samples.encoding import Encoding
     from sarsplat.samples.measured import LABELS, MARKER, in_words, write_measured_chips
 

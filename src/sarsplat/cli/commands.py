@@ -1,4 +1,4 @@
-"""The list of commands and their summaries, which are read without importing any command, or tyro, which is slow."""
+"""Commands and their summaries, read without importing any command, or tyro, which is slow."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ COMMANDS = (
     *("simulate", "import", "check", "reconstruct", "evaluate", "report", "compare", "sweep", "render", "chips"),
     *("view", "export", "info", "doctor", "completion"),
 )
-"""In the order of help: each is a function in the file of its name in this folder, but `import`, which has commands."""
+"""Commands in the order of help: each is a function in the file of its name here; `import` has commands itself."""
 
 IMPORT_SUMMARY = "Import measured images as a dataset."
 
 
 def command(name: str) -> Command:
-    """The function that a command is."""
+    """Return the function of a command."""
     function: Command = getattr(import_module(f"sarsplat.cli.{name}"), name)
     function.__doc__ = unwrapped(function.__doc__)
     return function
 
 
 def summary(name: str) -> str:
-    """The first paragraph of the docstring of a command's function, read from the source."""
+    """Return the first paragraph of a command's docstring, read from the source."""
     if name == "import":
         return IMPORT_SUMMARY
     source = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
@@ -41,7 +41,7 @@ def summary(name: str) -> str:
 
 
 def unwrapped(docstring: str | None) -> str:
-    """A docstring with one line for what it says of each parameter: tyro would keep some ends of lines."""
+    """Return a docstring with one line for each parameter: tyro would keep some line breaks."""
     return re.sub(
         r"^( {4,}).*\n(\1.*\n)+",
         lambda lines: lines[1] + " ".join(lines[0].split()) + "\n",
@@ -51,12 +51,12 @@ def unwrapped(docstring: str | None) -> str:
 
 
 def first_paragraph(docstring: str | None) -> str:
-    """What a docstring says before its first empty line, as one line."""
+    """Return a docstring up to its first empty line, as one line."""
     return " ".join((docstring or "").partition("\n\n")[0].split())
 
 
 def show_overview(program: str, description: str, summaries: Mapping[str, str]) -> None:
-    """Print what the words after `program` may be, each with what it is for."""
+    """Print the commands of `program` with their summaries."""
     console = Console(emoji=False)
     usage = f"usage: {program} [-h] {{{','.join(summaries)}}}"
     console.print(f"{usage}\n\n{description}\n", soft_wrap=True, highlight=False, markup=False)

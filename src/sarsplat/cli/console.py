@@ -23,12 +23,12 @@ _WIDEST = 200  # columns
 
 
 def say(text: str) -> None:
-    """One line on stdout."""
+    """Print a line."""
     _print(Console(), _safe(text))
 
 
 def show(renderable: RenderableType) -> None:
-    """A table on stdout; in a file it may be wider than a terminal."""
+    """Print a table; in a file it may be wider than a terminal."""
     console = Console()
     if not console.is_terminal:
         needed = Measurement.get(console, console.options.update(width=_WIDEST), renderable).maximum
@@ -37,7 +37,7 @@ def show(renderable: RenderableType) -> None:
 
 
 def facts(title: str, rows: dict[str, str]) -> None:
-    """A title, and below it names and values."""
+    """Print a title, and below it names and values."""
     say(title)
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", no_wrap=True)
@@ -48,14 +48,14 @@ def facts(title: str, rows: dict[str, str]) -> None:
 
 
 def finish(wrote: str, next_step: str | None) -> None:
-    """Print what a command wrote, and what to do next; None if that is said later."""
+    """Print the output of a command and the next step, None if it is printed later."""
     _print(Console(), f"[green]wrote[/] {_safe(wrote)}")
     if next_step is not None:
         _print(Console(), f"[dim]next:[/] {_safe(next_step)}")
 
 
 def program() -> str:
-    """What to type for `sarsplat` in the shell that called it: its path where the shell does not find it by name."""
+    """Return the name of `sarsplat` in the calling shell: its path where the shell does not find it by name."""
     called = Path(sys.argv[0])
     if called.name == "__main__.py" and called.parent.name == "sarsplat":
         on_path = shutil.which("python")
@@ -64,30 +64,30 @@ def program() -> str:
         python = "python" if same else _near(Path(sys.executable))
         return f"{python} -m sarsplat"
     if called.stem != "sarsplat" or not called.is_file():
-        return "sarsplat"  # called from Python, by a program that is not ours
+        return "sarsplat"  # called from Python by another program
     on_path = shutil.which("sarsplat")
     return "sarsplat" if on_path and Path(on_path).samefile(called) else _near(called)
 
 
 def _near(path: Path) -> str:
-    """A program's path as a shell takes it, from the current folder if it lies there."""
+    """Return a program's path for a shell, relative if it lies in the current folder."""
     near = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
     return shlex.quote(str(near) if len(near.parts) > 1 else f".{os.sep}{near}")
 
 
 def complain(text: str) -> None:
-    """An error on stderr."""
+    """Print an error on stderr."""
     _print(Console(stderr=True), f"[bold red]error:[/] {_safe(text)}")
 
 
 def warn(text: str) -> None:
-    """A warning on stderr."""
+    """Print a warning on stderr."""
     _print(Console(stderr=True), f"[yellow]warning:[/] {_safe(text)}")
 
 
 @contextmanager
 def busy(text: str) -> Iterator[None]:
-    """A spinner on terminals, one line elsewhere, while work of unknown length goes on."""
+    """Show a spinner on terminals, print one line elsewhere, during work of unknown length."""
     console = Console()
     if not console.is_terminal:
         say(f"{text} …")
@@ -98,12 +98,12 @@ def busy(text: str) -> Iterator[None]:
 
 
 def _safe(text: str) -> str:
-    """Any text as it may be shown: no markup, no control characters, and commands of ours as they can be typed here."""
+    """Escape markup and control characters, and replace `sarsplat` by its name in the calling shell."""
     return escape("".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in _typed(text)))
 
 
 def _typed(text: str) -> str:
-    """The text with `program` in place of `sarsplat` before a command's name."""
+    """Return the text with `program` in place of `sarsplat` before a command's name."""
     if "sarsplat " not in text or (called := program()) == "sarsplat":
         return text
     return re.sub(rf"(?<![\w./-])sarsplat(?= (?:{'|'.join(COMMANDS)})\b)", lambda _: called, text)
@@ -115,7 +115,7 @@ def _print(console: Console, markup: str) -> None:
 
 
 def warn_if_beaten(metrics: Mapping[str, Any] | None) -> None:
-    """Warn of every test set on which a baseline is better; scores of another version are passed over."""
+    """Warn of every test set on which a baseline is better; skip scores of another version."""
     if metrics is None:
         return
     from sarsplat.evaluation import beaten_by_baselines

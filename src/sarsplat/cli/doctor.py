@@ -1,4 +1,4 @@
-"""`sarsplat doctor`: is everything there?"""
+"""`sarsplat doctor`: show the installation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sarsplat.version import installed_version
 
 
 def doctor() -> None:
-    """Show which version, engines, extras and weights are installed, and how to get what is missing."""
+    """Show installed version, engines, extras and weights, and how to install missing ones."""
     console.facts(f"sarsplat {installed_version('sarsplat') or '(running from source)'}", _core())
     console.facts("engines", {"reference": "plain torch, any dtype", "cpu": _cpu_engine(), "cuda": _cuda_engine()})
     console.facts("extras", {extra: _extra(extra) for extra in extras.EXTRAS})

@@ -1,4 +1,4 @@
-"""`sarsplat evaluate`: a run in, scores out."""
+"""`sarsplat evaluate`: score a run."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def evaluate(
 
 
 def _run(run: Path, dataset: Path | None, mesh: Path | None) -> Run:
-    """What is scored: a run, or the Gaussians of a file."""
+    """Return the run in a folder, or that of the Gaussians in a file."""
     from sarsplat.data import read_dataset
     from sarsplat.report.write import refuse_linked_report
     from sarsplat.runs import Run
@@ -91,7 +91,7 @@ def _run(run: Path, dataset: Path | None, mesh: Path | None) -> Run:
 
 
 def _show(metrics: Mapping[str, Any], run: Run) -> None:
-    """Print the table of scores, and what has to be said of them."""
+    """Print the table of scores, with notes and warnings."""
     from sarsplat.evaluation import (
         NOT_THE_SAME_EXPERIMENT,
         Yardstick,
@@ -109,16 +109,16 @@ def _show(metrics: Mapping[str, Any], run: Run) -> None:
 
 
 def _beside(own: dict[str, float | None], capon: dict[str, float | None]) -> str:
-    """Points of stacks beside Capon's method on the same stacks."""
+    """Return a sentence that compares F1 of the points with that of Capon's method on the same stacks."""
     scores = [
         key for key, value in capon.items() if key.startswith("f1@") and value is not None and own[key] is not None
     ]
-    said = ", ".join(f"{key.replace('f1', 'F1')} {own[key]:.3f} (Capon {capon[key]:.3f})" for key in scores)
-    return f"points beside those of Capon's method, pixel by pixel over 3 × 3: {said or 'it found none'}"
+    pairs = ", ".join(f"{key.replace('f1', 'F1')} {own[key]:.3f} (Capon {capon[key]:.3f})" for key in scores)
+    return f"points beside those of Capon's method, pixel by pixel over 3 × 3: {pairs or 'it found none'}"
 
 
 def _of_gaussians(file: Path, dataset: Path | None, mesh: Path | None) -> Run:
-    """The Gaussians of a file as a run of the dataset, or else of their own images from all sides."""
+    """Return the Gaussians of a file as a run of the dataset, or else of images rendered from all sides."""
     from sarsplat.data import Dataset, SarImage, read_dataset, read_gaussians_ply
     from sarsplat.runs import Run
 

@@ -43,21 +43,21 @@ def export(
         (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz (points); .tif (a map of the surface from above: dsm.tif,
         gamma0.tif or layover-shadow.tif, or by any name with --format); .geojson (the outline of points on a map).
     format
-        What a .ply or .tif file holds. gaussians: in the layout of 3D Gaussian splatting; points: of the surface,
+        Content of a .ply or .tif file. gaussians: in the layout of 3D Gaussian splatting; points: of the surface,
         metres, with normals and γ⁰; mesh: triangles through the points, with normals and γ⁰ at the vertices; dsm:
         height of the surface, m; gamma0: its γ⁰, linear; layover-shadow: 0 neither, 1 shadow, 2 layover, 3 both, 255
         unknown.
     colour
-        What viewers show of Gaussians: γ⁰ in decibels as grey (db), or the height as colours.
+        Colour of Gaussians in viewers: γ⁰ in decibels as grey (db), or the height as colours.
     crs
-        Coordinate system of .las, .laz and .tif files, projected and in metres, of a run that knows where on earth it
-        is. Beside other files of such a run, FILE.place.json says where they are.
+        Coordinate system of .las, .laz and .tif files, projected and in metres, of a georeferenced run.
+        Other files of such a run get FILE.place.json, their georeference.
     pixel
         Size of a map's pixels (default: a resolution cell).
     azimuth
-        Of layover and shadow: azimuth of the radar, degrees.
+        Azimuth of the radar, degrees, for layover and shadow.
     grazing
-        And its grazing angle, degrees.
+        Grazing angle of the radar, degrees, for layover and shadow.
     incidence
         Incidence angle (90° − grazing), instead of the grazing angle.
     overwrite
@@ -72,14 +72,14 @@ def export(
     if run.suffix.lower() in _TERRAIN and not run.is_dir():
         if view is None or holds != "layover-shadow" or colour or crs or pixel is not None:
             raise SarsplatError(
-                f"of heights such as {run} there is a map of layover and shadow from one direction alone; write "
+                f"a GeoTIFF of heights, {run}, gives only layover and shadow from one direction; write "
                 f"`export {run} layover-shadow.tif --azimuth DEG --grazing DEG`"
             )
         refuse_other_kinds(file, run, kind.recognises)
         with console.busy(f"writing {file}"):
             written = exports.export_terrain(run, file, view)
     else:
-        # of points, meshes and maps: nothing is as fine as the rest, and as wide as strays
+        # no pixel or mesh is as fine as the target and as wide as outliers
         done = run_at(run, strays=holds == "gaussians")
         console.warn_if_beaten(done.metrics)
         refuse_other_kinds(file, run, kind.recognises)
@@ -91,7 +91,7 @@ def export(
 
 
 def _view(azimuth: Angles, grazing: Angles, incidence: Angles) -> View | None:
-    """The one direction that was given; None if there is none."""
+    """Return the direction of the options, None without; raise if there are several."""
     if not (azimuth or grazing or incidence):
         return None
     views = views_from(azimuth, grazing, incidence)

@@ -1,7 +1,7 @@
-"""Commands made of the importers that they call: options of their signatures, help of their docstrings.
+"""Commands derived from importers: options from their signatures, help from their docstrings.
 
-Both are read from the source, for an importer needs numpy and more, which help need not wait for. They end alike: what
-was assumed, how the images lie, what was made, what to do next.
+Both are read from the source, so that help does not import numpy. Every import ends with assumptions, a sheet of the
+orientation, a summary and the next command.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ if TYPE_CHECKING:
     from sarsplat.examination.outcome import Examination
 
 CONTRADICTED = 1
-"""Exit code of commands whose images contradict what is said of them."""
+"""Exit code if images contradict the dataset."""
 
 _shared: ContextVar[Counter[str] | None] = ContextVar("_shared", default=None)
-"""Number of datasets by what was assumed of them, where it is said of several together."""
+"""Numbers of datasets by assumption, inside of `assumed_once`."""
 
 
 @dataclass(frozen=True)
 class Option:
     """Command-line form of a parameter, if other than its annotation, default and description imply.
 
-    tyro reads a `kind`, of which `value` makes, with the option's name, what the function is given; `default` is taken
-    as typed if nothing is, or the function's own if it is `Parameter.empty`.
+    tyro reads a `kind`, which `value` converts, with the option's name, to the function's argument; `default` is that
+    of the option, or the function's if it is `Parameter.empty`.
     """
 
     kind: Any = None
@@ -67,12 +67,12 @@ class Option:
 
 
 def _typed_without(name: str, help: str) -> Option:
-    """A switch for what is usually so."""
+    """Return a switch that turns a default of True off."""
     return Option(bool, lambda off, _: not off, f"no-{name}", False, help)
 
 
 def comma_separated(metavar: str, counts: tuple[int, ...], example: str) -> Option:
-    """As many numbers as one of `counts`, with commas between them; None if nothing is typed."""
+    """Return an option of comma-separated numbers, whose number is one of `counts`; None by default."""
     kind = Annotated[str | None, tyro.conf.arg(metavar=metavar, help_behavior_hint="(optional)")]
     return Option(kind, lambda text, name: None if text is None else numbers(text, name, counts, example), default=None)
 
@@ -103,22 +103,22 @@ _SHARED = {
 """Options that several importers have."""
 _METAVARS = {"Path": "FILE", "str": "NAME", "int": "N", "float": "NUMBER"}
 _UNITS = {"_m": "METRES", "_deg": "DEGREES"}
-"""Endings of parameters' names, which options lack."""
+"""Suffixes of parameters that option names drop, with their metavars."""
 
 
 def command_of(module: str, function: str, *, reading: str = "", **options: Option) -> Callable[..., int]:
-    """The command that calls an importer.
+    """Return the command that calls an importer.
 
     Parameters
     ----------
     module : str
-        That of the command: `__name__`.
+        Module of the command: `__name__`.
     function : str
         The importer, such as "sarsplat.importers.sicd:import_sicd"; its defaults must be literals.
     reading : str
-        What is said to be read meanwhile, such as "chips from "; an importer that can be quiet shows its progress.
+        Start of the progress message, such as "chips from "; an importer that can be quiet shows its progress.
     options : Option
-        Of its parameters, by their names, those that are typed in another way than most.
+        Options of parameters that differ from the usual ones, by name.
     """
     home, name = function.split(":")
     stub = _without_body(home, name)
@@ -220,14 +220,14 @@ def _helps(docstring: str) -> dict[str, str]:
 def _carry_out(
     importer: Callable[..., Dataset], files: object, out: Path, *, overwrite: bool, doing: str = "", **options: Any
 ) -> int:
-    """Call an importer, unless the output is in the way, and finish; `doing` is what is said meanwhile."""
+    """Call an importer unless its output exists, and finish; `doing` is the progress message."""
     from sarsplat.data.dataset_folder import HEADER
     from sarsplat.examination.contradictions import examine
     from sarsplat.importers.images import EXAMINATIONS
 
     refuse_existing(out, overwrite, marker=HEADER)
     contradictions: list[str] = []
-    alone = doing and _shared.get() is None  # or whoever makes several shows how many are done
+    alone = doing and _shared.get() is None  # an import of several shows its own progress
     with _warned_later(contradictions), console.busy(doing) if alone else nullcontext():
         dataset = importer(files, out, overwrite=overwrite, **options)
         examined = EXAMINATIONS.get(dataset) or examine(dataset)
@@ -237,7 +237,7 @@ def _carry_out(
 
 @contextmanager
 def assumed_once() -> Iterator[None]:
-    """What is assumed of the datasets that are made inside of the block is said after it, with their number."""
+    """Print assumptions about datasets imported inside the block after it, each with its number of datasets."""
     assumed = Counter[str]()
     before = _shared.set(assumed)
     try:
@@ -250,7 +250,7 @@ def assumed_once() -> Iterator[None]:
 
 @contextmanager
 def _warned_later(contradictions: list[str]) -> Iterator[None]:
-    """Warnings inside of the block are said after it, but for those of what contradicts the dataset."""
+    """Show warnings inside the block after it, except the contradictions, which are printed as errors."""
     held: list[warnings.WarningMessage] = []
     try:
         with warnings.catch_warnings(record=True) as held:
@@ -262,10 +262,7 @@ def _warned_later(contradictions: list[str]) -> Iterator[None]:
 
 
 def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
-    """Print what was assumed and what contradicts it, and draw a sheet that shows the orientation.
-
-    The exit code is 1 if the images contradict what was assumed.
-    """
+    """Print assumptions and contradictions, draw the orientation sheet, and return 1 if there are contradictions."""
     from sarsplat.examination.plausible import warn
     from sarsplat.importers import summary
     from sarsplat.regions.target_region import box_misses

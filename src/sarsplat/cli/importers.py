@@ -1,4 +1,4 @@
-"""Importers by name, and the one that recognises a file or folder by its function `recognise`.
+"""Importers by name, and recognition of a file or folder by their functions `recognise`.
 
 `recognise(contents)`, beside the function that is the command, returns a `Recognised`, or None for other contents.
 """
@@ -38,11 +38,11 @@ class Recognised:
     """Description of a file or folder that an importer reads."""
 
     kind: str
-    """In a few words."""
+    """Short name."""
     facts: dict[str, str] = field(default_factory=dict)
     """Names and values."""
     certainty: float = 1.0
-    """Between 0 and 1: of several importers, the most certain one is believed."""
+    """Certainty between 0 and 1: the most certain importer is chosen."""
 
 
 def recognised(path: Path) -> tuple[str, Recognised] | None:

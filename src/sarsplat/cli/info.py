@@ -19,7 +19,7 @@ from sarsplat.errors import SarsplatError, counted
 if TYPE_CHECKING:
     import trimesh
 
-_SUNK = 0.02  # of the size of a mesh: wheels may sink in
+_MAX_SUNK = 0.02  # maximum depth below the ground, relative to a mesh's size: wheels may sink in
 _UNDERSTOOD = (
     "a dataset, a run, a folder of these, images to import, a PLY or .splat file, a mesh, or the plan of a sweep"
 )
@@ -43,7 +43,7 @@ def info(
         describe_dataset(path, plot)
         return
     if plot is not None:
-        raise SarsplatError(f"--plot {plot} draws the views of a dataset, and {path} is none; omit it")
+        raise SarsplatError(f"--plot {plot} draws the views of a dataset, but {path} is not a dataset; omit it")
     if (path / "config.json").is_file():
         describe_run(path)
     elif path.is_dir() and describe_contents(path):
@@ -69,7 +69,7 @@ def _describe_file(path: Path) -> None:
         case _:
             raise SarsplatError(f"{path} cannot be described; give {_UNDERSTOOD}")
     if path.with_name(f"{path.name}.place.json").is_file():
-        from sarsplat.exports.place_file import read_place  # takes torch, which other files need not wait for
+        from sarsplat.exports.place_file import read_place  # imports torch
 
         rows["on earth"] = str(read_place(path))
     console.facts(f"{path}: {kind}", rows)
@@ -112,12 +112,12 @@ def _gaussians(path: Path) -> tuple[str, dict[str, str]]:
 
     centred, moved = read_centred_gaussians(path)
     near, left_out = without_strays(centred)
-    some = len(centred) > 0
+    filled = len(centred) > 0
     rows = {
         "centres": extent(centred.means.double().numpy() + moved),
         **({"of the others": extent(near.means.double().numpy() + moved), "apart": left_out} if left_out else {}),
-        "scales": f"median {centred.scales.median():.3g} m" if some else "none",
-        "optical depth": f"median {centred.optical_depth.median():.3g} (two-way, peak)" if some else "–",
+        "scales": f"median {centred.scales.median():.3g} m" if filled else "none",
+        "optical depth": f"median {centred.optical_depth.median():.3g} (two-way, peak)" if filled else "–",
         "scattering": f"{centred.scattering.kind}, {counted(centred.scattering.parameters.shape[1], 'number')} each; "
         f"p_min {centred.scattering.p_min:g} (γ⁰)",
     }
@@ -134,7 +134,7 @@ def _mesh(path: Path) -> tuple[str, dict[str, str]]:
 
     mesh = load_mesh(path)
     merged = mesh.copy()
-    merged.merge_vertices(merge_tex=True, merge_norm=True)  # an STL repeats each in every face
+    merged.merge_vertices(merge_tex=True, merge_norm=True)  # an STL repeats vertices in every face
     rows = {
         "vertices": extent(mesh.vertices),
         "faces": str(len(mesh.faces)),
@@ -150,11 +150,11 @@ def _mesh(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _place(mesh: trimesh.Trimesh) -> str | None:
-    """What is odd about where a mesh stands, if anything is."""
+    """Return a remark if a mesh is off the origin or below the ground."""
     low, high = mesh.bounds
     size = math.dist(low, high)
     if max(abs(low[:2] + high[:2])) / 2 > size or low[2] > size:
         return "away from the origin, on which images are centred; simulate it with --recentre"
-    if low[2] < -_SUNK * size:
+    if low[2] < -_MAX_SUNK * size:
         return f"reaches {-low[2]:.3g} m below z = 0, where the ground is; raise it, or simulate it with --recentre"
     return None

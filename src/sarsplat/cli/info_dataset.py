@@ -1,4 +1,4 @@
-"""`sarsplat info` of a dataset: its properties, its views on the sky, and the standard split of MSTAR that it is of."""
+"""`sarsplat info` of a dataset: its properties, its views on the sky, and its standard split of MSTAR."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
 _CALIBRATIONS = {"absolute": "absolute", "relative": "relative: β⁰ up to one common factor"}
 
 _LISTED = 8
-"""Azimuths of a set at one grazing angle are listed up to this number, and described beyond."""
+"""Maximum number of azimuths of a set at one grazing angle that are listed; more are described."""
 
 _ARC = 2.5
-"""Views go all around if their largest gap is no wider, in steps."""
+"""Maximum gap of views that go all around, in steps."""
 
 _QUANTITIES = {False: "β⁰, linear power, float32", True: "complex amplitude, whose squared magnitude is β⁰, complex64"}
-"""What pixels are, by whether their phase is known."""
+"""Quantity of pixels, by whether their phase is known."""
 
 
 def describe_dataset(path: Path, plot: Path | None) -> None:
-    """Say what is in a dataset, and draw its views as a picture if asked to."""
+    """Print the properties of a dataset, and draw its views to `plot`."""
     from sarsplat.data import read_dataset
     from sarsplat.data.coverage import view_groups
     from sarsplat.examination.plausible import suspicions
@@ -53,16 +53,14 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
     symbols = symbols_for(terminal.encoding)
     train = dataset.select("train").views
     tests = [entry.view for entry in dataset.entries if entry.split != "train"]
-    place = dataset.place  # a spot on earth has no nose
+    place = dataset.place  # a place on earth has no nose
     zero = "nose" if place is None else f"compass bearing {place.x_towards_deg:.4g}°"
     console.show(sky_chart(train, tests, terminal.width, symbols, zero))
     console.say(legend([split for split in dataset.splits() if split != "train"], symbols, train[0].aloft))
     if found := dataset.source.get("contradictions"):
         look = shlex.join(["sarsplat", "check", str(path)])
         many = counted(len(found) if isinstance(found, list) else 1, "contradiction")
-        console.warn(
-            f"its images contradict what it says of them ({many}, found when it was made); `{look}` lists them"
-        )
+        console.warn(f"its images contradict its header ({many}, found when it was made); `{look}` lists them")
     if plot is not None and kind is not None:
         from sarsplat.data import write_bytes
         from sarsplat.report.sky import sky_picture
@@ -72,8 +70,8 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
         console.say(f"wrote {plot}")
 
 
-_SAID = {"assumptions": "assumed", "contradictions": "contradicted"}
-"""Sentences about the source, and what they are called."""
+_SENTENCES = {"assumptions": "assumed", "contradictions": "contradicted"}
+"""Row names of the lists of sentences in a dataset's source."""
 
 
 def _format(plot: Path) -> str:
@@ -112,19 +110,19 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
 
 
 def _looks(views: Sequence[View]) -> dict[str, str]:
-    """How views differ from those of level radars above ground that look to the right; nothing if they do not."""
+    """Return a row about inverse SAR, tilt and side left; {} for level views to the right."""
     low, high = (bound(round(view.tilt_deg, 1) for view in views) for bound in (min, max))
     left = sum(view.side == "left" for view in views)
-    said = ["of a target aloft (inverse SAR)"] * views[0].aloft
+    remarks = ["of a target aloft (inverse SAR)"] * views[0].aloft
     if low or high:
-        said.append(f"azimuth axis tilted by {low:g}°" + ("" if low == high else f" to {high:g}°"))
+        remarks.append(f"azimuth axis tilted by {low:g}°" + ("" if low == high else f" to {high:g}°"))
     if left:
-        said.append("looking left" if left == len(views) else f"{left} of {len(views)} looking left")
-    return {"views": ", ".join(said)} if said else {}
+        remarks.append("looking left" if left == len(views) else f"{left} of {len(views)} looking left")
+    return {"views": ", ".join(remarks)} if remarks else {}
 
 
 def _passes(stack: Stack) -> dict[str, str]:
-    """The passes of the first image."""
+    """Return rows about the passes of an image."""
     count = len(set(stack.offsets_rad))
     each = f", {stack.transmit} transmits" if count > 1 else ""
     rows = {"passes": f"{count}, wavelength {stack.wavelength_m:g} m{each}"}
@@ -137,7 +135,7 @@ def _passes(stack: Stack) -> dict[str, str]:
 
 
 def _source(target: str, source: Mapping[str, Any]) -> dict[str, str]:
-    """Where the images come from: sentences take a line each, and what is said of every image is only counted."""
+    """Return rows about the origin of the images: a line for each sentence, a count for nested lists."""
     from sarsplat.data.dataset_folder import HEADER
 
     split = SplitSource.of(target, source)
@@ -148,8 +146,8 @@ def _source(target: str, source: Mapping[str, Any]) -> dict[str, str]:
         parts = [*value.values()] if isinstance(value, dict) else value
         if not isinstance(parts, list):
             rows[f"source.{name}"] = f"{value:.6g}" if isinstance(value, float) else str(value)
-        elif name in _SAID:
-            rows[_SAID[name]] = "\n".join(map(str, parts))
+        elif name in _SENTENCES:
+            rows[_SENTENCES[name]] = "\n".join(map(str, parts))
         elif any(isinstance(part, dict | list) for part in parts):
             rows[f"source.{name}"] = f"{len(parts)}, listed in {HEADER}"
         elif isinstance(value, dict):
@@ -167,7 +165,7 @@ def _uncertainty(std_deg: list[float]) -> dict[str, str]:
 
 
 def _rotations(turns: list[Turn]) -> dict[str, str]:
-    """Passes of a target aloft, and how well the least certain of them is known."""
+    """Return a row about passes of a target aloft, with the largest uncertainties."""
     if not turns:
         return {}
     axis_std_deg, rate_std = (max(getattr(turn, name) for turn in turns) for name in ("axis_std_deg", "rate_std"))
@@ -192,7 +190,7 @@ def _grid(grid: ImageGrid) -> dict[str, str]:
 
 
 def _table(groups: list[ViewGroup]) -> Table:
-    """One line for every set and grazing angle."""
+    """Return a table with a row for every set and grazing angle."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
     for name in ("set", "grazing", "views", "azimuths", "step", "largest gap"):
         table.add_column(name, justify="right" if name == "views" else "left", overflow="fold")
@@ -223,13 +221,13 @@ def _angle(degrees: float) -> str:
     return f"{degrees:.4g}°"
 
 
-_FOR = "they count for classifiers (`sarsplat chips --measured`), and reconstructions have no use for them"
+_FOR = "for classifiers (`sarsplat chips --measured`), not for reconstructions"
 _NUMBERS = ("found", "published", "without_azimuth")
 
 
 @dataclass(frozen=True)
 class SplitSource:
-    """What a dataset's source says of the split that it belongs to."""
+    """Standard split of MSTAR in a dataset's source."""
 
     name: str
     target: str
@@ -240,7 +238,7 @@ class SplitSource:
 
     @classmethod
     def of(cls, target: str, source: Mapping[str, Any]) -> SplitSource | None:
-        """None if there is no split, or none of ours."""
+        """Return the split, None without or for an unknown one."""
         from sarsplat.importers.mstar_splits import SPLITS
 
         try:
@@ -250,7 +248,7 @@ class SplitSource:
             if not all(part["set"] in ("train", "test") and isinstance(part["part"], str) for part in parts):
                 return None
             return cls(name, target, parts, len(source.get("unplaced", ())))
-        except (KeyError, TypeError, ValueError):  # a header that someone else has changed
+        except (KeyError, TypeError, ValueError):  # a header changed by hand
             return None
 
     def rows(self) -> dict[str, str]:
@@ -263,7 +261,7 @@ class SplitSource:
         return rows
 
     def incomplete(self) -> str:
-        """How many chips there are and should be, if these are not the same; in a few words."""
+        """Return the numbers of chips found and published; "" if they are equal."""
         sums: dict[str, list[int]] = {}
         for part in self.parts:
             numbers = sums.setdefault(str(part["set"]), [0, 0])
@@ -271,12 +269,12 @@ class SplitSource:
                 numbers[index] += int(part[key])
         if all(found == published for found, published in sums.values()):
             return ""
-        said = ", ".join(f"{kind} {found:,} of {published:,}" for kind, (found, published) in sums.items())
-        return f"{self.target}: {said}"
+        counts = ", ".join(f"{kind} {found:,} of {published:,}" for kind, (found, published) in sums.items())
+        return f"{self.target}: {counts}"
 
 
 def rows_of_all(sources: Sequence[SplitSource]) -> dict[str, str]:
-    """What of a split is there in several datasets, one a class, and what is missing; nothing if they are of none."""
+    """Return rows about the classes and chips of splits that several datasets, one a class, have and lack."""
     from sarsplat.importers.mstar_chips import same_class
     from sarsplat.importers.mstar_splits import SPLITS
 
@@ -292,7 +290,7 @@ def rows_of_all(sources: Sequence[SplitSource]) -> dict[str, str]:
         for kind, parts in (("train", split.train), ("test", split.test)):
             published = sum(part.count for part in parts)
             rows[f"{kind} {name}"] = f"{found[kind]:,} of {published:,} chips"
-        if short := [said for one in own if (said := one.incomplete())]:
+        if short := [counts for one in own if (counts := one.incomplete())]:
             rows[f"not whole, {name}"] = "\n".join(short)
     if unplaced := sum(one.unplaced for one in sources):
         rows["unplaced"] = f"{counted(unplaced, 'chip')} without azimuth, in the datasets' folders unplaced; {_FOR}"

@@ -1,4 +1,4 @@
-"""What `sarsplat info` says about a run, and about a folder of datasets and runs: states, scores, how to go on."""
+"""`sarsplat info` of a run, or of a folder of datasets and runs: states, scores, next commands."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 _DEEPEST = 3  # levels of folders below the one asked for
 _DATASET, _RUN = "dataset.json", "config.json"
 PLAN = "sweep.toml"
-"""What a plan of a sweep is called that an import writes beside its datasets."""
+"""File name of the plan of a sweep that an import writes beside its datasets."""
 
 
 def describe_run(path: Path) -> None:
-    """Print what a run's folder says of it: of a finished run without loading torch, of another without its model."""
+    """Print the properties of a run, without loading torch, or its model if it is unfinished."""
     from sarsplat.runs.run_folder import RunFolder, left_open
     from sarsplat.settings.config import OWN_LOOP
 
@@ -65,7 +65,7 @@ def describe_run(path: Path) -> None:
 
 
 def _about(files: RunFolder) -> dict[str, str]:
-    """`Run.about`, from its file; only runs of older versions lack that."""
+    """Return `Run.about` from its file, which runs of older versions lack."""
     from sarsplat.data import read_json
     from sarsplat.runs.run_folder import ABOUT
 
@@ -77,7 +77,7 @@ def _about(files: RunFolder) -> dict[str, str]:
 
 
 def _so_far(files: RunFolder, state: TrainingState) -> dict[str, str]:
-    """What settings and log say of a training that is not finished."""
+    """Return rows about an unfinished training from its settings and log."""
     settings = files.header.config
     rows: dict[str, str] = {name: str(settings[name]) for name in ("preset", "seed") if name in settings}
     last = next((line for line in reversed(files.history) if line.iteration <= state.done), None)
@@ -89,7 +89,7 @@ def _so_far(files: RunFolder, state: TrainingState) -> dict[str, str]:
 
 
 def extent(points: np.ndarray) -> str:
-    """How many points, and between which coordinates they lie."""
+    """Return the number of points and the ranges of their coordinates."""
     if len(points) == 0:
         return "0"
     low, high = points.min(axis=0), points.max(axis=0)
@@ -98,9 +98,9 @@ def extent(points: np.ndarray) -> str:
 
 
 def _between(low: float, high: float) -> str:
-    """Both ends, with as many digits as their difference asks for where that is small, as in map coordinates."""
-    largest, apart = max(abs(low), abs(high)), high - low
-    more = math.floor(math.log10(largest / apart)) if 0 < apart < largest else 0
+    """Return both ends, with more digits if their difference is small, as in map coordinates."""
+    largest, difference = max(abs(low), abs(high)), high - low
+    more = math.floor(math.log10(largest / difference)) if 0 < difference < largest else 0
     return f"{low:.{4 + more}g} … {high:.{4 + more}g}"
 
 
@@ -156,12 +156,12 @@ def describe_contents(path: Path) -> bool:
 
 
 def _beside(path: Path, what: str) -> str:
-    """What to call what is made of a folder, as a shell takes it."""
+    """Return a folder name derived from another, quoted for a shell."""
     return shlex.quote(f"{path.resolve().name}-{what}")
 
 
 def _offer_plan(path: Path, datasets: Sequence[Path]) -> None:
-    """How to reconstruct all of them."""
+    """Print a plan and a command that reconstruct all datasets."""
     patterns = json.dumps([f"{parent}/*" for parent in dict.fromkeys(folder.parent for folder in datasets)])
     fleet = _beside(path, "fleet")
     console.say("to reconstruct and score all datasets, write these two lines to plan.toml:")
@@ -170,10 +170,10 @@ def _offer_plan(path: Path, datasets: Sequence[Path]) -> None:
 
 
 def _entries(path: Path) -> Iterator[tuple[Path, str]]:
-    """Folders of datasets and runs, each with the file that marks it; not what is inside of them."""
+    """Yield folders of datasets and runs, each with its marker file; folders inside these are skipped."""
     for name, folders, files in os.walk(path):
         folder = Path(name)
-        marker = next((marker for marker in (_DATASET, _RUN) if marker in files and _ours(folder / marker)), None)
+        marker = next((marker for marker in (_DATASET, _RUN) if marker in files and _is_own(folder / marker)), None)
         if marker is not None and folder != path:
             yield folder, marker
         if marker is not None or len(folder.relative_to(path).parts) == _DEEPEST:
@@ -181,8 +181,8 @@ def _entries(path: Path) -> Iterator[tuple[Path, str]]:
         folders[:] = [inner for inner in folders if not inner.startswith(".")]
 
 
-def _ours(header: Path) -> bool:
-    """Whether sarsplat has written it: many programs have a `config.json`."""
+def _is_own(header: Path) -> bool:
+    """Return whether sarsplat has written the file: many programs have a `config.json`."""
     from sarsplat.data.files import open_file
 
     with open_file(header) as file:
@@ -201,13 +201,13 @@ def _dataset(folder: Path) -> tuple[tuple[str, str, str], SplitSource | None]:
 
 
 def _names_of_runs(folders: Sequence[Path]) -> dict[Path, str]:
-    """What was learned from in each run whose header can be read, and of those without names what differs."""
+    """Return names of the datasets of readable runs; for unnamed ones, their differing properties."""
     from sarsplat.runs.run_folder import read_header
     from sarsplat.runs.run_names import distinguished, is_hashed
 
     headers = {}
     for folder in folders:
-        with suppress(SarsplatError):  # which is said in its row
+        with suppress(SarsplatError):  # its row shows the error
             headers[folder] = read_header(folder)
     nameless = {folder: header for folder, header in headers.items() if is_hashed(folder)}
     names = {folder: distinguished([header])[0] for folder, header in headers.items()}

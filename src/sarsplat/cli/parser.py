@@ -1,4 +1,4 @@
-"""Parsing of the command line, and its error sentences; only the module of the command that is named is imported."""
+"""Parsing of the command line, and its error sentences; only the module of the named command is imported."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _DESCRIPTION = (
 
 
 def parse(words: Sequence[str]) -> Callable[[], int | None]:
-    """The command that the words ask for, ready to be called; asked for help, it is printed and the process ends.
+    """Return the command of the words, ready to be called; for --help, print it and end the process.
 
-    What it returns is its exit code if that is not 0. A SarsplatError says why words do not parse.
+    The command returns its exit code, or None for 0. Raises a SarsplatError if the words do not parse.
     """
     name, rest = _chosen("sarsplat", _DESCRIPTION, words, COMMANDS, lambda: {one: summary(one) for one in COMMANDS})
     return _importer(rest) if name == "import" else _read(f"sarsplat {name}", command(name), rest)
@@ -45,7 +45,7 @@ def _chosen(
     names: Iterable[str],
     summaries: Callable[[], Mapping[str, str]],
 ) -> tuple[str, Sequence[str]]:
-    """The first of the names among the words, and the words after it; prints help if that is asked for instead."""
+    """Return the command at the start of the words, and the words after it; print help if they begin with --help."""
     if words and words[0] in ("-h", "--help"):
         show_overview(program, description, summaries())
         raise SystemExit(0)
@@ -57,12 +57,12 @@ def _chosen(
 
 
 def _read(program: str, command: Command, words: Sequence[str]) -> Callable[[], int | None]:
-    import tyro  # here and not for the overview, for it takes as long as all of that
+    import tyro  # not for the overview, whose time it would double
 
     from sarsplat.cli.arguments import MARKERS
 
     if {"-h", "--help"} & {*words}:
-        words = ["--help"]  # tyro's would lack what stands before it
+        words = ["--help"]  # tyro's would lack the options before it
     box = io.StringIO()
     try:
         with redirect_stderr(box):
@@ -74,7 +74,7 @@ def _read(program: str, command: Command, words: Sequence[str]) -> Callable[[], 
 
 
 def _later(command: Command, words: Sequence[str]) -> Callable[..., Callable[[], int | None]]:
-    """The same signature, but not carried out yet; a command that has `words` gets those after its name."""
+    """Return a function of the same signature that returns the call, with `words` if it has them."""
 
     @wraps(command)
     def bound(*arguments: Any, **options: Any) -> Callable[[], int | None]:
@@ -86,7 +86,7 @@ def _later(command: Command, words: Sequence[str]) -> Callable[..., Callable[[],
 
 
 def _no_command(program: str, words: Sequence[str], commands: Iterable[str]) -> str:
-    """What to say if the first of the words, if there is one, is none of a program's commands."""
+    """Return the error sentence for words that begin with no command of a program."""
     if not words:
         return f"{program} needs a command; choose one of {', '.join(commands)}"
     meant = _meant(words[0], commands) or f"choose one of {', '.join(commands)}"
@@ -94,16 +94,16 @@ def _no_command(program: str, words: Sequence[str], commands: Iterable[str]) -> 
 
 
 def _meant(word: str, names: Iterable[str]) -> str:
-    """The name that was meant, ignoring capitals and hyphens: `T-72` is t72."""
+    """Suggest a similar name, ignoring capitals and hyphens: `T-72` is t72."""
     bare = {re.sub(r"[\W_]", "", name).lower(): name for name in names}
     near = get_close_matches(re.sub(r"[\W_]", "", word).lower(), bare, 1)
     return f"did you mean {bare[near[0]]}?" if near else ""
 
 
 def _plain(program: str, box: str) -> str:
-    """The error sentence for wrong arguments of a command, in place of tyro's box.
+    """Return the error sentence for wrong arguments of a command, in place of tyro's box.
 
-    It is what stands between title and last rule; where letters are few, the frame is of spaces and hyphens.
+    Its text lies between title and last rule; in encodings without lines, the frame is of spaces and hyphens.
     """
     inside = (line.strip("│| ") for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()[1:])  # colours
     words = " ".join(line for line in inside if not re.fullmatch(r"[─╰╯+-]{3,}", line)).split()

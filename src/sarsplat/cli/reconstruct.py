@@ -1,15 +1,20 @@
-"""`sarsplat reconstruct`: reconstruct a dataset into a run; every setting is a flag."""
+"""`sarsplat reconstruct`: reconstruct a dataset into a run; every setting is an option."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
+import signal
 import sys
+import threading
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, make_dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import field, fields, make_dataclass, replace
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
@@ -24,10 +29,11 @@ from sarsplat.cli.arguments import (
     OptionalNumber,
     TargetBox,
     one_of,
+    option_group,
     refuse_existing,
 )
 from sarsplat.cli.commands import unwrapped
-from sarsplat.cli.watch import watched
+from sarsplat.cli.signals import Stopped, keeping
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.executors import EXECUTORS, Means
 from sarsplat.names import SCATTERINGS
@@ -39,6 +45,7 @@ from sarsplat.settings.record import Record, record_in
 if TYPE_CHECKING:
     from sarsplat.data import Dataset
     from sarsplat.learning.method import Method
+    from sarsplat.runs import Step
 
     ExecutorName = str
     MethodName = str
@@ -48,10 +55,12 @@ else:
     MethodName = tyro.extras.literal_type_from_choices(METHODS)
     PresetName = tyro.extras.literal_type_from_choices(("auto", *PRESETS))
 
-_PARTS = {one.name: kind for one in fields(Config) if one.default is None and (kind := record_in(Config, one.name))}
-"""Records of settings that may be absent, by the name of their field: each is switched on or off as a whole."""
+_LOG_FOLDER = "tensorboard"  # in the run's folder
 
-# Settings as options: records that may be absent are always here, so that their options are.
+_PARTS = {one.name: kind for one in fields(Config) if one.default is None and (kind := record_in(Config, one.name))}
+"""Records of settings that may be absent, by field name: each is switched on or off as one."""
+
+# Settings as options, with all records that may be absent.
 Settings = make_dataclass(
     "Settings",
     [
@@ -83,89 +92,62 @@ Switches = make_dataclass(
 )
 
 
-@dataclass(frozen=True)
+@option_group
 class Options:
-    """Options of `sarsplat reconstruct`.
-
-    Parameters
-    ----------
-    dataset
-        Folder written by `sarsplat simulate` or `sarsplat import`.
-    out
-        Run folder to write; it appears with the first checkpoint. Ctrl-C keeps the progress so far.
-    preset
-        Starting settings, which the options below override: default (the best in our measurements; its values are
-        shown), quick (a first look), speckled (speckle, but no ground), scene (speckle on ground, any number of
-        objects), measured (chips with shift and gain), stack (interferometric passes), polarimetric (several
-        polarisations), paper (the paper's training), or auto: by the dataset's stacks, speckle and ground, and by a
-        short trial. Of the others, all but paper model ground that is shown.
-    config
-        Starting settings from a file written by --print-config, instead of a preset.
-    print_config
-        Print the settings as JSON and exit.
-    method
-        What learns: sar-gs, our Gaussians, or to compare with it sar-nerf, sar-nerf-grid or dsr
-        (docs/concepts/baselines.md); --resume continues with the run's. Only --iterations, --views-per-step,
-        --checkpoint-every and --seed are options of these; their other settings are in the file that --print-config
-        writes.
-    masks
-        Folder of masks of the training images, from which dsr learns; `sarsplat simulate --masks` writes them.
-    device
-        Where to train; auto uses a GPU if a usable one is present and not slower.
-    executor
-        Who learns the tiles of --tiles: local, processes of this machine with one thread each, or ray, a Ray cluster
-        (default: this process, one tile after the other). The result is the same.
-    processes
-        Tiles at a time on the CPU with local (default: as many as processors). Each takes the memory of one.
-    per_device
-        Tiles at a time on each GPU with local (default: 4, or as many as there are processors for it).
-    address
-        Of the cluster with ray; auto is the one that runs here.
-    gpus
-        GPUs of a tile with ray: 0.25 lets four tiles share one (default: 1 if it is trained on one).
-    retries
-        How often ray starts a tile again whose node has died.
-    view
-        Show the training in the browser while it goes on; its result is the same.
-    port
-        Port of 127.0.0.1 for --view; 0 takes any that is free.
-    resume
-        Continue the run in --out with the settings it was started with; DATASET may have moved. A larger --iterations
-        extends the run; other --points.* extract its points anew.
-    tensorboard
-        Also write a log for TensorBoard to the run's folder `tensorboard`: curves, and images of a few fixed views.
-    overwrite
-        Replace an existing run, which is kept until the new one has its first checkpoint.
-    switches
-        Parts of the model and of its training.
-    settings
-        Settings.
-    """
+    """Options of `sarsplat reconstruct`."""
 
     dataset: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
+    """Folder written by `sarsplat simulate` or `sarsplat import`."""
     out: Folder
+    """Run folder to write; it appears with the first checkpoint. Ctrl-C keeps the progress so far."""
     preset: PresetName = "auto"
+    """Starting settings, which the options below override: default (the best in our measurements; its values are
+    shown), quick (a first look), speckled (speckle, but no ground), scene (speckle on ground, any number of objects),
+    measured (chips with shift and gain), stack (interferometric passes), polarimetric (several polarisations), paper
+    (the paper's training), or auto: by the dataset's stacks, speckle and ground, and by a short trial. Of the others,
+    all but paper model ground that is shown."""
     config: OptionalFile = None
+    """Starting settings from a file written by --print-config, instead of a preset."""
     print_config: bool = False
+    """Print the settings as JSON and exit."""
     method: Annotated[MethodName | None, tyro.conf.arg(help_behavior_hint="(default: sar-gs)")] = None
+    """Method: sar-gs, our Gaussians, or for comparison sar-nerf, sar-nerf-grid or dsr (docs/concepts/baselines.md);
+    --resume continues with the run's. Only --iterations, --views-per-step, --checkpoint-every and --seed are options of
+    these; their other settings are in the file that --print-config writes."""
     masks: OptionalFolder = None
+    """Folder of masks of the training images, from which dsr learns; `sarsplat simulate --masks` writes them."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Device; auto uses a GPU if a usable one is present and not slower."""
     executor: Annotated[ExecutorName | None, one_of(ExecutorName)] = None
+    """Executor of --tiles: local, processes of this machine with one thread each, or ray, a Ray cluster (default: this
+    process, one tile after the other). The result is the same."""
     processes: OptionalCount = None
+    """Tiles at a time on the CPU with local (default: as many as processors). Each takes the memory of one."""
     per_device: OptionalCount = None
+    """Tiles at a time on each GPU with local (default: 4, or as many as there are processors for it)."""
     address: str = "auto"
+    """Address of the Ray cluster; auto is the one on this machine."""
     gpus: OptionalNumber = None
+    """GPUs of a tile with ray: 0.25 lets four tiles share one (default: 1 if it is trained on one)."""
     retries: int = 3
+    """Maximum number of restarts with ray of a tile whose node has died."""
     view: bool = False
+    """Show the training in the browser while it goes on; its result is the same."""
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = DEFAULT_PORT
+    """Port of 127.0.0.1 for --view; 0 takes any that is free."""
     resume: bool = False
+    """Continue the run in --out with the settings it was started with; DATASET may have moved. A larger --iterations
+    extends the run; other --points.* extract its points anew."""
     tensorboard: bool = False
+    """Also write a log for TensorBoard to the run's folder `tensorboard`: curves, and images of a few fixed views."""
     overwrite: bool = False
+    """Replace an existing run, which is kept until the new one has its first checkpoint."""
     switches: Annotated[Any, tyro.conf.arg(name="")] = field(default_factory=Switches)
+    """Parts of the model and of its training."""
     settings: Annotated[Any, tyro.conf.arg(name="")] = field(default_factory=Settings)
 
 
-for one in (Options, Config, *(record for one in fields(Config) if (record := record_in(Config, one.name)))):
+for one in (Config, *(record for one in fields(Config) if (record := record_in(Config, one.name)))):
     one.__doc__ = unwrapped(one.__doc__)
 
 
@@ -227,7 +209,7 @@ def reconstruct(
 
 
 def _announce(dataset: Path) -> None:
-    """Say what is going to be read, at once: importing torch takes seconds."""
+    """Print a summary of the dataset at once: importing torch takes seconds."""
     from sarsplat.data.dataset_folder import read_header
 
     header = read_header(dataset)
@@ -239,7 +221,7 @@ def _announce(dataset: Path) -> None:
 
 
 def _next(images: Dataset, run: str, learns_speckle: bool) -> str:
-    """The next command to type: `evaluate` if there is anything to score."""
+    """Return the next command: `evaluate` if there are test images or a true mesh."""
     if len(images.splits()) > 1 or images.truth_mesh is not None:
         return f"sarsplat evaluate {run}"
     if images.looks is None or not learns_speckle:
@@ -248,19 +230,19 @@ def _next(images: Dataset, run: str, learns_speckle: bool) -> str:
 
 
 def _warn_of_contradictions(dataset: Path, images: Dataset) -> None:
-    """Say that the import has found the dataset to contradict itself; to look again would take too long."""
+    """Warn of contradictions that the import found; a new examination would take too long."""
     found = images.source.get("contradictions")
     if isinstance(found, list) and found:
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         look = shlex.join(["sarsplat", "check", str(dataset)])
         console.warn(
-            f"{dataset} contradicts itself, so what is learned from it may be wrong: "
-            f"{str(found[0]).partition(';')[0]}{more}; `{look}` says how to mend it"
+            f"{dataset} contradicts itself, so the result may be wrong: "
+            f"{str(found[0]).partition(';')[0]}{more}; `{look}` explains it"
         )
 
 
 def _base(method: Method, options: Options, images: Dataset) -> Any:
-    """The settings that flags override: those of a file, of the run to resume, or of the preset."""
+    """Return the settings of a file, of the run to resume, or of the preset, which options override."""
     from sarsplat.data import read_json
     from sarsplat.runs import Run
 
@@ -288,7 +270,7 @@ def _base(method: Method, options: Options, images: Dataset) -> Any:
 
 
 def _overridden(method: Method, base: AnyConfig, options: Options, words: Sequence[str]) -> AnyConfig:
-    """The settings with what the flags say, and nothing of those that were not typed."""
+    """Return the settings with the values of typed options only."""
     flags = [word[2:].partition("=")[0] for word in words if word.startswith("--")]
     known = {one.name for one in fields(Config)} - {"preset"}  # which has made the base
     changed: dict[str, Any] = {}
@@ -320,3 +302,69 @@ def _overridden(method: Method, base: AnyConfig, options: Options, words: Sequen
         elif switch == "on" and part not in changed:
             changed[part] = getattr(base, part) or record()
     return replace(base, **changed)
+
+
+@contextmanager
+def watched(
+    dataset: Path, out: Path, images: Dataset, *, tensorboard: bool, port: int | None
+) -> Iterator[Callable[[Step[Any]], object]]:
+    """Log a training for TensorBoard, show it in a browser, and let Ctrl-C end it between two steps.
+
+    Before the first step is done and after the last one, Ctrl-C ends it at once. The yielded function is called after
+    each step. The KeyboardInterrupt says how to resume if there is a checkpoint.
+    """
+    words = shlex.join(["sarsplat", "reconstruct", str(dataset), "--out", str(out), "--resume"])
+    advice = f"{out} keeps the progress so far; continue with `{words}`"
+    with keeping(lambda: advice if (out / "config.json").is_file() else ""), ExitStack() as stack:
+        hold_back = stack.enter_context(_interrupts())
+        watchers: list[Callable[[Step[Any]], object]] = []
+        if tensorboard:
+            from sarsplat.runs.tensorboard import TensorBoard
+
+            board = TensorBoard(out / _LOG_FOLDER, images)
+            stack.callback(board.close)
+            watchers.append(board)
+        if port is not None:
+            from sarsplat.viewer import watched as shown
+
+            watchers.append(stack.enter_context(shown(images, port, console.say)))
+
+        def on_step(step: Step[Any]) -> None:
+            for watcher in watchers:
+                watcher(step)
+            if number := hold_back(not step.last):
+                raise Stopped(number)
+
+        yield on_step
+
+
+@contextmanager
+def _interrupts() -> Iterator[Callable[[bool], int]]:
+    """Raise `Stopped` at SIGINT and SIGTERM inside the block, at first at once.
+
+    The yielded function switches to holding signals back, or not, and returns the number of one held back, or 0. A
+    second one is not held back. Outside the main thread, which alone receives signals, nothing changes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda held: 0
+        return
+    asked, holding = 0, False
+
+    def hold(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        if asked or not holding:
+            raise Stopped(number)
+        asked = number
+        os.write(2, b"\nstopping after this step; once more stops at once\n")  # print must not be called in here
+
+    def hold_back(held: bool) -> int:
+        nonlocal holding
+        holding = held
+        return asked
+
+    before = {number: signal.signal(number, hold) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield hold_back
+    finally:
+        for number, usual in before.items():
+            signal.signal(number, usual)

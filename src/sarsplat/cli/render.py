@@ -22,7 +22,7 @@ from sarsplat.cli.arguments import (
     run_at,
     views_from,
 )
-from sarsplat.cli.ending import keeping
+from sarsplat.cli.signals import keeping
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.memory import required
 from sarsplat.names import Swept
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from sarsplat.runs import Run
 
 _AT_A_TIME = 4  # views, between two steps of the progress
-_BYTES_KEPT, _BYTES_SHOWN = 4, 16  # of a pixel: in an image, and in the picture that is being drawn of one
+_BYTES_KEPT, _BYTES_SHOWN = 4, 16  # per pixel of an image, and of the picture drawn of it
 
 
 @option_group

@@ -116,7 +116,7 @@ def _scene(options: Options, splits: list[Split], grid: ImageGrid, relief: Terra
 
 
 def _stacks(options: Options, scene: _Scene, stack: Stack, about: dict[str, Any]) -> Dataset:
-    """Simulate stacks; each view has scatterers of its own."""
+    """Simulate stacks, with other scatterers in each view."""
     import numpy as np
 
     from sarsplat.data import Dataset

@@ -142,7 +142,7 @@ class TestViews:
     __test__ = False  # no class of tests
 
     test_protocol: bool = False
-    """Test on the protocol's test views, with training views of your own."""
+    """Test on the protocol's test views, with other training views."""
     test_azimuth: Angles = ()
     """Azimuths of the test views (default: those of the training views); training views are excluded."""
     test_grazing: Angles = ()
@@ -280,7 +280,8 @@ class Echoes:
 @option_group
 class Stacks:
     passes: OptionalCount = None
-    """Simulate stacks of so many passes a little apart in elevation, complex, of one look (docs/concepts/stacks.md)."""
+    """Simulate complex stacks of this number of passes a little apart in elevation, of one look
+    (docs/concepts/stacks.md)."""
     baseline: Annotated[tuple[float, ...], tyro.conf.arg(metavar="RAD …", help_behavior_hint="(optional)")] = ()
     """b/R from the first pass to the last, rad, the others evenly between; or that of each pass."""
     wavelength: Metres = None

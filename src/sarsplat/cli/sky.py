@@ -1,4 +1,4 @@
-"""Views as points on the sky, drawn with characters: what `sarsplat info` shows of a dataset."""
+"""Chart of views as points on the sky, drawn with characters by `sarsplat info`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 
 @dataclass(frozen=True)
 class Symbols:
-    """What points are drawn with; rings are of braille dots unless `ring` is given."""
+    """Characters of a chart; rings are of braille dots unless `ring` is given."""
 
     train: str
     test: str
@@ -30,13 +30,13 @@ class Symbols:
 
 
 PLAIN = Symbols("o", "x", ".")
-"""Of ASCII alone."""
+"""Symbols of ASCII."""
 
 PRETTY = Symbols("●", "○")
 
 
 def symbols_for(encoding: str) -> Symbols:
-    """The symbols that a terminal of this encoding can show."""
+    """Return the symbols that a terminal of this encoding can show."""
     try:
         (PRETTY.train + PRETTY.test + chr(_BRAILLE)).encode(encoding)
     except (UnicodeEncodeError, LookupError):
@@ -45,7 +45,7 @@ def symbols_for(encoding: str) -> Symbols:
 
 
 def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: Symbols, zero: str = "nose") -> Text:
-    """The sky from above: straight overhead in the middle, the horizon around, azimuth 0° and what it is at the top.
+    """Draw the sky from above: the zenith in the middle, the horizon around, azimuth 0°, named `zero`, at the top.
 
     At most `width` columns; a training view hides a test view in the same place.
     """
@@ -57,7 +57,7 @@ def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: 
     farthest, rings = (180, _RINGS_ALOFT_DEG) if aloft else (90, _RINGS_DEG)  # the nadir around, or the horizon
 
     def place(azimuth_deg: float, grazing_deg: float) -> tuple[int, int]:
-        """Dot of a direction."""
+        """Return the dot of a direction."""
         distance = radius * (90 - grazing_deg) / farthest
         angle = math.radians(azimuth_deg)
         return round(middle[0] + distance * math.sin(angle)), round(middle[1] - distance * math.cos(angle))
@@ -95,7 +95,7 @@ def _labelled(cells: Sequence[Sequence[str]], styles: dict[tuple[int, int], str]
 
 
 def legend(tests: Iterable[str], symbols: Symbols, aloft: bool = False) -> str:
-    """What the symbols and rings mean, with the names of the test sets that there are."""
+    """Return a legend of symbols and rings with the names of the test sets."""
     named = ", ".join(tests)
     points = f"{symbols.train} train" + (f"  {symbols.test} {named}" if named else "")
     around = "; around: from below; rings: grazing 30°, 0° and −30°" if aloft else "; rings: grazing 60°, 30° and 0°"

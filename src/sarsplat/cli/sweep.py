@@ -1,4 +1,4 @@
-"""`sarsplat sweep`: do many runs by a plan, and tabulate their scores."""
+"""`sarsplat sweep`: carry out the runs of a plan, and tabulate their scores."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber, one_of
-from sarsplat.cli.ending import keeping
+from sarsplat.cli.signals import keeping
 from sarsplat.errors import counted
 from sarsplat.executors import EXECUTORS, Means
 
@@ -41,7 +41,7 @@ def sweep(
     again: bool = False,
     show: bool = False,
 ) -> int:
-    """Reconstruct and score every combination of datasets, methods, settings and seeds that a plan lists.
+    """Reconstruct and score every combination of datasets, methods, settings and seeds of a plan.
 
     Parameters
     ----------
@@ -49,29 +49,29 @@ def sweep(
         TOML file: datasets (patterns), methods, preset, seeds, and settings, of which every list is swept
         (docs/how-to/sweep.md).
     out
-        Folder of the sweep: results.csv, index.html and the runs. Of what is there already only the missing is done:
+        Folder of the sweep: results.csv, index.html and the runs. Only missing runs are done:
         Ctrl-C stops at once, and the same command continues.
     executor
-        Who does it: local, this machine, or ray, a Ray cluster.
+        Executor: local, this machine, or ray, a Ray cluster.
     device
-        Where runs are trained, cpu or cuda (default: as the plan says).
+        Device of the trainings, cpu or cuda (default: as the plan says).
     processes
         Runs at a time on the CPU with local (default: as many as processors). Each takes the memory of one
         reconstruction.
     per_device
         Runs at a time on each GPU with local (default: 4, or as many as there are processors for it).
     address
-        Of the cluster with ray; auto is the one that runs here.
+        Address of the Ray cluster; auto is the one on this machine.
     gpus
         GPUs of a run with ray: 0.25 lets four runs share one (default: 1 if the plan's device is cuda).
     retries
-        How often ray starts a run again whose node has died.
+        Maximum number of restarts with ray of a run whose node has died.
     shard
         Only a share of the runs, such as 2/8, the second of eight: for job arrays.
     again
-        Also try again what failed.
+        Also repeat failed runs.
     show
-        Do nothing but write and show the results so far.
+        Only write and show the results so far.
     """
     from sarsplat.sweeps import sweep as do
 

@@ -1,4 +1,4 @@
-"""`sarsplat view`: a page on this machine in which the radar is dragged around the target."""
+"""`sarsplat view`: a local page in which the radar is dragged around the target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run as one file for other programs: each format is a module `format_ENDING.py` here, or of another package."""
+"""Export of a run as one file for other programs; each format is a module `format_ENDING.py`, or a plug-in."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from sarsplat.runs import Run
 __all__ = ["FORMATS", "Content", "Format", "MapSystem", "Points", "Written", "export", "export_terrain", "format_of"]
 
 FORMATS = discover(__name__, "format_", "FORMAT", "sarsplat.exports")
-"""Every `Format` by the ending of its files, without the dot; each is imported when it is asked for."""
+"""Formats by the ending of their files, without the dot; each is imported when first used."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """What an export wrote, and which programs open it."""
+    """Summary of an exported file, and programs that open it."""
 
     summary: str
     opened_with: str
     beside: str = ""
-    """Which file beside it says where on earth it is; nothing if none does."""
+    """Sentence about its georeference file; "" without one."""
 
 
 def format_of(path: Path, content: Content | None = None) -> tuple[Format, Content]:
-    """The format for a file name, and the content to write: the given one, or the format's first.
+    """Return the format for a file name, and the content: the given one, or the format's first.
 
-    Refused if the ending is unknown, such files cannot hold the content, or the name leaves open what is meant.
+    Raises if the ending is unknown, such files cannot hold the content, or the name is ambiguous.
     """
     ending = path.suffix.lower().removeprefix(".")
     named: Format | None = FORMATS.get(ending)
@@ -52,8 +52,8 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
         content = next((holds for holds in named.writers if re.search(rf"(^|[-_ .]){holds}$", stem)), None)
         if content is None and (meant := next((holds for holds in named.writers if holds in stem), None)):
             raise SarsplatError(
-                f"{path} has {meant} in its name, but not at the end, so what it is to hold is not clear; say it with "
-                f"--format, such as --format {meant}"
+                f"{path} has {meant} in its name, but not at the end, so its content is ambiguous; give it, such as "
+                f"with --format {meant}"
             )
     return named, next(iter(named.writers)) if content is None else content
 
@@ -69,34 +69,34 @@ def export(
     pixel_m: float | None = None,
     view: View | None = None,
 ) -> Written:
-    """Write a run to one file, whole or not at all.
+    """Write a run to one file, complete or not at all.
 
-    If the run knows where on earth it is (`run.place`), files that can hold them have coordinates of a map, and beside
-    any other file PATH another one PATH.place.json says where its coordinates are.
+    If the run has a georeference (`run.place`), files that can hold them have map coordinates; any other file PATH gets
+    a file PATH.place.json with its georeference.
 
     Parameters
     ----------
     run : Run
-        What was reconstructed.
+        Reconstruction.
     path : str or Path
         File to write; its ending decides the format (`FORMATS`). An existing file is replaced.
     content : "gaussians", "points", "mesh", "dsm", "gamma0" or "layover-shadow", optional
-        What it holds, where a format can hold several; a map whose name is, or ends with, one of them holds that.
+        Content, if a format can hold several; a map whose name is, or ends with, one of them holds that.
     colour : "db" or "height", optional
-        What viewers show of Gaussians: γ⁰ in decibels (the default) or the height.
+        Colour of Gaussians in viewers: γ⁰ in decibels (the default) or the height.
     crs : str, optional
         Coordinate system of the map, such as "EPSG:32632": projected, in metres; UTM unless given.
     pixel_m : float, optional
         Size of a map's pixels; a resolution cell unless given.
     view : View, optional
-        From where there is layover and shadow; needed for that map, and for nothing else.
+        View with layover and shadow; needed for that map only.
 
     Raises
     ------
     SarsplatError
         If the ending is unknown, the run or the format lacks the content, a package is missing, a colour is given for
-        anything other than Gaussians, a system for a format or a run that has no coordinates of maps, a pixel for what
-        is no map, a view is missing or of no use, or the file cannot be written.
+        anything other than Gaussians, a system for a format or a run without map coordinates, a pixel for anything
+        other than a map, a view is missing or has no effect, or the file cannot be written.
     """
     path = Path(path)
     format, holds = format_of(path, content)
@@ -106,35 +106,35 @@ def export(
     refuse_elsewhere(path, format.coordinates, name, run.place, crs)
     require_fit(path, holds, pixel_m, view)
     system = None if format.coordinates != "map" or run.place is None else MapSystem.of(run.place, crs)
-    thing: Any
+    data: Any
     if holds in get_args(Map):
-        thing, summary = map_of(run, holds, Coordinates(system), pixel_m, view)
+        data, summary = map_of(run, holds, Coordinates(system), pixel_m, view)
     else:
-        thing, summary = content_of(run, holds)
-    if isinstance(thing, Points) and system is not None:
-        thing, summary = replace(thing, system=system), f"{counted(len(thing.positions), 'point')}, {system}"
+        data, summary = content_of(run, holds)
+    if isinstance(data, Points) and system is not None:
+        data, summary = replace(data, system=system), f"{counted(len(data.positions), 'point')}, {system}"
     elif holds == "mesh":
         summary = f"{summary}, {format.up}"
     elif format.coordinates == "degrees":
-        summary = f"outline of {counted(len(thing.positions), 'point')}, longitude and latitude ({DATUM})"
+        summary = f"outline of {counted(len(data.positions), 'point')}, longitude and latitude ({DATUM})"
     remove_place(path)
-    format.writers[holds](thing, path, colour or "db")
+    format.writers[holds](data, path, colour or "db")
     beside = write_place(path, run.place) if run.place is not None and format.coordinates == "scene" else ""
     return Written(summary, format.opened_with[holds], beside)
 
 
 @checks_arguments
 def export_terrain(terrain: str | Path, path: str | Path, view: View) -> Written:
-    """Write where a radar has layover and shadow on a GeoTIFF of heights, without a run.
+    """Write a map of layover and shadow on a GeoTIFF of heights, without a run.
 
     Parameters
     ----------
     terrain : str or Path
-        GeoTIFF of heights, m, in a projected system in metres; what has no data hides nothing.
+        GeoTIFF of heights, m, in a projected system in metres; pixels without data hide nothing.
     path : str or Path
         File to write, a .tif on the pixels and in the system of the terrain; an existing one is replaced.
     view : View
-        From where; its azimuth is clockwise from the terrain's east.
+        View, whose azimuth is clockwise from the terrain's east.
 
     Raises
     ------

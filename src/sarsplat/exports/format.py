@@ -1,4 +1,4 @@
-"""The interface of a file format for other programs, and what of a run it can hold: Gaussians, points, a mesh."""
+"""Interface of a file format for other programs, and its contents from a run: Gaussians, points, a mesh."""
 
 from __future__ import annotations
 
@@ -19,33 +19,31 @@ from sarsplat.names import Colour, Content
 from sarsplat.runs import Run
 
 Coordinates = Literal["scene", "map", "degrees"]
-"""What the coordinates in a file are."""
+"""Coordinate system of a file."""
 
 Write = Callable[[Any, Path, Colour], object]
-"""Writes `Gaussians`, `Points`, a trimesh or a `Raster` to a file, whole or not at all; the colour is of
-Gaussians."""
+"""Writer of `Gaussians`, `Points`, a trimesh or a `Raster` to a file; the colour is for Gaussians."""
 
 
 @dataclass(frozen=True)
 class Format:
-    """A file format: the `FORMAT` of a module `format_ENDING.py` beside this one, or an entry point named ENDING.
+    """File format: the `FORMAT` of a module `format_ENDING.py` in this folder, or an entry point named ENDING.
 
     Attributes
     ----------
     writers : mapping of Content to Write
-        What it can hold, and who writes that; the first is what is written unless asked otherwise.
+        Writers by content; the first content is the default.
     opened_with : mapping of Content to str
         Programs that open it.
     recognises : callable (bytes, int) -> bool
-        Whether a file that begins with these bytes, and has that many, is of this kind: no other is replaced.
+        Return whether a file with these first bytes and this size has the format: no other file is replaced.
     coordinates : {"scene", "map", "degrees"}
-        What its coordinates are: the scene's, and a file beside it says where on earth they are, if the run knows;
-        those of a map, if the run knows, or else the scene's; or longitudes and latitudes.
+        Coordinate system: that of the scene, with the georeference in a sidecar file; that of a map if the run has a
+        georeference, or else the scene's; or longitudes and latitudes.
     named_by_content : bool
-        A file whose name is, or ends with, what such files can hold, holds that unless asked otherwise, as gamma0.tif
-        and village-gamma0.tif.
+        True if names of files that end with a content choose it, as gamma0.tif and village-gamma0.tif.
     up : str
-        In which direction meshes stand in it, for those who open them.
+        Vertical axis of meshes, for the summary.
     """
 
     writers: Mapping[Content, Write]
@@ -57,7 +55,7 @@ class Format:
 
 
 def mesh_format(recognises: Recognises, up: str = "z up") -> Format:
-    """A format of meshes that `write_mesh` knows."""
+    """Return a format of meshes that `write_mesh` supports."""
     writers: Mapping[Content, Write] = {"mesh": lambda mesh, path, _: write_mesh(path, mesh)}
     return Format(writers, {"mesh": "any mesh viewer"}, recognises, up=up)
 
@@ -73,9 +71,9 @@ class Points:
     gamma0 : numpy.ndarray, float32 [P], or None
         γ⁰, linear, if the method estimates it.
     place : Place or None
-        Where on earth the world frame is, if the run knows.
+        Georeference of the world frame, if known.
     system : MapSystem or None
-        That of the file, where its format holds coordinates of maps and the run knows its place.
+        Coordinate system of the file, if its format and the run support maps.
     """
 
     positions: Float32[np.ndarray, "p 3"]
@@ -85,13 +83,13 @@ class Points:
     system: MapSystem | None = None
 
     def columns(self) -> dict[str, Float32[np.ndarray, " p"]]:
-        """The columns of the points besides their positions, by name."""
+        """Return columns besides positions, by name."""
         normals = dict(zip(("nx", "ny", "nz"), self.normals.T, strict=True))
         return normals if self.gamma0 is None else {**normals, "gamma0": self.gamma0}
 
 
 def content_of(run: Run, content: Content) -> tuple[Any, str]:
-    """Return a run's Gaussians, `Points` or mesh, and their description; refused if empty."""
+    """Return a run's Gaussians, `Points` or mesh, and their description; raise if empty."""
     name = "the run in memory" if run.path is None else str(run.path)
     longer = "train it longer, or look at its report"
     if run.path is None:

@@ -15,14 +15,15 @@ from sarsplat.geometry.place import DATUM
 from sarsplat.names import Colour
 
 _DIGITS = 8
-"""Of degrees: a millimetre."""
+"""Decimals of degrees: a millimetre."""
 _BEGINS = b'{\n  "type": "FeatureCollection"'
-_LEAST_M2 = 1e-6
+_MIN_M2 = 1e-6
+"""Minimum area of the outline, m²."""
 
 
 def _write(points: Points, path: Path, _: Colour) -> None:
     place = points.place
-    assert place is not None  # `export` refuses others
+    assert place is not None  # `export` rejects others
     outline, area_m2 = _hull(points.positions[:, :2].astype(np.float64), path)
     level = float(np.median(points.positions[:, 2]))
     corners = place.to_geodetic(np.column_stack([outline, np.full(len(outline), level)]))
@@ -43,22 +44,22 @@ def _write(points: Points, path: Path, _: Colour) -> None:
 
 
 def _hull(places: Float64[np.ndarray, "p 2"], path: Path) -> tuple[Float64[np.ndarray, "n 2"], float]:
-    """Corners of the convex outline, counter-clockwise, and its area."""
+    """Return the corners of the convex outline, counter-clockwise, and its area, m²."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         hull = ConvexHull(places)
     except (QhullError, ValueError):
         hull = None
-    if hull is None or hull.volume < _LEAST_M2:
+    if hull is None or hull.volume < _MIN_M2:
         raise SarsplatError(f"the {len(places)} points for {path} cover no area; train the run longer")
     return hull.points[hull.vertices], float(hull.volume)
 
 
 def rings_of(corners_deg: Float64[np.ndarray, "n 2"], path: Path) -> list[list[list[float]]]:
-    """Closed rings of longitude and latitude, counter-clockwise; two, cut along it, of what lies across 180°.
+    """Return closed rings of longitude and latitude, counter-clockwise; two for an outline across 180°.
 
-    Refused if the outline goes around a pole, which no ring in these coordinates does.
+    Raises if the outline goes around a pole, which no ring in these coordinates does.
     """
     steps = np.remainder(np.diff(corners_deg[:, 0], append=corners_deg[:1, 0]) + 180.0, 360.0) - 180.0
     if abs(steps.sum()) > 180:
@@ -77,16 +78,16 @@ def rings_of(corners_deg: Float64[np.ndarray, "n 2"], path: Path) -> list[list[l
 
 
 def _cut(ring: Float64[np.ndarray, "n 2"], meridian_deg: float, side: float) -> Float64[np.ndarray, "m 2"]:
-    """The part of a convex ring east (side 1) or west (−1) of a meridian."""
-    kept = []
-    for here, after in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-        first, second = (side * (at[0] - meridian_deg) for at in (here, after))
+    """Return the part of a convex ring east (side 1) or west (−1) of a meridian."""
+    part = []
+    for start, end in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+        first, second = (side * (corner[0] - meridian_deg) for corner in (start, end))
         if first >= 0:
-            kept.append(here)
+            part.append(start)
         if first * second < 0:
-            crossing = here + first / (first - second) * (after - here)
-            kept.append(np.array([meridian_deg, crossing[1]]))
-    return np.array(kept).reshape(-1, 2)
+            crossing = start + first / (first - second) * (end - start)
+            part.append(np.array([meridian_deg, crossing[1]]))
+    return np.array(part).reshape(-1, 2)
 
 
 FORMAT = Format(

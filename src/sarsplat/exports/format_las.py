@@ -15,10 +15,10 @@ from sarsplat.exports.format import Format, Points
 from sarsplat.extras import install_command
 from sarsplat.radiometry import LEAST_POWER, shade
 
-_DARKEST_DB = -30.0  # of the brightest point: intensity 0, as black in a mesh
-_FINEST_M = 1e-4  # of coordinates, which are whole numbers of such steps
+_DARKEST_DB = -30.0  # relative to the brightest point: intensity 0, as black in a mesh
+_FINEST_M = 1e-4  # minimum step of coordinates, which are integers
 _LARGEST = 2**31 - 1
-_TEXT_AREA = 3  # of LAS: text for people
+_TEXT_AREA = 3  # record identifier of LAS for text
 _AT_A_TIME = 1 << 18
 _FRAME = (
     'LOCAL_CS["target frame: x nose, y left, z up",LOCAL_DATUM["target",0],UNIT["metre",1],'
@@ -28,10 +28,9 @@ _DESCRIBED = {"nx": "unit normal", "ny": "unit normal", "nz": "unit normal", "ga
 
 
 def write_las(points: Points, path: Path, *, compressed: bool = False) -> None:
-    """A LAS or LAZ file of points: coordinates, intensity by γ⁰ in decibels, and normals and γ⁰ as extra dimensions.
+    """Write a LAS or LAZ file of points: coordinates, intensity by γ⁰ in decibels, normals and γ⁰ as extra dimensions.
 
-    Coordinates and normals are those of the points' map, if they have one. Points are written some at a time: the file
-    is never in memory.
+    Coordinates and normals are those of the points' map, if they have one. Points are written in chunks.
     """
     try:
         import laspy
@@ -45,7 +44,7 @@ def write_las(points: Points, path: Path, *, compressed: bool = False) -> None:
         ) from error
     header = laspy.LasHeader(point_format=6, version="1.4")
     places, origin, frame = points.positions, np.zeros(3), _FRAME
-    if (system := points.system) is not None:  # whose numbers are large: steps count from the corner of the points
+    if (system := points.system) is not None:  # large numbers: steps count from the corner of the points
         places, frame = system.to_map(points.positions), system.wkt
         origin = np.floor(places.min(axis=0))
         points = replace(points, normals=system.turned(points.normals).astype(np.float32))
@@ -55,7 +54,7 @@ def write_las(points: Points, path: Path, *, compressed: bool = False) -> None:
     header.generating_software = header.system_identifier = "sarsplat"
     header.global_encoding.wkt = True
     header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(frame))
-    if system is not None:  # the system itself says it only where it has a name for that
+    if system is not None:  # the system names the height datum only if it has one
         level = f"heights above {LEVELS[system.place.height_above]}"
         header.vlrs.append(laspy.VLR("LASF_Spec", _TEXT_AREA, "what heights are above", level.encode() + b"\0"))
     columns = points.columns()
@@ -69,15 +68,15 @@ def write_las(points: Points, path: Path, *, compressed: bool = False) -> None:
     ):
         for first in range(0, len(points.positions), _AT_A_TIME):
             part = slice(first, first + _AT_A_TIME)
-            some_places = places[part].astype(np.float64)
-            some = laspy.ScaleAwarePointRecord.zeros(len(some_places), header=header)
-            some.x, some.y, some.z = some_places.T
+            chunk = places[part].astype(np.float64)
+            record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=header)
+            record.x, record.y, record.z = chunk.T
             for name, column in columns.items():
-                some[name] = column[part]
+                record[name] = column[part]
             if points.gamma0 is not None and brightest is not None:
                 grey = shade(points.gamma0[part], brightest, -_DARKEST_DB)
-                some.intensity = np.round(65535 * grey).astype(np.uint16)
-            writer.write_points(some)
+                record.intensity = np.round(65535 * grey).astype(np.uint16)
+            writer.write_points(record)
 
 
 FORMAT = Format(

@@ -1,4 +1,4 @@
-"""`.splat`: Gaussians as the web viewer antimatter15/splat takes them, 32 bytes each and nothing else.
+"""`.splat`: Gaussians for the web viewer antimatter15/splat, 32 bytes each without header.
 
 Position and standard deviations (six float32, m), colour and opacity (RGBA, uint8), and the quaternion wxyz as
 uint8, 128 + 128·q. A colour cannot depend on the direction: it is the mean over all directions above the horizon.
@@ -18,15 +18,15 @@ from sarsplat.names import Colour
 
 
 def splat_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
-    """The Gaussians as bytes of a `.splat` file."""
+    """Return the Gaussians as bytes of a `.splat` file."""
     values = {name: tensor.detach().double().cpu().numpy() for name, tensor in gaussians.tensors().items()}
     opacity = -np.expm1(-values["optical_depth"])
     rgba = np.column_stack([viewer_colours(gaussians, colour).mean, opacity])
-    turn = values["quaternions"] / np.linalg.norm(values["quaternions"], axis=1, keepdims=True)
+    quaternions = values["quaternions"] / np.linalg.norm(values["quaternions"], axis=1, keepdims=True)
     table = np.empty(len(gaussians), SPLAT)
     table["position"], table["scale"] = values["means"], values["scales"]
     table["rgba"] = np.round(255 * rgba)
-    table["rotation"] = np.clip(np.round(128 + 128 * turn), 0, 255)
+    table["rotation"] = np.clip(np.round(128 + 128 * quaternions), 0, 255)
     importance = values["scales"].prod(axis=1) * opacity
     return table[np.argsort(-importance, kind="stable")].tobytes()
 

@@ -1,4 +1,4 @@
-"""From a scene's frame to the coordinates of maps: UTM where nothing else is asked for."""
+"""Projection from a scene's frame to map coordinates, UTM by default."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ from sarsplat.geometry import Place
 _POLAR = {"N": "EPSG:5041", "S": "EPSG:5042"}  # UPS, east before north
 _UTM_ENDS_DEG = (-80.0, 84.0)
 _STEP_M = 100.0
-"""Over which directions are compared; short against the earth."""
+"""Step of the finite differences of the projection, short against the earth's radius, m."""
 _STRETCHED = 0.01
+"""Maximum scale error of a map without a note."""
 _INEXACT_M = 0.5
+"""Maximum error of the datum's transformation without a note, m."""
 _CUT_M = 1e7
-"""No scene is so large, but the two ends of a map of the earth are farther apart."""
-_ASTRAY_M = 0.1
-"""Way there and back: ellipsoids that are not concentric leave millimetres."""
+"""Minimum extent of a scene that is cut by the edge of a map of the earth, m."""
+_MAX_ROUND_TRIP_M = 0.1
+"""Maximum error of projection and inverse, m: ellipsoids that are not concentric leave millimetres."""
 _HEIGHT_WKT = (
     'VERT_CS["Ellipsoid (metre)",VERT_DATUM["Ellipsoid",2002],UNIT["metre",1,AUTHORITY["EPSG","9001"]],AXIS["Up",UP]]'
 )
@@ -34,16 +36,16 @@ _HEIGHT_WKT = (
 
 @dataclass(frozen=True)
 class MapSystem:
-    """A projected coordinate system in metres, and the scene in it: east, north and height.
+    """Projected coordinate system in metres, and the scene in it: east, north and height.
 
-    Heights are those of the place, above whatever that measures them from.
+    Heights have the datum of the place.
 
     Attributes
     ----------
     place : Place
-        Where on earth the scene is.
+        Georeference of the scene.
     crs : pyproj.CRS
-        The system, without heights.
+        System without heights.
     """
 
     place: Place
@@ -51,18 +53,17 @@ class MapSystem:
 
     @classmethod
     def of(cls, place: Place, crs: str | None = None) -> Self:
-        """The named system, such as "EPSG:32632"; unless given, UTM, or UPS beyond 84° north and 80° south.
+        """Return the named system, such as "EPSG:32632"; by default UTM, or UPS beyond 84° north and 80° south.
 
         Raises
         ------
         SarsplatError
-            If pyproj is not installed, there is no such system, it is not one of horizontal metres, or it cannot show
-            the place.
+            If pyproj is not installed, or the system is unknown, not horizontal in metres, or cannot show the place.
 
         Warns
         -----
         SarsplatWarning
-            If the place is outside the area that the system is for.
+            If the place is outside the system's area of use.
         """
         try:
             import pyproj
@@ -80,8 +81,8 @@ class MapSystem:
             ) from error
         if found.is_compound or len(found.axis_info) > 2:
             raise SarsplatError(
-                f"--crs {name} ({found.name}) has heights of its own, and heights are not converted; give the "
-                f"horizontal system alone, such as {usual_system(place)}"
+                f"--crs {name} ({found.name}) includes heights, which are not converted; give the horizontal "
+                f"system alone, such as {usual_system(place)}"
             )
         if not found.is_projected or any(axis.unit_conversion_factor != 1 for axis in found.axis_info):
             raise SarsplatError(
@@ -103,10 +104,10 @@ class MapSystem:
         return made
 
     def _check(self) -> None:
-        """Refuse a system that cannot show the place there and back."""
+        """Raise if the projection and its inverse do not reproduce the place."""
         points = _STEP_M * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
-        there = self.to_map(points)
-        if not np.isfinite(there).all() or not np.abs(self.to_scene(there) - points).max() < _ASTRAY_M:
+        projected = self.to_map(points)
+        if not np.isfinite(projected).all() or not np.abs(self.to_scene(projected) - points).max() < _MAX_ROUND_TRIP_M:
             raise SarsplatError(
                 f"--crs {self.crs.name} cannot show {self.place.latitude_deg:.4f}°, {self.place.longitude_deg:.4f}°; "
                 f"give another, such as {usual_system(self.place)}"
@@ -114,21 +115,21 @@ class MapSystem:
 
     @property
     def epsg(self) -> int | None:
-        """Its number, if it has one."""
+        """EPSG number, or None."""
         number: int | None = self.crs.to_epsg()
         return number
 
     @cached_property
     def _operation(self) -> Any:
-        """Between WGS 84 and the system: one for the whole scene, the best that the installed data allow."""
+        """Transformation from WGS 84 for the entire scene, the best with the installed data."""
         from pyproj.aoi import AreaOfInterest
         from pyproj.transformer import TransformerGroup
 
         latitude, longitude = self.place.latitude_deg, self.place.longitude_deg
-        here: Any = AreaOfInterest(longitude, latitude, longitude, latitude)
+        area: Any = AreaOfInterest(longitude, latitude, longitude, latitude)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of missing grids: `__str__` says how exact it is without
-            operations = TransformerGroup("EPSG:4979", self.crs, always_xy=True, area_of_interest=here).transformers
+            operations = TransformerGroup("EPSG:4979", self.crs, always_xy=True, area_of_interest=area).transformers
         if not operations:
             raise SarsplatError(f"--crs {self.crs.name} cannot be reached from WGS 84; give another")
         if "ballpark" in operations[0].description.lower():
@@ -140,7 +141,7 @@ class MapSystem:
         return operations[0]
 
     def to_map(self, points: Real[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """East, north and height, m, of points of the scene; infinite where the system has none."""
+        """Return east, north and height, m, of points of the scene; infinite outside of the system."""
         latitude, longitude, height = self.place.to_geodetic(points).T
         east, north = self._operation.transform(longitude, latitude, height)[:2]
         known = np.stack([east, north])[:, np.isfinite(east) & np.isfinite(north)]
@@ -152,52 +153,52 @@ class MapSystem:
         return np.stack([east, north, height], axis=-1)
 
     def to_scene(self, places: Real[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """Points of the scene, m, at an east, a north and a height, m."""
+        """Return points of the scene, m, from east, north and height, m."""
         east, north, height = np.asarray(places, np.float64).T
         longitude, latitude = self._operation.transform(east, north, height, direction="INVERSE")[:2]
         return self.place.from_geodetic(np.stack([latitude, longitude, height], axis=-1))
 
     @cached_property
     def gradients(self) -> Float64[np.ndarray, "3 3"]:
-        """How east, north and height grow along the scene's axes at its origin: one row each."""
+        """Jacobian of (east, north, height) by the scene's axes at its origin, one row each."""
         ends = self.to_map(_STEP_M * np.concatenate([np.eye(3), -np.eye(3)]))
         return (ends[:3] - ends[3:]).T / (2 * _STEP_M)
 
     def turned(self, normals: Real[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """Unit vectors of the scene along east, north and up of the map, whose north may not be the true one."""
+        """Return unit vectors of the scene in the axes east, north (of the map, not true north) and up."""
         left, _, right = np.linalg.svd(self.gradients)
         return np.asarray(normals, np.float64) @ (left @ right).T
 
     @property
     def wkt(self) -> str:
-        """The system as WKT of version 1 (OGC 01-009), with ellipsoidal heights where these are above its ellipsoid."""
+        """WKT 1 (OGC 01-009) of the system, with ellipsoidal heights if these refer to its ellipsoid."""
         ellipsoid = self.crs.ellipsoid
-        alike = ellipsoid.semi_major_metre == 6378137.0 and abs(ellipsoid.inverse_flattening - 298.2572) < 1e-3
+        is_wgs84 = ellipsoid.semi_major_metre == 6378137.0 and abs(ellipsoid.inverse_flattening - 298.2572) < 1e-3
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             horizontal: str = self.crs.to_wkt("WKT1_GDAL")
-        if self.place.height_above != "ellipsoid" or not alike:
+        if self.place.height_above != "ellipsoid" or not is_wgs84:
             return horizontal
         return f'COMPD_CS["{self.crs.name} + Ellipsoid (metre)",{horizontal},{_HEIGHT_WKT}]'
 
     def __str__(self) -> str:
-        """Its name, what its heights are, and what is not as usual: said with every export."""
+        """Name, height datum, and unusual scale or accuracy, for the summary of an export."""
         height = LEVELS[self.place.height_above] + " (not the sea)" * (self.place.height_above == "ellipsoid")
         number = "" if self.epsg is None else f" (EPSG:{self.epsg})"
-        said = [f"metres in {self.crs.name}{number}, heights above {height}"]
+        parts = [f"metres in {self.crs.name}{number}, heights above {height}"]
         scale = math.sqrt(abs(np.linalg.det(self.gradients[:2, :2])))
         if abs(scale - 1) > _STRETCHED:
-            said.append(f"a metre on the ground is {scale:.3g} m of the map here")
+            parts.append(f"a metre on the ground is {scale:.3g} m of the map here")
         accuracy = self._operation.accuracy
         if accuracy > _INEXACT_M:
-            said.append(f"reached from WGS 84 to {accuracy:g} m")
+            parts.append(f"reached from WGS 84 to {accuracy:g} m")
         elif accuracy < 0:
-            said.append("how exactly it is reached from WGS 84 is not known")
-        return ", ".join(said)
+            parts.append("how exactly it is reached from WGS 84 is not known")
+        return ", ".join(parts)
 
 
 def usual_system(place: Place) -> str:
-    """The UTM zone of a place; UPS near the poles, where there is none."""
+    """Return the UTM zone of a place, or UPS near the poles."""
     low, high = _UTM_ENDS_DEG
     if not low <= place.latitude_deg <= high:
         return _POLAR["N" if place.latitude_deg > 0 else "S"]

@@ -24,36 +24,36 @@ from sarsplat.surface.from_above import ground_seen, uppermost, without_holes
 from sarsplat.surface.neighbours import spacing_m
 
 _MOST_PIXELS = 16384
-"""Along a side."""
+"""Maximum number of pixels along a side."""
 
 _PIXEL, _POINT = 60, 200
-"""Bytes that are needed at a time for each pixel of heights or γ⁰, and for each point in them."""
+"""Peak memory per pixel of heights or γ⁰, and per point, bytes."""
 _ON_GROUND = 200
-"""And for each pixel where ground may be."""
+"""Peak memory per pixel of possible ground, bytes."""
 _CLASSED, _CLASSING = 80, 600e6
-"""And for each pixel of layover and shadow, and for any."""
-_AT_A_TIME = 1 << 20
-"""Pixels."""
+"""Peak memory per pixel of layover and shadow, and at any size, bytes."""
+_CHUNK = 1 << 20
+"""Pixels per chunk."""
 _LARGER = 1.2
-"""Than what would just fit."""
+"""Factor on the suggested pixel above the smallest that fits."""
 
 _APART = 5.0
-"""Holes between points no farther apart than this many of their median distances are chance: of points strewn at
-random, one place in ten million is farther from all others."""
+"""Maximum distance of points across a hole that is filled, in median distances: one random point in ten million is
+farther from all others."""
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Where on a map places of the scene are: in a system of the earth, or, without one, in the scene's own axes."""
+    """Transformation between scene and map: by a georeferenced system, or, without one, the scene's axes."""
 
     system: MapSystem | None = None
 
     def of(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """Map coordinates x, y and height, m, of points of the scene."""
+        """Return map coordinates x, y and height, m, of points of the scene."""
         return points if self.system is None else self.system.to_map(points)
 
     def back(self, places: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-        """X and y in the scene, m, of places near its ground on the map."""
+        """Return x and y in the scene, m, of places near its ground on the map."""
         if self.system is None:
             return places
         level = np.full(len(places), self.system.place.height_m)
@@ -61,25 +61,25 @@ class Coordinates:
 
     @cached_property
     def metres(self) -> tuple[float, float]:
-        """On the ground, for each metre of the map along its x and y: a map's metres need not be the ground's."""
+        """Metres on the ground per metre of the map along its x and y."""
         if self.system is None:
             return 1.0, 1.0
         x, y = np.linalg.norm(np.linalg.inv(self.system.gradients[:2, :2]), axis=0)
         return float(x), float(y)
 
     def view(self, view: View) -> View:
-        """The same view on the map, whose y axis need not be the scene's."""
+        """Return the view with its azimuth in the axes of the map."""
         ahead = self.of(np.array([[0.0, 0.0, 0.0], [*view.look.ahead, 0.0]]))
         x, y = (ahead[1] - ahead[0])[:2] * self.metres
         return replace(view, azimuth_deg=math.degrees(math.atan2(y, -x)))
 
     def bearing_deg(self, view: View) -> float:
-        """Direction of the radar on the map, degrees clockwise from its top."""
+        """Return the direction of the radar on the map, degrees clockwise from its top."""
         return (self.view(view).azimuth_deg + 90) % 360
 
 
 def require_fit(path: Path, holds: str, pixel_m: float | None, view: View | None) -> None:
-    """Refuse a pixel size for what is no map, and a view for what is the same from everywhere, or its absence."""
+    """Raise for a pixel size without a map, and for a view that is missing or has no effect."""
     if holds not in get_args(Map):
         if pixel_m is not None or view is not None:
             given = "pixel" if pixel_m is not None else "direction"
@@ -93,17 +93,17 @@ def require_fit(path: Path, holds: str, pixel_m: float | None, view: View | None
             "--azimuth 30 --grazing 35"
         )
     if holds != "layover-shadow" and view is not None:
-        raise SarsplatError(f"{path} will hold what is the same from every direction ({holds}); leave the angles out")
+        raise SarsplatError(f"{path} will hold {holds}, which does not depend on the direction; remove the angles")
 
 
 def map_of(
     run: Run, what: str, coordinates: Coordinates, pixel_m: float | None, view: View | None
 ) -> tuple[Raster, str]:
-    """A map of a run ("dsm", "gamma0" or "layover-shadow"), and what it is in words.
+    """Return a map of a run ("dsm", "gamma0" or "layover-shadow"), and its description.
 
-    Heights and γ⁰ are those of its points and, where it learned one, of the ground: means over what is uppermost in a
-    pixel, float32, NaN where no view saw anything. Refused if the run has no points or lacks what is asked for, pixels
-    are too many, or finer than points are apart, and of layover and shadow if the target is aloft.
+    Heights and γ⁰ are those of its points and of learned ground: means over the uppermost surface in a pixel, float32,
+    NaN where no view saw anything. Raises if the run has no points or no γ⁰, pixels are too many, or finer than the
+    spacing of points, and for layover and shadow of a target aloft.
     """
     if what == "layover-shadow":
         assert view is not None  # `require_fit`
@@ -121,9 +121,9 @@ def map_of(
 
 
 def of_terrain(path: Path, view: View) -> tuple[Raster, str]:
-    """Layover and shadow on the terrain of a GeoTIFF, alone, in its own coordinates, and what that is in words.
+    """Return a map of layover and shadow on a GeoTIFF's terrain, in its coordinates, and its description.
 
-    +x of the view is the direction of the file's columns. Refused if the file cannot be read.
+    +x of the view is the direction of the file's columns. Raises if the file cannot be read.
     """
     found = read_heights(path)
     heights, (x_m, y_m) = found.raster, found.metres
@@ -140,9 +140,9 @@ def of_terrain(path: Path, view: View) -> tuple[Raster, str]:
 def _classes_in_words(
     raster: Raster, measured: Bool[np.ndarray, "rows columns"], named: str, pixel_m2: float, bearing_deg: float
 ) -> str:
-    """How much of what was measured, and of the whole map, is in layover and shadow, and where the radar is.
+    """Return a sentence about shares and areas of layover and shadow, and the direction of the radar.
 
-    How far a map goes on around what was measured is no matter of its own: so shares are not of that.
+    Shares are relative to the measured pixels, not to the map, whose margin is arbitrary.
     """
     if not measured.any():
         return "no height is known"
@@ -158,7 +158,7 @@ def _classes_in_words(
 
 
 def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, brightness: bool = False) -> Raster:
-    """Height or γ⁰ of the run's surface, and of learned ground, from above."""
+    """Return heights or γ⁰ of the run's surface, and of learned ground, from above."""
     points, cell, system = np.asarray(run.points, np.float64), run.grid.cell_m, coordinates.system
     if not len(points):
         raise SarsplatError(f"{_name(run)} has no points of a surface yet; train it longer, or look at its report")
@@ -187,10 +187,7 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
 def _layover_shadow(
     run: Run, view: View, coordinates: Coordinates, pixel_m: float | None
 ) -> tuple[Raster, Bool[np.ndarray, "rows columns"]]:
-    """Classes on the run's surface and its ground: the terrain that it was learned on, or else level at z = 0.
-
-    And where on that map a view saw something.
-    """
+    """Return classes on the surface and its ground (the run's terrain, or z = 0), and a mask of seen pixels."""
     if view.aloft or any(one.aloft for one in run.snapshot.views):
         raise SarsplatError(
             f"{_name(run)} shows a target aloft: without ground there is no map of layover and shadow; export its mesh"
@@ -211,7 +208,7 @@ def _layover_shadow(
 def _ground(
     run: Run, pixel: float, coordinates: Coordinates
 ) -> Iterator[tuple[Float64[np.ndarray, "g 3"], Float64[np.ndarray, " g"], Float64[np.ndarray, " g"]]]:
-    """Where a view saw learned ground: places on the map, one in each pixel, upward parts of normals, and γ⁰."""
+    """Yield learned ground that a view saw: places on the map, one a pixel, upward parts of normals, and γ⁰."""
     model, grid, views = run.model, run.grid, run.snapshot.views
     if model is None or (ground := model.ground()) is None:
         return
@@ -234,25 +231,25 @@ def _ground(
 
 
 def _ground_z(run: Run, places: Float64[np.ndarray, "p 2"]) -> Float64[np.ndarray, " p"]:
-    """Height z of the ground at places (x, y) of the scene, m."""
+    """Return heights z of the ground at places (x, y) of the scene, m."""
     terrain = None if run.model is None else run.model.frame.terrain
     return np.zeros(len(places)) if terrain is None else terrain.height_m(places[:, 0], places[:, 1])
 
 
 def _ground_heights(run: Run, raster: Raster, coordinates: Coordinates) -> Float64[np.ndarray, "rows columns"]:
-    """Heights of the ground in the pixels of a map, in the map's coordinates, m."""
+    """Return heights of the ground in the pixels of a map, in the map's coordinates, m."""
     x, y = raster.centres
-    heights, each = np.empty(raster.values.shape), max(1, _AT_A_TIME // raster.values.shape[1])
-    for first in range(0, len(heights), each):
-        some = slice(first, first + each)
-        places = coordinates.back(np.stack([x[some], y[some]], axis=-1).reshape(-1, 2))
+    heights, count = np.empty(raster.values.shape), max(1, _CHUNK // raster.values.shape[1])
+    for first in range(0, len(heights), count):
+        rows = slice(first, first + count)
+        places = coordinates.back(np.stack([x[rows], y[rows]], axis=-1).reshape(-1, 2))
         above = coordinates.of(np.column_stack([places, _ground_z(run, places)]))[:, 2]
-        heights[some] = above.reshape(x[some].shape)
+        heights[rows] = above.reshape(x[rows].shape)
     return heights
 
 
 def _padded(raster: Raster, margin: int) -> Raster:
-    """The same with so many pixels without data around it."""
+    """Return the map with a margin of pixels without data."""
     values = np.pad(raster.values, margin, constant_values=np.nan)
     (left, top), (dx, dy) = raster.corner_m, raster.pitch_m
     return replace(raster, values=values, corner_m=(left - margin * dx, top + margin * dy))
@@ -261,7 +258,7 @@ def _padded(raster: Raster, margin: int) -> Raster:
 def _counted(
     counts: Float64[np.ndarray, " 2"], pixel: float, each_bytes: float, more_bytes: float = 0.0
 ) -> tuple[int, int]:
-    """The numbers of pixels along two sides; refused if they are too many, or need more memory than there is."""
+    """Return the numbers of pixels along two sides; raise if they are too many, or exceed the memory."""
     largest = float(max(counts))
     if largest > _MOST_PIXELS:
         raise SarsplatError(
@@ -271,17 +268,19 @@ def _counted(
     one, other = map(int, counts)
     needed = each_bytes * one * other + more_bytes
     larger = _LARGER * pixel * math.sqrt(max(1.0, needed / max(free_bytes(), 1.0)))
-    what = f"a map of {one} × {other} pixels of {pixel:g} m"
-    required(what, needed, f"give a larger --pixel, such as {larger:.2g}")
+    work = f"a map of {one} × {other} pixels of {pixel:g} m"
+    required(work, needed, f"give a larger --pixel, such as {larger:.2g}")
     return one, other
 
 
 def _unseen_ground(run: Run) -> str:
-    """What counts as ground where nothing was seen."""
+    """Return a sentence about the ground assumed where nothing was seen."""
     if run.model is not None and run.model.frame.terrain is not None:
-        return "what no view saw counts as its terrain"
+        return "pixels that no view saw count as its terrain"
     lowest = float(run.points[:, 2].min())
-    return f"what no view saw counts as level ground at z = 0 (the lowest point of the surface is at {lowest:.3f} m)"
+    return (
+        f"pixels that no view saw count as level ground at z = 0 (the lowest point of the surface is at {lowest:.3f} m)"
+    )
 
 
 def _name(run: Run) -> str:

@@ -1,4 +1,4 @@
-"""Beside a file with the scene's own coordinates, `FILE.place.json`: where on earth these are, to and fro."""
+"""Sidecar file `FILE.place.json`: georeference of a file in the scene's coordinates."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ _MAKE_ONE = (
 )
 
 
-class _Said(msgspec.Struct, frozen=True):
-    """What is read of such a file."""
+class _PlaceFile(msgspec.Struct, frozen=True):
+    """Content of the file."""
 
     place: PlaceHeader
 
 
 def refuse_elsewhere(path: Path, coordinates: Coordinates, name: str, place: Place | None, crs: str | None) -> None:
-    """Refuse coordinates of a map for a file that has others, and a place on earth where the run knows none."""
+    """Raise for a map's system if the file has other coordinates, and for map coordinates without georeference."""
     if crs is not None and coordinates != "map":
         what = "longitudes and latitudes" if coordinates == "degrees" else "the scene's own coordinates"
         raise SarsplatError(f"{path} will hold {what}; leave out --crs, or export points to a .las or .laz file")
     if place is None and (crs is not None or coordinates == "degrees"):
-        raise SarsplatError(f"{name} does not know where on earth it is; {_MAKE_ONE}")
+        raise SarsplatError(f"{name} has no georeference; {_MAKE_ONE}")
 
 
 def remove_place(path: Path) -> None:
-    """Remove what an earlier export said of the place of this file; refused if it is another program's."""
+    """Remove the sidecar of an earlier export; raise if another program wrote it."""
     beside = _beside(path)
     if not beside.exists():
         return
@@ -60,25 +60,25 @@ def remove_place(path: Path) -> None:
 
 
 def write_place(path: Path, place: Place) -> str:
-    """Say beside a file where on earth its coordinates are, and return what was written."""
+    """Write the sidecar of a file, and return a description of it."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = place.axes.T, place.ecef
     beside = _beside(path)
     header = {"schema": _SCHEMA, "schema_version": _SCHEMA_VERSION, "file": path.name, "about": _ABOUT}
     write_json(beside, {**header, "place": place.as_dict(), "ecef_from_scene": matrix.tolist()})
-    return f"{beside}: where on earth that is"
+    return f"{beside}: its georeference"
 
 
 def read_place(path: Path) -> Place | None:
-    """Where on earth the coordinates of this file are, as is said beside it; None if nothing is.
+    """Return the georeference of a file from its sidecar, or None.
 
-    Refused if that cannot be read, or was not written by an export.
+    Raises if that cannot be read, or was not written by an export.
     """
     beside = _beside(path)
     if not beside.exists():
         return None
     remedy = "export the file again, or take this one away"
-    return read_versioned_json(beside, _Said, schema=_SCHEMA, version=_SCHEMA_VERSION, remedy=remedy).place.place
+    return read_versioned_json(beside, _PlaceFile, schema=_SCHEMA, version=_SCHEMA_VERSION, remedy=remedy).place.place
 
 
 def _beside(path: Path) -> Path:

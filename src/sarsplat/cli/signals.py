@@ -1,4 +1,4 @@
-"""Signal handling: exit codes, and what an interrupted command says."""
+"""Signal handling: exit codes and messages of interrupted commands."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from types import FrameType
 
 SIGNALLED = 128
-"""And the signal's number: exit codes as in shells."""
+"""Exit code of interrupted commands, to which the signal's number is added, as in shells."""
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal that ended the work, of which the exit code tells; `text` is what it leaves, and how to go on."""
+    """Signal that ended the work; `text` names the results and the command to go on."""
 
     def __init__(self, number: int, text: str = "") -> None:
         super().__init__(*([text] if text else []))
@@ -26,7 +26,7 @@ def terminate(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def keeping(kept: Callable[[], str]) -> Iterator[None]:
-    """A signal that ends the block says what is kept."""
+    """Add a sentence about kept results to a signal that ends the block."""
     try:
         yield
     except KeyboardInterrupt as interrupt:
