@@ -20,7 +20,7 @@ _MODULES = {
     "baselines": "trimesh skimage embreex",
     "view": "viser websockets matplotlib trimesh fcpw",
     "report": "matplotlib jinja2 trimesh skimage",
-    "sicd": "sarkit lxml",
+    "sicd": "sarkit jbpy lxml",
     "rslc": "h5py",
     "phase-history": "finufft sarkit lxml",
     "gis": "pyproj rasterio",

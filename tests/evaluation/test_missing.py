@@ -31,4 +31,4 @@ def test_an_object_without_points_is_named_where_it_stands() -> None:
     vars(run)["points"] = run.points[run.points[:, 0] < 0]
     places = missing(run)
     assert len(places) == 1 and np.linalg.norm(places[0] - BALLS[1].numpy()) < 1.0
-    assert "1 object" in left_open({"missing": places.tolist()})["missing"]
+    assert "1 place" in left_open({"missing": places.tolist()})["missing"]

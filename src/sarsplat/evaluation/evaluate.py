@@ -205,6 +205,7 @@ def _evaluate(
             images[split] |= compute_all(MASK_METRICS, tested, compared, f"images.{split}.", reasons)
         surfaces = _surfaces(run, dataset, true_mesh, points, alignment == "rigid", yardstick, reasons, shown)
         shown.update(steps)
+        lacking = _missing(run, reasons, shown)
     return {
         "images": images,
         "by_image": by_image,
@@ -212,7 +213,7 @@ def _evaluate(
         "masks": None if masks_dir is None else str(masks_dir.resolve()),
         "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
-        "missing": _missing(run, reasons),
+        "missing": lacking,
         "seed": run.seed,
         "method": run.method,
         "definitions": {metric.key: metric.definition for metric in all_metrics(yardstick)},
@@ -221,15 +222,15 @@ def _evaluate(
     }
 
 
-def _missing(run: Run, reasons: dict[str, str]) -> list[list[float]] | None:
-    """Places of objects that images show and points lack, m; warn of them."""
+def _missing(run: Run, reasons: dict[str, str], shown: Reporter) -> list[list[float]] | None:
+    """Find places of objects that images show and points lack, m; note them."""
     try:
         places = np.round(missing(run), 2).tolist()
     except UndefinedScore as undefined:
         reasons["missing"] = str(undefined)
         return None
-    if places:
-        warn([f"{name}: {text}" for name, text in left_open({"missing": places}).items()])
+    for name, text in left_open({"missing": places}).items():
+        shown.note(f"{name}: {text}")
     return places
 
 

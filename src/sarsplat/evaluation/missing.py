@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from jaxtyping import Float32, Float64
-from scipy.ndimage import label, maximum_position
+from scipy.ndimage import center_of_mass, label, maximum
 from scipy.spatial import cKDTree
 
 from sarsplat.evaluation.images import UndefinedScore
@@ -80,9 +80,10 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     mean_db = np.nan_to_num(levels_db).mean(axis=0)
     least_db = max(_EXCESS_DB, _SURE * typical(mean_db)[1])
     parts, count = label(mean_db > least_db)
-    found = [places[index] for index in maximum_position(mean_db, parts, range(1, count + 1))]
-    brightest = np.argsort([-mean_db[parts == k].max() for k in range(1, count + 1)])
-    return np.array(found).reshape(-1, 3)[brightest]
+    numbers = np.arange(1, count + 1)
+    brightest = np.argsort(-np.asarray(maximum(mean_db, parts, numbers)), kind="stable")
+    centres = [center_of_mass(mean_db, parts, k) for k in numbers[brightest]]
+    return np.array([places[tuple(np.round(centre).astype(int))] for centre in centres]).reshape(-1, 3)
 
 
 def _without_far(run: Run, numbers: np.ndarray) -> Float32[np.ndarray, "v rows columns"]:

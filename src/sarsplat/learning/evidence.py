@@ -7,6 +7,7 @@ their even and odd rows agree.
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from dataclasses import dataclass, replace
@@ -38,6 +39,9 @@ _FEWEST = 4
 
 _GROUND_DB = 1.5
 """Maximum distance of ground pixels from the rendering's median, dB."""
+
+_GAIN_DB = 0.25
+"""Minimum standard deviation of gains that are learned, dB: roads and dense scenes leave up to 0.2 dB in a trial."""
 
 _TARGET_DB = 6.0
 """Minimum level of target pixels above that median, dB."""
@@ -109,13 +113,17 @@ def differences(train: Dataset, trainer: Trainer) -> Differences:
     independent = train.grid.independent_samples * (train.looks or 1.0)
     per_parameter = math.log(independent) / (2 * independent)  # Schwarz's criterion, nats per sample and parameter
     gain_variance = _common_variance(train, expected)
-    gain_nats = gain_variance / 2 - per_parameter
-    moves = [_move(one, image, train.grid) for one, image in zip(expected, train.power, strict=True)]
-    displaced, shift_nats = sum(moved for moved, _ in moves), -float(np.mean([nats for _, nats in moves]))
-    shift_nats = shift_nats - 2 * per_parameter if displaced > len(moves) / 2 else 0.0
+    gain_std_db = float(to_db(math.exp(math.sqrt(gain_variance))))
+    gain_nats = gain_variance / 2 - per_parameter if gain_std_db > _GAIN_DB else 0.0
+    losses = np.array([_displaced(one, image, train.grid) for one, image in zip(expected, train.power, strict=True)])
+    common = losses.sum(axis=(0, 1)).argmin()  # a displacement of all images alike is the scene's
+    even, odd = losses.argmin(axis=2).T
+    displaced, one = int(((even == odd) & (even != common)).sum()), np.arange(len(losses))
+    cross = losses[one, 1, even] - losses[one, 1, common] + losses[one, 0, odd] - losses[one, 0, common]
+    shift_nats = -cross.mean() / 2 - 2 * per_parameter if displaced > len(losses) / 2 else 0.0
     return Differences(
-        len(moves),
-        float(to_db(math.exp(math.sqrt(gain_variance)))),
+        len(losses),
+        gain_std_db,
         displaced,
         0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0),
     )
@@ -139,19 +147,16 @@ def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows co
     return max(float(rest[0] @ rest[1]) / (len(sines) - design.shape[1]), 0.0)
 
 
-def _move(
+def _displaced(
     expected: Float64[np.ndarray, "rows columns"], image: Float[np.ndarray, "rows columns"], grid: ImageGrid
-) -> tuple[bool, float]:
-    """Return whether even and odd rows agree on a displacement, and its cross-validated loss relative to none, nats."""
+) -> list[list[float]]:
+    """Return the loss of even and of odd rows at each displacement of a rendering within a resolution cell, nats."""
     reach = [math.ceil(length / spacing) for length, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)]
     steps = [np.unique(np.linspace(-far, far, 5).round().astype(int)) for far in reach]
     inside = np.s_[reach[1] : -reach[1], reach[0] : -reach[0]]
-    nats = {}
-    for down in steps[1]:
-        for right in steps[0]:
-            moved = np.roll(expected, (down, right), (0, 1))[inside]
-            rows = (np.log(moved) + image[inside] / moved).mean(axis=1)
-            nats[down, right] = rows[::2].mean(), rows[1::2].mean()
-    even, odd = min(nats, key=lambda place: nats[place][0]), min(nats, key=lambda place: nats[place][1])
-    better = (nats[even][1] - nats[0, 0][1] + nats[odd][0] - nats[0, 0][0]) / 2
-    return even == odd != (0, 0), float(better)
+    losses = []
+    for places in itertools.product(steps[1], steps[0]):
+        moved = np.roll(expected, places, (0, 1))[inside]
+        rows = (np.log(moved) + image[inside] / moved).mean(axis=1)
+        losses.append((float(rows[::2].mean()), float(rows[1::2].mean())))
+    return [list(part) for part in zip(*losses, strict=True)]

@@ -92,7 +92,11 @@ def left_open(metrics: Mapping[str, Any]) -> dict[str, str]:
         words["left open"] = f"heights of {share:.0%} of the surface, inside uniform areas"
     if places := metrics.get("missing"):
         where = "; ".join(", ".join(f"{value:.1f}" for value in place) for place in places[:_MAX_NAMED_PLACES])
-        words["missing"] = f"{counted(len(places), 'object')} that images show and points lack, at ({where}) m"
+        more = "; …" if len(places) > _MAX_NAMED_PLACES else ""
+        words["missing"] = (
+            f"{counted(len(places), 'place')} where images show what points lack: ({where}{more}) m; a larger "
+            'target_box_m, or points.clusters "bright", may keep it'
+        )
     return words
 
 
