@@ -8,7 +8,6 @@ import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
@@ -69,7 +68,8 @@ def option_group(record: type[T]) -> type[T]:
 
     tyro would find these by itself, but takes 10 ms a class.
     """
-    source = _source(sys.modules[record.__module__].__file__ or "").partition(f"class {record.__name__}:\n")[2]
+    source = Path(sys.modules[record.__module__].__file__ or "").read_text("utf-8")
+    source = source.partition(f"class {record.__name__}:\n")[2]
     helps = dict(_DOCUMENTED.findall(source.partition("\n\n\n")[0]))
     for name, kind in get_type_hints(record, include_extras=True).items():
         record.__annotations__[name] = Annotated[kind, tyro.conf.arg(help=" ".join(helps.get(name, "").split()))]
@@ -80,9 +80,21 @@ _DOCUMENTED = re.compile(r'^    (\w+): .*\n(?:        .*\n|    \].*\n)*    """([
 """A field of a class and the docstring below it."""
 
 
-@cache
-def _source(file: str) -> str:
-    return Path(file).read_text("utf-8")
+@option_group
+class Workers:
+    """Processes or cluster for runs of a sweep, or tiles of a reconstruction; here both are jobs."""
+
+    processes: OptionalCount = None
+    """Jobs at a time on the CPU with local (default: as many as processors). Each takes the memory of one
+    reconstruction, or tile."""
+    per_device: OptionalCount = None
+    """Jobs at a time on each GPU with local (default: 4, or as many as there are processors for it)."""
+    address: str = "auto"
+    """Address of the Ray cluster; auto is the one on this machine."""
+    gpus: OptionalNumber = None
+    """GPUs of a job with ray: 0.25 lets four share one (default: 1 if it is trained on one)."""
+    retries: int = 3
+    """Maximum number of restarts with ray of a job whose node has died."""
 
 
 def one_of(literal: Any, hint: str = "(optional)") -> Any:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.table import Table
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import OptionalFile, refuse_existing
@@ -44,7 +45,7 @@ def check(
         Replace an existing sheet.
     """
     from sarsplat.data import read_dataset, write_bytes
-    from sarsplat.examination.contradictions import examine
+    from sarsplat.examination.contradictions import TWINS, examine
     from sarsplat.examination.plausible import left_open, suspicious_angles
 
     if out is not None:
@@ -60,7 +61,12 @@ def check(
             write_bytes(out, check_sheet(read, images, examined.orientations))
     console.facts(f"{dataset}: {counted(len(read), 'image')}", examined.checks)
     if verbose and examined.orientations:
-        _show(examined.orientations)
+        head, *rows = examined.orientations
+        table = Table(*head, box=None, pad_edge=False, padding=(0, 2, 0, 2), header_style="bold")
+        for row in rows:
+            table.add_row(*row)
+        console.show(table)
+        console.say(f"  {TWINS}")
     train = read.select("train")
     for text in () if suspicious_angles(train.views) else left_open(train):
         console.warn(text)
@@ -74,17 +80,3 @@ def check(
     words = ["sarsplat", "reconstruct", str(dataset), "--out", f"{dataset}-run"]
     console.say(f"no contradictions; next: {shlex.join(words)}")
     return 0
-
-
-def _show(orientations: list[tuple[str, ...]]) -> None:
-    """Print the table of the eight orientations with its legend."""
-    from rich.table import Table
-
-    from sarsplat.examination.contradictions import TWINS
-
-    head, *rows = orientations
-    table = Table(*head, box=None, pad_edge=False, padding=(0, 2, 0, 2), header_style="bold")
-    for row in rows:
-        table.add_row(*row)
-    console.show(table)
-    console.say(f"  {TWINS}")

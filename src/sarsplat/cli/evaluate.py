@@ -92,13 +92,7 @@ def _run(run: Path, dataset: Path | None, mesh: Path | None) -> Run:
 
 def _show(metrics: Mapping[str, Any], run: Run) -> None:
     """Print the table of scores, with notes and warnings."""
-    from sarsplat.evaluation import (
-        NOT_THE_SAME_EXPERIMENT,
-        Yardstick,
-        comparison,
-        metrics_table,
-        paper_beside,
-    )
+    from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, comparison, metrics_table, paper_beside
 
     paper = paper_beside(run.dataset)
     yardstick = Yardstick(metrics["parameters"]["yardstick_m"])

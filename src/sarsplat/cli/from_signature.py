@@ -263,6 +263,7 @@ def _warned_later(contradictions: list[str]) -> Iterator[None]:
 
 def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
     """Print assumptions and contradictions, draw the orientation sheet, and return 1 if there are contradictions."""
+    from sarsplat.data import write_bytes
     from sarsplat.examination.plausible import warn
     from sarsplat.importers import summary
     from sarsplat.regions.target_region import box_misses
@@ -277,7 +278,13 @@ def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
         console.complain(text)
     warn(box_misses(dataset))
     try:
-        _draw(out / "preview.png", dataset, examined.orientations)
+        from sarsplat.report.check_sheet import check_sheet
+
+        write_bytes(out / "preview.png", check_sheet(dataset, orientations=examined.orientations))
+        arrow = "a target's nose point along the dotted arrow"
+        if dataset.place is not None:
+            arrow = f"the dotted arrow point to the compass bearing {dataset.place.x_towards_deg:.4g}°"
+        console.say(f"look at {out / 'preview.png'}: shadows must fall downwards, and {arrow}")
     except ModuleNotFoundError as error:
         console.say(f"no preview.png was drawn, for {error.name} is not installed; {install_command('report')}")
     folder = shlex.quote(str(out))
@@ -291,14 +298,3 @@ def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
     then = f"sarsplat reconstruct {folder} --out {shlex.quote(f'{out}-run')}"
     console.finish(f"{out}: {summary(dataset)}, ready", then if assumed is None else None)
     return 0
-
-
-def _draw(preview: Path, dataset: Dataset, orientations: list[tuple[str, ...]]) -> None:
-    from sarsplat.data import write_bytes
-    from sarsplat.report.check_sheet import check_sheet
-
-    write_bytes(preview, check_sheet(dataset, orientations=orientations))
-    arrow = "a target's nose point along the dotted arrow"
-    if dataset.place is not None:
-        arrow = f"the dotted arrow point to the compass bearing {dataset.place.x_towards_deg:.4g}°"
-    console.say(f"look at {preview}: shadows must fall downwards, and {arrow}")

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import field, fields, make_dataclass, replace
+from dataclasses import asdict, field, fields, make_dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -23,11 +23,11 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import (
     DEFAULT_PORT,
     Folder,
-    OptionalCount,
+    Group,
     OptionalFile,
     OptionalFolder,
-    OptionalNumber,
     TargetBox,
+    Workers,
     one_of,
     option_group,
     refuse_existing,
@@ -121,16 +121,7 @@ class Options:
     executor: Annotated[ExecutorName | None, one_of(ExecutorName)] = None
     """Executor of --tiles: local, processes of this machine with one thread each, or ray, a Ray cluster (default: this
     process, one tile after the other). The result is the same."""
-    processes: OptionalCount = None
-    """Tiles at a time on the CPU with local (default: as many as processors). Each takes the memory of one."""
-    per_device: OptionalCount = None
-    """Tiles at a time on each GPU with local (default: 4, or as many as there are processors for it)."""
-    address: str = "auto"
-    """Address of the Ray cluster; auto is the one on this machine."""
-    gpus: OptionalNumber = None
-    """GPUs of a tile with ray: 0.25 lets four tiles share one (default: 1 if it is trained on one)."""
-    retries: int = 3
-    """Maximum number of restarts with ray of a tile whose node has died."""
+    workers: Group[Workers] = Workers()
     view: bool = False
     """Show the training in the browser while it goes on; its result is the same."""
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = DEFAULT_PORT
@@ -184,9 +175,7 @@ def reconstruct(
         "masks": options.masks,
         "device": options.device,
         "executor": options.executor,
-        "means": Means(
-            options.processes, options.address, options.gpus, options.retries, per_device=options.per_device
-        ),
+        "means": Means(**asdict(options.workers)),
         "resume": options.resume,
         "overwrite": options.overwrite,
     }

@@ -14,7 +14,6 @@ from sarsplat.cli.simulation_options import Options, Sensor, Split
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
-    import numpy as np
     import trimesh
 
     from sarsplat.data import Dataset, DatasetEntry
@@ -46,10 +45,16 @@ class _Scene:
 
 def simulate(options: Annotated[Options, tyro.conf.arg(name="")]) -> None:
     """Simulate SAR images of a target as a dataset."""
+    from sarsplat.data import write_dataset
     from sarsplat.data.dataset_folder import HEADER
     from sarsplat.data.masks import pillow
+    from sarsplat.examination.plausible import suspicions, warn
+    from sarsplat.progress import progress
+    from sarsplat.regions.target_region import box_misses
+    from sarsplat.scenes.raycast import raycast_masks
+    from sarsplat.scenes.targets import ALOFT
 
-    target, ground, masks = options.target, options.ground, options.echoes.masks
+    out, target, ground, masks = options.out, options.target, options.ground, options.echoes.masks
     if options.sensor.clean_tests and options.sensor.looks is None:
         raise SarsplatError("--clean-tests leaves speckle out of test images, but there is no speckle; add --looks")
     relief = ground.relief(options.echoes.bounces)
@@ -57,29 +62,33 @@ def simulate(options: Annotated[Options, tyro.conf.arg(name="")]) -> None:
         raise SarsplatError("--masks are of a target on flat ground; leave out --masks or --terrain")
     if masks:
         pillow()  # raises before minutes of ray casting
-    splits = _splits(options)
+    splits = options.views.splits(options.test_views, options.seed)
+    if options.isar.isar:
+        options.reject_with_isar()
+        splits = options.isar.splits()
+    elif (name := target.target) in ALOFT:
+        raise SarsplatError(f"the {name} is in free space; give the axis about which it turns, such as --isar 0 0 1")
     grid = options.sensor.grid(options.views.protocol, target.target == "village")
     box_m, stack = corners(target.target_box), options.stacks.stack()
     if stack is not None:
         options.reject_with_stacks()
-    refuse_existing(options.out, options.overwrite, marker=HEADER)
+    refuse_existing(out, options.overwrite, marker=HEADER)
     scene = _scene(options, splits, grid, relief)
     about: dict[str, Any] = {"target": scene.name, "ground": ground.ground is not None, "target_box_m": box_m}
     dataset = _images(options, scene, about) if stack is None else _stacks(options, scene, stack, about)
-    _finish(options, dataset, scene.surface, _masks(scene) if masks else None)
-
-
-def _splits(options: Options) -> list[Split]:
-    """Return the views of the protocol, of the options, or of inverse SAR."""
-    from sarsplat.scenes.targets import ALOFT
-
-    splits, target = options.views.splits(options.test_views, options.seed), options.target.target
-    if options.isar.isar:
-        options.reject_with_isar()
-        return options.isar.splits()
-    if target in ALOFT:
-        raise SarsplatError(f"the {target} is in free space; give the axis about which it turns, such as --isar 0 0 1")
-    return splits
+    true_masks = None
+    if masks:
+        with progress(f"masks of {scene.name}", len(scene.splits)) as shown:
+            true_masks = raycast_masks(scene.surface, scene.views, scene.grid, progress=shown.update)
+    dataset = write_dataset(out, dataset, truth_mesh=scene.surface, masks=true_masks, overwrite=options.overwrite)
+    warn([*suspicions(dataset), *box_misses(dataset)])
+    counts = ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
+    kind = "image" if stack is None else f"{dataset.passes}-channel stack"
+    console.finish(
+        f"{out}: {counted(len(dataset), kind)} of {dataset.target} ({counts}), {grid.rows} × {grid.columns} pixels"
+        + (f", and their masks in {out / 'masks'}" if masks else ""),
+        shlex.join(["sarsplat", "reconstruct", str(out), "--out", f"{out}-run"]),
+    )
 
 
 def _scene(options: Options, splits: list[Split], grid: ImageGrid, relief: Terrain | None) -> _Scene:
@@ -152,6 +161,7 @@ def _images(options: Options, scene: _Scene, about: dict[str, Any]) -> Dataset:
     """Simulate single images."""
     from sarsplat.data import Dataset
     from sarsplat.progress import progress
+    from sarsplat.scenes.raycast import ray_error_db
     from sarsplat.scenes.scattering import part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
 
@@ -168,8 +178,12 @@ def _images(options: Options, scene: _Scene, about: dict[str, Any]) -> Dataset:
     error_db, power_by_echo = None, dict[str, float]()
     with progress(f"simulate {scene.name}", len(scene.splits)) as shown:
         if options.echoes.source == "raycast":
-            error_db, note = _ray_error(scene, physics)
-            shown.note(note)
+            error_db = ray_error_db(scene.surface, scene.views[0], scene.grid, **physics)
+            verdict = "is empty: they miss the target, or it lies outside"
+            if error_db is not None:
+                advice = "; give a smaller --ray-spacing" * (error_db > _TOLERABLE_DB)
+                verdict = f"is right to {error_db:.2g} dB RMS{advice}"
+            shown.note(f"rays {physics['ray_spacing']:.3g} m apart along edges: the first image {verdict}")
         images = simulate_images(
             scene.surface,
             scene.views,
@@ -210,27 +224,6 @@ def _ray_spacing(options: Options, scene: _Scene) -> float | None:
     return given_m
 
 
-def _ray_error(scene: _Scene, physics: dict[str, Any]) -> tuple[float | None, str]:
-    """Return the RMS error of the first image due to the ray spacing, dB, and a sentence about it."""
-    from sarsplat.scenes.raycast import ray_error_db
-
-    error_db = ray_error_db(scene.surface, scene.views[0], scene.grid, **physics)
-    if error_db is None:
-        verdict = "is empty: they miss the target, or it lies outside"
-    else:
-        verdict = f"is right to {error_db:.2g} dB RMS"
-        verdict += "; give a smaller --ray-spacing" * (error_db > _TOLERABLE_DB)
-    return error_db, f"rays {physics['ray_spacing']:.3g} m apart along edges: the first image {verdict}"
-
-
-def _masks(scene: _Scene) -> np.ndarray:
-    from sarsplat.progress import progress
-    from sarsplat.scenes.raycast import raycast_masks
-
-    with progress(f"masks of {scene.name}", len(scene.splits)) as shown:
-        return raycast_masks(scene.surface, scene.views, scene.grid, progress=shown.update)
-
-
 def _scaled_and_moved(options: Options, scene: _Scene) -> dict[str, Any]:
     moved = {} if scene.moved_m is None else {"subtracted_m": [*scene.moved_m]}
     return {"scale": options.target.scale, **moved}
@@ -243,23 +236,4 @@ def _entries(scene: _Scene, stack: Stack | None = None) -> tuple[DatasetEntry, .
     return tuple(
         DatasetEntry(view, split, f"{index:0{digits}d}", stack=stack)
         for index, (view, split) in enumerate(scene.splits)
-    )
-
-
-def _finish(options: Options, dataset: Dataset, surface: trimesh.Trimesh, masks: np.ndarray | None) -> None:
-    """Write the dataset, and print warnings, a summary and the next command."""
-    from sarsplat.data import write_dataset
-    from sarsplat.examination.plausible import suspicions, warn
-    from sarsplat.regions.target_region import box_misses
-
-    out = options.out
-    dataset = write_dataset(out, dataset, truth_mesh=surface, masks=masks, overwrite=options.overwrite)
-    warn([*suspicions(dataset), *box_misses(dataset)])
-    grid, counts = dataset.grid, ", ".join(f"{len(dataset.select(split))} {split}" for split in dataset.splits())
-    kind = f"{dataset.passes}-channel stack" if dataset.passes else "image"
-    run = shlex.quote(f"{out}-run")
-    console.finish(
-        f"{out}: {counted(len(dataset), kind)} of {dataset.target} ({counts}), {grid.rows} × {grid.columns} pixels"
-        + (f", and their masks in {out / 'masks'}" if masks is not None else ""),
-        f"sarsplat reconstruct {shlex.quote(str(out))} --out {run}",
     )

@@ -292,17 +292,12 @@ class Stacks:
     """Simulate stacks of HH, HV and VV, of every pass or without passes: facets return by one bounce where they are
     level, by two where they are upright, and as volumes do where they slope."""
 
-    @property
-    def wanted(self) -> bool:
-        """True for stacks, False for single images."""
-        return self.passes is not None or self.polarimetric
-
     def stack(self) -> Stack | None:
         """Return the stack, the polarisations of each pass one after the other; None for single images."""
         from sarsplat.geometry import Stack
         from sarsplat.scenes.mechanisms import POLARISATIONS
 
-        if not self.wanted:
+        if self.passes is None and not self.polarimetric:
             given = {"baseline": self.baseline or None, "wavelength": self.wavelength, "noise": self.noise}
             if name := first_given({name: value is not None for name, value in given.items()}):
                 raise SarsplatError(f"{name} is for stacks; give --passes or --polarimetric too, or leave it out")

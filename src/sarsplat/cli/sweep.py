@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Folder, OptionalCount, OptionalNumber, one_of
+from sarsplat.cli.arguments import Folder, Group, Workers, one_of
 from sarsplat.cli.signals import keeping
 from sarsplat.errors import counted
 from sarsplat.executors import EXECUTORS, Means
@@ -32,11 +33,7 @@ def sweep(
     out: Folder,
     executor: ExecutorName = "local",
     device: Annotated[Device | None, one_of(Device)] = None,
-    processes: OptionalCount = None,
-    per_device: OptionalCount = None,
-    address: str = "auto",
-    gpus: OptionalNumber = None,
-    retries: int = 3,
+    workers: Group[Workers],
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="(optional)")] = None,
     again: bool = False,
     show: bool = False,
@@ -55,17 +52,8 @@ def sweep(
         Executor: local, this machine, or ray, a Ray cluster.
     device
         Device of the trainings, cpu or cuda (default: as the plan says).
-    processes
-        Runs at a time on the CPU with local (default: as many as processors). Each takes the memory of one
-        reconstruction.
-    per_device
-        Runs at a time on each GPU with local (default: 4, or as many as there are processors for it).
-    address
-        Address of the Ray cluster; auto is the one on this machine.
-    gpus
-        GPUs of a run with ray: 0.25 lets four runs share one (default: 1 if the plan's device is cuda).
-    retries
-        Maximum number of restarts with ray of a run whose node has died.
+    workers
+        Local processes, or Ray cluster; a job is a run.
     shard
         Only a share of the runs, such as 2/8, the second of eight: for job arrays.
     again
@@ -75,7 +63,7 @@ def sweep(
     """
     from sarsplat.sweeps import sweep as do
 
-    means = Means(processes, address, gpus, retries, again, per_device)
+    means = Means(**asdict(workers), again=again)
     words = shlex.join(["sarsplat", "sweep", str(plan), "--out", str(out)])
     with keeping(lambda: f"what is finished is kept, and `{words}` with the same options continues"):
         results = do(plan, out, executor=executor, means=means, device=device, shard=shard, run=not show)
