@@ -23,8 +23,8 @@ from torch.profiler import DeviceType, profile
 
 from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.renderer import render
-from sarsplat.renderer.engines import cuda
 from sarsplat.renderer.engines.cuda_device import Device, device
+from sarsplat.renderer.engines.cuda_tiles import TileLists
 from sarsplat.renderer.engines.nvrtc import Nvrtc
 
 sys.path.insert(0, str(REPOSITORY / "tests" / "renderer"))  # whose modules need pytest, and are imported when used
@@ -253,16 +253,16 @@ class Gpu:
 def lists_of_tiles() -> Iterator[dict[str, dict[str, int]]]:
     """Of each plane: its tiles and those with anything in them, the longest list, and the slots made and used."""
     found: dict[str, dict[str, int]] = {}
-    usual = cuda.Pass._list
+    usual = TileLists._list
 
-    def kept(self: cuda.Pass, name: str, plane: Any, slots: int, *others: Any, **options: Any) -> None:
+    def kept(self: TileLists, name: str, plane: Any, slots: int, *others: Any, **options: Any) -> None:
         usual(self, name, plane, slots, *others, **options)
         lengths = self.arrays[f"{name} starts"].diff()
         count = {"tiles": plane.tiles, "filled": int((lengths > 0).sum()), "longest": int(lengths.max())}
         found[name] = count | {"slots": slots, "used": int(lengths.sum())}
 
-    cuda.Pass._list = kept  # type: ignore[method-assign]
+    TileLists._list = kept  # type: ignore[method-assign]
     try:
         yield found
     finally:
-        cuda.Pass._list = usual  # type: ignore[method-assign]
+        TileLists._list = usual  # type: ignore[method-assign]
