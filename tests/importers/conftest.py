@@ -32,5 +32,5 @@ def schemas_are_read_once() -> Iterator[None]:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of what imports say alone: no preview."""
-    monkeypatch.setattr("sarsplat.cli.from_signature._draw", lambda *_: None)
+    """For tests of messages of imports alone: an empty preview."""
+    monkeypatch.setattr("sarsplat.report.check_sheet.check_sheet", lambda *_, **__: b"")

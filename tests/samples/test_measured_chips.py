@@ -133,7 +133,7 @@ def test_the_command_takes_a_folder_of_datasets_and_replaces_only_its_own(
     assert main(words) == 2
     assert main([*words, "--overwrite"]) == 0
     assert main([*words, "--overwrite", "--count", "3"]) == 2
-    assert "leave out what says how chips are drawn" in capsys.readouterr().err
+    assert "of how chips are drawn" in capsys.readouterr().err
 
 
 def test_labels_say_what_is_unusual_about_views(tmp_path: Path) -> None:
