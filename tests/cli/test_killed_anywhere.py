@@ -138,7 +138,8 @@ def test_overwriting(workshop: Workshop, name: str) -> None:
         workshop.killed(commands[turn % 2], limit, value)
         if out.exists():  # not if it was killed between moving the old one aside and the new one in
             assert tree(out) in [*made, *bare], (limit, value)
-            workshop.done(f"info {out}")
+            if name != "render":  # whose folders `info` does not describe
+                workshop.done(f"info {out}")
         if turn % 3 == 2:  # else the next killed one meets what this one left
             workshop.done(commands[turn % 2])
             assert tree(out) == made[turn % 2]
