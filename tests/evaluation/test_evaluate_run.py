@@ -312,10 +312,15 @@ def test_without_test_views_the_points_are_scored(tmp_path, make):  # make: coar
     assert "no test images" in metrics["reasons"]["images"]
 
 
-@pytest.mark.parametrize(("mesh", "points", "told"), [(None, ON_THE_TOP, "no true mesh"), (CUBE, [], "no points")])
-def test_with_nothing_to_score_evaluation_is_refused(tmp_path, mesh, points, told):
-    with pytest.raises(SarsplatError, match=f"no test images and .*{told}"):
-        evaluate_run(FakeRun(only_training(tmp_path / "dataset", mesh), points=np.array(points)))
+@pytest.mark.parametrize(("mesh", "points"), [(None, ON_THE_TOP), (CUBE, [])])
+def test_without_anything_unseen_the_run_itself_is_scored(tmp_path, mesh, points):
+    """Measured data have neither test images nor a mesh, but training images that show what points lack."""
+    run = FakeRun(only_training(tmp_path / "dataset", mesh), points=np.array(points))
+    metrics = evaluate_run(run)
+    assert metrics["images"] == {} and not any(metrics["points"]["visible"].values())
+    assert metrics["time_s"] == 12.5 and "missing" in metrics
+    with pytest.raises(SarsplatError, match="no test images, and points are left out"):
+        evaluate_run(run, points=False)
 
 
 @pytest.mark.parametrize("scale", [1e-45, 1e-38, 1e-30, 1e16])

@@ -47,7 +47,7 @@ def describe_run(path: Path) -> None:
         **({"place": str(header.place.place)} if header.place else {}),
         **about,
         "points": "none yet" if stored is None else extent(stored[0]),
-        "scores": f"{_scores(files.metrics)} (metrics.json)"
+        "scores": f"{_scores(files.metrics) or 'no test images, no true mesh'} (metrics.json)"
         if files.metrics
         else f"none yet; run sarsplat evaluate {shlex.quote(str(path))}",
         **left_open(files.metrics or {}),

@@ -193,7 +193,7 @@ def reconstruct(
     console.finish(
         f"{out}: {run.learned} and {counted(len(run.points), 'point')} in {time.monotonic() - begun_at:.0f} s "
         f"({run.time_s:.0f} s of training; {method.about(config, images.grid)[0]}, seed {run.seed})",
-        _next(images, typed, learns_speckle=getattr(config, "passes", None) is None),
+        f"sarsplat evaluate {typed}",
     )
 
 
@@ -207,15 +207,6 @@ def _announce(dataset: Path) -> None:
         f"reading {dataset}: {counted(len(header.views), 'image')} of {header.target}, {train:,} of them to train on, "
         f"{header.grid.rows} × {header.grid.columns} pixels"
     )
-
-
-def _next(images: Dataset, run: str, learns_speckle: bool) -> str:
-    """Return the next command: `evaluate` if there are test images or a true mesh."""
-    if len(images.splits()) > 1 or images.truth_mesh is not None:
-        return f"sarsplat evaluate {run}"
-    if images.looks is None or not learns_speckle:
-        return f"sarsplat view {run}"
-    return f"sarsplat view {run}, or sarsplat chips {run} --out DIR"
 
 
 def _warn_of_contradictions(dataset: Path, images: Dataset) -> None:

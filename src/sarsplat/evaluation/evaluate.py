@@ -100,8 +100,8 @@ def evaluate_run(
     Raises
     ------
     SarsplatError
-        If there is nothing to score (no test images, and no true mesh or no points), a mesh or an alignment is given
-        with `points=False`, the training images are black, a rendered image is unsound, given LPIPS weights or masks
+        If there are no test images and points are left out, a mesh or an alignment is given with `points=False`,
+        the training images are black, a rendered image is unsound, given LPIPS weights or masks
         are unusable, the true mesh cannot be read, or another process is writing the run.
 
     Warns
@@ -165,11 +165,6 @@ def _evaluate(
     test_sets = [split for split in dataset.splits() if split != "train"]
     if not test_sets and not points:
         raise SarsplatError(f"nothing can be scored: {dataset} has no test images, and points are left out; score them")
-    if not test_sets and (dataset.truth_mesh is None or len(run.points) == 0):
-        lacks = "no true mesh" if dataset.truth_mesh is None else "the run no points"
-        raise SarsplatError(
-            f"nothing can be scored: {dataset} has no test images and {lacks}; simulate it with --test-azimuth"
-        )
     true_mesh = read_truth_mesh(dataset.truth_mesh) if points and dataset.truth_mesh is not None else None
     if true_mesh is not None and not any(shown_in(true_mesh, dataset.views, dataset.grid)):
         where = ", ".join(f"{value:.10g}" for value in true_mesh.bounds.mean(axis=0))

@@ -35,7 +35,7 @@ _SURE = 6.0
 _FAINT = 1e-3
 """Minimum power added to both images before their ratio, relative to the usual peak."""
 
-_PLACES = 96
+_PLACES = 128
 """Maximum number of places along a side of the scene."""
 
 _VIEWS = 24
@@ -72,7 +72,7 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     excess_db = _excess_db(train.power[chosen], _without_far(run, chosen), grid)
     region, terrain = model.frame.region, model.frame.terrain
     side = np.linspace(-half, half, min(_PLACES, 2 * int(half / grid.cell_m) + 1))
-    heights = np.arange(region.low[2], region.high[2], max(2 * grid.cell_m, np.ptp(side) / _PLACES))
+    heights = np.arange(region.low[2], region.high[2], max(grid.cell_m, np.ptp(side) / _PLACES))
     places = np.stack(np.meshgrid(heights, side, side, indexing="ij"), axis=-1)[..., ::-1].copy()
     if terrain is not None:
         places[..., 2] += terrain.height_m(places[..., 0], places[..., 1])
@@ -82,8 +82,8 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     parts, count = label(mean_db > least_db)
     numbers = np.arange(1, count + 1)
     brightest = np.argsort(-np.asarray(maximum(mean_db, parts, numbers)), kind="stable")
-    centres = [center_of_mass(mean_db, parts, k) for k in numbers[brightest]]
-    return np.array([places[tuple(np.round(centre).astype(int))] for centre in centres]).reshape(-1, 3)
+    middles = np.array(center_of_mass(mean_db, parts, numbers[brightest])).reshape(-1, 3).round().astype(int)
+    return places[tuple(middles.T)]
 
 
 def _without_far(run: Run, numbers: np.ndarray) -> Float32[np.ndarray, "v rows columns"]:

@@ -94,8 +94,8 @@ def left_open(metrics: Mapping[str, Any]) -> dict[str, str]:
         where = "; ".join(", ".join(f"{value:.1f}" for value in place) for place in places[:_MAX_NAMED_PLACES])
         more = "; …" if len(places) > _MAX_NAMED_PLACES else ""
         words["missing"] = (
-            f"{counted(len(places), 'place')} where images show what points lack: ({where}{more}) m; a larger "
-            'target_box_m, or points.clusters "bright", may keep it'
+            f"{counted(len(places), 'place')} where images show what points lack: ({where}{more}) m; a "
+            "larger --target-box, or --points.clusters bright, may keep it"
         )
     return words
 
