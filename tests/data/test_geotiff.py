@@ -289,3 +289,21 @@ def test_coordinates_far_from_where_a_system_is_for_are_told(tmp_path):
             warnings.simplefilter("always")
             assert read_terrain(on_map(tmp_path / "a.tif", epsg, *at)).place is not None
         assert any("check its number and its coordinates" in str(one.message) for one in caught) == told
+
+
+def test_terrain_of_ours_that_another_program_placed_is_read_as_it_says(tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    path = tmp_path / "a.tif"
+    write_terrain(path, hill())
+    with rasterio.open(path, "r+") as file:
+        file.crs = "EPSG:32632"
+        file.transform = rasterio.Affine(2.0, 0, 5e5, 0, -2.0, 5e6)
+    place = read_terrain(path).place
+    assert place is not None and place.latitude_deg == pytest.approx(45.15, abs=0.01)
+
+
+def test_heights_of_other_formats_need_a_system(tmp_path):
+    pytest.importorskip("rasterio")
+    (tmp_path / "a.asc").write_text("ncols 3\nnrows 2\nxllcorner 8.5\nyllcorner 47.1\ncellsize 0.00083\n1 2 3\n4 5 6\n")
+    with pytest.raises(SarsplatError, match="names no coordinate system"):
+        read_terrain(tmp_path / "a.asc")

@@ -111,3 +111,14 @@ def test_what_is_no_splat_file_is_refused(tmp_path, size):
     (tmp_path / "a.splat").write_bytes(bytes(size))
     with pytest.raises(SarsplatError, match=rf"a\.splat has {size} bytes"):
         read_gaussians_ply(tmp_path / "a.splat")
+
+
+def test_a_stated_vertical_axis_other_than_z_is_refused(tmp_path):
+    path = write(tmp_path / "a.ply", columns())
+    for axis, refused in (("z", False), ("y", True), ("-z", True)):
+        path.write_bytes(path.read_bytes().replace(b"element", f"comment Vertical axis: {axis}\nelement".encode(), 1))
+        if refused:
+            with pytest.raises(SarsplatError, match="turn it, z up"):
+                read_gaussians_ply(path)
+        else:
+            read_gaussians_ply(path)

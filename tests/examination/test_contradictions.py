@@ -300,6 +300,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["check", str(tmp_path / "wrong"), "--verbose"]) == 1
     assert "--near bottom --counter-clockwise" in capsys.readouterr().out
     assert main(["check", str(tmp_path / "right"), "--out", str(sheet)]) == 2  # it exists
+    assert main(["check", str(tmp_path / "right"), "--out", str(tmp_path / "sheet.gif")]) == 2
+    assert main(["check", str(tmp_path / "nowhere")]) == 2
     pixels = np.asarray(image.open(sheet).convert("RGB")).astype(int)
     orange, blue = ((abs(pixels - colour).sum(axis=2) < 60).sum() for colour in ((255, 180, 84), (92, 200, 255)))
     assert min(orange, blue) > 300  # outlines of targets and shadows
@@ -387,3 +389,7 @@ def test_shadows_beside_the_target_are_not_taken_for_a_turned_image() -> None:
     seen = unusual("tilted")
     examined = examine(with_views(seen, [View(one.azimuth_deg, 50.0, 75.0) for one in seen.views]))
     assert "the azimuth axes are tilted too much" in examined.checks["orientation"]
+
+
+def test_one_image_is_not_called_all(bare: Dataset) -> None:
+    assert examine(bare.take([0])).checks["images"] == "the only one is not constant"

@@ -211,7 +211,7 @@ def test_true_north_is_not_that_of_the_map(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"geocoded": None}, r"000.tif is geocoded \(EPSG:32633\): .*; say what .* --geocoded level or"),
+        ({"geocoded": None}, r"000.tif is geocoded \(EPSG:32633\): .*, by --geocoded level, or"),
         ({"resolution_m": None}, "the resolution of 000.tif, which the pixels of a map"),
         ({"spacing_m": (0.3, 0.3)}, r"its pixels are 0.2.* m × 0.2.* m \(east × north\), but 0.3 × 0.3 is given"),
         ({"near": "left"}, "--near is for pictures in range and azimuth"),
@@ -334,11 +334,6 @@ def lying(longitude: float, latitude: float, epsg: int, step: float = 1e-5) -> G
     """64 pixels to a side, a step of the system's unit apart, around a place."""
     affine = np.array([[step, 0.0, longitude - 31.5 * step], [0.0, -step, latitude + 31.5 * step]])
     return Georeference(affine, pytest.importorskip("pyproj").CRS.from_epsg(epsg))
-
-
-def test_pixels_are_said_with_their_unit() -> None:
-    assert lying(8.0, 60.0, 4326, 1e-4).pixel == "0.0001° × 0.0001°"
-    assert lying(5e5, 5e6, 32632, 2.0).pixel == "2 metre × 2 metre"
 
 
 def laid_out(*georeferences: Georeference):

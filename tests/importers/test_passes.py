@@ -163,4 +163,4 @@ def test_the_command_says_how_phases_were_read(tmp_path, capsys):
     capsys.readouterr()
     assert main(["reconstruct", str(out), "--iterations", "2", "--out", str(tmp_path / "run")]) == 0
     told = capsys.readouterr().out
-    assert "sarsplat view" in told and "sarsplat chips" not in told  # which learn nothing of single images
+    assert "next: " in told and "sarsplat evaluate" in told

@@ -25,6 +25,7 @@ from sarsplat.importers.pictures import (
 )
 
 EIGHT = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
+ALPHA = {"photometric": "minisblack", "extrasamples": ["unassalpha"]}
 SIXTEEN = EIGHT.astype(np.uint16) * 250
 REAL = np.linspace(0.1, 9, 12, dtype=np.float32).reshape(3, 4)
 COMPLEX = (REAL * np.exp(1j * np.arange(12).reshape(3, 4))).astype(np.complex64)
@@ -139,7 +140,7 @@ def test_masks_and_transparency_say_what_is_not_known(tmp_path, axis):
     np.testing.assert_array_equal(values.image, np.where(seen, REAL, 0))
 
     planes = {0: "separate", -1: "contig"}[axis]
-    options = {"photometric": "minisblack", "planarconfig": planes, "extrasamples": ["unassalpha"]}
+    options = {**ALPHA, "planarconfig": planes}
     path = written(tmp_path, "b.tif", np.stack([EIGHT, 255 * seen.astype(np.uint8)], axis=axis), **options)
     values = read_values(path, "amplitude", 1.0, 0.0)
     np.testing.assert_array_equal(values.unknown, ~seen)
@@ -219,6 +220,8 @@ def test_scale_and_offset_of_the_file(tmp_path):
         ),
         (SIXTEEN, {"photometric": "miniswhite"}, "zero is white"),
         (EIGHT, {"photometric": "miniswhite"}, "zero is white"),
+        (EIGHT, {"extratags": [(274, "H", 1, 6, True)]}, "stored turned .orientation 6."),
+        (np.stack([EIGHT, EIGHT]), {**ALPHA, "planarconfig": "separate"}, "transparent in part"),
     ],
 )
 def test_tags_that_change_the_meaning(tmp_path, pixels, options, words):

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from made_imports import AZIMUTHS, PHASE, POWER, import_pictures
-from sarsplat.errors import SarsplatError
+from sarsplat.data import geotiff
+from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.importers.rasters import first_georeference, read_raster
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -69,3 +71,33 @@ def test_rasters_that_point_elsewhere_are_refused(tmp_path):
     (tmp_path / "angles.csv").write_text("file,azimuth,grazing\na.vrt,0,30\n")
     with pytest.raises(SarsplatError, match=r"a\.vrt is not a readable raster"):
         import_pictures(tmp_path)
+
+
+@pytest.mark.parametrize("options", [{}, {"tiled": True, "blockxsize": 64, "blockysize": 64}])
+def test_what_unpacks_to_far_more_than_its_size_is_refused(tmp_path, monkeypatch, options):
+    monkeypatch.setattr(geotiff, "_HARMLESS", 100)
+    path = tmp_path / "a.tif"
+    size = (300, 300) if not options else (9, 9)
+    by_gdal(path, np.zeros(size, np.uint8), "GTiff", compress="DEFLATE", **options)
+    path.write_bytes(path.read_bytes() + bytes(0 if options else 64))
+    monkeypatch.setattr(geotiff, "_MOST_PACKED", 4)
+    with pytest.raises(SarsplatError, match="claims to hold"):
+        read_raster(path)
+
+
+def test_a_world_file_beside_a_packed_picture_says_nothing_of_its_unit(tmp_path):
+    for k, (image, azimuth) in enumerate(zip(POWER, AZIMUTHS, strict=True)):
+        by_gdal(tmp_path / f"{k}.tif", image, "GTiff", compress="LZW")
+        (tmp_path / f"{k}.tfw").write_text("2e-5\n0\n0\n-3e-5\n8.5\n47.3\n")
+        with (tmp_path / "angles.csv").open("a") as file:
+            file.write(("file,azimuth,grazing\n" if k == 0 else "") + f"{k}.tif,{azimuth},30\n")
+    with pytest.warns(SarsplatWarning, match=r"has the world file 0\.tfw beside it"):
+        made = import_pictures(tmp_path, quantity="power")
+    assert made.grid.spacing_m[0] > 0.01
+
+
+def test_a_stated_spacing_is_found_after_a_picture_without_one(tmp_path):
+    by_gdal(tmp_path / "0-browse.bmp", np.ones((4, 5), np.uint8), "BMP")
+    by_gdal(tmp_path / "a.tif", POWER[0], "GTiff", transform=rasterio.Affine(0.2, 0, 0, 0, -0.3, 0))
+    found = first_georeference(sorted(tmp_path.iterdir()))
+    assert found is not None and found.pitch == pytest.approx((0.2, 0.3))

@@ -1,14 +1,16 @@
 """Settings chosen by evidence: images with gains of their own are measured ones, others are a scene."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, View, reconstruct
 from sarsplat.learning import evidence
-from sarsplat.learning.evidence import chosen
+from sarsplat.learning.evidence import chosen, differences
 from sarsplat.learning.method_sar_gs import METHOD
 from sarsplat.scenes.simulate import simulate_images
 from sarsplat.settings.presets import PRESETS
@@ -47,6 +49,39 @@ def test_chips_with_gains_of_their_own_are_measured_ones(scene: Dataset) -> None
     assert replace(config, evidence="") == PRESETS["measured"]
     told_db = float(config.evidence.split("differ by ")[1].split()[0])
     assert told_db == pytest.approx(GAIN_DB, rel=0.3)
+
+
+class Rendered:
+    """In place of a trial: what images without speckle show."""
+
+    def __init__(self, power: np.ndarray) -> None:
+        self.images = dict(zip(VIEWS, power, strict=True))
+
+    def rendered(self, views: list[View]) -> np.ndarray:
+        return np.stack([self.images[view] for view in views])
+
+
+@pytest.mark.parametrize(
+    ("gain_db", "rolls", "displaced", "needed"),
+    [
+        (0.15, [0, 0, 0, 0], 0, False),
+        (0.5, [0, 0, 0, 0], 0, True),
+        (0.0, [1, 1, 1, 1], 0, False),
+        (0.0, [0, 0, 0, 1], 4, False),
+        (0.0, [0, 1, -1, 1], 12, True),
+    ],
+)
+def test_gains_count_from_a_quarter_decibel_and_displacements_that_images_do_not_share(
+    scene: Dataset, gain_db: float, rolls: list[int], displaced: int, needed: bool
+) -> None:
+    signs = np.random.default_rng(3).permutation([-1, 1] * 8)
+    clean = gaussian_filter(scene.power.astype(float), (0, 1.5, 1.5))
+    images = [
+        10 ** (gain_db * k / 10) * np.roll(image, roll, 0)
+        for image, k, roll in zip(clean, signs, 4 * rolls, strict=True)
+    ]
+    found = differences(replace(scene, power=np.array(images, np.float32)), cast(Any, Rendered(clean)))
+    assert found.displaced == displaced and (found.nats < 0) == needed
 
 
 def test_the_scale_of_all_images_changes_no_choice(scene: Dataset) -> None:

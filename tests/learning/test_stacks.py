@@ -176,7 +176,7 @@ def test_what_is_refused():
     with pytest.raises(SarsplatError, match="plane gradients, which cannot be combined with passes on; omit it"):
         reconstruct(images, strategies=[Watching()], quiet=True)
     single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
-    with pytest.raises(SarsplatError, match=r"stack learns from stacks, but .* has single images"):
+    with pytest.raises(SarsplatError, match=r"passes is on .preset stack., .* has single images; give passes off"):
         reconstruct(single, "stack", quiet=True)
 
 

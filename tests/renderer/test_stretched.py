@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from named_scenes import GRID, UNUSUAL, cloud
+from emulated_cuda import Emulator
+from named_scenes import GRID, UNUSUAL, cloud, with_scales
 from test_cpu_engine import relative
 from test_reference_gradients import check_gradients
 from torch import Tensor
 
 from sarsplat import ScatteringLaw, simulate_raycast
 from sarsplat.errors import SarsplatError
+from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.radar.iso_range import Pixel, contributions, iso_range_line
-from sarsplat.renderer import project, render
+from sarsplat.renderer import Rendering, project, render
+from sarsplat.renderer.engines import cuda
 from sarsplat.renderer.operations import Steps
 from sarsplat.renderer.stretched import render_stretched
 from sarsplat.tiles import render_tiled
@@ -44,16 +50,27 @@ def test_it_is_the_image_of_narrower_pixels_with_less_power_each(engine: str) ->
     torch.testing.assert_close(both.cross_sections, render(scene, PLAIN, GRID, rays=rays, engine=engine).cross_sections)
 
 
-def test_gradients_are_finite_differences() -> None:
+@pytest.mark.parametrize("given", [False, True])
+def test_gradients_are_finite_differences(given: bool) -> None:
     scene = cloud(4, 3, size=(0.6, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=2)
     grid, rays = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45)), RayGrid((0.27, 0.31))
-    leaves = {name: tensor.double().requires_grad_() for name, tensor in scene.tensors().items()}
+    leaves = {name: tensor.double() for name, tensor in scene.tensors().items()}
+    leaves["shift"] = torch.tensor([[0.1, -0.2], [0.05, 0.1]], dtype=torch.float64)
+    leaves["gain"] = torch.tensor([0.7, 1.4], dtype=torch.float64)
+    if given:
+        leaves["amplitudes"] = 0.5 + torch.rand(2, 4, 1, generator=torch.Generator().manual_seed(2)).double()
+        del leaves["scattering"]
 
     def outputs(*values: Tensor) -> list[Tensor]:
-        own = scene.with_tensors(**dict(zip(leaves, values, strict=True)))
-        return [render_stretched(Steps(None, cuts=False), own, VIEWS, grid, rays=rays).images]
+        named = dict(zip(leaves, values, strict=True))
+        fields = {name: named.get(name, tensor.double()) for name, tensor in scene.tensors().items()}
+        how = {name: named.get(name) for name in ("shift", "gain", "amplitudes")}
+        rendering = render_stretched(
+            Steps(None, cuts=False), scene.with_tensors(**fields), VIEWS, grid, rays=rays, **how
+        )
+        return [rendering.images, rendering.cross_sections]
 
-    check_gradients(outputs, tuple(leaves.values()))
+    check_gradients(outputs, tuple(tensor.requires_grad_() for tensor in leaves.values()))
 
 
 def test_without_a_stretch_it_is_what_render_shows() -> None:
@@ -64,21 +81,62 @@ def test_without_a_stretch_it_is_what_render_shows() -> None:
     torch.testing.assert_close(found.cross_sections, expected.cross_sections, rtol=1e-4, atol=1e-6)
 
 
-def test_the_cpu_engine_agrees_with_the_reference() -> None:
-    def everything(dtype: torch.dtype, engine: str) -> list[Tensor]:
-        scene = cloud(60, 41, kappa=(4.0, 12.0)).to(dtype)
-        leaves = {name: tensor.clone().requires_grad_() for name, tensor in scene.tensors().items()}
-        how = {
-            "shift": torch.tensor([[0.1, -0.2], [0.05, 0.1]], dtype=dtype, requires_grad=True),
-            "gain": torch.tensor([0.7, 1.4], dtype=dtype, requires_grad=True),
-        }
-        image = render(scene.with_tensors(**leaves), VIEWS, GRID, engine=engine, **how).images
-        cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
-        every = [*leaves.values(), *how.values()]
-        return [image.detach(), *torch.autograd.grad((image * cotangent.to(dtype)).sum(), every)]
+SCENES = {
+    "overlap": lambda: cloud(60, 0),
+    "opaque": lambda: cloud(60, 41, kappa=(4.0, 12.0)),
+    "needles": lambda: with_scales(cloud(40, 5), (0.5, 0.01, 0.01)),
+    "discs": lambda: with_scales(cloud(40, 6), (0.2, 0.2, 0.002)),
+}
 
-    for found, expected in zip(everything(torch.float32, "cpu"), everything(torch.float64, "reference"), strict=True):
-        assert relative(found, expected) <= 1e-4
+
+def everything(scene: Gaussians, dtype: torch.dtype, renderer: Callable[..., Rendering]) -> dict[str, Tensor]:
+    """Image, and gradients with respect to all tensors, shifts and gains."""
+    leaves = {name: tensor.to(dtype, copy=True).requires_grad_() for name, tensor in scene.tensors().items()}
+    how = {
+        "shift": torch.tensor([[0.1, -0.2], [0.05, 0.1]], dtype=dtype, requires_grad=True),
+        "gain": torch.tensor([0.7, 1.4], dtype=dtype, requires_grad=True),
+    }
+    image = renderer(scene.with_tensors(**leaves), VIEWS, GRID, **how).images
+    cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+    leaves |= how
+    found = torch.autograd.grad((image * cotangent.to(dtype)).sum(), list(leaves.values()))
+    return {"image": image.detach(), **dict(zip(leaves, found, strict=True))}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
+    scene = SCENES[name]()
+    expected = everything(scene, torch.float64, partial(render, engine="reference"))
+    found = everything(scene, torch.float32, partial(render, engine="cpu"))
+    assert relative(found["image"], expected["image"]) <= 1e-5
+    for argument, value in expected.items():
+        assert float(value.norm()) > 0, argument
+        assert relative(found[argument], value) <= 1e-4, argument
+
+
+def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:
+    def emulated(gaussians: Gaussians, views: tuple[View, ...], grid: ImageGrid, **how: Tensor) -> Rendering:
+        steps = Steps(partial(cuda.Pass, Emulator(library)), cuts=True)
+        return render_stretched(steps, gaussians, views, grid, rays=RayGrid.for_image(grid), **how)
+
+    scene = cloud(12, 0)
+    expected = everything(scene, torch.float64, partial(render, engine="reference"))
+    found = everything(scene, torch.float32, emulated)
+    for argument, value in expected.items():
+        assert relative(found[argument], value) <= 1e-4, argument
+
+
+def test_the_same_bits_for_any_number_of_threads() -> None:
+    scene, threads = cloud(3000, 8, scale=0.05), torch.get_num_threads()
+    found = []
+    try:
+        for count in (1, 3):
+            torch.set_num_threads(count)
+            found.append(everything(scene, torch.float32, render))
+    finally:
+        torch.set_num_threads(threads)
+    for name, value in found[0].items():
+        assert torch.equal(value, found[1][name]), name
 
 
 def test_plane_gradients_are_those_of_centres() -> None:

@@ -69,6 +69,10 @@ def test_normals_are_read_with_the_points_and_computed_where_they_are_missing(fi
     np.testing.assert_allclose(computed[:, 2], columns["nz"], atol=1e-5)
 
 
+def test_a_line_says_what_a_run_is(finished: Run) -> None:
+    assert repr(finished) == f"Run({finished.path}, sar-gs, {finished.config.preset}, seed {finished.seed})"
+
+
 def test_a_run_renders_where_it_is_told_to(finished: Run) -> None:
     assert replace(Run.load(finished.folder), device="meta").gaussians.means.device.type == "meta"
     assert Run.load(finished.folder).gaussians.means.device.type == "cpu"

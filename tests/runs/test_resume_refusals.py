@@ -161,7 +161,6 @@ def test_a_checkpoint_of_another_version(begun: Path, dataset: Dataset, change: 
     [
         *({"seconds": value} for value in (10**400, -1.0, True)),
         *({"iteration": value} for value in (10**400, -1, 1.5, None)),
-        {"views": [{"azimuth_deg": 1.0, "grazing_deg": 30.0, "apart_deg": 20.0}]},
     ],
 )
 def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, change: dict[str, Any]) -> None:
@@ -173,6 +172,15 @@ def test_a_checkpoint_no_training_can_reach(begun: Path, dataset: Dataset, chang
     for name in ("time_s", "iteration"):
         with pytest.raises(SarsplatError, match=message):
             getattr(Run.load(begun), name)
+
+
+def test_a_checkpoint_of_bistatic_views(begun: Path) -> None:
+    newest = Run.load(begun).store.checkpoint_path
+    tensors, state = load_checkpoint(newest)
+    views = [{"azimuth_deg": 1.0, "grazing_deg": 30.0, "apart_deg": 20.0}]
+    save_checkpoint(newest, tensors, {**state, "views": views})
+    with pytest.raises(SarsplatError, match="bistatic views, which are not supported"):
+        Run.load(begun).time_s  # noqa: B018
 
 
 LINE = {"iteration": 1, "seconds": 0.5, "loss": 0.25, "gaussians": 50}

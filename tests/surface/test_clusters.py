@@ -28,6 +28,7 @@ def test_every_cluster_that_outshines_speckle_is_kept_and_others_are_named() -> 
     assert kept[60:120].mean() == pytest.approx(0.0)
     assert len(said) == 1 and "2 clusters" in said[0]
     assert bright(points, high, 0.3, np.ones(1), means, [sections[3:]], said.append)[:120].all()
+    assert bright(points, high, 0.3, np.zeros(4), means, [sections], said.append).all()  # on a dark mirror
     assert not bright(points, ~high, 0.3, np.ones(4), means, [sections], said.append).any()
 
 

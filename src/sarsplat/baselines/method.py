@@ -70,7 +70,7 @@ class BaselineMethod(Method):
         begun: Callable[[], Reconstruction] | None,
     ) -> BaselineTrainer:
         """A training at its beginning; a resumed one keeps its masks."""
-        check_unstretched(dataset.views)
+        check_unstretched(dataset.views, "choose the method sar-gs")
         if begun is None:
             masks = None if inputs.masks is None else read_masks(inputs.masks, dataset, ("train",))
             scene = scene_of(dataset, None if masks is None else np.stack([*masks.values()]))

@@ -41,6 +41,11 @@ command = command_of(__name__, "sarsplat.importers.folder:import_folder", readin
 
 def recognise(contents: Contents) -> Recognised | None:
     """Recognise pictures with a table (CSV) of their angles."""
+    return described(contents, stacks=False)
+
+
+def described(contents: Contents, *, stacks: bool) -> Recognised | None:
+    """Describe pictures with a table of views, or of the channels of `stacks`; None for others."""
     from sarsplat.data.csv_table import read_table
     from sarsplat.importers.columns import chosen_columns
     from sarsplat.importers.pictures import PICTURE_ENDINGS
@@ -48,11 +53,13 @@ def recognise(contents: Contents) -> Recognised | None:
     pictures, tables = contents.ending_in(*PICTURE_ENDINGS), contents.ending_in(".csv")
     if not pictures or len(tables) != 1:
         return None
-    facts = {"pictures": str(len(pictures)), "table": str(tables[0])}
+    facts, columns = {"pictures": str(len(pictures)), "table": str(tables[0])}, dict[str, str]()
     try:
         table = read_table(tables[0], "a table with a row for each picture")
-        known = [f"{meaning} = {name}" for meaning, name in chosen_columns(table, {}).items()]
-        facts["columns"] = ", ".join(known or table.columns)
+        columns = chosen_columns(table, {})
+        facts["columns"] = ", ".join([f"{meaning} = {name}" for meaning, name in columns.items()] or table.columns)
     except SarsplatError as error:
         facts["table"] = str(error)
-    return Recognised("pictures with a table", facts, certainty=_CERTAINTY)
+    if stacks != ("view" in columns and bool({"baseline", "polarisation"} & set(columns))):
+        return None
+    return Recognised(f"pictures{' of stacks' * stacks} with a table", facts, certainty=_CERTAINTY)

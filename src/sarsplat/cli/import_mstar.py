@@ -178,7 +178,8 @@ def recognise(contents: Contents) -> Recognised | None:
     from sarsplat.importers.pictures import PICTURE_ENDINGS
 
     if contents.ending_in(".jpg", ".jpeg"):
-        for table in contents.ending_in(".csv"):
+        above = (path for parent in contents.path.absolute().parents[:2] for path in sorted(parent.glob("*.csv")))
+        for table in (*contents.ending_in(".csv"), *above):
             if set(LABEL_COLUMNS) <= set(column_names(table)):
                 rows = [row for _, row in read_labels(table).rows]
                 labelled = [(row["class"], parsed(row["desired_depression_deg"])) for row in rows]

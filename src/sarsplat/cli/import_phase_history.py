@@ -33,8 +33,10 @@ def recognise(contents: Contents) -> Recognised | None:
     known = format_of(contents.path) if contents.path.is_file() else None
     if known is not None and known.begins:
         return _described(contents.path)  # or say what is wrong with it
-    endings = [ending for one in FORMATS.loaded().values() for ending in one.endings]
-    return first_described(contents.ending_in(*endings), _described)
+    formats = FORMATS.loaded().values()
+    found = first_described(contents.ending_in(*(ending for one in formats for ending in one.endings)), _described)
+    certain = contents.ending_in(*(ending for one in formats if one.begins for ending in one.endings))
+    return found or (_described(certain[0]) if certain else None)
 
 
 def _described(path: Path) -> Recognised:

@@ -25,7 +25,8 @@ def recognise(contents: Contents) -> Recognised | None:
 
     if contents.path.is_file() and (is_nitf(contents.path) or contents.path.suffix.lower() in _ENDINGS):
         return _described(contents.path)  # or say what else it is
-    return first_described(contents.ending_in(*_ENDINGS), _described) if contents.path.is_dir() else None
+    files = contents.ending_in(*_ENDINGS) if contents.path.is_dir() else []
+    return (first_described(files, _described) or _described(files[0])) if files else None
 
 
 def _described(path: Path) -> Recognised:

@@ -33,7 +33,11 @@ LEVELS: dict[HeightAbove, str] = {
     "unknown": "an unknown level",
 }
 """Names of the zero levels of heights."""
-_PIXEL_SCALE = 33550
+_PIXEL_SCALE, _KEYS, _DOUBLES, _ORIENTATION = 33550, 34735, 34736, 274
+_OWN_KEYS = (1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 2, 3072, 0, 1, 32767, 3076, 0, 1, 9001)
+"""GeoKeys of `terrain_bytes`: metres, of no known system."""
+_UNIT_KEYS = {2054: (9102, "degrees"), 3076: (9001, "metres"), 4099: (9001, "metres")}
+"""Keys of angular, linear and vertical units: their usual value, which GDAL assumes without a known system."""
 _LOCAL = 'LOCAL_CS["scene",UNIT["metre",1]]'
 _HIGHEST_M, _USUAL_HOLE = 12_000.0, -9999.0
 """Bound of the heights of the earth's surface, and the usual sentinel of holes."""
@@ -134,12 +138,6 @@ class Georeference:
         return math.hypot(a, d), math.hypot(b, e)
 
     @property
-    def pixel(self) -> str:
-        """Size of a pixel, columns × rows, with its unit."""
-        unit = "" if self.crs is None else "°" if self.geographic else f" {self.crs.axis_info[0].unit_name}"
-        return " × ".join(f"{length:.5g}{unit}" for length in self.pitch)
-
-    @property
     def system(self) -> str:
         """Name of the map's system."""
         if self.crs is None or (number := self.epsg) is not None:
@@ -164,18 +162,38 @@ def opened_raster(path: Path) -> Iterator[Any]:
     try:
         with (
             warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning),
-            rasterio.Env(GTIFF_REPORT_COMPD_CS=True) as env,
+            # a world file says nothing of its unit
+            rasterio.Env(GTIFF_REPORT_COMPD_CS=True, GDAL_GEOREF_SOURCES="PAM,INTERNAL") as env,
             DatasetReader(str(path), driver=[*env.drivers().keys() - _ELSEWHERE]) as raster,
         ):
             block = max((math.prod(shape) for shape in raster.block_shapes), default=0)
             pixels = max(raster.width * raster.height * raster.count, block)
             if pixels > max(_HARMLESS, _MOST_PACKED * size):
                 raise SarsplatError(f"{path} has {size} bytes but claims to hold {pixels} pixels; get it again")
+            if raster.driver == "GTiff":
+                _refuse_unread_tags(path, _system(raster))
             yield raster
     except SarsplatError:
         raise
     except Exception as error:  # GDAL raises errors of many types for garbled files
         raise SarsplatError(f"{path} is not a readable raster ({shown(str(error))}); get or write it again") from error
+
+
+def _refuse_unread_tags(path: Path, crs: Any) -> None:
+    """Raise if a TIFF's orientation or units, which GDAL ignores without a known system, are unusual."""
+    with tifffile.TiffFile(path) as tiff:
+        tags: Any = {tag.code: tag.value for tag in tiff.pages.first.tags.values()}
+    if tags.get(_ORIENTATION, 1) != 1:
+        raise SarsplatError(f"{path} is stored turned (orientation {int(tags[_ORIENTATION])}); write it upright")
+    rows = np.reshape(tags.get(_KEYS, ())[4:], (-1, 4)).astype(int)
+    stated = {key: value for key, place, _, value in rows.tolist() if place == 0}
+    if 3076 in stated and ((crs is not None and crs.to_2d().to_epsg()) or 1.0 in np.ravel(tags.get(_DOUBLES, ()))):
+        del stated[3076]  # GDAL knows the unit of a numbered system; an own unit may be one of 1 m
+    for key, (usual, unit) in _UNIT_KEYS.items():
+        if stated.get(key, 0) not in (0, usual):
+            raise SarsplatError(
+                f"{path} has another unit than {unit} (EPSG {stated[key]}); convert it, as by gdalwarp -t_srs"
+            )
 
 
 def georeference_of(raster: Any) -> Georeference | None:
@@ -226,7 +244,8 @@ def read_terrain(path: str | Path) -> Terrain:
     Warns
     -----
     SarsplatWarning
-        If its system has an EPSG number but no place on earth is found, or unknown heights at its edges are cut off.
+        If its system has a known EPSG number but no place on earth is found, or unknown heights at its edges are cut
+        off.
     """
     path = Path(path)
     heights, pitch, place = _read_own(path) or _read_foreign(path)
@@ -248,14 +267,15 @@ def _read_foreign(path: Path) -> _Stored:
 
 
 def _read_own(path: Path) -> _Stored | None:
-    """Read heights and pitch by `write_terrain`; None if the file is another program's, or damaged."""
+    """Read heights and pitch by `write_terrain`; None if another program wrote or changed the file, or if damaged."""
     with open_file(path) as file:
         data = file.read()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page: Any = tiff.pages.first
             uncompressed = page.compression == tifffile.COMPRESSION.NONE and page.size * 8 <= len(data)
-            if page.software != "sarsplat" or page.dtype != np.float64 or page.ndim != 2 or not uncompressed:
+            own = page.software == "sarsplat" and page.tags[_KEYS].value == _OWN_KEYS and 42112 not in page.tags
+            if not own or page.dtype != np.float64 or page.ndim != 2 or not uncompressed:
                 return None
             dx, dy, _ = map(float, page.tags[_PIXEL_SCALE].value)
             return page.asarray(), (dx, dy), None
@@ -272,6 +292,10 @@ def read_heights(path: str | Path) -> MapHeights:
         if np.dtype(file.dtypes[0]).kind not in "iuf":
             raise SarsplatError(f"{path} holds {file.dtypes[0]} numbers; give heights")
         crs, transform = _system(file), file.transform
+        if crs is None and file.driver != "GTiff":
+            raise SarsplatError(
+                f"{path} names no coordinate system; give it one, as by gdal_translate -a_srs EPSG:NUMBER"
+            )
         _refuse_units(path, crs, file.units[0])
         _refuse_turned(path, transform)
         values = file.read(1, masked=True).astype(np.float64).filled(np.nan) * file.scales[0] + file.offsets[0]
@@ -300,7 +324,6 @@ def read_heights(path: str | Path) -> MapHeights:
 def terrain_bytes(terrain: Terrain) -> bytes:
     """Encode terrain as a GeoTIFF that `read_terrain` reads to the same bits; its origin is the scene's."""
     (dx, dy), (half_x, half_y) = terrain.pitch_m, terrain.half_m
-    keys = (1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 2, 3072, 0, 1, 32767, 3076, 0, 1, 9001)  # metres, of no known system
     buffer = io.BytesIO()
     tifffile.imwrite(
         buffer,
@@ -312,7 +335,7 @@ def terrain_bytes(terrain: Terrain) -> bytes:
         extratags=[
             (_PIXEL_SCALE, "d", 3, (dx, dy, 0.0), True),
             (33922, "d", 6, (0.0, 0.0, 0.0, -half_x, half_y, 0.0), True),
-            (34735, "H", len(keys), keys, True),
+            (_KEYS, "H", len(_OWN_KEYS), _OWN_KEYS, True),
         ],
     )
     return buffer.getvalue()

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -43,6 +44,8 @@ from sarsplat.gaussians import (
 )
 from sarsplat.names import Colour
 
+_OTHER_AXIS = re.compile(r"vertical axis:\s*([+-]?[xy]|-z)\s*", re.IGNORECASE)
+"""Comment of Gaussians whose z is not up."""
 _VERSION = "sarsplat gaussians 2"
 _LAW = "scattering "
 _FOR_VIEWERS = ("n", "f_", "opacity", "scale_0", "scale_1", "scale_2")
@@ -150,6 +153,8 @@ def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.nda
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
         raise SarsplatError(f"{path} has the format {shown(foreign)} but this program reads {_VERSION!r}; update it")
+    if axis := next(filter(_OTHER_AXIS.fullmatch, comments), None):
+        raise SarsplatError(f"{path} states {shown(axis)}; turn it, z up, with SuperSplat or splat-transform")
     columns = _usable(path, columns)
     values = {
         "means": stacked(path, columns, ["x", "y", "z"]),

@@ -169,8 +169,8 @@ def _evaluate(
     if true_mesh is not None and not any(shown_in(true_mesh, dataset.views, dataset.grid)):
         where = ", ".join(f"{value:.10g}" for value in true_mesh.bounds.mean(axis=0))
         raise SarsplatError(
-            f"the true mesh {dataset.truth_mesh} is centred on ({where}) m, outside all images; move it to the images' "
-            "origin"
+            f"the true mesh {dataset.truth_mesh} is centred on ({where}) m, outside all images; subtract the "
+            "images' offset from its coordinates"
         )
     weights = lpips_weights(weights_dir)
     network = None if weights is None else Lpips(weights)

@@ -6,6 +6,7 @@ missing object if the excess, averaged over the views in dB, exceeds 3 dB and 6 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,7 @@ from sarsplat.regions.image_levels import seen_by_all, smoothed, typical, values
 from sarsplat.renderer import channel_of
 
 if TYPE_CHECKING:
+    from sarsplat.learning.model import SceneModel
     from sarsplat.runs import Run
 
 _REACH = 1.5
@@ -67,17 +69,25 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     half = seen_by_all(model.frame.views, grid)
     if half <= 0:
         raise UndefinedScore("not all training images show the world's origin")
-    chosen = np.unique(np.linspace(0, len(train.views) - 1, min(len(train.views), _VIEWS)).round().astype(int))
-    views = [model.frame.views[k] for k in chosen]
-    excess_db = _excess_db(train.power[chosen], _without_far(run, chosen), grid)
     region, terrain = model.frame.region, model.frame.terrain
     side = np.linspace(-half, half, min(_PLACES, 2 * int(half / grid.cell_m) + 1))
     heights = np.arange(region.low[2], region.high[2], max(grid.cell_m, np.ptp(side) / _PLACES))
     places = np.stack(np.meshgrid(heights, side, side, indexing="ij"), axis=-1)[..., ::-1].copy()
     if terrain is not None:
         places[..., 2] += terrain.height_m(places[..., 0], places[..., 1])
-    levels_db = [values_at(image, view, grid, places) for image, view in zip(excess_db, views, strict=True)]
-    mean_db = np.nan_to_num(levels_db).mean(axis=0)
+    degree, rays, without = model.degree(run.iteration), RayGrid.for_image(grid, _RAYS_PER_PIXEL), _without_far(run)
+    faint, mean_db = _FAINT * usual_peak(train.power), np.zeros(places.shape[:-1])
+    chosen = np.unique(np.linspace(0, len(train.views) - 1, min(len(train.views), _VIEWS)).round().astype(int))
+    for k in chosen:  # one at a time: memory stays small
+        view, number = model.frame.views[k], torch.tensor([k], device=model.device)
+        with torch.no_grad():
+            image, _ = without.render([view], grid, degree, rays=rays, numbers=number)
+        rendered = channel_of(image, model.power_channel).cpu().numpy()
+        shift = model.shot([view], grid, number).shift
+        dx, dy = (0.0, 0.0) if shift is None else shift[0].tolist()
+        displaced = replace(grid, center_m=(grid.center_m[0] - dx, grid.center_m[1] - dy))
+        excess_db = _excess_db(train.power[[k]], rendered, grid, faint)[0]
+        mean_db += np.nan_to_num(values_at(excess_db, view, displaced, places)) / len(chosen)
     least_db = max(_EXCESS_DB, _SURE * typical(mean_db)[1])
     parts, count = label(mean_db > least_db)
     numbers = np.arange(1, count + 1)
@@ -86,31 +96,25 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     return places[tuple(middles.T)]
 
 
-def _without_far(run: Run, numbers: np.ndarray) -> Float32[np.ndarray, "v rows columns"]:
-    """Render training images without the Gaussians that are far from all points, β⁰."""
+def _without_far(run: Run) -> SceneModel:
+    """Copy the run's model without the Gaussians that are far from all points."""
     assert run.model is not None
     model = run.model.copy()
-    grid, views = model.frame.grid, model.frame.views
     means = model.target(0).means.detach().double().cpu().numpy()
-    reach_m = _REACH * grid.cell_m
-    far = (
-        np.isinf(cKDTree(run.points).query(means, distance_upper_bound=reach_m)[0]) if len(run.points) else slice(None)
-    )
-    degree, rays = model.degree(run.iteration), RayGrid.for_image(grid, _RAYS_PER_PIXEL)
-    images = []
-    with torch.no_grad():
-        model.parameters["optical_depth"].data[far] = 0.0
-        for k in numbers:
-            number = torch.tensor([k], device=model.device)
-            image, _ = model.render([views[k]], grid, degree, rays=rays, numbers=number)
-            images.append(channel_of(image, model.power_channel)[0].cpu().numpy())
-    return np.stack(images)
+    far = np.ones(len(means), bool)
+    if len(run.points):
+        far = np.isinf(cKDTree(run.points).query(means, distance_upper_bound=_REACH * model.frame.grid.cell_m)[0])
+    model.parameters["optical_depth"].data[torch.from_numpy(far).to(model.device)] = 0.0
+    return model
 
 
 def _excess_db(
-    power: Float32[np.ndarray, "v rows columns"], expected: Float32[np.ndarray, "v rows columns"], grid: ImageGrid
+    power: Float32[np.ndarray, "v rows columns"],
+    expected: Float32[np.ndarray, "v rows columns"],
+    grid: ImageGrid,
+    faint: float,
 ) -> Float64[np.ndarray, "v rows columns"]:
     """Ratio of smoothed images to smoothed renderings, dB; near 0 where both are dark."""
     smooth, rendered = smoothed(power, grid), smoothed(expected, grid)
-    dark = np.maximum(np.median(smooth, axis=(1, 2), keepdims=True), _FAINT * usual_peak(power))
+    dark = np.maximum(np.median(smooth, axis=(1, 2), keepdims=True), faint)
     return to_db(smooth + dark, rendered + dark)

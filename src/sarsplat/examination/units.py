@@ -45,8 +45,8 @@ _MIN_RESOLUTION = 0.5
 _DECIBELS = "--quantity db, with --scale and --offset for decibels in 8 bits"
 
 _ALL_OPTIONS = ("quantity", "looks")
-_OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "phase-history": ()}
-"""Options of the import by the kind of the dataset's `source`; `_EVERY` for other kinds."""
+_OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "phase-history": (), "stack": ("looks",)}
+"""Options of the import by the kind of the dataset's `source`; `_ALL_OPTIONS` for other kinds."""
 
 _QUANTITY_REMEDIES: dict[str, dict[str, str]] = {
     "db": {"quantity": "double the decibels (--scale 2) if they are 10·log10 of amplitudes"},
@@ -223,7 +223,8 @@ def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by:
         blurred = by == "structure" and width > stated  # by the pixels, as speckle is not
         ratio = width / (max(stated, spacing) if blurred else stated)
         if not low_high[0] <= ratio <= low_high[1]:
-            options = " (--resolution, --spacing)" * ("quantity" in _options(dataset))  # which go together
+            pictures = "quantity" in _options(dataset) or dataset.source.get("kind") == "stack"
+            options = " (--resolution, --spacing)" * pictures
             examined.contradictions.append(
                 f"{evidence} of a resolution of {width:.2g} m in {name}, but {stated:.3g} m is stated, with pixels of "
                 f"{spacing:.3g} m; correct the resolution or the pixel spacing in {name}{options}"

@@ -202,10 +202,10 @@ def unstretched(views: Sequence[View]) -> list[View]:
     return [replace(view, stretch=1.0) for view in views]
 
 
-def check_unstretched(views: Sequence[View]) -> None:
+def check_unstretched(views: Sequence[View], remedy: str = "use render, or give stretch 1") -> None:
     """Raise if a view is stretched."""
     if any(view.stretch != 1 for view in views):
-        raise SarsplatError("a view is stretched, which only render supports; give stretch 1")
+        raise SarsplatError(f"a view is stretched, which is not supported here; {remedy}")
 
 
 def seen_alike(views: Sequence[View], azimuth_deg: float, grazing_deg: float) -> View:

@@ -71,6 +71,7 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
 
     Raises if there is no such meaning or column, or two columns may have the same meaning.
     """
+    refuse_two_radars(table)
     chosen: Columns = {}
     for key, column in named.items():
         meaning = _SHORT.get(key, key)
@@ -93,6 +94,16 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
             if usual is not None:
                 chosen[meaning] = usual
     return chosen
+
+
+def refuse_two_radars(table: CsvTable) -> None:
+    """Raise if a table has angles of a transmitter or a receiver: bistatic images are not supported."""
+    for column in table.columns:
+        if re.fullmatch(r"(transmit(ter)?|tx|receiver?|rx)(az|graz|inc|el).*", _plain(column)):
+            raise SarsplatError(
+                f"{table.path} has the column {shown(column)} of bistatic images, which are not supported; give images "
+                "of one radar, in a table without it"
+            )
 
 
 def unusual_look(table: CsvTable, row: Row) -> str | None:

@@ -96,4 +96,4 @@ def import_folder(
         **layout,
         "assumptions": [*assumptions, *angles.assumptions(listed, about, backscatter)],
     }
-    return write_pictures(out, folder, listed, images, about, source, place=place, overwrite=overwrite)
+    return write_pictures(out, folder, listed, images, about, source, kind="folder", place=place, overwrite=overwrite)

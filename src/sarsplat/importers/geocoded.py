@@ -172,6 +172,10 @@ def _axes_on_earth(
 def _geodetic(georeference: Georeference, places: Float64[np.ndarray, "2 n"], name: str) -> Float64[np.ndarray, "2 n"]:
     """Convert points of a map to longitude and latitude, degrees, WGS 84."""
     if georeference.epsg in (None, _WGS_84):
+        if not math.isclose(georeference.crs.axis_info[0].unit_conversion_factor, math.pi / 180):
+            raise SarsplatError(
+                f"{name} lies in {georeference.system}, but not in degrees; convert it, as by gdalwarp -t_srs"
+            )
         return places
     from pyproj import Transformer
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Literal, Self, cast
 
 import numpy as np
 from jaxtyping import Shaped
@@ -165,6 +165,7 @@ def write_pictures(
     about: AboutPictures,
     source: dict[str, Any],
     *,
+    kind: Literal["folder", "stack"],
     place: Place | None = None,
     overwrite: bool,
 ) -> Dataset:
@@ -174,7 +175,7 @@ def write_pictures(
         images,
         target=(listed.target or folder.resolve().name) if target is None else target,
         source={
-            "kind": "folder",
+            "kind": kind,
             "table": listed.path.name,
             "columns": listed.columns,
             "ground_range": about.get("ground_range", False),
@@ -194,7 +195,7 @@ def _require_unit(listed: PictureTable, quantity: Quantity) -> None:
         if meaning in listed.columns and "scale" not in listed.columns and quantity not in quantities:
             raise SarsplatError(
                 f"{listed.path} scales pictures by {shown(listed.columns[meaning])}, which is for "
-                f"{' or '.join(quantities)}, but they are taken for {quantity}; give --quantity {quantities[0]}"
+                f"{' or '.join(quantities)}, but they are taken for {quantity}; the quantity must be {quantities[0]}"
             )
 
 
@@ -250,8 +251,8 @@ def _in_range(table: Path, picture: Picture, near: Side, mirrored: bool) -> Meas
         if georeference.crs is not None:
             raise SarsplatError(
                 f"{row.path} is geocoded ({georeference.system}): its rows and columns are those of a map, not range "
-                "and azimuth; say what its producer took for the ground, --geocoded level or --geocoded terrain with "
-                "--terrain FILE, and it is resampled, or save it without its GeoTIFF tags if these are wrong"
+                "and azimuth; `import folder` resamples single images, by --geocoded level, or --geocoded terrain and "
+                "--terrain FILE, as its producer took the ground; or save it without GeoTIFF tags if these are wrong"
             )
         stated = spacing_of_tags(str(row.path), georeference, near, stated)
     spacing = picture.lengths(table, "spacing", stated, picture.slant)
@@ -276,7 +277,7 @@ def _warn_of_world_files(pictures: Sequence[Picture]) -> None:
                 warn_caller(
                     f"{path.name} has the world file {path.stem}{own} beside it, by which its rows and columns are "
                     "those of a map, not range and azimuth; if they are, make a GeoTIFF of it, as by gdal_translate "
-                    "-a_srs EPSG:NUMBER, and import that with --geocoded"
+                    "-a_srs EPSG:NUMBER, and `import folder` that with --geocoded"
                 )
                 return
 

@@ -16,7 +16,7 @@ from jaxtyping import Float32
 from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table, relative_path
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import TAYLOR, Response
-from sarsplat.importers.columns import unusual_look
+from sarsplat.importers.columns import refuse_two_radars, unusual_look
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.phoenix import is_phoenix, read_phoenix
 from sarsplat.importers.pictures import read_pixels
@@ -194,6 +194,7 @@ def _jpeg_chips(
     folder: Path, jpegs: set[Path], labels: Path, target_class: tuple[str, ...], unplaced: bool
 ) -> list[Chip]:
     table = read_labels(labels)
+    refuse_two_radars(table)
     rows = [row for row in table.rows if same_class(target_class, row[1]["class"])]
     if not rows:
         raise _refuse_class(target_class, labels, {row["class"] for _, row in table.rows})

@@ -20,8 +20,8 @@ TIFF = (".tif", ".tiff")
 OTHERS = (".png", ".jpg", ".jpeg", ".npy", ".mat")
 """Endings of pictures that are read without GDAL."""
 _GEO_KEYS = 34735
-_MEANINGS = {33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
-"""Tags of places, scales and "no data"."""
+_MEANINGS = {274, 33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
+"""Tags of orientation, places, scales and "no data"."""
 _CHANNEL = re.compile(r"(?<![a-z])[hv][hv](?![a-z])", re.IGNORECASE)
 """A polarisation in the name of a band, such as Sigma0_VV."""
 
@@ -53,7 +53,10 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     with opened_raster(path) as file:
         _require_plain(path, file)
         bands = [k for k, kind in zip(file.indexes, file.colorinterp, strict=True) if kind.name != "alpha"]
-        absent = (file.read_masks(bands) == 0).any(axis=0)
+        masks = file.read_masks(bands)
+        if not np.isin(masks, (0, 255)).all():
+            raise SarsplatError(f"{path} has pixels that are transparent in part; write it without its alpha band")
+        absent = (masks == 0).any(axis=0)
         pixels = file.read(bands)
         tags = Tags(georeference_of(file), file.scales[0], file.offsets[0], absent if absent.any() else None)
     if not np.isfinite([tags.scale, tags.offset]).all():
@@ -67,9 +70,11 @@ def first_georeference(paths: Iterable[Path]) -> Georeference | None:
         if path.suffix.lower() not in (*OTHERS, ".csv") and path.is_file():
             try:
                 with opened_raster(path) as file:
-                    return georeference_of(file)
+                    found = georeference_of(file)
             except SarsplatError:
                 continue
+            if found is not None:
+                return found
     return None
 
 

@@ -120,7 +120,7 @@ def import_stack(
             else "no phases were taken out of the files, and the scene's origin has the same in every pass",
         ],
     }
-    return write_pictures(out, folder, listed, images, about, source, overwrite=overwrite)
+    return write_pictures(out, folder, listed, images, about, source, kind="stack", overwrite=overwrite)
 
 
 def _stacks(listed: PictureTable, images: Sequence[MeasuredImage], recording: _Recording) -> list[MeasuredImage]:

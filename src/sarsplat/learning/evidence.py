@@ -1,8 +1,8 @@
 """Settings chosen by evidence: a short training shows whether images differ in gain and position, as measured ones do.
 
-A scene explains no factor that target and ground of one image have in common. Each image gets a gain if the log gains
-of target and ground covary over the images, and a shift if most images fit better at a displaced position on which
-their even and odd rows agree.
+A scene explains no factor that target and ground of one image have in common. Images are measured ones, with gains and
+shifts, if the log gains of target and ground covary over the images, or if most images fit better at a displaced
+position on which their even and odd rows agree.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class Windows:
         cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, margin_m: float, multiple: int
     ) -> Self:
         """Windows around Gaussians that may move by a margin, in whole blocks of multiple × multiple pixels."""
-        check_unstretched(views)
+        check_unstretched(views, "give tiles 1")
         sides = [_pixels(gaussians, view, grid, margin_m, multiple) for view in views]
         columns, rows = zip(*sides, strict=True)
         return cls(rows, columns, tuple(grid.part(r, c) for r, c in zip(rows, columns, strict=True)))

@@ -88,10 +88,12 @@ class Snapshot:
     def load(cls, path: Path) -> Snapshot:
         """Read a snapshot; raise if the file is missing, damaged, or not of a training."""
         tensors, state = load_checkpoint(path)
+        if "apart_deg" in str(state.get("views")):
+            raise SarsplatError(
+                f"{path} has bistatic views, which are not supported; open it with the version of its training"
+            )
         try:
             fields = msgspec.structs.asdict(convert(state, _State))
-            if any("apart_deg" in view for view in state["views"]):
-                raise SarsplatError("its views are bistatic, which is not supported")
             fields["grid"] = ImageGrid.of(**msgspec.structs.asdict(fields["grid"]))
             return cls(**fields, tensors=tensors)
         except (msgspec.ValidationError, SarsplatError) as error:

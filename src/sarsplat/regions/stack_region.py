@@ -36,7 +36,7 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
     """Region of the given box, the dataset's, or one from the images; for one direction, cut to the imaged places.
 
     Without a box, heights span one ambiguity, or as much as an image is long enough to show. Polarisations alone tell
-    no heights; then the region is that of single images (`target_region`).
+    no heights: these are then those of single images (`target_region`), as is all of the region without ground.
     """
     box, grid = box or train.target_box_m, train.grid
     blind = box is None and not any(np.ptp(stack.offsets_rad) for stack in train.stacks)  # polarisations alone
@@ -57,7 +57,10 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
         box = (-reach, -reach, low), (reach, reach, high)
     region = Region.box(*box)
     if not _in_any(_tried(region), train.views, grid).any():
-        raise SarsplatError(f"no training image shows the box {box[0]} to {box[1]} m; give another target_box")
+        raise SarsplatError(
+            f"no training image shows the box {box[0]} to {box[1]} m; give another with --target-box, in Python "
+            "Config(target_box=...)"
+        )
     if not of_one_direction(train.views):
         return region
     azimuth, slant = train.views[0].look.gradients

@@ -308,7 +308,7 @@ class Run(Result):
     @property
     def history(self) -> list[LogLine]:
         """Lines of the training's log (`metrics.jsonl`)."""
-        return self.store.history
+        return list(self.store.history)
 
     @property
     def metrics(self) -> Metrics | None:

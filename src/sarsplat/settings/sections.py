@@ -257,14 +257,14 @@ class Surroundings(Record):
         Initial power of the side lobes of bright scatterers, relative to those of the response (−35 dB Taylor for a
         response without any); 0: none.
     texture_looks : float
-        Number of looks at which the texture, a factor between images and scene that neighbouring images share, is half
-        of the one measured; 0: no texture.
+        Number of looks at which the texture, a factor between images and scene that neighbouring images share, differs
+        from 1 by half as much as the one measured; 0: no texture.
     texture_reach_deg : float
         Difference of azimuth at which neighbouring images share 1/e of the texture, whatever the grazing angles.
     texture_width : float
         Standard deviation of the texture's smoothing, in resolution cells.
     texture_rounds : int
-        Number of estimates of the texture, evenly from `texture_from` to the end.
+        Number of further estimates of the texture after the first, evenly from `texture_from` to the end.
     texture_from : float
         Time of the texture's first estimate, as a share of the iterations.
     azimuth_rounds : int

@@ -23,8 +23,8 @@ _CUBES = 4
 _TOUCHING = 1.8
 """Maximum distance of adjacent cubes (a corner is √3), in sides."""
 
-_QUARTILE = 0.75
-"""Quantile over the views of a cluster's power that must reach the threshold: many are bright from one side only."""
+_BRIGHT_VIEWS = 0.25
+"""Share of views beyond which a cluster must reach the threshold: many are bright from one side only."""
 
 _NAMED = 3
 """Maximum number of clusters whose places a note names."""
@@ -65,8 +65,9 @@ def bright(
     """Return the mask of clusters that are objects, and report the others.
 
     Objects have `high` points (more than a cell above the ground: lower relief and texture look alike) and return at
-    least `threshold_m2` (by view) in a quarter of the views. Clusters are connected cubes with sides of `radius`, m.
-    Gaussians of `means`, m, belong to the nearest cluster, within two cubes; `cross_sections`, m², come in batches.
+    least `threshold_m2` (by view) in more than a quarter of the views. Clusters are connected cubes with sides of
+    `radius`, m. Gaussians of `means`, m, belong to the nearest cluster, within two cubes; `cross_sections`, m², come
+    in batches of views.
     """
     if len(points) == 0:
         return np.zeros(0, bool)
@@ -78,14 +79,17 @@ def bright(
     distance, nearest = tree.query(np.floor(means / radius), distance_upper_bound=2.0)
     near = np.isfinite(distance)
     cluster_of = cluster[nearest[near]]
-    sections_m2 = np.concatenate(list(cross_sections))
-    power_m2 = np.array([np.bincount(cluster_of, view[near], count) for view in sections_m2])
-    enough = np.quantile(power_m2 / threshold_m2[:, None], _QUARTILE, axis=0) >= 1
+    by_view, total_m2 = [], 0.0
+    for batch in cross_sections:
+        by_view += [np.bincount(cluster_of, view[near], count) for view in batch]
+        total_m2 += float(batch.sum(dtype=float))
+    power_m2 = np.array(by_view)
+    enough = (power_m2 >= threshold_m2[:, None]).mean(axis=0) > _BRIGHT_VIEWS
     is_object = enough & (np.bincount(cluster[owner], high, count) > 0)
     if not is_object.all():
         omitted = np.flatnonzero(~is_object)
         omitted = omitted[np.argsort(-power_m2[:, omitted].sum(axis=0), kind="stable")]
-        share = power_m2[:, omitted].sum() / max(sections_m2.sum(dtype=float), np.finfo(float).tiny)
+        share = power_m2[:, omitted].sum() / max(total_m2, np.finfo(float).tiny)
         first = [points[cluster[owner] == k].mean(axis=0) for k in omitted[:_NAMED]]
         where = "; ".join(", ".join(f"{value:.2f}" for value in place) for place in first)
         more = ", …" if len(omitted) > _NAMED else ""

@@ -38,9 +38,10 @@ class SingleImages(Observation):
     @classmethod
     def refuse(cls, config: Config, dataset: Dataset, inputs: Inputs) -> None:
         if config.scattering == Polarimetric.kind and not (config.passes and dataset.polarimetric):
+            lacks = "passes is off" if dataset.polarimetric else f"{dataset} has one"
             raise SarsplatError(
-                f"scattering is {config.scattering}, which needs passes on and stacks of several polarisations, unlike "
-                f"those of {dataset}; choose harmonics"
+                f"scattering is {config.scattering}, which needs passes on and several polarisations, but {lacks}; "
+                f"choose harmonics{', or passes on' if dataset.polarimetric else ''}"
             )
         if config.bounce is not None and dataset.terrain is not None:
             raise SarsplatError(f"bounce is on, which needs level ground, but {dataset} has terrain; give bounce off")

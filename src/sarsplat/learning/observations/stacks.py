@@ -93,7 +93,8 @@ class Stacks(Observation):
         if not (dataset.interferometric or dataset.polarimetric):
             has = "stacks of one offset and one polarisation" if dataset.passes else "single images"
             raise SarsplatError(
-                f"the preset {config.preset} learns from stacks, but {dataset} has {has}; choose another preset"
+                f"passes is on (preset {config.preset}), which learns from stacks, but {dataset} has {has}; give "
+                "passes off, or choose another preset"
             )
         if dataset.polarimetric and config.scattering != Polarimetric.kind:
             raise SarsplatError(

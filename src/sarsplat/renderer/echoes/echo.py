@@ -93,7 +93,7 @@ class Echo(ABC):
     """Base of the echoes: one return of a scene, differentiable with respect to its own tensors and the scene's."""
 
     way: ClassVar[str] = "echo"
-    """Words for its path, in the names of images."""
+    """Words for its path, as a name of its share of the power."""
 
     wants_ray_ends: ClassVar[bool] = False
     """True if it uses `Sighting.ends`."""
