@@ -39,7 +39,7 @@ _LAYOVERS = np.arange(1, 6) / 5 / 3
 _STRETCH_BIAS = 0.4
 """Relative gain in correlation from less stretched ranges, per 1 − cos(turn) and e-fold of length, with right angles:
 layover does not scale as ground lengths do. Measured: at most 0.3 for buildings, vehicles and SLICY at 48° to 60°, 10°
-to 30° step_deg, where the gain exceeds 0.01; 0.97 to 3.1 for images at 30° labelled 60°."""
+to 30° apart, where the gain exceeds 0.01; 0.97 to 3.1 for images at 30° labelled 60°."""
 
 
 @dataclass(frozen=True)

@@ -141,6 +141,7 @@ def page(run: Run, figures: list[Figure], training: list[Figure], widget: dict[s
         widget=widget,
         figures=figures,
         evaluated=metrics is not None,
+        missing=left_open(metrics or {}).get("missing"),
         caution=NOT_THE_SAME_EXPERIMENT if paper else None,
         tables=tables,
         definitions=metrics["definitions"] if metrics else {},

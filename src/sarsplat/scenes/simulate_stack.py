@@ -106,7 +106,7 @@ def simulate_stack(
     trace, vectors = tracer(facets), stack.phase_vectors(view) @ look.frame.T  # in the radar frame
     axes = _Axis(grid, 0), _Axis(grid, 1)
     nodes = np.zeros((len(stack), axes[1].count, axes[0].count), np.complex128)
-    for position in _scattered(_region(facets, grid, axes, ground_gamma0, view), spacing, rng):
+    for position in _scattered(_region(facets, axes, ground_gamma0, view), spacing, rng):
         face = trace(position)
         depth = np.where(face >= 0, facets.depth(face.clip(0), position), np.inf)
         if ground_gamma0 is not None:
@@ -179,9 +179,7 @@ def _amplitude(response: Response, distance: Float64[np.ndarray, "n k"]) -> Floa
     return response.amplitude(distance) * math.sqrt(float(response.density(np.zeros(1))[0]))
 
 
-def _region(
-    facets: Facets, grid: ImageGrid, axes: tuple[_Axis, _Axis], ground_gamma0: float | None, view: View
-) -> Region:
+def _region(facets: Facets, axes: tuple[_Axis, _Axis], ground_gamma0: float | None, view: View) -> Region:
     """Return the region of rays that hit mesh or ground within the image."""
     lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
     low, high = [lower[0], lower[1]], [upper[0], upper[1]]
