@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from conditions import write_scene
+from conditions import written
 from experiment import Experiment, Options, Row
 from finished import Finished
 
@@ -75,8 +75,7 @@ def make(experiment: Experiment, work: Path, chips: Chips | None) -> None:
     for folder, dataset in missing(experiment, work).items():
         folder.parent.mkdir(parents=True, exist_ok=True)
         if "scene" in dataset:
-            mesh = write_scene(dataset["scene"], folder.parent / "meshes")
-            dataset = {"mesh": mesh, **{name: value for name, value in dataset.items() if name != "scene"}}
+            dataset = written(dataset, folder.parent / "meshes")
         if experiment.quick and "target_class" not in dataset:
             whole = folder.with_suffix(".whole")
             parse(simulation_words(whole, dataset))()
