@@ -67,7 +67,7 @@ def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[Measur
         if share > _MOST_SHARE:
             raise SarsplatError(
                 f"{share:.0%} of the pixels of {image.name} are zeros that reach from its corners; cut these off, or, "
-                "if it shows nothing around the target, give ground=False (--no-ground)"
+                "if it shows nothing around the target, give `ground=False`"
             )
         if share >= _LEAST_SHARE:
             changed.append(image.name)

@@ -18,6 +18,7 @@ from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, View
+from sarsplat.importers.files import check_pixel
 from sarsplat.importers.sarkit_xml import sarkit_errors
 from sarsplat.importers.sicd_file import Sicd
 
@@ -63,12 +64,12 @@ class Layout:
 
 
 def middle_of(sicd: Sicd) -> str:
-    """Return options for the middle of an image."""
+    """Return arguments for the middle of an image."""
     row, column = (size // 2 for size in sicd.shape)
     spot = spot_of_pixel(sicd, (row, column), 90.0)
     return (
-        f"the middle of {sicd.path.name} is --pixel {row},{column}, or "
-        f"--around={spot.latitude_deg:.6f},{spot.longitude_deg:.6f},{spot.height_m:.1f}"
+        f"the middle of {sicd.path.name} is `pixel=({row}, {column})`, or "
+        f"`around=({spot.latitude_deg:.6f}, {spot.longitude_deg:.6f}, {spot.height_m:.1f})`"
     )
 
 
@@ -79,11 +80,7 @@ def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) ->
     """
     from sarkit import wgs84
 
-    if not all(0 <= value <= size - 1 for value, size in zip(pixel, sicd.shape, strict=True)):
-        raise SarsplatError(
-            f"the pixel {pixel[0]:g}, {pixel[1]:g} is outside {sicd.path}, which has {sicd.shape[0]} rows and "
-            f"{sicd.shape[1]} columns, counted from 0; {middle_of(sicd)}"
-        )
+    check_pixel(sicd.path, pixel, sicd.shape)
     with sarkit_errors(sicd.path):
         ground = _ground_of(sicd, sicd.place_of(np.array(pixel, float)), corrected=True)
         latitude, longitude, height = map(float, wgs84.cartesian_to_geodetic(ground))
