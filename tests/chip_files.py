@@ -33,6 +33,16 @@ def phoenix_bytes(magnitude: np.ndarray = MAGNITUDE, **changes: str) -> bytes:
     return header.encode() + magnitude.astype(">f4").tobytes() + phase.astype(">f4").tobytes()
 
 
+def write_originals(folder: Path, factor: float = 1 / 300) -> Path:
+    """Five Phoenix files of a T72, and one of a BMP2."""
+    folder.mkdir(exist_ok=True)
+    for index, azimuth in enumerate((2, 92, 178, 275, 300)):
+        magnitude = LOWER_LEFT * np.float32(factor * (1 + index / 500))
+        (folder / f"HB{index}.015").write_bytes(phoenix_bytes(magnitude, TargetAz=str(azimuth)))
+    (folder / "HB0.000").write_bytes(phoenix_bytes(TargetType="bmp2_tank"))
+    return folder
+
+
 COLUMNS = ["path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"]
 LOWER_LEFT = np.zeros((16, 16), np.uint8)
 LOWER_LEFT[8:, :8] = 200 - np.add.outer(range(8), range(8)) % 3  # near: the radar is at the bottom

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chip_files import LOWER_LEFT, ROWS, phoenix_bytes, write_chips
+from chip_files import LOWER_LEFT, ROWS, phoenix_bytes, write_chips, write_originals
 from made_imports import import_chips, rewrite, scale_chips
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
@@ -247,18 +247,9 @@ def test_different_sizes_are_cut(chips):
 
 @pytest.fixture
 def originals(tmp_path):
-    folder = tmp_path / "originals"
-    folder.mkdir()
-    write_originals(folder)
-    (folder / "HB0.000").write_bytes(phoenix_bytes(TargetType="bmp2_tank"))
+    folder = write_originals(tmp_path / "originals")
     (folder / "readme.txt").write_text("not a chip")
     return folder
-
-
-def write_originals(folder: Path, factor: float = 1 / 300) -> None:
-    for index, azimuth in enumerate((2, 92, 178, 275, 300)):
-        magnitude = LOWER_LEFT * np.float32(factor * (1 + index / 500))
-        (folder / f"HB{index}.015").write_bytes(phoenix_bytes(magnitude, TargetAz=str(azimuth)))
 
 
 def test_phoenix_originals(originals, chips):

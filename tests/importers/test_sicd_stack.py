@@ -13,7 +13,7 @@ pytest.importorskip("sarkit")
 
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, radar_frame
 from sarsplat.importers import import_sicd
 from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, describe, ecef, write_sicd
@@ -99,6 +99,14 @@ def test_polarisations_of_one_pass(tmp_path):
     assert made.stacks[0].offsets_rad == (0.0, 0.0, 0.0)
     assert made.polarimetric
     np.testing.assert_array_equal(made.signal[0, 0], made.signal[0, 2])
+
+
+def test_other_polarisations_of_views_are_said(tmp_path):
+    files = [write_pass(tmp_path / f"{k}.nitf", Track(90.0 * k), replace(SMALL, polarisation=name))
+             for k, name in enumerate(("V:V", "H:V"))]  # fmt: skip
+    with pytest.warns(SarsplatWarning, match="polarisations differ"):
+        made = imported(tmp_path, files, stack=False, size_m=20.0)
+    assert any("polarisations differ (H:V, V:V), but are taken" in text for text in made.source["assumptions"])
 
 
 def test_what_is_refused(tmp_path):
