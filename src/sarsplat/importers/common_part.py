@@ -119,10 +119,7 @@ def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, 
 
 def _cut(image: MeasuredImage, rows: slice, columns: slice) -> MeasuredImage:
     grid = image.grid
-    center = (
-        float(grid.azimuth_m[columns].mean()),
-        float(grid.range_m[rows].mean()),
-    )
+    center = float(grid.azimuth_m[columns].mean()), float(grid.range_m[rows].mean())
     return replace(image, pixels=image.pixels[..., rows, columns], center_m=center)
 
 

@@ -349,14 +349,8 @@ def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
 
 def _require_one_kind(images: Sequence[MeasuredImage]) -> None:
     """Raise if some images are complex or stacks and others are not, or numbers of channels differ."""
-    kinds = [
-        f"{counted(len(image.stack), 'channel')}"
-        if image.stack
-        else "complex amplitudes"
-        if image.pixels.dtype.kind == "c"
-        else "power"
-        for image in images
-    ]
+    single = {"c": "complex amplitudes", "f": "power"}
+    kinds = [counted(len(one.stack), "channel") if one.stack else single[one.pixels.dtype.kind] for one in images]
     for image, kind in zip(images, kinds, strict=True):
         if kind != kinds[0]:
             raise SarsplatError(

@@ -140,18 +140,14 @@ def import_phase_history(
     if tilted:
         parts = [aperture.tilted() for aperture in parts]
     check_train_views(train_views, len(parts))  # before minutes of work
-    spacing = _spacing(parts, taper) if spacing_m is None else spacing_m
+    narrowest = min(min(aperture.resolution_m(taper)) for aperture in parts)
+    spacing = _SPACING * narrowest if spacing_m is None else spacing_m
     images = []
     with progress("focusing pulses", sum(len(aperture.history) for aperture in parts), quiet) as reporter:
         for index, aperture in enumerate(parts):
             images.append(_image(index, aperture, size_m, spacing, taper, reporter.advance))
-    dataset = dataset_of(
-        images,
-        target=target,
-        source=_source(files, parts, around_m, taper),
-        train_views=train_views,
-        **about,
-    )
+    source = _source(files, parts, around_m, taper)
+    dataset = dataset_of(images, target=target, source=source, train_views=train_views, **about)
     return write_imported(out, replace(dataset, place=origin), overwrite=overwrite)
 
 
@@ -170,10 +166,6 @@ def _in_one_world(
         first = place_of(place, first.height_m)
     origin = Place.of_ecef(first.to_ecef(around_m))
     return [history.seen_from(origin) for history in histories], origin
-
-
-def _spacing(parts: list[Aperture], weighting: Taylor) -> float:
-    return _SPACING * min(min(aperture.resolution_m(weighting)) for aperture in parts)
 
 
 def _image(
@@ -268,19 +260,19 @@ def focus(
     history = aperture.history
     places = (np.arange(history.frequencies) + 0.5) / history.frequencies - 0.5
     cross = aperture.cross
-    shares = np.abs(np.gradient(cross)) * weighting.window((cross - _middle(cross)) / aperture.extent)
+    middle = float(cross.min() + cross.max()) / 2
+    shares = np.abs(np.gradient(cross)) * weighting.window((cross - middle) / aperture.extent)
     across = weighting.window(places)
     weights = across / across.sum(), shares / shares.sum()
     wave = 4 * math.pi / SPEED_OF_LIGHT
     centre = history.first_hz + history.frequencies // 2 * history.step_hz
     pixels = ground_points(aperture, grid)
-    middle = aperture.around_m[None]
     combined = Combined.around(history, aperture.around_m, _edge(aperture, grid), cross)
     total = np.zeros(len(pixels), np.complex128)
     counted_pulses = 0
     for pulse, echo in combined.echoes(weights[1]):
         one = slice(pulse, pulse + 1)
-        beyond = (history.beyond_m(one, pixels) - history.beyond_m(one, middle))[0]
+        beyond = (history.beyond_m(one, pixels) - history.beyond_m(one, aperture.around_m[None]))[0]
         profile = finufft.nufft1d2(
             wave * history.step_hz[pulse] * beyond, echo * weights[0], eps=_ACCURACY, isign=1, nthreads=1
         )
@@ -327,7 +319,3 @@ def _check_extent(aperture: Aperture, grid: ImageGrid) -> None:
             f"{history.name}: the image is {across:.1f} m wide, but pulses so far apart show "
             f"{aperture.unambiguous_m:.1f} m; give a smaller `size_m`"
         )
-
-
-def _middle(values: Float64[np.ndarray, " n"]) -> float:
-    return float(values.min() + values.max()) / 2

@@ -232,27 +232,16 @@ def _two_bands(pixels: Shaped[np.ndarray, "*shape"]) -> tuple[np.ndarray, np.nda
 
 @dataclass(frozen=True)
 class Values:
-    """Values of one picture.
-
-    Parameters
-    ----------
-    image : numpy.ndarray, float32 or complex64 [rows, columns]
-        Linear power, or complex amplitude; 0 where it is not known.
-    unknown : numpy.ndarray, bool [rows, columns]
-        Pixels without data.
-    tags : Tags
-        Tags of the file.
-    quantity : {"amplitude", "power", "db", "complex"}
-        Quantity of the numbers.
-    assumptions : tuple of str
-        Assumptions about tags and bands.
-    """
+    """Values of one picture, the tags of its file, and the quantity of its numbers."""
 
     image: Shaped[np.ndarray, "rows columns"]
+    """Linear power (float32), or complex amplitude (complex64); 0 where it is not known."""
     unknown: Bool[np.ndarray, "rows columns"]
+    """Pixels without data."""
     tags: Tags
     quantity: Quantity
     assumptions: tuple[str, ...]
+    """Assumptions about tags and bands."""
 
 
 def read_values(

@@ -28,22 +28,15 @@ _CHANNEL = re.compile(r"(?<![a-z])[hv][hv](?![a-z])", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Tags:
-    """Tags of a file about its pixels.
-
-    Parameters
-    ----------
-    georeference : Georeference or None
-        Georeference of the pixels.
-    scale, offset : float
-        Factor on the pixels, and number added after that.
-    absent : numpy.ndarray, bool [rows, columns], or None
-        Pixels with the value of "no data", or left out by a mask or a band for transparency; None without such.
-    """
+    """Tags of a file about its pixels."""
 
     georeference: Georeference | None = None
     scale: float = 1.0
+    """Factor on the pixels."""
     offset: float = 0.0
+    """Number added after that."""
     absent: Bool[np.ndarray, "rows columns"] | None = field(default=None, compare=False)
+    """Pixels with the value of "no data", or left out by a mask or a band for transparency; None without such."""
 
 
 def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:

@@ -167,15 +167,8 @@ def stack_image(
         farther = _ranges(sicd, spot, layout, azimuth, away) - to_centre - reference
         phase = stack.wavenumber * farther.reshape(shape) + level - plane[0]
         signals.append((pixels * np.exp(1j * phase)).astype(np.complex64))
-    return MeasuredImage(
-        name,
-        np.stack(signals),
-        layout.view,
-        spacing_m,
-        grid.resolution_m,
-        response=grid.response,
-        stack=stack,
-    )
+    pixels = np.stack(signals)
+    return MeasuredImage(name, pixels, layout.view, spacing_m, grid.resolution_m, response=grid.response, stack=stack)
 
 
 def _antenna_at(sicd: Sicd, place: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
@@ -200,17 +193,11 @@ def _ranges(
 
 
 def _refuse_other_grid(first: Sicd, other: Sicd) -> None:
-    if first.shape != other.shape:
-        sizes = (" × ".join(map(str, one.shape)) for one in (first, other))
-        raise SarsplatError(
-            f"{first.path} has {next(sizes)} pixels and {other.path} {next(sizes)}; coregister them to one grid, or "
-            + _UNSTACKED
-        )
     apart = float(np.linalg.norm(_corners(first) - _corners(other), axis=1).max())
-    if not apart <= _APART * min(axis.spacing_m for axis in first.axes):
+    if first.shape != other.shape or not apart <= _APART * min(axis.spacing_m for axis in first.axes):
         raise SarsplatError(
-            f"{other.path} lies on another grid than {first.path}, whose corners are up to {apart:.3g} m away; "
-            f"coregister them to one grid, or {_UNSTACKED}"
+            f"{other.path} has another grid than {first.path}: {shown(other.shape)} and {shown(first.shape)} pixels, "
+            f"corners up to {apart:.3g} m apart; coregister them to one grid, or {_UNSTACKED}"
         )
 
 

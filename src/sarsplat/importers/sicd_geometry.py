@@ -89,12 +89,6 @@ def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) ->
     return Place(latitude, longitude, height, heading_deg)
 
 
-def astray_m(sicd: Sicd) -> float:
-    """Return the distance between the stated and the projected scene centre point, m; 0 in a correct file."""
-    with sarkit_errors(sicd.path):
-        return float(np.linalg.norm(_ground_of(sicd, np.zeros(2), corrected=False) - sicd.projection.SCP))
-
-
 def _ground_of(sicd: Sicd, place: Float64[np.ndarray, " 2"], *, corrected: bool) -> Float64[np.ndarray, " 3"]:
     """Project (xrow, ycol) to the ground at the height of the scene centre point: ECEF, m."""
     from sarkit.sicd import projection
@@ -111,7 +105,9 @@ def _ground_of(sicd: Sicd, place: Float64[np.ndarray, " 2"], *, corrected: bool)
 
 def said_of_place(sicd: Sicd) -> str | None:
     """Return a warning if a file contradicts its own scene centre point; otherwise None."""
-    astray, cell = astray_m(sicd), max(axis.resolution_m for axis in sicd.axes)
+    with sarkit_errors(sicd.path):
+        astray = float(np.linalg.norm(_ground_of(sicd, np.zeros(2), corrected=False) - sicd.projection.SCP))
+    cell = max(axis.resolution_m for axis in sicd.axes)
     if not astray > _ASTRAY_CELLS * cell:  # NaN is rejected where the ground is needed
         return None
     return (
@@ -161,11 +157,7 @@ def _locate(sicd: Sicd, spot: Place, points: Float64[np.ndarray, "n 3"]) -> Floa
     from sarkit.sicd import projection
 
     places, _, ground = projection.scene_to_image(
-        sicd.projection,
-        spot.to_ecef(points),
-        adjust_param_offsets=sicd.offsets,
-        delta_gp_s2i=_FINE,
-        maxiter=30,
+        sicd.projection, spot.to_ecef(points), adjust_param_offsets=sicd.offsets, delta_gp_s2i=_FINE, maxiter=30
     )
     if not ground or not np.isfinite(places).all():
         raise SarsplatError(

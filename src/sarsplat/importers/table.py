@@ -12,15 +12,7 @@ from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.about import AboutPictures
-from sarsplat.importers.columns import (
-    LOOKS,
-    PER_UNIT,
-    Columns,
-    chosen_columns,
-    recognised,
-    require,
-    require_degrees,
-)
+from sarsplat.importers.columns import LOOKS, PER_UNIT, Columns, chosen_columns, recognised, require, require_degrees
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
 from sarsplat.importers.rasters import first_georeference
