@@ -14,7 +14,7 @@ from jaxtyping import Float64, Int64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.importers.files import raise_damaged, require
+from sarsplat.importers.files import raise_damaged, require, whole_in
 from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
 
 if TYPE_CHECKING:
@@ -188,9 +188,7 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
     form = data.findtext("{*}SignalArrayFormat")
     if form not in _SAMPLE_BYTES:
         raise SarsplatError(f"{path} has samples of the format {shown(form)}; {', '.join(_SAMPLE_BYTES)} are read")
-    each = _whole(path, data, "NumBytesPVP")
-    if not 1 <= each <= _MOST_BYTES_OF_A_PULSE:
-        raise_damaged(path, f"has {each} bytes of parameters for a pulse")
+    each = _whole(path, data, "NumBytesPVP", 1, _MOST_BYTES_OF_A_PULSE)
     found = []
     for one in listed:
         name = (one.findtext("{*}Identifier") or "").strip()
@@ -201,10 +199,8 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
         }
         for block, end in ends.items():
             if end > blocks[block]:
-                raise_damaged(
-                    path,
-                    f"has {pulses} pulses of {samples} samples in {shown(name)}, more than its {block} block holds",
-                )
+                what = f"{pulses} pulses of {samples} samples in {shown(name)}"
+                raise_damaged(path, f"has {what}, more than its {block} block holds")
         if not name.isprintable() or "'" in name or len(name) > 200 or name != one.findtext("{*}Identifier"):
             raise_damaged(path, f"has a channel called {shown(name)}, which is no name")
         found.append(Channel(name, pulses, samples, _polarisation(tree, name)))
@@ -213,11 +209,8 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
     return found
 
 
-def _whole(path: Path, element: lxml.etree._Element, name: str) -> int:
-    text = (element.findtext("{*}" + name) or "").strip()
-    if not (text.isascii() and text.isdigit() and len(text) < 16):
-        raise_damaged(path, f"has {shown(text)} as {name}, but it must be a whole number")
-    return int(text)
+def _whole(path: Path, element: lxml.etree._Element, name: str, least: int = 0, most: int = 10**15) -> int:
+    return whole_in(path, (element.findtext("{*}" + name) or "").strip(), name, least, most)
 
 
 def _polarisation(tree: lxml.etree._ElementTree, channel: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import posixpath
+import re
 import unicodedata
 import warnings
 from collections.abc import Collection, Sequence
@@ -31,6 +32,12 @@ def number_in(path: Path, value: object, name: str, least: float, most: float) -
     if not isinstance(value, int | float) or not least <= value <= most:  # also catches NaN
         raise_damaged(path, f"has {shown(value)} as {name}, not a number from {least:g} to {most:g}")
     return float(value)
+
+
+def whole_in(path: Path, text: str, name: str, least: int, most: int) -> int:
+    """Return the text of a field as a whole number; raise if it is none, or out of range."""
+    number = int(text) if re.fullmatch(r"[0-9]{1,15}", text) else text[:40]
+    return int(number_in(path, number, name, least, most))
 
 
 def check_pixel(path: Path, pixel: tuple[float, float], shape: tuple[int, int]) -> None:

@@ -21,7 +21,7 @@ from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import GAUSSIAN, Response, stated_taylor
-from sarsplat.importers.files import number_in, raise_damaged
+from sarsplat.importers.files import number_in, raise_damaged, whole_in
 
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
@@ -159,8 +159,10 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
         file.seek(0)
         start = file.read(_LONGEST_HEADER)
         length, header = _parse_header(path, start)
-        rows = _whole(path, header, "NumberOfRows", _MAX_PIXELS_PER_SIDE)
-        columns = _whole(path, header, "NumberOfColumns", _MAX_PIXELS_PER_SIDE)
+        rows, columns = (
+            whole_in(path, header.get(name, ""), name, 1, _MAX_PIXELS_PER_SIDE)
+            for name in ("NumberOfRows", "NumberOfColumns")
+        )
         if header.get("native_header_length") != "0":
             raise SarsplatError(
                 f"{path} has a native header of {shown(header.get('native_header_length'))} bytes, "
@@ -217,8 +219,3 @@ def _text(path: Path, header: dict[str, str], key: str) -> str:
 
 def _number(path: Path, header: dict[str, str], key: str) -> float:
     return number_in(path, parsed(_text(path, header, key)), key, -_LARGEST, _LARGEST)
-
-
-def _whole(path: Path, header: dict[str, str], key: str, maximum: int) -> int:
-    text = _text(path, header, key)
-    return int(number_in(path, int(text) if re.fullmatch(r"[0-9]{1,9}", text) else text[:40], key, 1, maximum))

@@ -99,7 +99,8 @@ def import_rslc(
     """
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     rslc = read_rslc(Path(file))
-    spot = _spot(rslc, pixel)
+    spot = (rslc.shape[0] // 2, rslc.shape[1] // 2) if pixel is None else pixel
+    check_pixel(rslc.path, spot, rslc.shape)
     view, spacing, widths, wider = _seen(rslc, spot, height_m, heading_deg)
     place, told = _place(rslc, spot, height_m, heading_deg)
     lines, samples = _cut(rslc, spot, size_m, spacing)
@@ -141,13 +142,6 @@ def import_rslc(
     }
     dataset = dataset_of([image], target=target, source=source, calibration=calibration, place=place, **about)
     return write_imported(out, dataset, overwrite=overwrite)
-
-
-def _spot(rslc: Rslc, pixel: tuple[float, float] | None) -> tuple[float, float]:
-    if pixel is None:
-        return rslc.shape[0] // 2, rslc.shape[1] // 2
-    check_pixel(rslc.path, pixel, rslc.shape)
-    return pixel
 
 
 def _seen(
