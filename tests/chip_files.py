@@ -48,7 +48,7 @@ LOWER_LEFT = np.zeros((16, 16), np.uint8)
 LOWER_LEFT[8:, :8] = 200 - np.add.outer(range(8), range(8)) % 3  # near: the radar is at the bottom
 
 
-def write_chips(folder: Path, rows: list[tuple], size: int = 16) -> Path:
+def write_chips(folder: Path, rows: list[tuple], size: int = 16, *, random: bool = False) -> Path:
     """JPEGs and their labels; rows are (class, serial, depression, azimuth)."""
     with (folder / "labels.csv").open("w", newline="") as file:
         table = csv.writer(file)
@@ -58,6 +58,8 @@ def write_chips(folder: Path, rows: list[tuple], size: int = 16) -> Path:
             path.parent.mkdir(exist_ok=True)
             picture = np.resize(LOWER_LEFT, (size, size)) - index % 5 * (np.resize(LOWER_LEFT, (size, size)) > 0)
             picture[-1, 0] -= index // 5  # no two alike
+            if random:
+                picture = np.random.default_rng(index).integers(20, 255, picture.shape)
             Image.fromarray(picture.astype(np.uint8)).save(path, quality=100)
             table.writerow([f"{name}/{path.name}", name, serial, depression, depression + 0.1, azimuth])
     return folder / "labels.csv"
