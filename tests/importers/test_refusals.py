@@ -309,7 +309,10 @@ HISTORY: Refusals = [
             ({"spacing_m": 1e-4}, "makes 40000 × 40000 pixels of"),
             ({"size_m": math.nan}, "makes 0 × 0 pixels of"),
             ({"size_m": math.inf}, "makes inf × inf pixels of"),
-            *(({"aperture_deg": width}, f"{width:g}° is none of at most 60° within the 2.11°") for width in (0, 9, 61)),
+            *(
+                ({"aperture_deg": width}, f"{width:g}° must be above 0°, at most 60°, and within the 2.11°")
+                for width in (0, 9, 61)
+            ),
             ({"aperture_deg": 0.05}, "holds [01] of 20 pulses; give a larger"),
             ({"aperture_deg": 5e-324}, "holds [01] of 20 pulses; give a larger"),
             ({"train_views": 2}, "2 training views asked for, but there are 1 image"),

@@ -1,4 +1,4 @@
-"""Files to import: listed by a user, found in a folder, or named by the rows of a table; and what they need."""
+"""Files to import: listed by a user, found in a folder, or named by the rows of a table; checks of their fields."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def raise_damaged(path: str | Path, problem: str) -> NoReturn:
 
 
 def number_in(path: Path, value: object, name: str, least: float, most: float) -> float:
-    """Return a field of a file as a number; raise if it is none, or out of range."""
+    """Return a field of a file as a number; raise if it is of another type, or out of range."""
     if not isinstance(value, int | float) or not least <= value <= most:  # also catches NaN
         raise_damaged(path, f"has {shown(value)} as {name}, not a number from {least:g} to {most:g}")
     return float(value)
 
 
 def whole_in(path: Path, text: str, name: str, least: int, most: int) -> int:
-    """Return the text of a field as a whole number; raise if it is none, or out of range."""
+    """Return the text of a field as a whole number; raise if it is not one, or out of range."""
     number = int(text) if re.fullmatch(r"[0-9]{1,15}", text) else text[:40]
     return int(number_in(path, number, name, least, most))
 

@@ -220,7 +220,7 @@ def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> Non
 
 
 def check_train_views(train_views: int | None, images: int) -> None:
-    """Raise if training views cannot be so many of the images."""
+    """Raise unless there are enough images for the training views."""
     if train_views is not None and not 1 <= train_views <= images:
         raise SarsplatError(
             f"{counted(train_views, 'training view')} asked for, but there are {counted(images, 'image')}; ask for 1 "
