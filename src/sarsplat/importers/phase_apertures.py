@@ -102,8 +102,8 @@ def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_
         count = math.floor(min(span / width_deg + 0.02, pulses)) if 0 < width_deg <= WIDEST_DEG else 0  # also of NaN
         if count < 1:
             raise SarsplatError(
-                f"an aperture of {width_deg:g}° must be above 0°, at most {WIDEST_DEG:g}°, and within the {span:.3g}° of "
-                f"{history.name}; give another `aperture_deg`, or further files of the same flight"
+                f"an aperture of {width_deg:g}° must be above 0°, at most {WIDEST_DEG:g}°, and within the {span:.3g}° "
+                f"of {history.name}; give another `aperture_deg`, or further files of the same flight"
             )
     edges = (np.arange(count + 1) - count / 2) * math.radians(width_deg) + (azimuth[0] + azimuth[-1]) / 2
     sign = np.sign(azimuth[1] - azimuth[0])
