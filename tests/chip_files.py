@@ -33,12 +33,22 @@ def phoenix_bytes(magnitude: np.ndarray = MAGNITUDE, **changes: str) -> bytes:
     return header.encode() + magnitude.astype(">f4").tobytes() + phase.astype(">f4").tobytes()
 
 
+def write_originals(folder: Path, factor: float = 1 / 300) -> Path:
+    """Five Phoenix files of a T72, and one of a BMP2."""
+    folder.mkdir(exist_ok=True)
+    for index, azimuth in enumerate((2, 92, 178, 275, 300)):
+        magnitude = LOWER_LEFT * np.float32(factor * (1 + index / 500))
+        (folder / f"HB{index}.015").write_bytes(phoenix_bytes(magnitude, TargetAz=str(azimuth)))
+    (folder / "HB0.000").write_bytes(phoenix_bytes(TargetType="bmp2_tank"))
+    return folder
+
+
 COLUMNS = ["path", "class", "serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"]
 LOWER_LEFT = np.zeros((16, 16), np.uint8)
 LOWER_LEFT[8:, :8] = 200 - np.add.outer(range(8), range(8)) % 3  # near: the radar is at the bottom
 
 
-def write_chips(folder: Path, rows: list[tuple], size: int = 16) -> Path:
+def write_chips(folder: Path, rows: list[tuple], size: int = 16, *, random: bool = False) -> Path:
     """JPEGs and their labels; rows are (class, serial, depression, azimuth)."""
     with (folder / "labels.csv").open("w", newline="") as file:
         table = csv.writer(file)
@@ -48,6 +58,8 @@ def write_chips(folder: Path, rows: list[tuple], size: int = 16) -> Path:
             path.parent.mkdir(exist_ok=True)
             picture = np.resize(LOWER_LEFT, (size, size)) - index % 5 * (np.resize(LOWER_LEFT, (size, size)) > 0)
             picture[-1, 0] -= index // 5  # no two alike
+            if random:
+                picture = np.random.default_rng(index).integers(20, 255, picture.shape)
             Image.fromarray(picture.astype(np.uint8)).save(path, quality=100)
             table.writerow([f"{name}/{path.name}", name, serial, depression, depression + 0.1, azimuth])
     return folder / "labels.csv"

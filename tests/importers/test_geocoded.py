@@ -211,12 +211,12 @@ def test_true_north_is_not_that_of_the_map(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"geocoded": None}, r"000.tif is geocoded \(EPSG:32633\): .*, by --geocoded level, or"),
-        ({"resolution_m": None}, "the resolution of 000.tif, which the pixels of a map"),
+        ({"geocoded": None}, r"000.tif is geocoded \(EPSG:32633\)"),
+        ({"resolution_m": None}, "does not state the resolution of 000.tif"),
         ({"spacing_m": (0.3, 0.3)}, r"its pixels are 0.2.* m × 0.2.* m \(east × north\), but 0.3 × 0.3 is given"),
-        ({"near": "left"}, "--near is for pictures in range and azimuth"),
-        ({"geocoded": "terrain"}, "--geocoded terrain needs the heights that its producer took"),
-        ({"geocoded": "terrain", "geocoded_height_m": 3.0}, "terrain has its own heights"),
+        ({"near": "left"}, "`near` is for pictures in range and azimuth"),
+        ({"geocoded": "terrain"}, "needs the heights that its producer took"),
+        ({"geocoded": "terrain", "geocoded_height_m": 3.0}, "`geocoded_height_m` is for"),
     ],
 )
 def test_what_is_not_said_or_contradicts(tmp_path: Path, options: dict, words: str) -> None:
@@ -283,7 +283,7 @@ def test_headings_tell_where_the_radar_is(tmp_path: Path) -> None:
     np.testing.assert_allclose(made.power, straight.power, rtol=1e-6)
     assert any("azimuths are 90° to the left of headings" in text for text in made.source["assumptions"])
     (folder / "table.csv").write_text("\n".join(",".join(np.array(row.split(","))[[0, 1, 3]]) for row in rows))
-    with pytest.raises(SarsplatError, match="or give the side to which the radar looks with --look"):
+    with pytest.raises(SarsplatError, match="or give `look`, the side to which the radar looks"):
         imported(folder)
     assert imported(folder, look="right").views[0].azimuth_deg == pytest.approx(straight.views[0].azimuth_deg)
     with pytest.raises(SarsplatError, match=r"headings .*, which run clockwise"):
@@ -316,7 +316,7 @@ def test_headings_that_contradict_azimuths_are_refused(tmp_path: Path) -> None:
     )
     told(180.0, "file,azimuth,heading,anything,incidence")  # perhaps of the target: no side is known
     assert imported(folder).views == straight.views
-    with pytest.raises(SarsplatError, match="say which holds with --columns azimuth=NAME or --columns heading=NAME"):
+    with pytest.raises(SarsplatError, match="say which holds with `columns"):
         imported(folder, look="right")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chip_files import COLUMNS, phoenix_bytes
+from chip_files import phoenix_bytes, write_chips
 from made_imports import rewrite
 from sarsplat.cli import main
 from sarsplat.cli.info_dataset import SplitSource, rows_of_all
@@ -25,66 +25,47 @@ pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning
 
 VEHICLES = [("T72", "132", (17, 15)), ("BMP2", "9563", (17, 15)), ("BMP2", "9566", (17, 15)), ("T-72", "A64", (30,))]
 """Class as a table spells it, serial, depression angles: four chips of each."""
-SIZE = 16
 
 
-def picture(seed: int) -> np.ndarray:
-    return np.random.default_rng(seed).integers(20, 255, (SIZE, SIZE)).astype(np.uint8)
-
-
-def chips_of() -> list[tuple[str, str, int, float | None, int]]:
-    """Class, serial, depression, azimuth and a number of its own; one training chip of BMP2 has no azimuth."""
-    rows, number = [], 0
+def chips_of() -> list[tuple[str, str, int, float | None]]:
+    """Class, serial, depression and azimuth; one training chip of BMP2 has no azimuth."""
+    rows: list[tuple[str, str, int, float | None]] = []
     for target, serial, depressions in VEHICLES:
         for depression in depressions:
-            for k in range(4):
-                azimuth = None if (target, serial, depression, k) == ("BMP2", "9563", 17, 3) else 90.0 * k + number % 7
-                rows.append((target, serial, depression, azimuth, number))
-                number += 1
+            rows += [(target, serial, depression, 90.0 * k + (len(rows) + k) % 7) for k in range(4)]
+    rows[11] = (*rows[11][:3], None)
     return rows
 
 
-def jpegs(folder: Path, nested: bool) -> Path:
-    """JPEGs by class and depression angle, or all in one folder, with their table."""
+def jpegs(folder: Path) -> Path:
+    """JPEGs by class, with their table."""
     folder.mkdir(parents=True)
-    with (folder / "labels.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(COLUMNS)
-        for target, serial, depression, azimuth, number in chips_of():
-            path = Path(target, f"{depression}deg") if nested else Path()
-            path /= f"hb{number:05}.jpeg"
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(picture(number)).save(folder / path, quality=95)
-            angle = "" if azimuth is None else azimuth
-            table.writerow([path, target, serial, depression, depression + 0.1, angle])
+    write_chips(folder, chips_of(), random=True)
     return folder
 
 
-def phoenix(folder: Path, nested: bool) -> Path:
+def phoenix(folder: Path, nested: bool = False) -> Path:
     """Original files, whose headers have all but a table's spelling: those without azimuth are left out."""
-    for target, serial, depression, azimuth, number in chips_of():
+    for number, (target, serial, depression, azimuth) in enumerate(chips_of()):
         if azimuth is None:
             continue
-        kind = {"T72": "t72_tank", "T-72": "t72_tank", "BMP2": "bmp2_tank"}[target]
         path = folder / (f"{depression}_DEG/{target}/SN_{serial}" if nested else "") / f"HB{number:05}.000"
         path.parent.mkdir(parents=True, exist_ok=True)
         header = {
-            "TargetType": kind,
+            "TargetType": "bmp2_tank" if target == "BMP2" else "t72_tank",
             "TargetSerNum": serial,
             "TargetAz": str(azimuth),
             "DesiredDepression": str(depression),
             "MeasuredDepression": str(depression + 0.1),
         }
-        path.write_bytes(phoenix_bytes(picture(number).astype(np.float32) / 255, **header))
+        magnitude = np.random.default_rng(number).uniform(0.1, 1, (16, 16)).astype(np.float32)
+        path.write_bytes(phoenix_bytes(magnitude, **header))
     return folder
 
 
-@pytest.mark.parametrize("nested", [True, False], ids=["by folders", "flat"])
-@pytest.mark.parametrize("kind", ["jpeg", "phoenix"])
-def test_soc_takes_17_degrees_to_train_and_15_to_test_of_the_strict_vehicles(
-    tmp_path: Path, kind: str, nested: bool
-) -> None:
-    folder = (jpegs if kind == "jpeg" else phoenix)(tmp_path / "chips", nested)
+@pytest.mark.parametrize("kind", ["jpeg", "phoenix", "phoenix by folders"])
+def test_soc_takes_17_degrees_to_train_and_15_to_test_of_the_strict_vehicles(tmp_path: Path, kind: str) -> None:
+    folder = jpegs(tmp_path / "chips") if kind == "jpeg" else phoenix(tmp_path / "chips", "folders" in kind)
     labels = folder / "labels.csv" if kind == "jpeg" else None
     with pytest.warns(
         SarsplatWarning, match=r"BMP2: left out 8 chips that the split soc has not \(4 of 9566 at 15°, 4 of"
@@ -106,7 +87,7 @@ def test_soc_takes_17_degrees_to_train_and_15_to_test_of_the_strict_vehicles(
 
 
 def test_extended_conditions_test_on_other_vehicles(tmp_path: Path) -> None:
-    folder = jpegs(tmp_path / "chips", nested=True)
+    folder = jpegs(tmp_path / "chips")
     kept = {"labels": folder / "labels.csv", "train_views": "all"}
     with pytest.warns(SarsplatWarning, match="left out"):
         version = import_mstar(folder, tmp_path / "a", target_class="BMP2", split="eoc-version", **kept)
@@ -121,7 +102,7 @@ def test_extended_conditions_test_on_other_vehicles(tmp_path: Path) -> None:
 
 
 def test_chips_of_unnamed_vehicles_are_of_no_one_among_several(tmp_path: Path) -> None:
-    folder = jpegs(tmp_path / "chips", nested=True)
+    folder = jpegs(tmp_path / "chips")
     table = folder / "labels.csv"
     table.write_text(table.read_text().replace(",9566,", ",,").replace(",9563,", ",,"))
     words = {"labels": table, "target_class": "BMP2", "train_views": "all"}
@@ -150,7 +131,7 @@ def test_a_chip_that_is_there_twice_counts_once(tmp_path: Path) -> None:
 
 
 def test_a_class_whose_training_chips_have_no_azimuth_is_refused(tmp_path: Path) -> None:
-    folder = jpegs(tmp_path / "chips", nested=True)
+    folder = jpegs(tmp_path / "chips")
     table = folder / "labels.csv"
     rewrite(table, lambda rows: [rows[0], *([*row[:-1], ""] for row in rows[1:])])
     with pytest.raises(SarsplatError, match="no training chip of T72 has an azimuth"):
@@ -158,7 +139,7 @@ def test_a_class_whose_training_chips_have_no_azimuth_is_refused(tmp_path: Path)
 
 
 def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Path) -> None:
-    folder = jpegs(tmp_path / "chips", nested=True)
+    folder = jpegs(tmp_path / "chips")
     for mirrored in (False, True):
         with pytest.warns(SarsplatWarning):
             bmp2 = import_mstar(
@@ -167,7 +148,7 @@ def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Pat
             )  # fmt: skip
         (one,) = bmp2.source["unplaced"]
         assert one == {
-            "name": "BMP2/17deg/hb00011.jpeg",
+            "name": "BMP2/chip011.jpeg",
             "file": "unplaced/0000.tif",
             "set": "train",
             "grazing_deg": 17.1,
@@ -184,13 +165,13 @@ def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Pat
 
 
 def test_chips_without_azimuth_are_of_the_same_sets_as_others_of_their_vehicle(tmp_path: Path) -> None:
-    folder = jpegs(tmp_path / "chips", nested=True)
+    folder = jpegs(tmp_path / "chips")
     table = folder / "labels.csv"
     rows: list[list[str]] = []
 
     def unplace(labels: list[list[str]]) -> list[list[str]]:
         for row in labels:
-            hidden = row[2] == "9566" and "5deg" in row[0] and row[5].startswith("9")
+            hidden = row[2:4] == ["9566", "15"] and row[5].startswith("9")
             rows.append([*row[:5], "" if hidden else row[5]])
         return rows
 
@@ -216,9 +197,9 @@ def test_chips_without_azimuth_are_of_the_same_sets_as_others_of_their_vehicle(t
 def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = jpegs(tmp_path / "chips", nested=False)
+    folder, out = jpegs(tmp_path / "chips"), tmp_path / "soc"
     words = ["import", "mstar", str(folder), "--labels", str(folder / "labels.csv"), "--train-views", "all"]
-    words += ["--out", str(tmp_path / "soc")]
+    words += ["--out", str(out)]
     assert main([*words, "--split", "soc"]) == 2  # eight classes are not there
     said = capsys.readouterr()
     assert "2S1: there is no class '2S1'" in said.err
@@ -226,13 +207,25 @@ def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missi
     assert "without 2S1, BRDM2, BTR60, BTR70, D7, T62, ZIL131, ZSU234 (see above)" in said.err
     assert "the same command with --class 2S1 BRDM2" in said.err
     assert "reading chips" not in said.out
-    (progress,) = (line for line in said.out.splitlines() if line.startswith(f"import {folder}: "))
-    assert "10/10" in progress
+    assert "10/10" in [line for line in said.out.splitlines() if line.startswith(f"import {folder}: ")][-1]
     assert len([line for line in said.out.splitlines() if line.startswith("next: ")]) == 2  # none for each class
-    assert sorted(path.name for path in (tmp_path / "soc").iterdir()) == ["BMP2", "T72", "sweep.toml"]
-    (tmp_path / "soc" / "sweep.toml").write_text("# changed")
+    assert sorted(path.name for path in out.iterdir()) == ["BMP2", "T72", "sweep.toml"]
+    assert main(["info", str(out)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "split soc 2 of 10 classes; 2S1, BRDM2, BTR60, BTR70, D7, T62, ZIL131, ZSU234 are missing" in said
+    assert "train soc 8 of 2,747 chips" in said and "test soc 8 of 2,425 chips" in said
+    assert "BMP2: train 4 of 233, test 4 of 195" in said
+    assert "3 train, 4 test-15, 1 unplaced" in said and "1 chip without azimuth" in said
+    assert f"sarsplat sweep {out / 'sweep.toml'} --out soc-runs" in said
+    assert "write these two lines" not in said
+    assert main(["info", str(out / "sweep.toml")]) == 0
+    assert "a plan of a sweep" in capsys.readouterr().out
+    assert main(["info", str(out / "BMP2")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "train: BMP2 (9563) at 17°: 4 of 233 chips, 229 are missing; 1 has no azimuth" in said
+    (out / "sweep.toml").write_text("# changed")
     assert main([*words, "--split", "soc", "--overwrite"]) == 2
-    assert (tmp_path / "soc" / "sweep.toml").read_text() == "# changed"
+    assert (out / "sweep.toml").read_text() == "# changed"
     capsys.readouterr()
     assert main([*words[:-1], str(tmp_path / "none"), "--split", "soc", "--class", "D7"]) == 2
     said = capsys.readouterr()
@@ -246,7 +239,7 @@ def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missi
 def test_a_class_that_fails_changes_nothing_and_can_be_added_later(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder, out = jpegs(tmp_path / "chips", nested=False), tmp_path / "soc"
+    folder, out = jpegs(tmp_path / "chips"), tmp_path / "soc"
     table = folder / "labels.csv"
     whole = table.read_text()
     table.write_text(whole.replace(",BMP2,", ",BMP1,"))
@@ -262,29 +255,6 @@ def test_a_class_that_fails_changes_nothing_and_can_be_added_later(
     assert main([*words, "--overwrite"]) == 2
     assert f"{out / 'BMP2'} stays as it was" in " ".join(capsys.readouterr().err.split())
     assert {path: path.read_bytes() for path in (out / "BMP2").rglob("*") if path.is_file()} == before
-
-
-def test_info_says_what_of_a_split_is_in_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder, out = jpegs(tmp_path / "chips", nested=False), tmp_path / "soc"
-    words = ["import", "mstar", str(folder), "--labels", str(folder / "labels.csv"), "--train-views", "all"]
-    assert main([*words, "--out", str(out), "--split", "soc"]) == 2
-    capsys.readouterr()
-    assert main(["info", str(out)]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "split soc 2 of 10 classes; 2S1, BRDM2, BTR60, BTR70, D7, T62, ZIL131, ZSU234 are missing" in said
-    assert "train soc 8 of 2,747 chips" in said and "test soc 8 of 2,425 chips" in said
-    assert "BMP2: train 4 of 233, test 4 of 195" in said
-    assert "3 train, 4 test-15, 1 unplaced" in said and "1 chip without azimuth" in said
-    assert f"sarsplat sweep {out / 'sweep.toml'} --out soc-runs" in said
-    assert "write these two lines" not in said
-    assert main(["info", str(out / "sweep.toml")]) == 0
-    assert "a plan of a sweep" in capsys.readouterr().out
-    assert main(["info", str(out / "BMP2")]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "train: BMP2 (9563) at 17°: 4 of 233 chips, 229 are missing; 1 has no azimuth" in said
-    (out / "sweep.toml").unlink()
-    assert main(["info", str(out)]) == 0
-    assert "write these two lines" in " ".join(capsys.readouterr().out.split())
 
 
 def test_what_a_header_says_of_a_split_is_not_trusted() -> None:

@@ -204,37 +204,27 @@ def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking
     ("changed", "options", "words"),
     [
         ({"zeroDopplerTimeSpacing": None}, {}, "has no science/LSAR/RSLC/swaths/zeroDopplerTimeSpacing; give an RSLC"),
-        ({"CenterFrequency": np.nan}, {}, "has no finite numbers as .*CenterFrequency; get it again"),
-        ({"CenterFrequency": 3.0}, {}, "has .*3.0.* as .*CenterFrequency; it must be a number from 1e[+]08 to 1e[+]12"),
-        ({"lookDirection": np.bytes_("up")}, {}, "says that its radar looks 'up'; it must be left or right"),
-        (
-            {"frequencyA/slantRange": RANGES[::-1]},
-            {},
-            r"numbers that do not rise as .*slantRange \(800168 after 800174\); places",
-        ),
+        ({"CenterFrequency": np.nan}, {}, "has no finite numbers as .*CenterFrequency"),
+        ({"CenterFrequency": 3.0}, {}, "has 3.0 as .*CenterFrequency, not a number from 1e.08 to 1e.12"),
+        ({"lookDirection": np.bytes_("up")}, {}, "says that its radar looks 'up', not left or right"),
+        ({"frequencyA/slantRange": RANGES[::-1]}, {}, "numbers that do not rise as .*slantRange"),
         (
             {"Grid/heightAboveEllipsoid": np.array([0.0, 9.0, 3.0])},
             {},
-            r"neither rise nor fall as .*heightAboveEllipsoid \(3 after 9\); places between them cannot be looked up",
+            "neither rise nor fall as .*heightAbove",
         ),
         ({"frequencyA/HH": np.zeros((0, 30), complex)}, {}, "no pixels of HH, HV, VH, VV in .*; it describes images"),
-        (
-            {f"A/{name}": None for name in QUAD},
-            {},
-            "no images in .*frequencyA; it describes images without holding them",
-        ),
+        ({f"A/{name}": None for name in QUAD}, {}, "no images in .*frequencyA; it describes images without holding"),
         ({"frequencyA/slantRange": RANGES[:-1]}, {}, "40 azimuth times and 29 slant ranges for .40, 30"),
         ({"losUnitVectorX": np.full((2, 2, 2), 2.0)}, {}, "impossible radar direction 2"),
         ({"losUnitVectorX": np.zeros(3)}, {}, r"geolocationGrid of \(3,\) values where its axes have \(2, 2, 2\)"),
         ({"frequencyA/HH": QUAD["HH"][1:]}, {}, r"no images of one size in .*, but \(39, 30\) and \(40, 30\)"),
         ({"frequencyA/HH": np.ones((40, 30))}, {}, "holds real numbers, but the quantity is 'complex'"),
-        ({"frequencyA/HH": np.full((40, 30), np.nan + 0j)}, {}, "frequencyA/HH holds .*nan.* as complex"),
-        ({"frequencyA/HH": h5py.ExternalLink("other.h5", "/x")}, {}, "has a link as .*HH; give a file that holds its"),
-        ({"frequencyA/HH": h5py.SoftLink("/science")}, {}, "has a link as"),
+        ({"frequencyA/HH": h5py.SoftLink("/science")}, {}, "HH elsewhere, by a link"),
         ({}, {"pixel": (40.0, 3.0)}, "the pixel 40, 3 is outside .*, which has 40 rows and 30 columns, counted from 0"),
         ({}, {"size_m": 300.0}, r"40 rows and 30 columns \(136 m × 180 m\), but rows -24 to 63 .*; give a smaller"),
         ({}, {"size_m": -1.0}, "the size -1 m must be positive"),
-        ({}, {"size_m": 20.0}, "--size 20 makes 6 × 3 pixels"),
+        ({}, {"size_m": 20.0}, "makes 6 × 3 pixels"),
         ({}, {"heading_deg": 400.0}, "the heading 400° must be a compass heading"),
     ],
 )
@@ -250,23 +240,22 @@ def test_data_in_other_files_are_not_read(tmp_path):
     with h5py.File(path, "a") as file:
         outside = [(str(tmp_path / "secret"), 0, 40 * 30 * 8)]
         file[IMAGES].create_dataset("HH", (40, 30), np.complex64, external=outside)
-    with pytest.raises(SarsplatError, match="HH in another file; give a file that holds its data itself"):
+    with pytest.raises(SarsplatError, match="HH in another file"):
         import_rslc(path, tmp_path / "out", size_m=60.0)
 
 
-@pytest.mark.parametrize("data", [b"", b"II*\0", b"\x89HDF\r\n\x1a\n", b"\x89HDF\r\n\x1a\n" + bytes(2000)])
-def test_other_files_are_refused(tmp_path, data):
-    (tmp_path / "a.h5").write_bytes(data)
-    with pytest.raises(SarsplatError, match=r"not an HDF5 file|not a readable HDF5 file"):
-        import_rslc(tmp_path / "a.h5", tmp_path / "out", size_m=60.0)
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["x"] = 1
-    with pytest.raises(SarsplatError, match=r"has none of science/LSAR/RSLC, .*; give an RSLC in NISAR's layout"):
-        import_rslc(tmp_path / "a.h5", tmp_path / "out", size_m=60.0)
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.create_group(SWATHS)
-    with pytest.raises(SarsplatError, match="has no images in science/LSAR/RSLC/swaths/frequencyA"):
-        import_rslc(tmp_path / "a.h5", tmp_path / "out", size_m=60.0)
+def test_other_files_are_refused(tmp_path):
+    path, words = tmp_path / "a.h5", []
+    for name in (None, "x", SWATHS):
+        path.write_bytes(b"II*\0")
+        if name:
+            with h5py.File(path, "w") as file:
+                file.create_group(name)
+        with pytest.raises(SarsplatError) as told:
+            import_rslc(path, tmp_path / "out", size_m=60.0)
+        words.append(str(told.value).removeprefix(f"{path} ").partition(";")[0])
+    assert words[0] == "is not an HDF5 file" and words[1].startswith("has none of science/LSAR/RSLC")
+    assert words[2] == f"has no images in {IMAGES}"
 
 
 @pytest.mark.usefixtures("undrawn")

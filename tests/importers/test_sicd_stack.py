@@ -13,7 +13,7 @@ pytest.importorskip("sarkit")
 
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, radar_frame
 from sarsplat.importers import import_sicd
 from sicds import FREQUENCY, LIGHT, SPOT, Recording, Track, describe, ecef, write_sicd
@@ -101,6 +101,14 @@ def test_polarisations_of_one_pass(tmp_path):
     np.testing.assert_array_equal(made.signal[0, 0], made.signal[0, 2])
 
 
+def test_other_polarisations_of_views_are_said(tmp_path):
+    files = [write_pass(tmp_path / f"{k}.nitf", Track(90.0 * k), replace(SMALL, polarisation=name))
+             for k, name in enumerate(("V:V", "H:V"))]  # fmt: skip
+    with pytest.warns(SarsplatWarning, match="polarisations differ"):
+        made = imported(tmp_path, files, stack=False, size_m=20.0)
+    assert any("polarisations differ (H:V, V:V), but are taken" in text for text in made.source["assumptions"])
+
+
 def test_what_is_refused(tmp_path):
     first, second, _ = files = passes(tmp_path, Track(), SMALL)
     other = write_pass(tmp_path / "other.nitf", Track(grazing=36.0), SMALL)
@@ -113,15 +121,9 @@ def test_what_is_refused(tmp_path):
     tuned.write_bytes(data.replace(b"<MinProc>9300000000.0", b"<MinProc>9200000000.0"))
     for paths, words in (
         ([first], "is one file; a stack needs several"),
-        (
-            [first, other],
-            r"other.nitf lies on another grid than .*0.nitf, whose corners are up to .* m away; coregister",
-        ),
-        ([first, turned], r"turned.nitf lies on another grid"),
-        (
-            [first, large],
-            r"0.nitf has 100 × 96 pixels and .*large.nitf 110 × 96; coregister them to one grid, or leave",
-        ),
+        ([first, other], r"other.nitf has another grid than .*0.nitf: .* corners up to .* m apart; coregister"),
+        ([first, turned], r"turned.nitf has another grid"),
+        ([first, large], r"large.nitf has another grid than .*: \(110, 96\) and \(100, 96\) pixels"),
         ([first, same], r"0.nitf, same.nitf are no stack: offsets_rad is .*, where two passes are the same"),
         ([first, circular], r"are no stack: a polarisation is 'S:E' \(transmitted, received\); give files of H, V"),
         ([first, tuned], r"are no stack: centre frequencies are 9.55 to 9.6 GHz; give files of one"),

@@ -57,7 +57,7 @@ def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
     [
         ("azimuth_rad", {"azimuth": "azimuth_rad"}, "'azimuth_rad' for the azimuth, which is not in degrees"),
         ("Azimuth (gon)", {"azimuth": "Azimuth (gon)"}, "'Azimuth .gon.' for the azimuth, which is not in degrees"),
-        ("bearing", {}, "'bearing' for the azimuth, which counts from north by its name, .* with --azimuth-offset"),
+        ("bearing", {}, "'bearing' for the azimuth, which counts from north by its name, .*azimuth_offset_deg"),
         ("compass_deg", {"azimuth": "compass_deg"}, "'compass_deg' for the azimuth, which counts from north"),
     ],
 )

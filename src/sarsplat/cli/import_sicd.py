@@ -21,7 +21,7 @@ command = command_of(
 
 def recognise(contents: Contents) -> Recognised | None:
     """Recognise NITF files; of several, the first that can be read is described."""
-    from sarsplat.importers.nitf import is_nitf
+    from sarsplat.importers.sarkit_xml import is_nitf
 
     if contents.path.is_file() and (is_nitf(contents.path) or contents.path.suffix.lower() in _ENDINGS):
         return _described(contents.path)  # or say what else it is

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from sarsplat.data.csv_table import CsvTable, Row, parsed
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError, advised, shown
 from sarsplat.names import Quantity
 
 MEANINGS: dict[str, tuple[str, ...]] = {
@@ -75,17 +74,13 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
     chosen: Columns = {}
     for key, column in named.items():
         meaning = _SHORT.get(key, key)
-        if meaning not in MEANINGS:
-            raise SarsplatError(f"no column can be a {shown(key)}{_guess(key, MEANINGS)}; choose {', '.join(MEANINGS)}")
-        if column not in table.columns:
-            raise SarsplatError(
-                f"{table.path} has no column {shown(column)}{_guess(column, table.columns)}; it has {_has(table)}"
-            )
+        _require_known("no column can be a", meaning, MEANINGS)
+        _require_known(f"{table.path} has no column", column, table.columns)
         chosen[meaning] = column
     elevations = {"grazing", "incidence"}
     named_elevation = elevations & set(chosen)
     if elevations <= set(chosen):
-        raise SarsplatError("--columns names both a grazing and an incidence angle; name one of them")
+        raise SarsplatError("`columns` names both a grazing and an incidence angle; name one of them")
     for meaning in MEANINGS:
         others = elevations if meaning in elevations else _INSTEAD.get(meaning, set())
         otherwise_named = bool(others & set(chosen)) and (meaning not in elevations or named_elevation)
@@ -126,7 +121,7 @@ def recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
     if len(candidates) > 1:
         raise SarsplatError(
             f"{table.path} has several columns that may be the {meaning}: {', '.join(map(shown, candidates))}; "
-            f"say which with --columns {meaning}=NAME"
+            f"say which with `columns={{'{meaning}': 'NAME'}}`"
         )
     return candidates[0] if candidates else None
 
@@ -142,22 +137,19 @@ def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, loo
         if looking or "look" in columns:
             lacking.remove("azimuth")
         else:
-            also.append(
-                f"the side to which the radar looks with --look, if {shown(columns['heading'])} is its flight's"
-            )
+            also.append(f"`look`, the side to which the radar looks, if {shown(columns['heading'])} is its flight's")
     if grazing and not columns.keys() & {"grazing", "incidence"}:
         lacking.append("grazing")
-        also.append("one grazing angle for all with --grazing")
+        also.append("`grazing_deg`, one grazing angle for all")
     if spacing and not columns.keys() & {"spacing", "azimuth-spacing", "range-spacing"}:
         lacking.append("spacing")
-        also.append("one spacing for all with --spacing")
+        also.append("`spacing_m`, one spacing for all")
     if lacking:
-        named = ",".join(f"{meaning}=NAME" for meaning in lacking)
-        if "grazing" in lacking:
-            named += " (incidence=NAME, not grazing, for a column of incidence angles)"
+        named = ", ".join(f"'{meaning}': 'NAME'" for meaning in lacking)
+        incidence = " (incidence, not grazing, for a column of incidence angles)" * ("grazing" in lacking)
         raise SarsplatError(
             f"{table.path} has no column that looks like the {' or the '.join(lacking)}; name "
-            f"{'it' if len(lacking) == 1 else 'them'} with --columns {named}"
+            f"{'it' if len(lacking) == 1 else 'them'} with `columns={{{named}}}`{incidence}"
             f"{''.join(f', or give {one}' for one in also)} (there are {_has(table)})"
         )
 
@@ -174,8 +166,8 @@ def require_degrees(table: CsvTable, columns: Columns, compass: bool) -> None:
         if words & _COMPASS and meaning == "azimuth" and not compass:
             raise SarsplatError(
                 f"{table.path} has {shown(columns[meaning])} for the {meaning}, which counts from north by its name, "
-                "but azimuths count from the target's nose; say where north is with --azimuth-offset (0 if the nose "
-                "points there)"
+                "but azimuths count from the target's nose; give `azimuth_offset_deg`, the azimuth of north (0 if the "
+                "nose points there)"
             )
 
 
@@ -191,10 +183,10 @@ def _plain(name: str) -> str:
     return "".join(words)
 
 
-def _guess(word: str, names: Mapping[str, object] | tuple[str, ...]) -> str:
-    by_lower = {name.lower(): name for name in names if name}
-    close = difflib.get_close_matches(word.lower(), by_lower, n=1)
-    return f" (did you mean {shown(by_lower[close[0]])}?)" if close else ""
+def _require_known(problem: str, name: str, names: Iterable[str]) -> None:
+    if name not in names:
+        printable = [one for one in names if one and one.isprintable()]
+        raise SarsplatError(f"{problem} {shown(name)}; {advised(name, printable[:40])}")
 
 
 def _has(table: CsvTable) -> str:

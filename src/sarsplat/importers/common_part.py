@@ -67,7 +67,7 @@ def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[Measur
         if share > _MOST_SHARE:
             raise SarsplatError(
                 f"{share:.0%} of the pixels of {image.name} are zeros that reach from its corners; cut these off, or, "
-                "if it shows nothing around the target, give ground=False (--no-ground)"
+                "if it shows nothing around the target, give `ground=False`"
             )
         if share >= _LEAST_SHARE:
             changed.append(image.name)
@@ -119,10 +119,7 @@ def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, 
 
 def _cut(image: MeasuredImage, rows: slice, columns: slice) -> MeasuredImage:
     grid = image.grid
-    center = (
-        float(grid.azimuth_m[columns].mean()),
-        float(grid.range_m[rows].mean()),
-    )
+    center = float(grid.azimuth_m[columns].mean()), float(grid.range_m[rows].mean())
     return replace(image, pixels=image.pixels[..., rows, columns], center_m=center)
 
 

@@ -14,8 +14,7 @@ from jaxtyping import Float64, Int64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.importers.files import raise_damaged
-from sarsplat.importers.optional_packages import require
+from sarsplat.importers.files import raise_damaged, require, whole_in
 from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
 
 if TYPE_CHECKING:
@@ -79,13 +78,16 @@ class Cphd(Metadata):
 
     def channel(self, name: str | None) -> Channel:
         """Return the channel of this name, or the only one."""
-        known = {channel.name: channel for channel in self.channels}
-        told = ", ".join(map(str, self.channels[:20]))
-        if name is None and len(known) > 1:
-            raise SarsplatError(f"{self.path} has {len(known)} channels, {told}; choose one with --channel")
-        if name is not None and name not in known:
-            raise SarsplatError(f"{self.path} has no channel {shown(name)}; choose among {told}")
-        return self.channels[0] if name is None else known[name]
+        found = [channel for channel in self.channels if name in (None, channel.name)]
+        if len(found) != 1:
+            what = "several channels" if name is None else f"no channel {shown(name)}"
+            raise SarsplatError(f"{self.path} has {what}; choose `channel` among {self.listed}")
+        return found[0]
+
+    @property
+    def listed(self) -> str:
+        """Channels in words."""
+        return ", ".join(map(str, self.channels[:20]))
 
     def pulses(self, channel: Channel) -> dict[str, np.ndarray]:
         """Read the parameters of a channel's pulses with a signal; "index" numbers them in the file.
@@ -103,10 +105,7 @@ class Cphd(Metadata):
             if "SIGNAL" in names:
                 index = np.flatnonzero(stored["SIGNAL"] == 1)
             if len(index) < 2:
-                raise SarsplatError(
-                    f"{self.path} has {counted(len(index), 'pulse')} with a signal in channel {shown(channel.name)}; "
-                    "an image needs many"
-                )
+                raise_damaged(self.path, f"has {counted(len(index), 'pulse')} with a signal in channel {channel}")
             values = {name: np.asarray(stored[name], np.float64)[index] for name in _VECTORS}
             values["AmpSF"] = np.asarray(stored["AmpSF"] if "AmpSF" in names else np.ones(len(stored)), float)[index]
         for name, numbers in values.items():
@@ -140,8 +139,8 @@ def open_cphd(path: Path) -> Cphd:
         domain, sign = made.text("Global/DomainType"), made.load("Global/SGN")
         if made.text("CollectionID/CollectType") != "MONOSTATIC":
             raise SarsplatError(
-                f"{path} is {shown(made.text('CollectionID/CollectType').lower())}; only collections whose radar "
-                "transmits and receives itself (monostatic) are supported, so give one of these"
+                f"{path} is {shown(made.text('CollectionID/CollectType').lower())}; give a collection whose radar "
+                "transmits and receives itself (monostatic)"
             )
         if domain not in ("FX", "TOA") or sign not in (1, -1):
             raise_damaged(path, f"has the domain {shown(domain)} and sign {shown(sign)}, not FX or TOA and ±1")
@@ -189,9 +188,7 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
     form = data.findtext("{*}SignalArrayFormat")
     if form not in _SAMPLE_BYTES:
         raise SarsplatError(f"{path} has samples of the format {shown(form)}; {', '.join(_SAMPLE_BYTES)} are read")
-    each = _whole(path, data, "NumBytesPVP")
-    if not 1 <= each <= _MOST_BYTES_OF_A_PULSE:
-        raise_damaged(path, f"has {each} bytes of parameters for a pulse")
+    each = _whole(path, data, "NumBytesPVP", 1, _MOST_BYTES_OF_A_PULSE)
     found = []
     for one in listed:
         name = (one.findtext("{*}Identifier") or "").strip()
@@ -202,10 +199,8 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
         }
         for block, end in ends.items():
             if end > blocks[block]:
-                raise_damaged(
-                    path,
-                    f"has {pulses} pulses of {samples} samples in {shown(name)}, more than its {block} block holds",
-                )
+                what = f"{pulses} pulses of {samples} samples in {shown(name)}"
+                raise_damaged(path, f"has {what}, more than its {block} block holds")
         if not name.isprintable() or "'" in name or len(name) > 200 or name != one.findtext("{*}Identifier"):
             raise_damaged(path, f"has a channel called {shown(name)}, which is no name")
         found.append(Channel(name, pulses, samples, _polarisation(tree, name)))
@@ -214,11 +209,8 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
     return found
 
 
-def _whole(path: Path, element: lxml.etree._Element, name: str) -> int:
-    text = (element.findtext("{*}" + name) or "").strip()
-    if not (text.isascii() and text.isdigit() and len(text) < 16):
-        raise_damaged(path, f"has {shown(text)} as {name}, but it must be a whole number")
-    return int(text)
+def _whole(path: Path, element: lxml.etree._Element, name: str, least: int = 0, most: int = 10**15) -> int:
+    return whole_in(path, (element.findtext("{*}" + name) or "").strip(), name, least, most)
 
 
 def _polarisation(tree: lxml.etree._ElementTree, channel: str) -> str:

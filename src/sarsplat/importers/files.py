@@ -1,27 +1,62 @@
-"""Files to import: listed by a user, found in a folder, or named by the rows of a table."""
+"""Files to import: listed by a user, found in a folder, or named by the rows of a table; checks of their fields."""
 
 from __future__ import annotations
 
 import itertools
 import os
 import posixpath
+import re
 import unicodedata
 import warnings
 from collections.abc import Collection, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
 from sarsplat.data.csv_table import CsvTable, Row, relative_path
 from sarsplat.data.files import plain_reason
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
+from sarsplat.extras import install_command
 
 _MOST_FILES = 100_000
 """Maximum number of files in a folder; with more, it is probably a home folder."""
 
 
-def raise_damaged(path: Path, problem: str) -> NoReturn:
+def raise_damaged(path: str | Path, problem: str) -> NoReturn:
     """Raise a `SarsplatError` on a damaged file; `problem` is its predicate."""
     raise SarsplatError(f"{path} {problem}; get it again")
+
+
+def number_in(path: Path, value: object, name: str, least: float, most: float) -> float:
+    """Return a field of a file as a number; raise if it is of another type, or out of range."""
+    if not isinstance(value, int | float) or not least <= value <= most:  # also catches NaN
+        raise_damaged(path, f"has {shown(value)} as {name}, not a number from {least:g} to {most:g}")
+    return float(value)
+
+
+def whole_in(path: Path, text: str, name: str, least: int, most: int) -> int:
+    """Return the text of a field as a whole number; raise if it is not one, or out of range."""
+    number = int(text) if re.fullmatch(r"[0-9]{1,15}", text) else text[:40]
+    return int(number_in(path, number, name, least, most))
+
+
+def check_pixel(path: Path, pixel: tuple[float, float], shape: tuple[int, int]) -> None:
+    """Raise if a pixel is outside the rows and columns of a file's image."""
+    if not all(0 <= value <= size - 1 for value, size in zip(pixel, shape, strict=True)):
+        raise SarsplatError(
+            f"the pixel {pixel[0]:g}, {pixel[1]:g} is outside {path}, which has {shape[0]} rows and {shape[1]} "
+            f"columns, counted from 0; its middle is `pixel=({shape[0] // 2}, {shape[1] // 2})`"
+        )
+
+
+def require(package: str, what: str, extra: str) -> None:
+    """Raise if a package is missing, naming the extra that installs it; `what` begins the error: "SICD files need"."""
+    try:
+        import_module(package)
+    except ImportError as error:
+        raise SarsplatError(
+            f"{what} {package}, which cannot be imported ({error}); {install_command(extra)}"
+        ) from error
 
 
 def each_once(files: Sequence[str | Path]) -> list[Path]:

@@ -38,32 +38,17 @@ Lattice = Float64[np.ndarray, "rows columns"]
 
 @dataclass(frozen=True)
 class MapPicture:
-    """One geocoded picture.
-
-    Parameters
-    ----------
-    name : str
-        Name in messages.
-    power : numpy.ndarray, float32 [rows, columns]
-        Linear power.
-    unknown : numpy.ndarray, bool [rows, columns]
-        Pixels that were not measured.
-    view : View
-        Direction of the radar.
-    to_ground : numpy.ndarray, float64 [2, 3]
-        (x, y) in the scene of the pixel in a column and a row, m: `to_ground @ (column, row, 1)`.
-    resolution_m : (float, float)
-        3 dB widths (azimuth, slant range) of the image that was geocoded, m.
-    azimuth_std_deg, split
-        As of a `MeasuredImage`.
-    """
+    """One geocoded picture, with the fields of a `MeasuredImage`."""
 
     name: str
     power: Float32[np.ndarray, "rows columns"]
     unknown: Bool[np.ndarray, "rows columns"]
+    """Pixels that were not measured."""
     view: View
     to_ground: Float64[np.ndarray, "2 3"]
+    """(x, y) in the scene of the pixel in a column and a row, m: `to_ground @ (column, row, 1)`."""
     resolution_m: tuple[float, float]
+    """3 dB widths (azimuth, slant range) of the image that was geocoded, m."""
     azimuth_std_deg: float = 0.0
     split: str | None = None
 

@@ -90,7 +90,7 @@ def read_phase_history(path: Path, channel: str | None = None) -> PhaseHistory:
     if known.several:
         return known.read(path, channel)
     if channel is not None:
-        raise SarsplatError(f"{path} has no channels ({known.what}), so leave out --channel")
+        raise SarsplatError(f"{path} has no channels ({known.what}); leave out `channel`")
     return known.read(path)
 
 

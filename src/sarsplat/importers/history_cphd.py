@@ -148,10 +148,7 @@ def _of_times(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.
     each_side = np.floor(band / 2 / step + _EXACT)
     fewest = int(np.clip(each_side.min(), -1, channel.samples))
     if not 1 <= fewest <= (channel.samples - 1) // 2:
-        raise SarsplatError(
-            f"{cphd.path} has samples {interval.max():.3g} s apart, which cannot be of its band ({_in_mhz(pulses)}); "
-            "get it again"
-        )
+        raise_damaged(cphd.path, f"has samples {interval.max():.3g} s apart, not those of its band ({_in_mhz(pulses)})")
     _require_one_band(cphd, pulses["FX1"], pulses["FX2"])
     signal = _Signal(
         cphd.path,
@@ -181,7 +178,7 @@ def _require_one_band(cphd: Cphd, first: Float64[np.ndarray, " pulses"], last: F
     if not common >= _SAME_BAND * each:  # also catches NaN
         raise SarsplatError(
             f"{cphd.path} has pulses of {each / 1e6:.4g} MHz, of which all have only {max(common, 0.0) / 1e6:.4g} MHz "
-            "in common; only pulses of nearly the same band are supported, so get it resampled to one"
+            "in common; get it resampled to one band"
         )
 
 
@@ -195,7 +192,7 @@ def _require_monostatic(
     if angle > _MONOSTATIC_DEG:
         raise SarsplatError(
             f"{cphd.path} has pulses that were sent and received {angle:.2g}° apart as the scene sees it (bistatic); "
-            "only collections whose radar transmits and receives itself are supported, so give one of these"
+            "give a collection whose radar transmits and receives itself"
         )
 
 
@@ -276,7 +273,7 @@ class _Dwell:
             raise SarsplatError(
                 f"{self.cphd.path} shows {high[0] - low[0]:.0f} m × {high[1] - low[1]:.0f} m about "
                 f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, which does not contain the image; "
-                "give a smaller --size, or a --place or an --around within it"
+                "give a smaller `size_m`, or a `place` or `around_m` within it"
             )
 
 
@@ -299,7 +296,7 @@ def describe_cphd(path: Path) -> dict[str, str]:
     assert history.place is not None
     facts = {"version": cphd.version, **history.collection}
     if len(cphd.channels) > 1:
-        facts["channels"] = ", ".join(map(str, cphd.channels[:20])) + "; what follows is of the first"
+        facts["channels"] = cphd.listed + "; what follows is of the first"
     seen = history.seeing(np.zeros((1, 3)))
     aperture = whole_flight(seen, np.zeros(3))
     distance = float(np.linalg.norm(seen.antenna_m, axis=1).mean())

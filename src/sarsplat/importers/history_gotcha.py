@@ -36,7 +36,7 @@ def read_gotcha(path: str | Path) -> PhaseHistory:
         raise SarsplatError(f"{path} holds no record named data; give files of GOTCHA's layout")
     samples = _array(path, record, "fp", "c")
     if samples.ndim != 2:
-        raise SarsplatError(f"{path} has a field fp of the shape {samples.shape}; it must be frequencies × pulses")
+        raise_damaged(path, f"has a field fp of the shape {samples.shape}, not frequencies × pulses")
     antenna = np.stack(_of_pulses(path, record, ("x", "y", "z"), samples.shape[1]), axis=1)
     (reference,) = _of_pulses(path, record, ("r0",), samples.shape[1])
     with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused
@@ -58,13 +58,8 @@ def _band(path: Path, record: dict[str, Any], samples: np.ndarray) -> tuple[floa
     """Return the lowest frequency and the step between frequencies, which must rise evenly."""
     values = _line(path, record, "freq")
     count = len(values)
-    if count != len(samples):
-        raise SarsplatError(
-            f"{path} has samples of {len(samples)} frequencies × {samples.shape[1]} pulses, but {count} frequencies; "
-            "download it again"
-        )
-    if count < 2 or not np.isfinite(values).all():
-        raise SarsplatError(f"{path} has {count} frequencies, not all of them finite; give two or more, in hertz")
+    if count != len(samples) or count < 2 or not np.isfinite(values).all():
+        raise_damaged(path, f"has {count} frequencies, or some that are not finite, for samples of {len(samples)}")
     steps, step = np.diff(values), float(values[-1] - values[0]) / (count - 1)
     even = np.linspace(values[0], values[-1], count)
     if steps.min() <= 0 or np.abs(values - even).max() > _UNEVEN * step:

@@ -50,6 +50,7 @@ _FAINTEST = 1e-30
 _MARGIN = 3 / 16
 """Margin left out of scores of images with ground, share of a side."""
 
+_LARGEST_SIZE_M = 1e6
 _PIXELS = (8, 4096)
 """Minimum and maximum number of pixels on a side of an image that is cut out or focused."""
 
@@ -105,11 +106,9 @@ def dataset_of(
     about = {"looks": 1.0, "ground": True, **about}
     if not images:
         raise SarsplatError("no images were given; give at least one")
-    if len({image.pixels.dtype.kind for image in images}) > 1:
-        raise SarsplatError("some images are complex and others are not; import images of one kind")
+    _require_one_kind(images)
     assumptions = [*source.get("assumptions", ())]
     place, about["terrain"] = _on_earth(place, about.get("terrain"), images, assumptions)
-    _refuse_other_channels(images)
     images = _with_sets(images, train_views)
     images, told = with_data(images, about["ground"])
     for sentence in told:
@@ -215,9 +214,31 @@ def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> Non
     fewest, most = _PIXELS
     if not (math.isfinite(rows + columns) and fewest <= min(rows, columns) and max(rows, columns) <= most):
         raise SarsplatError(
-            f"--size {size_m:g} makes {columns:.0f} × {rows:.0f} pixels of {spacing} (azimuth × range); give a size "
+            f"`size_m={size_m:g}` makes {columns:.0f} × {rows:.0f} pixels of {spacing} (azimuth × range); give a size "
             f"that makes {fewest} to {most} a side"
         )
+
+
+def check_train_views(train_views: int | None, images: int) -> None:
+    """Raise unless there are enough images for the training views."""
+    if train_views is not None and not 1 <= train_views <= images:
+        raise SarsplatError(
+            f"{counted(train_views, 'training view')} asked for, but there are {counted(images, 'image')}; ask for 1 "
+            f"to {images}"
+        )
+
+
+def check_size(size_m: float) -> None:
+    """Raise if a length is no side of images."""
+    if not 0 < size_m <= _LARGEST_SIZE_M:  # also catches NaN
+        raise SarsplatError(f"the size {size_m:g} m must be positive and at most {_LARGEST_SIZE_M:g} m")
+
+
+def place_of(numbers: Sequence[float], height_m: float, heading_deg: float = 90.0) -> Place:
+    """Return the place of latitude, longitude and perhaps height, which is `height_m` without one."""
+    if len(numbers) not in (2, 3):
+        raise SarsplatError(f"the place {numbers} must be a latitude, a longitude and, if need be, a height")
+    return Place(numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else height_m, heading_deg)
 
 
 def check_heading(heading_deg: float) -> None:
@@ -267,11 +288,7 @@ def _with_sets(images: Sequence[MeasuredImage], train_views: int | None) -> list
     elif train_views is None:
         sets = ["train"] * len(images)
     else:
-        if not 1 <= train_views <= len(images):
-            raise SarsplatError(
-                f"{counted(train_views, 'training view')} asked for, but there are {counted(len(images), 'image')}; "
-                f"ask for 1 to {len(images)}"
-            )
+        check_train_views(train_views, len(images))
         chosen = evenly_chosen([image.view for image in images], train_views)
         sets = ["train" if index in chosen else "test" for index in range(len(images))]
     named = [replace(image, split=split) for image, split in zip(images, sets, strict=True)]
@@ -330,14 +347,14 @@ def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
     return power_of(pixels) if pixels.dtype.kind == "c" else pixels
 
 
-def _refuse_other_channels(images: Sequence[MeasuredImage]) -> None:
-    """Raise if stacks differ in their number of channels, or are mixed with single images."""
-    first, *others = [(image.name, 0 if image.stack is None else len(image.stack)) for image in images]
-    for name, channels in others:
-        if channels != first[1]:
+def _require_one_kind(images: Sequence[MeasuredImage]) -> None:
+    """Raise if some images are complex or stacks and others are not, or numbers of channels differ."""
+    single = {"c": "complex amplitudes", "f": "power"}
+    kinds = [counted(len(one.stack), "channel") if one.stack else single[one.pixels.dtype.kind] for one in images]
+    for image, kind in zip(images, kinds, strict=True):
+        if kind != kinds[0]:
             raise SarsplatError(
-                f"{first[0]} has {counted(first[1], 'channel')} and {name} has {channels} (0: no stack); give all "
-                "views the same number, or import those with others by themselves"
+                f"{images[0].name} has {kinds[0]} and {image.name} has {kind}; import images of one kind together"
             )
 
 

@@ -91,13 +91,12 @@ class Picture:
         """True if the resolution is stated."""
         return any(self.row.resolution_m)
 
-    def lengths(self, table: Path, name: str, stated: StatedPair, slant: float) -> Pair:
+    def lengths(self, listed: PictureTable, name: str, stated: StatedPair, slant: float) -> Pair:
         """Return spacing or resolution (azimuth, range), m; a stated metre in range is `slant` metres long."""
         azimuth, slant_range = stated
         if azimuth is None or slant_range is None:
-            raise SarsplatError(
-                f"{table} does not state the pixel {name} of {self.row.name}; give it with --{name}, or name its "
-                f"column with --columns {name}=NAME"
+            listed.refuse_unstated(
+                name, self.row, f"give `{name}_m`, or name its column: `columns={{'{name}': 'NAME'}}`"
             )
         return azimuth, slant_range * slant
 
@@ -145,7 +144,7 @@ def in_range(
     """
     mirrored = about.get("mirrored", False)
     sides = [_near(listed, picture.row, about.get("near")) for picture in pictures]
-    images = [_in_range(listed.path, picture, side, mirrored) for picture, side in zip(pictures, sides, strict=True)]
+    images = [_in_range(listed, picture, side, mirrored) for picture, side in zip(pictures, sides, strict=True)]
     _warn_of_world_files(pictures)
     common = len(set(sides)) == 1
     at = sides[0] if common else "side that the table says"
@@ -237,13 +236,13 @@ def _near(listed: PictureTable, row: ListedPicture, near: Side | None) -> Side:
     """Return the near side of a picture; raise if table and user state different ones."""
     if near is not None and row.near not in (None, near):
         raise SarsplatError(
-            f"{listed.path}: near range of {row.name} is at the {row.near} ({listed.columns['near-side']}), but --near "
+            f"{listed.path}: near range of {row.name} is at the {row.near} ({listed.columns['near-side']}), but `near` "
             f"is {near}; leave it out, or mend the table"
         )
     return row.near or near or "top"
 
 
-def _in_range(table: Path, picture: Picture, near: Side, mirrored: bool) -> MeasuredImage:
+def _in_range(listed: PictureTable, picture: Picture, near: Side, mirrored: bool) -> MeasuredImage:
     """Return a picture in range and azimuth, near side up."""
     row, georeference = picture.row, picture.values.tags.georeference
     stated = row.spacing_m
@@ -251,12 +250,12 @@ def _in_range(table: Path, picture: Picture, near: Side, mirrored: bool) -> Meas
         if georeference.crs is not None:
             raise SarsplatError(
                 f"{row.path} is geocoded ({georeference.system}): its rows and columns are those of a map, not range "
-                "and azimuth; `import folder` resamples single images, by --geocoded level, or --geocoded terrain and "
-                "--terrain FILE, as its producer took the ground; or save it without GeoTIFF tags if these are wrong"
+                "and azimuth; `import folder` resamples single images, by `geocoded='level'`, or `geocoded='terrain'` "
+                "and `terrain`, as its producer took the ground; or save it without GeoTIFF tags if these are wrong"
             )
         stated = spacing_of_tags(str(row.path), georeference, near, stated)
-    spacing = picture.lengths(table, "spacing", stated, picture.slant)
-    resolution = picture.lengths(table, "resolution", row.resolution_m, picture.slant) if picture.resolved else spacing
+    spacing = picture.lengths(listed, "spacing", stated, picture.slant)
+    resolution = picture.lengths(listed, "resolution", row.resolution_m, picture.slant) if picture.resolved else spacing
     return MeasuredImage(
         row.name,
         oriented(picture.values.image, near, mirrored != bool(row.looks_left)),
@@ -277,7 +276,7 @@ def _warn_of_world_files(pictures: Sequence[Picture]) -> None:
                 warn_caller(
                     f"{path.name} has the world file {path.stem}{own} beside it, by which its rows and columns are "
                     "those of a map, not range and azimuth; if they are, make a GeoTIFF of it, as by gdal_translate "
-                    "-a_srs EPSG:NUMBER, and `import folder` that with --geocoded"
+                    "-a_srs EPSG:NUMBER, and `import folder` that with `geocoded`"
                 )
                 return
 
@@ -306,10 +305,8 @@ def view_of_picture(listed: PictureTable, row: ListedPicture, angles: Angles, le
     tilt = row.tilt_deg or 0.0
     grazing = angles.grazing_deg if row.grazing_deg is None else row.grazing_deg
     if grazing is None:
-        raise SarsplatError(
-            f"{listed.path} does not state the grazing angle of {row.name}; name the column with --columns "
-            "grazing=NAME (or incidence=NAME), or give one angle for all with --grazing"
-        )
+        remedy = "name the column with `columns={'grazing': 'NAME'}` (or incidence), or give `grazing_deg` for all"
+        listed.refuse_unstated("grazing angle", row, remedy)
     azimuth = angles.offset_deg + _azimuth(listed, row, angles)
     return view_of(f"{listed.path}: {row.name}", azimuth, grazing, -tilt if left else tilt)
 
@@ -327,13 +324,13 @@ def _azimuth(listed: PictureTable, row: ListedPicture, angles: Angles) -> float:
     if across is None:
         raise SarsplatError(
             f"{listed.path} has no azimuths but headings of the flight ({column}), and does not say to which side "
-            f"{row.name} looks; give it with --look or a column look (right or left), or name a column of azimuths "
-            "with --columns azimuth=NAME"
+            f"{row.name} looks; give it as `look` or a column look (right or left), or name a column of azimuths "
+            "with `columns={'azimuth': 'NAME'}`"
         )
     if angles.counter_clockwise:
         raise SarsplatError(
-            f"{listed.path} has headings ({column}), which run clockwise; leave out --counter-clockwise, or name a "
-            "column of azimuths with --columns azimuth=NAME"
+            f"{listed.path} has headings ({column}), which run clockwise; leave out `counter_clockwise`, or name a "
+            "column of azimuths with `columns={'azimuth': 'NAME'}`"
         )
     return across
 
@@ -350,5 +347,5 @@ def _require_heading(listed: PictureTable, row: ListedPicture, azimuth: float, a
         raise SarsplatError(
             f"{listed.path}: {row.name} has an azimuth of {row.azimuth_deg:g}°, but a radar with the heading "
             f"{row.heading_deg:g}° that looks to its {side} is in the direction {across % 360:g}°; say which holds "
-            "with --columns azimuth=NAME or --columns heading=NAME, or mend the table"
+            "with `columns={'azimuth': 'NAME'}` or `columns={'heading': 'NAME'}`, or mend the table"
         )

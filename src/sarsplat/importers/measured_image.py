@@ -68,13 +68,10 @@ class MeasuredImage:
         expect(Stack | None, stack=self.stack)
         kinds, sides = ("fc", 2) if self.stack is None else ("c", 3)
         if self.pixels.dtype.kind not in kinds or self.pixels.ndim != sides:
+            single = "complex amplitudes, or power as float32, in rows and columns"
             raise SarsplatError(
                 f"{self.name} holds {self.pixels.dtype} of shape {self.pixels.shape}; give "
-                + (
-                    "complex amplitudes, or power as float32, in rows and columns"
-                    if sides == 2
-                    else "a stack's channels"
-                )
+                f"{single if self.stack is None else 'complex amplitudes of the channels of a stack'}"
             )
 
     @property

@@ -237,10 +237,12 @@ def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> li
 
 def _check(train_views: int | Literal["all"], depressions: Sequence[int]) -> None:
     """Raise if no chips can satisfy these numbers."""
-    if train_views != "all" and (isinstance(train_views, str) or train_views < 1):
-        raise SarsplatError(f"train_views is {train_views!r}; give at least 1, or 'all'")
-    if not depressions or len(set(depressions)) < len(depressions):
-        raise SarsplatError(f"the training depressions {list(depressions)} must be at least one, each named once")
+    number = train_views == "all" or (isinstance(train_views, int) and train_views >= 1)
+    if not number or not depressions or len(set(depressions)) < len(depressions):
+        raise SarsplatError(
+            f"`train_views` is {train_views!r} and `train_depression` {list(depressions)}; give a number from 1 or "
+            "'all', and at least one angle, each once"
+        )
 
 
 def _training_chips(chips: list[Chip], count: int | Literal["all"], depressions: Sequence[int]) -> list[Chip]:
@@ -256,8 +258,8 @@ def _training_chips(chips: list[Chip], count: int | Literal["all"], depressions:
             counts = sorted(Counter(chip.depression for chip in chips).items())
             raise SarsplatError(
                 f"there are no chips at the training depression of {depression}°, but "
-                f"{' and '.join(f'{number:,} at {angle}°' for angle, number in counts)}; choose among them with "
-                f"--train-depression {' '.join(str(angle) for angle, _ in counts)}"
+                f"{' and '.join(f'{number:,} at {angle}°' for angle, number in counts)}; choose among them by "
+                "`train_depression`"
             )
         every += candidates
         if count == "all":
@@ -268,7 +270,7 @@ def _training_chips(chips: list[Chip], count: int | Literal["all"], depressions:
             are, most = "is" if len(candidates) == 1 else "are", len(candidates) * len(depressions)
             others = sorted({chip.depression for chip in chips} - set(depressions))
             more = others and len(numbers) > len(candidates)
-            also = f", or add {' or '.join(map(str, others))} to --train-depression" if more else ""
+            also = f", or add {' or '.join(map(str, others))} to `train_depression`" if more else ""
             raise SarsplatError(
                 f"{share}{counted(int(count), 'training view')} asked for, but there {are} "
                 f"{counted(len(candidates), 'chip')} at {depression}°; ask for {len(depressions)} to {most}{also}"

@@ -8,19 +8,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, cast
 
 import numpy as np
 from jaxtyping import Float32
 
-from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table, relative_path
+from sarsplat.data.csv_table import CsvTable, Row, read_table, relative_path
+from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import TAYLOR, Response
 from sarsplat.importers.columns import refuse_two_radars, unusual_look
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.phoenix import is_phoenix, read_phoenix
 from sarsplat.importers.pictures import read_pixels
-from sarsplat.importers.table import near_side
+from sarsplat.importers.table import one_of, positive
 from sarsplat.names import Side
 
 _DESIRED, _MEASURED, _AZIMUTH = "desired_depression_deg", "measured_depression_deg", "target_az_deg"
@@ -46,7 +47,6 @@ _DESCRIBING = (
     *(column for pair in _LENGTHS.values() for column in pair),
 )
 """Columns that describe a chip."""
-_LEAST_SCALE, _LARGEST_SCALE = 1e-9, 1e9  # the square of no magnitude leaves float32
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def read_chips(
     match no chip, the class is unknown, or a Phoenix file is damaged. Other gaps in the table are warned of.
     """
     target_class = (target_class,) if isinstance(target_class, str) else target_class
-    files = _files(folder)
+    files = files_in(folder, "the MSTAR chips")
     jpegs = {path for path in files if path.suffix.lower() in (".jpeg", ".jpg")}
     if labels is None:
         return _phoenix_chips(folder, files, bool(jpegs), target_class)
@@ -123,17 +123,10 @@ def classes_in(folder: Path, labels: Path | None) -> list[str]:
     if labels is not None:
         names = {row["class"] for _, row in read_labels(labels).rows} - {""}
     else:
-        names = {read_phoenix(path).target_type for path in _files(folder) if is_phoenix(path)}
+        names = {read_phoenix(path).target_type for path in files_in(folder, "the MSTAR chips") if is_phoenix(path)}
     if not names:
         raise SarsplatError(f"{labels or folder} names no class; give the folder or the table of the MSTAR chips")
     return sorted(names)
-
-
-def _files(folder: Path) -> list[Path]:
-    files = files_in(folder, "the MSTAR chips")
-    if not files:
-        raise SarsplatError(f"{folder} is empty; give the folder of the MSTAR chips")
-    return files
 
 
 def plain_name(name: str) -> str:
@@ -147,9 +140,9 @@ def same_class(names: str | tuple[str, ...], given: str) -> bool:
     return not plain.isdisjoint((plain_name(given), plain_name(given.split("_")[0])))
 
 
-def _refuse_class(target_class: tuple[str, ...], where: Path, classes: set[str]) -> SarsplatError:
+def _refuse_class(target_class: tuple[str, ...], where: Path, classes: set[str]) -> NoReturn:
     names = ", ".join(name if name.isprintable() else shown(name) for name in sorted(classes)[:20])
-    return SarsplatError(f"there is no class {target_class[0]!r} in {where}; it has {names}")
+    raise SarsplatError(f"there is no class {target_class[0]!r} in {where}; it has {names}")
 
 
 def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_class: tuple[str, ...]) -> list[Chip]:
@@ -161,15 +154,15 @@ def _phoenix_chips(folder: Path, files: list[Path], has_jpegs: bool, target_clas
             if same_class(target_class, chip.target_type):
                 chosen.append(chip)
     if not classes:
-        remedy = "name the table of its JPEGs with --labels" if has_jpegs else "give the folder of the MSTAR chips"
+        remedy = "give the table of its JPEGs as `labels`" if has_jpegs else "give the folder of the MSTAR chips"
         raise SarsplatError(f"there is no Phoenix file in {folder}; {remedy}")
     if has_jpegs:
         warn_caller(
             f"{folder} also contains JPEG chips, which are ignored; to use them instead of the Phoenix files, "
-            "give the table of their labels with --labels"
+            "give the table of their `labels`"
         )
     if not chosen:
-        raise _refuse_class(target_class, folder, classes)
+        _refuse_class(target_class, folder, classes)
     for chip in chosen:
         chip.require_radar_at_the_bottom()
     return [
@@ -197,7 +190,7 @@ def _jpeg_chips(
     refuse_two_radars(table)
     rows = [row for row in table.rows if same_class(target_class, row[1]["class"])]
     if not rows:
-        raise _refuse_class(target_class, labels, {row["class"] for _, row in table.rows})
+        _refuse_class(target_class, labels, {row["class"] for _, row in table.rows})
     present = listed_files(folder, table, rows, "path", of="chip")
     if unlabelled := len(jpegs - {folder / row["path"] for _, row in table.rows if row["class"]}):
         warn_caller(
@@ -219,7 +212,7 @@ def _jpeg_chips(
             target_az_deg=table.direction(row, _AZIMUTH) % 360 if row[1][_AZIMUTH] else math.nan,
             read=partial(_magnitude, folder / row[1]["path"], step),
             step=step,
-            near=near_side(table, row, _NEAR_SIDE) if row[1].get(_NEAR_SIDE) else "bottom",
+            near=cast(Side, one_of(table, row, _NEAR_SIDE, SIDES)) if row[1].get(_NEAR_SIDE) else "bottom",
             azimuth_std_deg=table.number(row, _AZIMUTH_STD) if row[1].get(_AZIMUTH_STD) else None,
             **_lengths(table, row),
         )
@@ -286,22 +279,9 @@ def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:
             f"{table.path} has a column {_DN_PER_POWER}, so its chips hold power, but MSTAR's hold magnitude; import "
             "them with `sarsplat import folder`"
         )
-    given = [row.get(_DN_PER_MAGNITUDE, "") for _, row in rows]
-    if not any(given):
+    if not any(row.get(_DN_PER_MAGNITUDE) for _, row in rows):
         return [1.0] * len(rows)
-    scales = [parsed(text, table.decimal_comma) for text in given]
-    for (line, row), text, scale in zip(rows, given, scales, strict=True):
-        if not text:
-            raise SarsplatError(
-                f"{table.path}, line {line}: {_DN_PER_MAGNITUDE} of {shown(row['path'])} is empty, so this chip is not "
-                "comparable with the others; fill it in for every chip of the class, or for none"
-            )
-        if not _LEAST_SCALE <= scale <= _LARGEST_SCALE:
-            raise SarsplatError(
-                f"{table.path}, line {line}: {_DN_PER_MAGNITUDE} is {shown(text)}; it must be a positive number "
-                f"({_LEAST_SCALE:g} to {_LARGEST_SCALE:g})"
-            )
-    return [1 / scale for scale in scales]
+    return [1 / positive(table, row, _DN_PER_MAGNITUDE) for row in rows]
 
 
 def _magnitude(path: Path, step: float) -> Float32[np.ndarray, "rows columns"]:

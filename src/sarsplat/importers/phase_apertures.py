@@ -99,7 +99,12 @@ def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_
         count = min(max(1, round(span / square), math.ceil(span / WIDEST_DEG)), pulses // 2)
         width_deg = span / count
     else:
-        count = _count(history, width_deg, span)
+        count = math.floor(min(span / width_deg + 0.02, pulses)) if 0 < width_deg <= WIDEST_DEG else 0  # also of NaN
+        if count < 1:
+            raise SarsplatError(
+                f"an aperture of {width_deg:g}° must be above 0°, at most {WIDEST_DEG:g}°, and within the {span:.3g}° "
+                f"of {history.name}; give another `aperture_deg`, or further files of the same flight"
+            )
     edges = (np.arange(count + 1) - count / 2) * math.radians(width_deg) + (azimuth[0] + azimuth[-1]) / 2
     sign = np.sign(azimuth[1] - azimuth[0])
     if sign < 0:
@@ -108,7 +113,10 @@ def apertures(history: PhaseHistory, around_m: Float64[np.ndarray, " 3"], width_
     parts = []
     for first, last in pairwise(places):
         if last - first < 2:
-            raise SarsplatError(_too_few(history, width_deg, last - first))
+            raise SarsplatError(
+                f"{history.name}: an aperture of {width_deg:.3g}° holds {last - first} of {pulses} pulses; give a "
+                "larger `aperture_deg`"
+            )
         ends = azimuth[first], azimuth[last - 1]
         parts.append(_aperture(history.part(slice(first, last)), around_m, ends, width_deg))
     return parts
@@ -141,32 +149,8 @@ def _aperture(
     middle = _unit(_unit(history.antenna_m - around_m).sum(axis=0, keepdims=True))[0]
     azimuth_deg = math.degrees((ends[0] + ends[1]) / 2) % 360
     if middle[2] <= 0:
-        raise SarsplatError(f"{history.name}: the antenna is not above --around; give heights in metres")
+        raise SarsplatError(f"{history.name}: the antenna is not above `around_m`; give heights in metres")
     return Aperture(history, around_m, View(azimuth_deg, View.towards(middle).grazing_deg), width_deg)
-
-
-def _count(history: PhaseHistory, width_deg: float, span_deg: float) -> int:
-    """Return the number of apertures of a width in a flight, within about a pulse."""
-    if not 0 < width_deg <= WIDEST_DEG:  # also catches NaN
-        raise SarsplatError(
-            f"an aperture of {width_deg:g}° is not possible; give more than 0° and at most {WIDEST_DEG:g}°"
-        )
-    count = math.floor(span_deg / width_deg + 0.02)
-    if count < 1:
-        raise SarsplatError(
-            f"an aperture of {width_deg:g}° is more than the {span_deg:.3g}° of {history.name}; give --aperture a "
-            "smaller angle, or further files of the same flight"
-        )
-    if count > len(history):
-        raise SarsplatError(_too_few(history, width_deg, 0))
-    return count
-
-
-def _too_few(history: PhaseHistory, width_deg: float, pulses: int) -> str:
-    return (
-        f"{history.name}: an aperture of {width_deg:.3g}° holds {pulses} of {len(history)} pulses; give --aperture a "
-        "larger angle"
-    )
 
 
 def _unit(vectors: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:

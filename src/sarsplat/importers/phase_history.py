@@ -13,6 +13,7 @@ from jaxtyping import Bool, Complex64, Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place
+from sarsplat.importers.files import raise_damaged
 
 SPEED_OF_LIGHT = 299_792_458.0
 FARTHEST_M = 1e8
@@ -80,14 +81,9 @@ class PhaseHistory:
         frequencies, pulses = self.samples.shape
         sizes = {len(self.first_hz), len(self.step_hz), len(self.antenna_m), len(self.reference_m)}
         if sizes != {pulses}:
-            raise SarsplatError(
-                f"{self.name} has samples of {pulses} pulses, but {len(self.antenna_m)} antenna positions; download it "
-                "again"
-            )
+            raise_damaged(self.name, f"has samples of {pulses} pulses, but {len(self.antenna_m)} antenna positions")
         if min(frequencies, pulses) < 2:
-            raise SarsplatError(
-                f"{self.name} has {frequencies} × {pulses} samples (frequencies × pulses); an image needs two of each"
-            )
+            raise_damaged(self.name, f"has only {frequencies} × {pulses} samples (frequencies × pulses)")
         self._check("an antenna position", self.antenna_m, FARTHEST_M)
         self._check("a reference range", self.reference_m, FARTHEST_M)
         if isinstance(self.samples, np.ndarray):
@@ -102,10 +98,7 @@ class PhaseHistory:
     def _check(self, what: str, values: np.ndarray, limit: float) -> None:
         wrong = ~(np.abs(values) <= limit)  # also catches NaN
         if wrong.any():
-            raise SarsplatError(
-                f"{self.name} holds {what} of {values[wrong][0]:g}; it must be finite and at most {limit:g}, so "
-                "download it again"
-            )
+            raise_damaged(self.name, f"holds {what} of {values[wrong][0]:g}, not finite or above {limit:g}")
 
     def __len__(self) -> int:
         return len(self.antenna_m)
@@ -154,7 +147,7 @@ class PhaseHistory:
         seen = np.flatnonzero(self.lit(self.place.to_ecef(places)))
         if len(seen) < 2:
             raise SarsplatError(
-                f"{self.name} states that no pulses saw all of the image; give a smaller --size, or another place"
+                f"{self.name} states that no pulses saw all of the image; give a smaller `size_m`, or another place"
             )
         return self.part(slice(int(seen[0]), int(seen[-1]) + 1))
 

@@ -23,11 +23,10 @@ from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import ImageGrid, Place
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.about import AboutScene
-from sarsplat.importers.files import each_once
+from sarsplat.importers.files import each_once, require
 from sarsplat.importers.histories import read_phase_history
-from sarsplat.importers.images import assume, check_sides, dataset_of, write_imported
+from sarsplat.importers.images import assume, check_sides, check_train_views, dataset_of, place_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage
-from sarsplat.importers.optional_packages import require
 from sarsplat.importers.phase_apertures import Aperture, apertures
 from sarsplat.importers.phase_history import FARTHEST_M, SPEED_OF_LIGHT, PhaseHistory, flights
 from sarsplat.progress import progress
@@ -124,7 +123,7 @@ def import_phase_history(
     taper, around = _WEIGHTINGS[weighting], np.array(around_m, np.float64)
     if not (np.abs(around) <= FARTHEST_M).all():  # also catches NaN
         raise SarsplatError(
-            f"--around {around_m} must be metres from the scene centre, at most {FARTHEST_M:g}; give x, y and height"
+            f"`around_m` {around_m} must be metres from the scene centre, at most {FARTHEST_M:g}; give x, y and height"
         )
     histories = [read_phase_history(path, channel) for path in each_once(files)]
     histories, origin = _in_one_world(histories, place, around)
@@ -140,23 +139,15 @@ def import_phase_history(
     ]
     if tilted:
         parts = [aperture.tilted() for aperture in parts]
-    if train_views is not None and not 1 <= train_views <= len(parts):  # before minutes of work
-        raise SarsplatError(
-            f"{counted(train_views, 'training view')} asked for, but the flight makes {counted(len(parts), 'image')}; "
-            f"ask for 1 to {len(parts)}, or for a narrower --aperture"
-        )
-    spacing = _spacing(parts, taper) if spacing_m is None else spacing_m
+    check_train_views(train_views, len(parts))  # before minutes of work
+    narrowest = min(min(aperture.resolution_m(taper)) for aperture in parts)
+    spacing = _SPACING * narrowest if spacing_m is None else spacing_m
     images = []
     with progress("focusing pulses", sum(len(aperture.history) for aperture in parts), quiet) as reporter:
         for index, aperture in enumerate(parts):
             images.append(_image(index, aperture, size_m, spacing, taper, reporter.advance))
-    dataset = dataset_of(
-        images,
-        target=target,
-        source=_source(files, parts, around_m, taper),
-        train_views=train_views,
-        **about,
-    )
+    source = _source(files, parts, around_m, taper)
+    dataset = dataset_of(images, target=target, source=source, train_views=train_views, **about)
     return write_imported(out, replace(dataset, place=origin), overwrite=overwrite)
 
 
@@ -169,20 +160,12 @@ def _in_one_world(
     if lacking is not None or first is None:
         if lacking is None or (place is None and all(history.place is None for history in histories)):
             return histories, None
-        remedy = "leave out --place" if place else "import files that have one by themselves"
+        remedy = "leave out `place`" if place else "import files that have one by themselves"
         raise SarsplatError(f"{lacking.name} has no place on earth; {remedy}")
     if place is not None:
-        if len(place) not in (2, 3):
-            raise SarsplatError(
-                f"the place {place} has {len(place)} numbers; give latitude, longitude and, if need be, height"
-            )
-        first = Place(place[0], place[1], place[2] if len(place) == 3 else first.height_m)
+        first = place_of(place, first.height_m)
     origin = Place.of_ecef(first.to_ecef(around_m))
     return [history.seen_from(origin) for history in histories], origin
-
-
-def _spacing(parts: list[Aperture], weighting: Taylor) -> float:
-    return _SPACING * min(min(aperture.resolution_m(weighting)) for aperture in parts)
 
 
 def _image(
@@ -222,7 +205,8 @@ def _source(
         assume(
             assumptions,
             f"the flight is inclined, so that the slant plane is turned by up to {steepest:.1f}° about the line of "
-            "sight; what stands up is displaced across by the tangent of it; with --tilted, planes stay as they are",
+            "sight; what stands up is displaced across by the tangent of it; with `tilted=True`, planes stay as they "
+            "are",
         )
     missing = max(aperture.missing for aperture in parts)
     if missing > _MISSING:
@@ -276,19 +260,19 @@ def focus(
     history = aperture.history
     places = (np.arange(history.frequencies) + 0.5) / history.frequencies - 0.5
     cross = aperture.cross
-    shares = np.abs(np.gradient(cross)) * weighting.window((cross - _middle(cross)) / aperture.extent)
+    middle = float(cross.min() + cross.max()) / 2
+    shares = np.abs(np.gradient(cross)) * weighting.window((cross - middle) / aperture.extent)
     across = weighting.window(places)
     weights = across / across.sum(), shares / shares.sum()
     wave = 4 * math.pi / SPEED_OF_LIGHT
     centre = history.first_hz + history.frequencies // 2 * history.step_hz
     pixels = ground_points(aperture, grid)
-    middle = aperture.around_m[None]
     combined = Combined.around(history, aperture.around_m, _edge(aperture, grid), cross)
     total = np.zeros(len(pixels), np.complex128)
     counted_pulses = 0
     for pulse, echo in combined.echoes(weights[1]):
         one = slice(pulse, pulse + 1)
-        beyond = (history.beyond_m(one, pixels) - history.beyond_m(one, middle))[0]
+        beyond = (history.beyond_m(one, pixels) - history.beyond_m(one, aperture.around_m[None]))[0]
         profile = finufft.nufft1d2(
             wave * history.step_hz[pulse] * beyond, echo * weights[0], eps=_ACCURACY, isign=1, nthreads=1
         )
@@ -322,20 +306,16 @@ def _check_extent(aperture: Aperture, grid: ImageGrid) -> None:
             raise SarsplatError(
                 f"{history.name}: the image reaches {np.abs(distance).max():.1f} m in range from the scene centre, but "
                 f"frequencies in steps of {history.step_hz[0] / 1e6:.3g} MHz show ±{farthest.min():.1f} m; give a "
-                "smaller --size, or an --around nearer to it"
+                "smaller `size_m`, or an `around_m` nearer to it"
             )
         raise SarsplatError(
             f"{history.name}: the image reaches from {distance.min():.1f} m to {distance.max():.1f} m in range beyond "
             f"the points that its pulses are referred to, but the file shows {nearest.max():.1f} m to "
-            f"{farthest.min():.1f} m; give a smaller --size, or another place"
+            f"{farthest.min():.1f} m; give a smaller `size_m`, or another place"
         )
     across = grid.columns * grid.spacing_m[0]
     if across > aperture.unambiguous_m:
         raise SarsplatError(
             f"{history.name}: the image is {across:.1f} m wide, but pulses so far apart show "
-            f"{aperture.unambiguous_m:.1f} m; give a smaller --size"
+            f"{aperture.unambiguous_m:.1f} m; give a smaller `size_m`"
         )
-
-
-def _middle(values: Float64[np.ndarray, " n"]) -> float:
-    return float(values.min() + values.max()) / 2

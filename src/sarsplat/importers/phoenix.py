@@ -6,7 +6,6 @@ magnitudes, then all phases, row by row. Files are untrusted: sizes must fit the
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +14,14 @@ import numpy as np
 from jaxtyping import Complex64, Float32
 
 from sarsplat.arguments import checks_arguments
+from sarsplat.data.csv_table import parsed
 from sarsplat.data.files import open_file
 from sarsplat.data.image import SarImage
 from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import GAUSSIAN, Response, stated_taylor
-from sarsplat.importers.files import raise_damaged
+from sarsplat.importers.files import number_in, raise_damaged, whole_in
 
 _MAGIC = b"[PhoenixHeaderVer"
 _END = "[EndofPhoenixHeader]"
@@ -159,8 +159,10 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
         file.seek(0)
         start = file.read(_LONGEST_HEADER)
         length, header = _parse_header(path, start)
-        rows = _whole(path, header, "NumberOfRows", _MAX_PIXELS_PER_SIDE)
-        columns = _whole(path, header, "NumberOfColumns", _MAX_PIXELS_PER_SIDE)
+        rows, columns = (
+            whole_in(path, header.get(name, ""), name, 1, _MAX_PIXELS_PER_SIDE)
+            for name in ("NumberOfRows", "NumberOfColumns")
+        )
         if header.get("native_header_length") != "0":
             raise SarsplatError(
                 f"{path} has a native header of {shown(header.get('native_header_length'))} bytes, "
@@ -168,11 +170,8 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
             )
         expected = length + 8 * rows * columns
         if size != expected:
-            state = "is truncated" if size < expected else "is too long"
-            raise SarsplatError(
-                f"{path} {state}: {size} bytes where its header ({rows} × {columns} pixels) asks for {expected}; "
-                "download it again"
-            )
+            state = "truncated" if size < expected else "too long"
+            raise_damaged(path, f"is {state}: {size} bytes where its header ({rows} × {columns}) asks for {expected}")
         file.seek(length)
         data = file.read(8 * rows * columns)
     magnitude, phase = np.frombuffer(data, dtype=">f4").reshape(2, rows, columns).astype(np.float32)
@@ -201,7 +200,7 @@ def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:
     try:
         lines = start[:length].decode("ascii").splitlines()
     except UnicodeDecodeError as error:
-        raise SarsplatError(f"{path} has a header that is not ASCII text ({error}); download it again") from error
+        raise_damaged(path, f"has a header that is not ASCII text ({error})")
     if _END not in lines:
         raise_damaged(path, f"has no {_END} within the {length} bytes of its header")
     header: dict[str, str] = {}
@@ -219,19 +218,4 @@ def _text(path: Path, header: dict[str, str], key: str) -> str:
 
 
 def _number(path: Path, header: dict[str, str], key: str) -> float:
-    text = _text(path, header, key)
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= _LARGEST:  # also catches NaN
-        raise_damaged(path, f"has {key}= {text[:40]!r} in its header, which is not a plausible number")
-    return value
-
-
-def _whole(path: Path, header: dict[str, str], key: str, maximum: int) -> int:
-    text = _text(path, header, key)
-    value = int(text) if re.fullmatch(r"[0-9]{1,9}", text) else 0
-    if not 1 <= value <= maximum:
-        raise SarsplatError(f"{path} has {key}= {text[:40]!r} in its header; it must be 1 to {maximum}")
-    return value
+    return number_in(path, parsed(_text(path, header, key)), key, -_LARGEST, _LARGEST)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Shaped
 
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.extras import install_command
+from sarsplat.importers.files import require
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster
 from sarsplat.names import Quantity
@@ -43,11 +43,16 @@ def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
     """Read the pixels of an image (see `read_picture`); raise if a mask leaves some out."""
     pixels, tags = read_picture(path)
     if tags.absent is not None:
-        raise SarsplatError(
-            f"{path} masks {tags.absent.sum()} of its {tags.absent.size} pixels, whose values mean nothing; cut the "
-            "image, or save it without its mask or transparency"
-        )
+        _refuse_masked(path, tags.absent)
     return pixels
+
+
+def _refuse_masked(path: Path, absent: Bool[np.ndarray, "rows columns"]) -> None:
+    if absent.any():
+        raise SarsplatError(
+            f"{path} masks {absent.sum()} of its {absent.size} pixels, whose values mean nothing; cut the image, or "
+            "save it without its mask or transparency if they were measured"
+        )
 
 
 def read_picture(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
@@ -74,14 +79,13 @@ def read_picture(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
 
 
 def _npy(path: Path) -> Shaped[np.ndarray, "*shape"]:
-    with open_file(path) as file:
-        if file.read(6) != b"\x93NUMPY":
-            raise SarsplatError(f"{path} is not a NumPy file; write it with numpy.save")
+    with open_file(path):  # a regular file that can be read
+        pass
     try:
         # mapped: an array that is larger than the file is refused before there is memory for it
         return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
-    except MemoryError as error:
-        raise SarsplatError(f"{path} does not fit into memory; cut the image") from error
+    except MemoryError:
+        raise
     except Exception as error:  # a garbled header can fail anywhere inside the parser, with any exception
         raise SarsplatError(
             f"{path} is not a readable array of numbers ({shown(str(error))}); write it again with numpy.save"
@@ -99,10 +103,9 @@ def _mat(path: Path) -> Shaped[np.ndarray, "*shape"]:
 
 
 def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
-    try:
-        from PIL import Image, UnidentifiedImageError
-    except ImportError as error:
-        raise SarsplatError(f"reading PNG and JPEG needs Pillow; {install_command('mstar')}") from error
+    require("PIL", "PNG and JPEG need", "mstar")
+    from PIL import Image, UnidentifiedImageError
+
     with plain_os_errors("read", path), open_file(path) as file:
         data = file.read()
     try:
@@ -117,14 +120,10 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
     except (*_MANY_WRONG, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # what Pillow says
         why = "" if isinstance(error, UnidentifiedImageError) else f" ({shown(str(error))})"
         raise SarsplatError(f"{path} is not a PNG or JPEG, or is damaged{why}; save it again") from error
-    colours, opaque = coloured[..., :3], coloured[..., 3] == 255
+    colours = coloured[..., :3]
     if (colours != colours[..., :1]).any():
         raise SarsplatError(f"{path} is a picture in colour; give the measured values, in grey")
-    if not opaque.all():
-        raise SarsplatError(
-            f"{path} has transparent pixels, {(~opaque).sum()} of {opaque.size}, whose values mean nothing; cut the "
-            "image, or save it without transparency if they hold measured values too"
-        )
+    _refuse_masked(path, coloured[..., 3] < 255)
     return colours[..., 0]
 
 
@@ -140,8 +139,8 @@ def likely_quantity(pixels: Shaped[np.ndarray, "*shape"], name: str, real: Quant
     if pixels.dtype.kind in "iu":
         return "amplitude"
     raise SarsplatError(
-        f"{name} holds {pixels.dtype} numbers of unknown meaning; say with --quantity whether they are amplitude, "
-        "power or db"
+        f"{name} holds {pixels.dtype} numbers of unknown meaning; say by `quantity` whether they are amplitude, power "
+        "or db"
     )
 
 
@@ -175,9 +174,9 @@ def power_or_signal(
         negative = quantity in ("amplitude", "power") and np.isfinite(value[place])
         too_large = quantity == "db" and np.isfinite(pixels[place])
         remedy = (
-            "if the numbers are decibels, give --quantity db; if not, cut the image"
+            "if the numbers are decibels, give `quantity='db'`; if not, cut the image"
             if negative
-            else "no decibels are that large; give --quantity amplitude or power"
+            else "no decibels are that large; give another `quantity`, such as amplitude or power"
             if too_large
             else "if that is what the numbers are, cut the image or fill the gap"
         )
@@ -233,27 +232,16 @@ def _two_bands(pixels: Shaped[np.ndarray, "*shape"]) -> tuple[np.ndarray, np.nda
 
 @dataclass(frozen=True)
 class Values:
-    """Values of one picture.
-
-    Parameters
-    ----------
-    image : numpy.ndarray, float32 or complex64 [rows, columns]
-        Linear power, or complex amplitude; 0 where it is not known.
-    unknown : numpy.ndarray, bool [rows, columns]
-        Pixels without data.
-    tags : Tags
-        Tags of the file.
-    quantity : {"amplitude", "power", "db", "complex"}
-        Quantity of the numbers.
-    assumptions : tuple of str
-        Assumptions about tags and bands.
-    """
+    """Values of one picture, the tags of its file, and the quantity of its numbers."""
 
     image: Shaped[np.ndarray, "rows columns"]
+    """Linear power (float32), or complex amplitude (complex64); 0 where it is not known."""
     unknown: Bool[np.ndarray, "rows columns"]
+    """Pixels without data."""
     tags: Tags
     quantity: Quantity
     assumptions: tuple[str, ...]
+    """Assumptions about tags and bands."""
 
 
 def read_values(

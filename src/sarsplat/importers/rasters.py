@@ -28,22 +28,15 @@ _CHANNEL = re.compile(r"(?<![a-z])[hv][hv](?![a-z])", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Tags:
-    """Tags of a file about its pixels.
-
-    Parameters
-    ----------
-    georeference : Georeference or None
-        Georeference of the pixels.
-    scale, offset : float
-        Factor on the pixels, and number added after that.
-    absent : numpy.ndarray, bool [rows, columns], or None
-        Pixels with the value of "no data", or left out by a mask or a band for transparency; None without such.
-    """
+    """Tags of a file about its pixels."""
 
     georeference: Georeference | None = None
     scale: float = 1.0
+    """Factor on the pixels."""
     offset: float = 0.0
+    """Number added after that."""
     absent: Bool[np.ndarray, "rows columns"] | None = field(default=None, compare=False)
+    """Pixels with the value of "no data", or left out by a mask or a band for transparency; None without such."""
 
 
 def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
@@ -99,16 +92,23 @@ def _plain_tiff(path: Path) -> Shaped[np.ndarray, "rows columns"] | None:
 
 def _require_plain(path: Path, file: Any) -> None:
     """Raise if the pixels are not plain measured values: several pages or polarisations, inverted or a palette."""
-    if file.subdatasets:
-        raise SarsplatError(f"{path} has several pages; give one image for each file")
     channels = [_CHANNEL.search(name or "") for name in file.descriptions]
     polarisations = [*dict.fromkeys(channel[0].upper() for channel in channels if channel)]
-    if len(polarisations) > 1:
-        raise SarsplatError(
-            f"{path} has bands of several polarisations ({', '.join(polarisations)}); give one in each file, as by "
-            "gdal_translate -b 1"
-        )
-    if file.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES":
-        raise SarsplatError(f"{path} says that zero is white; write it again with black as zero")
-    if any(kind.name == "palette" for kind in file.colorinterp):
-        raise SarsplatError(f"{path} holds numbers of colours in a palette; give the measured values, in grey")
+    for wrong, problem in (
+        (bool(file.subdatasets), "has several pages; give one image for each file"),
+        (
+            len(polarisations) > 1,
+            f"has bands of several polarisations ({', '.join(polarisations)}); give one in each file, as by "
+            "gdal_translate -b 1",
+        ),
+        (
+            file.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES",
+            "says that zero is white; write it again with black as zero",
+        ),
+        (
+            any(kind.name == "palette" for kind in file.colorinterp),
+            "holds numbers of colours in a palette; give the measured values, in grey",
+        ),
+    ):
+        if wrong:
+            raise SarsplatError(f"{path} {problem}")

@@ -24,10 +24,11 @@ from sarsplat.data.header import Calibration
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Stack, View
 from sarsplat.importers.about import AboutImages
-from sarsplat.importers.files import raise_damaged
+from sarsplat.importers.files import check_pixel, raise_damaged
 from sarsplat.importers.images import (
     check_heading,
     check_sides,
+    check_size,
     dataset_of,
     said_of_heading,
     write_imported,
@@ -98,7 +99,8 @@ def import_rslc(
     """
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     rslc = read_rslc(Path(file))
-    spot = _spot(rslc, pixel)
+    spot = (rslc.shape[0] // 2, rslc.shape[1] // 2) if pixel is None else pixel
+    check_pixel(rslc.path, spot, rslc.shape)
     view, spacing, widths, wider = _seen(rslc, spot, height_m, heading_deg)
     place, told = _place(rslc, spot, height_m, heading_deg)
     lines, samples = _cut(rslc, spot, size_m, spacing)
@@ -140,17 +142,6 @@ def import_rslc(
     }
     dataset = dataset_of([image], target=target, source=source, calibration=calibration, place=place, **about)
     return write_imported(out, dataset, overwrite=overwrite)
-
-
-def _spot(rslc: Rslc, pixel: tuple[float, float] | None) -> tuple[float, float]:
-    if pixel is None:
-        return rslc.shape[0] // 2, rslc.shape[1] // 2
-    if not all(0 <= value <= size - 1 for value, size in zip(pixel, rslc.shape, strict=True)):
-        raise SarsplatError(
-            f"the pixel {pixel[0]:g}, {pixel[1]:g} is outside {rslc.path}, which has {rslc.shape[0]} rows and "
-            f"{rslc.shape[1]} columns, counted from 0"
-        )
-    return pixel
 
 
 def _seen(
@@ -202,8 +193,7 @@ def _cut(
     rslc: Rslc, spot: tuple[float, float], size_m: float, spacing: tuple[float, float]
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return first and past the last index of azimuth times, and of slant ranges."""
-    if not 0 < size_m < math.inf:
-        raise SarsplatError(f"the size {size_m:g} m must be positive")
+    check_size(size_m)
     columns, rows = (round(size_m / step) for step in spacing)
     check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
     ends = [(round(at - count / 2), round(at - count / 2) + count) for at, count in zip(spot, (columns, rows))]
@@ -211,8 +201,8 @@ def _cut(
         whole = " × ".join(f"{count * step:.4g} m" for count, step in zip(rslc.shape, spacing, strict=True))
         raise SarsplatError(
             f"{rslc.path} has {rslc.shape[0]} rows and {rslc.shape[1]} columns ({whole}), but rows {ends[0][0]} to "
-            f"{ends[0][1] - 1} and columns {ends[1][0]} to {ends[1][1] - 1} are asked for; give a smaller --size or "
-            "another --pixel"
+            f"{ends[0][1] - 1} and columns {ends[1][0]} to {ends[1][1] - 1} are asked for; give a smaller `size_m` or "
+            "another `pixel`"
         )
     return ends[0], ends[1]
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from jaxtyping import Complex64, Float64
@@ -19,8 +19,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.place import ecef_of_geodetic
-from sarsplat.importers.files import raise_damaged
-from sarsplat.importers.optional_packages import require
+from sarsplat.importers.files import number_in, raise_damaged, require
 from sarsplat.importers.pictures import power_or_signal
 
 if TYPE_CHECKING:
@@ -31,7 +30,6 @@ _PRODUCTS = [f"science/{band}/{product}" for band in ("LSAR", "SSAR") for produc
 _FREQUENCIES = ("frequencyA", "frequencyB")
 _POLARISATIONS = ("HH", "HV", "VH", "VV")
 _LOOKS = ("left", "right")
-_WITHOUT_DATA = "it describes images without holding them, as examples of a format do, so give the whole product"
 _MOST_NUMBERS = 1 << 24
 _NEAREST, _ASTRAY_M = 4, 0.2
 """Number of grid points along an axis for interpolation, and maximum difference, m, to the result of one fewer."""
@@ -145,26 +143,26 @@ def read_rslc(path: Path) -> Rslc:
     """Read the metadata of one file; raise if it is no RSLC, damaged, or a field is missing or impossible."""
     require("h5py", "RSLC files need", "rslc")
     if not is_hdf5(path):
-        raise SarsplatError(f"{path} is not an HDF5 file; give an RSLC in NISAR's layout")
+        _refuse(path, "is not an HDF5 file")
     with _opened(path) as file:
         product = next((name for name in _PRODUCTS if name in file), None)
         if product is None:
-            raise SarsplatError(f"{path} has none of {', '.join(_PRODUCTS)}; give an RSLC in NISAR's layout")
+            _refuse(path, f"has none of {', '.join(_PRODUCTS)}")
         swaths = f"{product}/swaths"
-        group = next((f"{swaths}/{name}" for name in _FREQUENCIES if f"{swaths}/{name}" in file), None)
-        if group is None:
-            raise SarsplatError(f"{path} has no images in {swaths}/{_FREQUENCIES[0]}; {_WITHOUT_DATA}")
+        groups = [f"{swaths}/{name}" for name in _FREQUENCIES]
+        group = next((name for name in groups if name in file), groups[0])
         fields = _Fields(path, file)
         names = [name for name in _POLARISATIONS if f"{group}/{name}" in file]
-        shapes = {_dataset(path, file, f"{group}/{name}").shape for name in names}
-        if not names or any(_is_empty(_dataset(path, file, f"{group}/{name}")) for name in names):
+        images = [_dataset(path, file, f"{group}/{name}") for name in names]
+        if not images or any(image.size == 0 or image.id.get_storage_size() == 0 for image in images):
             what = f"no pixels of {', '.join(names)}" if names else "no images"
-            raise SarsplatError(f"{path} has {what} in {group}; {_WITHOUT_DATA}")
-        if len(shapes) != 1 or any(len(shape) != 2 for shape in shapes):
             raise SarsplatError(
-                f"{path} has no images of one size in {group}, but {' and '.join(sorted(map(shown, shapes)))}; give a "
-                "file whose polarisations have the same rows and columns"
+                f"{path} has {what} in {group}; it describes images without holding them, as examples of a format do, "
+                "so give the whole product"
             )
+        shapes = {image.shape for image in images}
+        if len(shapes) != 1 or any(len(shape) != 2 for shape in shapes):
+            _refuse(path, f"has no images of one size in {group}, but {' and '.join(sorted(map(shown, shapes)))}")
         shape = shapes.pop()
         times, ranges = fields.line(f"{swaths}/zeroDopplerTime"), fields.line(f"{group}/slantRange")
         if (len(times), len(ranges)) != shape:
@@ -174,7 +172,7 @@ def read_rslc(path: Path) -> Rslc:
         identification = f"{product.rpartition('/')[0]}/identification"
         look = fields.text(f"{identification}/lookDirection").lower()
         if look not in _LOOKS:
-            raise SarsplatError(f"{path} says that its radar looks {shown(look)}; it must be left or right")
+            raise_damaged(path, f"says that its radar looks {shown(look)}, not left or right")
         return Rslc(
             path,
             group,
@@ -205,7 +203,11 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         except (SarsplatError, MemoryError):
             raise
         except Exception as error:
-            raise SarsplatError(f"{path} is not a readable HDF5 file ({shown(str(error))}); get it again") from error
+            raise_damaged(path, f"is not a readable HDF5 file ({shown(str(error))})")
+
+
+def _refuse(path: Path, problem: str) -> NoReturn:
+    raise SarsplatError(f"{path} {problem}; give an RSLC in NISAR's layout")
 
 
 def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
@@ -215,31 +217,17 @@ def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
     at: Any = file
     for part in name.split("/"):
         if not isinstance(at, h5py.Group) or part not in at:
-            raise SarsplatError(f"{path} has no {name}; give an RSLC in NISAR's layout")
+            _refuse(path, f"has no {name}")
         if not isinstance(at.get(part, getlink=True), h5py.HardLink):
-            raise SarsplatError(f"{path} has a link as {name}; give a file that holds its data itself")
+            _refuse(path, f"has {name} elsewhere, by a link")
         at = at[part]
     if not isinstance(at, h5py.Dataset) or at.shape is None:
-        raise SarsplatError(f"{path} has no array {name}; give an RSLC in NISAR's layout")
+        _refuse(path, f"has no array {name}")
     if at.external or at.is_virtual:
-        raise SarsplatError(f"{path} has {name} in another file; give a file that holds its data itself")
+        _refuse(path, f"has {name} in another file")
     if at.chunks is not None and np.prod(at.chunks, dtype=float) * at.dtype.itemsize > _LARGEST_CHUNK:
         raise SarsplatError(f"{path} has {name} in chunks {shown(at.chunks)}; write it again in smaller ones")
     return at
-
-
-_BY_PLACE = "places between them cannot be looked up, so sort them, and what belongs to them"
-
-
-def _where(values: np.ndarray) -> str:
-    """Return the first number that is not larger than the one before it, in parentheses."""
-    at = np.flatnonzero(np.diff(values.ravel()) <= 0)
-    return f" ({values.ravel()[at[0] + 1]:.9g} after {values.ravel()[at[0]]:.9g})" if len(at) else ""
-
-
-def _is_empty(image: h5py.Dataset) -> bool:
-    """Return whether an image has no pixels, or none that were written."""
-    return image.size == 0 or image.id.get_storage_size() == 0
 
 
 class _Fields:
@@ -251,7 +239,7 @@ class _Fields:
     def _array(self, name: str) -> np.ndarray:
         stored = _dataset(self._path, self._file, name)
         if stored.size > _MOST_NUMBERS or stored.dtype.kind not in "iuf":
-            raise SarsplatError(f"{self._path} has {stored.dtype} of shape {shown(stored.shape)} as {name}")
+            raise_damaged(self._path, f"has {stored.dtype} of shape {shown(stored.shape)} as {name}")
         values = np.asarray(stored[()], np.float64)
         if not values.size or not np.isfinite(values).all():
             raise_damaged(self._path, f"has no finite numbers as {name}")
@@ -259,18 +247,13 @@ class _Fields:
 
     def number(self, name: str, least: float, most: float) -> float:
         values = self._array(name)
-        if values.size != 1 or not least <= values.item() <= most:
-            raise SarsplatError(
-                f"{self._path} has {shown(values.tolist())} as {name}; it must be a number from {least:g} to {most:g}, "
-                "so get it again"
-            )
-        return float(values.item())
+        return number_in(self._path, values.item() if values.size == 1 else values.tolist(), name, least, most)
 
     def line(self, name: str) -> Float64[np.ndarray, " n"]:
         """Read rising numbers."""
-        values = self._array(name)
-        if values.ndim != 1 or not (np.diff(values) > 0).all():
-            raise SarsplatError(f"{self._path} has numbers that do not rise as {name}{_where(values)}; {_BY_PLACE}")
+        values, step = self.axis(name)
+        if step < 0 or not (np.diff(values) > 0).all():
+            raise_damaged(self._path, f"has numbers that do not rise as {name}")
         return values
 
     def axis(self, name: str) -> tuple[Float64[np.ndarray, " n"], int]:
@@ -279,9 +262,7 @@ class _Fields:
         for step in (1, -1):
             if values.ndim == 1 and (np.diff(values[::step]) >= 0).all():
                 return values[::step], step
-        raise SarsplatError(
-            f"{self._path} has numbers that neither rise nor fall as {name}{_where(values)}; {_BY_PLACE}"
-        )
+        raise_damaged(self._path, f"has numbers that neither rise nor fall as {name}")
 
     def text(self, name: str) -> str:
         stored = _dataset(self._path, self._file, name)
@@ -296,9 +277,8 @@ class _Fields:
         expected = tuple(map(len, axes))
         for value in values:
             if value.shape != expected:
-                raise SarsplatError(
-                    f"{self._path} has {name} of {shown(value.shape)} values where its axes have {shown(expected)}; "
-                    "get it again"
+                raise_damaged(
+                    self._path, f"has {name} of {shown(value.shape)} values where its axes have {shown(expected)}"
                 )
         rising = tuple(slice(None, None, step) for step in steps)
         places = self._places(name, axes[0][:: steps[0]], expected)

@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Unpack, get_args
+from typing import Any, Literal, Unpack
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from sarsplat.data.orientation import oriented
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, stated_taylor
 from sarsplat.importers.about import AboutScene
-from sarsplat.importers.files import files_in, warn_caller
+from sarsplat.importers.files import files_in, raise_damaged, warn_caller
 from sarsplat.importers.images import dataset_of, write_imported
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.measured_image import MeasuredImage, view_of
@@ -118,8 +118,6 @@ def import_sample(
 
 def _chosen(folder: Path, target: str, kind: SampleKind) -> list[SampleName]:
     files = [path for path in files_in(folder, "the SAMPLE set") if path.suffix == ".mat"]
-    if kind not in get_args(SampleKind):
-        raise SarsplatError(f"the kind is {shown(kind)}; it must be one of {', '.join(get_args(SampleKind))}")
     named = [name for name in map(named_as_sample, files) if name is not None]
     if not named:
         raise SarsplatError(f"{folder} has no file named like those of the SAMPLE set; give its folder mat_files")
@@ -170,9 +168,7 @@ def _angle(named: SampleName, variables: Mapping[str, Any], name: str, whole_deg
     for degrees in () if value is None else (value, math.degrees(value)):
         if abs((degrees - whole_deg + 180) % 360 - 180) <= _MOST_OFF_DEG:
             return degrees
-    raise SarsplatError(
-        f"{named.path}: {name} is {shown(value)}, but its name says {whole_deg}°; download the file again"
-    )
+    raise_damaged(named.path, f"has {shown(value)} as {name}, but {whole_deg}° in its name")
 
 
 def _lengths(named: SampleName, variables: Mapping[str, Any], name: str) -> tuple[float, float]:
@@ -180,7 +176,7 @@ def _lengths(named: SampleName, variables: Mapping[str, Any], name: str) -> tupl
     both = [_number(variables, f"{axis}_{name}") or 0.0 for axis in ("xrange", "range")]
     azimuth, slant_range = (own if own > 0 else max(both) for own in both)
     if azimuth <= 0:
-        raise SarsplatError(f"{named.path} has no {name.replace('_', ' ')} in xrange_{name} and range_{name}, m")
+        raise_damaged(named.path, f"has no {name.replace('_', ' ')} in xrange_{name} and range_{name}, m")
     return azimuth, slant_range
 
 

@@ -1,17 +1,20 @@
-"""Metadata of SICD and CPHD files: untrusted XML, whose elements are read by sarkit."""
+"""Metadata of SICD and CPHD files: untrusted XML, whose elements sarkit reads, and the NITF of SICDs, by jbpy."""
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.files import raise_damaged
 
 if TYPE_CHECKING:
     import lxml.etree
@@ -19,6 +22,10 @@ if TYPE_CHECKING:
 LONGEST_XML = 4 << 20
 """Maximum size of metadata, bytes."""
 _HIGHEST_ORDER = 20
+_NITF_MAGICS = (b"NITF02.10", b"NSIF01.00")
+_FILE_LENGTH_AT = 342  # bytes from the start
+
+logging.getLogger("jbpy").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
 
 
 @dataclass(frozen=True)
@@ -51,18 +58,13 @@ def plain_xml(path: Path, text: bytes, kind: str) -> lxml.etree._ElementTree:
     try:
         tree = lxml.etree.fromstring(text, plain).getroottree()
     except (lxml.etree.LxmlError, ValueError) as error:
-        raise SarsplatError(
-            f"{path} has metadata that are not valid XML ({shown(str(error))}); get it again"
-        ) from error
+        raise_damaged(path, f"has metadata that are not valid XML ({shown(str(error))})")
     if tree.docinfo.doctype or tree.docinfo.internalDTD is not None:
         raise SarsplatError(f"{path} has a DOCTYPE in its XML, which no {kind} has, and is not read; get it elsewhere")
     for element in tree.iter("{*}Coef"):  # sarkit makes an array as large as the highest exponents say
         for power in (element.get(name, "0") for name in ("exponent1", "exponent2")):
             if not (power.isascii() and power.isdigit() and int(power[:9]) <= _HIGHEST_ORDER):
-                raise SarsplatError(
-                    f"{path} has a polynomial with the exponent {shown(power)}; at most {_HIGHEST_ORDER} is plausible, "
-                    "so get it again"
-                )
+                raise_damaged(path, f"has a polynomial with the exponent {shown(power)}, more than {_HIGHEST_ORDER}")
     return tree
 
 
@@ -76,5 +78,60 @@ def sarkit_errors(path: Path, kind: str = "SICD") -> Iterator[None]:
     except (SarsplatError, OSError, MemoryError):
         raise
     except Exception as error:
-        problem = shown(f"{type(error).__name__}: {error}")
-        raise SarsplatError(f"{path} is not a valid {kind} (sarkit says {problem}); get it again") from error
+        raise_damaged(path, f"is not a valid {kind} (sarkit says {shown(f'{type(error).__name__}: {error}')})")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Some rows of an image, with their offset and length in the file, bytes."""
+
+    offset: int
+    length: int
+    rows: int
+    columns: int
+    compressed: bool
+
+
+def is_nitf(path: Path) -> bool:
+    """Return whether a file begins as NITF files do."""
+    with open_file(path) as file:
+        return file.read(len(_NITF_MAGICS[0])) in _NITF_MAGICS
+
+
+def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list[Segment]]:
+    """Read the metadata of a SICD, and its image segments in their order.
+
+    Raises if it is no NITF file, truncated or of another size than stated, holds no SICD, or its XML is not plain.
+    """
+    import jbpy
+
+    size = file.seek(0, 2)
+    file.seek(0)
+    if file.read(len(_NITF_MAGICS[0])) not in _NITF_MAGICS:
+        raise SarsplatError(f"{path} is not a NITF file of version 2.1, so it is not a SICD; give SICD files")
+    file.seek(_FILE_LENGTH_AT)
+    if (stated := file.read(12)) != b"%012d" % size:
+        raise_damaged(path, f"is truncated or too long: {size} bytes, but {shown(stated)} by its header")
+    file.seek(0)
+    with sarkit_errors(path):
+        nitf: Any = jbpy.Jbp()
+        nitf.load(file)
+        images = sorted((one["subheader"]["IID1"].value, k, one) for k, one in enumerate(nitf["ImageSegments"]))
+        extensions = [(one["DESDATA"].get_offset(), one["DESDATA"].size) for one in nitf["DataExtensionSegments"]]
+        segments = [
+            Segment(
+                one["Data"].get_offset(),
+                one["Data"].size,
+                one["subheader"]["NROWS"].value,
+                one["subheader"]["NCOLS"].value,
+                one["subheader"]["IC"].value != "NC",
+            )
+            for name, _, one in images
+            if name.startswith("SICD")
+        ]
+    for place, length in extensions:  # not always the first: sarpy puts others before it
+        file.seek(place)
+        text = file.read(min(length, LONGEST_XML))
+        if b"urn:SICD:" in text[:4096]:
+            return plain_xml(path, text, "SICD"), segments
+    raise SarsplatError(f"{path} holds no metadata of a SICD; give SICD files")

@@ -18,7 +18,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import folders
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.dataset_folder import HEADER
-from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry import Place
 from sarsplat.importers.about import AboutImages
 from sarsplat.importers.files import each_once, warn_caller
@@ -26,7 +26,9 @@ from sarsplat.importers.images import (
     assume,
     check_heading,
     check_sides,
+    check_size,
     dataset_of,
+    place_of,
     said_of_heading,
     write_imported,
 )
@@ -35,7 +37,6 @@ from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, sp
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, layout_around, said_of_place, spot_of_centre, spot_of_pixel
 
-_LARGEST_SIZE_M = 1e5
 _LEANS = 0.05
 """Minimum displacement that is reported, m for each metre of height."""
 
@@ -108,7 +109,8 @@ def import_sicd(
     """
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     paths = each_once(files)
-    _check_request(size_m, around, pixel, heading_deg)
+    check_size(size_m)
+    check_heading(heading_deg)
     sicds = [read_sicd(path) for path in paths]
     for text in filter(None, map(said_of_place, sicds)):
         warn_caller(text)
@@ -157,35 +159,15 @@ def import_sicd(
     return write_imported(out, dataset, overwrite=overwrite)
 
 
-def _check_request(
-    size_m: float,
-    around: tuple[float, ...] | None,
-    pixel: tuple[float, float] | None,
-    heading_deg: float,
-) -> None:
-    if not 0 < size_m <= _LARGEST_SIZE_M:  # also catches NaN
-        raise SarsplatError(f"the size {size_m:g} m must be positive and at most {_LARGEST_SIZE_M:g} m")
-    check_heading(heading_deg)
-    if around is not None and pixel is not None:
-        raise SarsplatError("both a place (around) and a pixel were given; give one of them")
-    if around is not None:
-        valid = len(around) in (2, 3) and all(map(math.isfinite, around))
-        if not valid or abs(around[0]) > 90 or abs(around[1]) > 360 or abs((*around, 0.0)[2]) > 1e5:
-            raise SarsplatError(
-                f"the place {shown(around)} is not a latitude (−90 to 90°), a longitude and, if need be, a height in "
-                "metres"
-            )
-
-
 def _spot(
     first: Sicd, around: tuple[float, ...] | None, pixel: tuple[float, float] | None, heading_deg: float
 ) -> Place:
+    if around is not None and pixel is not None:
+        raise SarsplatError("`around` and `pixel` were both given; give one of them")
     if pixel is not None:
         return spot_of_pixel(first, pixel, heading_deg)
     centre = spot_of_centre(first, heading_deg)
-    if around is None:
-        return centre
-    return Place(around[0], around[1], around[2] if len(around) == 3 else centre.height_m, heading_deg)
+    return centre if around is None else place_of(around, centre.height_m, heading_deg)
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -257,6 +239,6 @@ def _assumptions(
         sentences.append(
             f"in {counted(several, 'image')} the slant plane is tilted about the line of sight; level ground is laid "
             f"out right, but what stands 1 m high appears up to {worst:.2f} m beside its place (tilt "
-            f"{layout.tilt_deg:.1f}° in {sicd.path.name}); with --tilted, planes stay as they are"
+            f"{layout.tilt_deg:.1f}° in {sicd.path.name}); with `tilted=True`, planes stay as they are"
         )
     return sentences

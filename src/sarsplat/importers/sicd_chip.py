@@ -40,6 +40,7 @@ _APART = 0.1
 _SAME_FREQUENCY = 1e-4
 """Relative tolerance of equal centre frequencies."""
 
+_UNSTACKED = "leave out `stack`"
 _DIGITS = 8
 """Significant decimals of offsets, rad: the rest is rounding, millimetres of the antenna's position."""
 
@@ -85,7 +86,7 @@ def chip(
         size = " × ".join(f"{axis.spacing_m * count:.4g} m" for axis, count in zip(sicd.axes, sicd.shape, strict=True))
         raise SarsplatError(
             f"{sicd.path} shows rows 0 to {sicd.shape[0] - 1} and columns 0 to {sicd.shape[1] - 1} ({size}), but "
-            f"{asked} are asked for; give a smaller --size{'' if inside else ' or another spot'}: {middle_of(sicd)}"
+            f"{asked} are asked for; give a smaller `size_m`{'' if inside else ' or another spot'}: {middle_of(sicd)}"
         )
     occupied = sicd.row.occupied, sicd.column.occupied
     margin = np.array([taps(share) for share in occupied])
@@ -100,9 +101,7 @@ def chip(
     if absolute and sicd.beta_zero is not None:
         power = _polynomial(sicd.beta_zero, place)
         if not (power > 0).all():
-            raise SarsplatError(
-                f"{sicd.path} has a BetaZeroSFPoly that is {power.min():.4g} around the spot; it must be positive"
-            )
+            raise_damaged(sicd.path, f"has a BetaZeroSFPoly that is {power.min():.4g}, not positive, around the spot")
         # pixels with a level azimuth axis are larger than in the tilted slant plane
         factor = factor * np.sqrt(power * math.cos(math.radians(layout.tilt_deg - layout.view.tilt_deg)))
     return (values * factor).astype(np.complex64).reshape(shape)
@@ -141,9 +140,7 @@ def stack_image(
     frequencies differ, polarisations are not stated, two are equal, or one is too small.
     """
     if len(sicds) < 2:
-        raise SarsplatError(
-            f"{sicds[0].path} is one file; a stack needs several, so add the others or leave out --stack"
-        )
+        raise SarsplatError(f"{sicds[0].path} is one file; a stack needs several, so add the others, or {_UNSTACKED}")
     first = sicds[0]
     for sicd in sicds[1:]:
         _refuse_other_grid(first, sicd)
@@ -170,15 +167,8 @@ def stack_image(
         farther = _ranges(sicd, spot, layout, azimuth, away) - to_centre - reference
         phase = stack.wavenumber * farther.reshape(shape) + level - plane[0]
         signals.append((pixels * np.exp(1j * phase)).astype(np.complex64))
-    return MeasuredImage(
-        name,
-        np.stack(signals),
-        layout.view,
-        spacing_m,
-        grid.resolution_m,
-        response=grid.response,
-        stack=stack,
-    )
+    pixels = np.stack(signals)
+    return MeasuredImage(name, pixels, layout.view, spacing_m, grid.resolution_m, response=grid.response, stack=stack)
 
 
 def _antenna_at(sicd: Sicd, place: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
@@ -203,17 +193,11 @@ def _ranges(
 
 
 def _refuse_other_grid(first: Sicd, other: Sicd) -> None:
-    if first.shape != other.shape:
-        sizes = (" × ".join(map(str, one.shape)) for one in (first, other))
-        raise SarsplatError(
-            f"{first.path} has {next(sizes)} pixels and {other.path} {next(sizes)}; coregister them to one grid, or "
-            "leave out --stack"
-        )
     apart = float(np.linalg.norm(_corners(first) - _corners(other), axis=1).max())
-    if not apart <= _APART * min(axis.spacing_m for axis in first.axes):
+    if first.shape != other.shape or not apart <= _APART * min(axis.spacing_m for axis in first.axes):
         raise SarsplatError(
-            f"{other.path} lies on another grid than {first.path}, whose corners are up to {apart:.3g} m away; "
-            "coregister them to one grid, or leave out --stack"
+            f"{other.path} has another grid than {first.path}: {shown(other.shape)} and {shown(first.shape)} pixels, "
+            f"corners up to {apart:.3g} m apart; coregister them to one grid, or {_UNSTACKED}"
         )
 
 
@@ -236,7 +220,7 @@ def _wavelength(sicds: Sequence[Sicd]) -> float:
     if np.ptp(frequencies) > _SAME_FREQUENCY * frequencies[0]:
         raise SarsplatError(
             f"centre frequencies are {min(frequencies) / 1e9:.6g} to {max(frequencies) / 1e9:.6g} GHz; give files of "
-            "one, or leave out --stack"
+            f"one, or {_UNSTACKED}"
         )
     return SPEED_OF_LIGHT / frequencies[0]
 

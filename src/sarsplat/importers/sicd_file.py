@@ -12,10 +12,8 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
-from sarsplat.importers.files import raise_damaged
-from sarsplat.importers.nitf import Segment, read_nitf
-from sarsplat.importers.optional_packages import require
-from sarsplat.importers.sarkit_xml import Metadata, any_version, sarkit_errors
+from sarsplat.importers.files import number_in, raise_damaged, require
+from sarsplat.importers.sarkit_xml import Metadata, Segment, any_version, read_nitf, sarkit_errors
 
 if TYPE_CHECKING:
     import lxml.etree
@@ -160,10 +158,7 @@ def _check(path: Path, metadata: MetadataParams) -> None:
             problem = shown(np.asarray(value).tolist())
             raise_damaged(path, f"has the impossible {item.name} {problem} in its metadata")
     for name in ("NumRows", "NumCols"):
-        if not 1 <= getattr(metadata, name) <= _MOST_PIXELS_PER_SIDE:
-            raise SarsplatError(
-                f"{path} has {getattr(metadata, name)} as {name}; it must be 1 to {_MOST_PIXELS_PER_SIDE}"
-            )
+        number_in(path, getattr(metadata, name), name, 1, _MOST_PIXELS_PER_SIDE)
     units = np.array([metadata.uRow, metadata.uCol])
     if not np.allclose(np.linalg.norm(units, axis=1), 1, atol=1e-3) or abs(units[0] @ units[1]) > 0.99:
         raise_damaged(path, "has row and column directions that span no plane")
@@ -221,13 +216,7 @@ class SicdFields(Metadata):
         return XmlHelper(self.tree).load(any_version(name))
 
     def _number(self, name: str, least: float, most: float) -> float:
-        value = self._load(name)
-        if not isinstance(value, int | float) or not least <= value <= most:  # also catches NaN
-            raise SarsplatError(
-                f"{self.path} has {shown(value)} as {name}; it must be a number from {least:g} to {most:g}, so get it "
-                "again"
-            )
-        return float(value)
+        return number_in(self.path, self._load(name), name, least, most)
 
     def polynomial(self, name: str) -> Float64[np.ndarray, "m n"] | None:
         """Load a polynomial in two variables; None if it is missing."""
@@ -242,7 +231,7 @@ class SicdFields(Metadata):
         window = self.text(f"Grid/{name}/WgtType/WindowName")
         sign = self._load(f"Grid/{name}/Sgn")
         if sign not in (1, -1):
-            raise SarsplatError(f"{self.path} has {shown(sign)} as Grid/{name}/Sgn; it must be 1 or -1")
+            raise_damaged(self.path, f"has {shown(sign)} as Grid/{name}/Sgn, not 1 or -1")
         return Axis(
             self._number(f"Grid/{name}/SS", 1e-4, 1e4),
             self._number(f"Grid/{name}/ImpRespWid", 1e-4, 1e4),

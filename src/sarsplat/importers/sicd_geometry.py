@@ -18,6 +18,7 @@ from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, View
+from sarsplat.importers.files import check_pixel
 from sarsplat.importers.sarkit_xml import sarkit_errors
 from sarsplat.importers.sicd_file import Sicd
 
@@ -63,12 +64,12 @@ class Layout:
 
 
 def middle_of(sicd: Sicd) -> str:
-    """Return options for the middle of an image."""
+    """Return arguments for the middle of an image."""
     row, column = (size // 2 for size in sicd.shape)
     spot = spot_of_pixel(sicd, (row, column), 90.0)
     return (
-        f"the middle of {sicd.path.name} is --pixel {row},{column}, or "
-        f"--around={spot.latitude_deg:.6f},{spot.longitude_deg:.6f},{spot.height_m:.1f}"
+        f"the middle of {sicd.path.name} is `pixel=({row}, {column})`, or "
+        f"`around=({spot.latitude_deg:.6f}, {spot.longitude_deg:.6f}, {spot.height_m:.1f})`"
     )
 
 
@@ -79,23 +80,13 @@ def spot_of_pixel(sicd: Sicd, pixel: tuple[float, float], heading_deg: float) ->
     """
     from sarkit import wgs84
 
-    if not all(0 <= value <= size - 1 for value, size in zip(pixel, sicd.shape, strict=True)):
-        raise SarsplatError(
-            f"the pixel {pixel[0]:g}, {pixel[1]:g} is outside {sicd.path}, which has {sicd.shape[0]} rows and "
-            f"{sicd.shape[1]} columns, counted from 0; {middle_of(sicd)}"
-        )
+    check_pixel(sicd.path, pixel, sicd.shape)
     with sarkit_errors(sicd.path):
         ground = _ground_of(sicd, sicd.place_of(np.array(pixel, float)), corrected=True)
         latitude, longitude, height = map(float, wgs84.cartesian_to_geodetic(ground))
     if not all(map(math.isfinite, (latitude, longitude, height))):
         raise SarsplatError(f"the pixel {pixel[0]:g}, {pixel[1]:g} of {sicd.path} shows no place on the ground")
     return Place(latitude, longitude, height, heading_deg)
-
-
-def astray_m(sicd: Sicd) -> float:
-    """Return the distance between the stated and the projected scene centre point, m; 0 in a correct file."""
-    with sarkit_errors(sicd.path):
-        return float(np.linalg.norm(_ground_of(sicd, np.zeros(2), corrected=False) - sicd.projection.SCP))
 
 
 def _ground_of(sicd: Sicd, place: Float64[np.ndarray, " 2"], *, corrected: bool) -> Float64[np.ndarray, " 3"]:
@@ -114,7 +105,9 @@ def _ground_of(sicd: Sicd, place: Float64[np.ndarray, " 2"], *, corrected: bool)
 
 def said_of_place(sicd: Sicd) -> str | None:
     """Return a warning if a file contradicts its own scene centre point; otherwise None."""
-    astray, cell = astray_m(sicd), max(axis.resolution_m for axis in sicd.axes)
+    with sarkit_errors(sicd.path):
+        astray = float(np.linalg.norm(_ground_of(sicd, np.zeros(2), corrected=False) - sicd.projection.SCP))
+    cell = max(axis.resolution_m for axis in sicd.axes)
     if not astray > _ASTRAY_CELLS * cell:  # NaN is rejected where the ground is needed
         return None
     return (
@@ -164,11 +157,7 @@ def _locate(sicd: Sicd, spot: Place, points: Float64[np.ndarray, "n 3"]) -> Floa
     from sarkit.sicd import projection
 
     places, _, ground = projection.scene_to_image(
-        sicd.projection,
-        spot.to_ecef(points),
-        adjust_param_offsets=sicd.offsets,
-        delta_gp_s2i=_FINE,
-        maxiter=30,
+        sicd.projection, spot.to_ecef(points), adjust_param_offsets=sicd.offsets, delta_gp_s2i=_FINE, maxiter=30
     )
     if not ground or not np.isfinite(places).all():
         raise SarsplatError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
-from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import Stack
 from sarsplat.importers.about import AboutPictures
 from sarsplat.importers.listed_images import Angles, in_range, read_pictures, write_pictures
@@ -29,6 +30,7 @@ _SHARED = {
     "resolution_m": "resolution",
     "azimuth_std_deg": "standard deviation of the azimuth",
     "split": "sets",
+    "pixels.shape": "sizes",
 }
 """Attributes that all channels of a view have in common, in words."""
 
@@ -129,26 +131,22 @@ def _stacks(listed: PictureTable, images: Sequence[MeasuredImage], recording: _R
     channels: dict[str, list[tuple[ListedPicture, MeasuredImage]]] = {}
     for row, image in zip(listed.pictures, images, strict=True):
         if row.view is None:
-            raise SarsplatError(f"{listed.path} names no view of {row.name}; name it in every row")
+            listed.refuse_unstated("view", row)
         if row.baseline_rad is None and "baseline" in listed.columns:
-            raise SarsplatError(f"{listed.path} has no baseline of {row.name}; give b/R, rad")
+            listed.refuse_unstated("baseline, b/R in radians,", row)
         if not image.pixels.any():
             raise SarsplatError(f"{row.name} is zero everywhere, which no channel of a stack is; leave out its row")
         channels.setdefault(row.view, []).append((row, image))
-    return [_stack(f"{listed.path}: the view {shown(name)}", name, own, recording) for name, own in channels.items()]
+    return [_stack(listed, name, own, recording) for name, own in channels.items()]
 
 
 def _check_columns(listed: PictureTable) -> None:
     columns = listed.columns
-    if "view" not in columns:
+    if "view" not in columns or not columns.keys() & {"baseline", "polarisation"}:
         raise SarsplatError(
-            f"{listed.path} has no column that says which rows are channels of one view; name it with --columns "
-            "view=NAME, or import single images with `sarsplat import folder`"
-        )
-    if not columns.keys() & {"baseline", "polarisation"}:
-        raise SarsplatError(
-            f"{listed.path} has no column of baselines (b/R, rad) or of polarisations; name it with --columns "
-            "baseline=NAME or polarisation=NAME, or import single images with `sarsplat import folder`"
+            f"{listed.path} lacks a column of views, whose rows are channels, or one of baselines (b/R, rad) or "
+            "polarisations; name them with `columns={'view': 'NAME', 'baseline': 'NAME'}` (or polarisation), or import "
+            "single images with `sarsplat import folder`"
         )
     unit = re.findall(r"[a-z]+", columns.get("baseline", "").lower())[-1:]
     if set(unit) & _NO_RADIANS:
@@ -159,34 +157,29 @@ def _check_columns(listed: PictureTable) -> None:
 
 
 def _stack(
-    where: str, name: str, channels: Sequence[tuple[ListedPicture, MeasuredImage]], recording: _Recording
+    listed: PictureTable, name: str, channels: Sequence[tuple[ListedPicture, MeasuredImage]], recording: _Recording
 ) -> MeasuredImage:
-    """Stack the channels of one view; `where` begins errors."""
+    """Stack the channels of one view."""
+    where = f"{listed.path}: the view {shown(name)}"
     rows, images = zip(*channels, strict=True)
     first = images[0]
     if len(images) == 1:
         raise SarsplatError(f"{where} has one row; a stack needs several, so add its others, or remove it")
     for image in images[1:]:
         for attribute, words in _SHARED.items():
-            if (own := getattr(image, attribute)) != (expected := getattr(first, attribute)):
-                remedy = "give them the same" if attribute == "split" else "coregister them, and give them the same"
+            own, expected = (attrgetter(attribute)(one) for one in (image, first))
+            if own != expected:
                 raise SarsplatError(
                     f"{where} has channels of different {words}, {shown(expected)} in {first.name} and {shown(own)} in "
-                    f"{image.name}; {remedy}"
+                    f"{image.name}; coregister them, and give them the same"
                 )
-        if image.pixels.shape != first.pixels.shape:
-            sizes = (" × ".join(map(str, one.pixels.shape)) for one in (first, image))
-            raise SarsplatError(
-                f"{where} has channels of different sizes, {next(sizes)} pixels in {first.name} and {next(sizes)} in "
-                f"{image.name}; coregister them to the same pixels"
-            )
     try:
         stack = Stack(
             recording.wavelength_m,
             tuple(row.baseline_rad or 0.0 for row in rows),
             recording.transmit,
             None if recording.noise is None else (recording.noise,) * len(rows),
-            _polarisations(rows),
+            _polarisations(listed, rows),
         )
     except SarsplatError as error:
         raise SarsplatError(f"{where}: {error}") from error
@@ -198,14 +191,11 @@ def _stack(
     return replace(first, name=name, pixels=signal, stack=stack)
 
 
-def _polarisations(rows: Sequence[ListedPicture]) -> tuple[str, ...] | None:
+def _polarisations(listed: PictureTable, rows: Sequence[ListedPicture]) -> tuple[str, ...] | None:
     """Return the polarisation of each channel; None if no row states it."""
-    named = [row.polarisation for row in rows]
-    if not any(named):
+    if not any(row.polarisation for row in rows):
         return None
-    if missing := [row.name for row in rows if not row.polarisation]:
-        raise SarsplatError(
-            f"{counted(len(missing), 'row')} of {len(rows)} have no polarisation, the first that of {missing[0]}; fill "
-            "the column, or leave it empty in all"
-        )
-    return tuple(str(name) for name in named)
+    for row in rows:
+        if not row.polarisation:
+            listed.refuse_unstated("polarisation", row)
+    return tuple(str(row.polarisation) for row in rows)

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn, cast
 
 from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.about import AboutPictures
-from sarsplat.importers.columns import (
-    LOOKS,
-    PER_UNIT,
-    Columns,
-    chosen_columns,
-    recognised,
-    require,
-    require_degrees,
-)
+from sarsplat.importers.columns import LOOKS, PER_UNIT, Columns, chosen_columns, recognised, require, require_degrees
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
 from sarsplat.importers.rasters import first_georeference
 from sarsplat.names import Quantity, Side
 
+_SCALES = 1e-15, 1e15
+"""Least and largest scale of pixels; the square of no magnitude leaves float32."""
 _ROUNDED_DEG = 1.0 + 1e-6
 """Maximum difference from 90° of the sum of grazing and incidence angles in whole degrees."""
 
@@ -88,6 +83,10 @@ class PictureTable:
         views = [picture.view for picture in self.pictures if picture.view is not None]
         return bool(self.columns.keys() & {"baseline", "polarisation"}) and len(set(views)) < len(views)
 
+    def refuse_unstated(self, what: str, picture: ListedPicture, remedy: str = "fill it in") -> NoReturn:
+        """Raise for a picture whose row does not state something that is needed."""
+        raise SarsplatError(f"{self.path} does not state the {what} of {picture.name}; {remedy}")
+
 
 def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = False) -> PictureTable:
     """Read the table of a folder and find its pictures, in subfolders or not.
@@ -142,20 +141,17 @@ def _one_class(table: CsvTable, columns: Columns, chosen: str | None, rows: list
     if "class" not in columns:
         if chosen is not None:
             raise SarsplatError(
-                f"{table.path} has no column of classes to choose {shown(chosen)} from; name it with --columns "
-                "class=NAME, or leave out --class"
+                f"{table.path} has no column of classes to choose {shown(chosen)} from; name it with "
+                "`columns={'class': 'NAME'}`, or leave out `target_class`"
             )
         return None
     classes = list(dict.fromkeys(row[1][columns["class"]] for row in rows))
     if chosen in classes:
         return chosen
-    names = ", ".join(name if name and name.isprintable() else shown(name) for name in classes[:20])
-    if chosen is not None:
-        raise SarsplatError(f"{table.path} has no picture of the class {shown(chosen)}; choose one of {names}")
-    if len(classes) > 1:
+    if chosen is not None or len(classes) > 1:
+        names = ", ".join(name if name and name.isprintable() else shown(name) for name in classes[:20])
         raise SarsplatError(
-            f"{table.path} has pictures of {len(classes)} classes ({names}), and a dataset shows one; choose it with "
-            "--class NAME"
+            f"{table.path} has pictures of {len(classes)} classes ({names}); choose one as `target_class`"
         )
     return classes[0] or None
 
@@ -164,7 +160,7 @@ def _only_table(folder: Path, files: list[Path]) -> Path:
     tables = [path for path in files if path.suffix.lower() == ".csv"]
     if len(tables) != 1:
         number = f"{len(tables)} tables (CSV)" if tables else "no table (CSV) of its pictures"
-        raise SarsplatError(f"{folder} has {number}; name it with --table")
+        raise SarsplatError(f"{folder} has {number}; give the right one as `table`")
     return tables[0]
 
 
@@ -198,12 +194,12 @@ def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, pa
         spacing_m=pair("spacing"),
         resolution_m=pair("resolution"),
         azimuth_std_deg=number("azimuth-std"),
-        split=_split(table, row, text("split")),
-        looks_left=_looks_left(table, row, text("look")),
+        split=_split(table, row, columns["split"]) if text("split") else None,
+        looks_left=LOOKS[one_of(table, row, columns["look"], LOOKS)] if text("look") else None,
         tilt_deg=number("tilt"),
         scale=_scale(table, row, columns),
         offset=number("offset"),
-        near=near_side(table, row, columns["near-side"]) if text("near-side") else None,
+        near=cast(Side, one_of(table, row, columns["near-side"], SIDES)) if text("near-side") else None,
         view=text("view") or None,
         baseline_rad=number("baseline"),
         polarisation=text("polarisation").upper() or None,
@@ -227,8 +223,8 @@ def _require_right_angle(table: CsvTable, row: Row, columns: Columns) -> None:
     if abs(grazing + incidence - 90) > _ROUNDED_DEG:
         raise SarsplatError(
             f"{table.path}, line {row[0]}: {names[0]} is {grazing:g}° and {names[1]} is {incidence:g}°, which do not "
-            f"add to 90°; say which of them holds at the target with --columns grazing={names[0]} or "
-            f"--columns incidence={names[1]}"
+            f"add to 90°; say which of them holds at the target with `columns={{'grazing': '{names[0]}'}}` or "
+            f"`columns={{'incidence': '{names[1]}'}}`"
         )
 
 
@@ -239,33 +235,32 @@ def _scale(table: CsvTable, row: Row, columns: Columns) -> float | None:
     column = next((columns[one] for one in PER_UNIT if one in columns), None)
     if column is None or not any(cells[column] for _, cells in table.rows):
         return None
-    if (numbers := table.number(row, column)) <= 0:
-        raise SarsplatError(f"{table.path}, line {row[0]}: {column} is {numbers:g}; it must be a positive number")
-    return 1 / numbers
+    return 1 / positive(table, row, column)
 
 
-def _split(table: CsvTable, row: Row, text: str) -> str | None:
-    name = text.lower()
-    if name in ("train", "training"):
-        return "train"
-    if not name or name.startswith("test"):
-        return name or None
-    raise SarsplatError(
-        f"{table.path}, line {row[0]}: the set is {shown(text)}; it must be train, or a name that starts with test"
-    )
+def _split(table: CsvTable, row: Row, column: str) -> str:
+    name = row[1][column].lower()
+    if name.startswith("test"):
+        return name
+    one_of(table, row, column, ("train", "training", "test…"))
+    return "train"
 
 
-def _looks_left(table: CsvTable, row: Row, text: str) -> bool | None:
-    if text and text.lower() not in LOOKS:
-        raise SarsplatError(f"{table.path}, line {row[0]}: the look side is {shown(text)}; it must be left or right")
-    return LOOKS[text.lower()] if text else None
-
-
-def near_side(table: CsvTable, row: Row, column: str) -> Side:
-    """Parse a cell as a side of pictures."""
-    side = row[1][column].lower()
-    if side not in SIDES:
+def positive(table: CsvTable, row: Row, column: str) -> float:
+    """Parse a cell as a positive number of plausible size."""
+    least, most = _SCALES
+    if not least <= (value := table.number(row, column)) <= most:
         raise SarsplatError(
-            f"{table.path}, line {row[0]}: {column} is {shown(row[1][column])}; it must be one of {', '.join(SIDES)}"
+            f"{table.path}, line {row[0]}: {column} is {value:g}; it must be a number from {least:g} to {most:g}"
         )
-    return side
+    return value
+
+
+def one_of(table: CsvTable, row: Row, column: str, choices: Collection[str]) -> str:
+    """Parse a cell as one of some words, in small letters."""
+    word = row[1][column].lower()
+    if word not in choices:
+        raise SarsplatError(
+            f"{table.path}, line {row[0]}: {column} is {shown(row[1][column])}; it must be one of {', '.join(choices)}"
+        )
+    return word
