@@ -8,8 +8,8 @@ import torch
 
 from sarsplat.data import read_gaussians_ply, write_gaussians_ply
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, NormalLobes, Scattering
-from sarsplat.gaussians.covariance import rotation_matrix
-from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.gaussians.gaussians import rotation_matrix
+from sarsplat.gaussians.law_harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import render
 

@@ -1,25 +1,17 @@
 """A rendering step by step: project, attenuate and splat give what `render` gives in one call."""
 
 from collections.abc import Sequence
-from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer.engines.passes import NewPass
-from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
-
-
-def steps_of(new_pass: NewPass) -> SimpleNamespace:
-    """The steps with an engine."""
-    ours = partial(project_with, new_pass), partial(attenuate_with, new_pass), partial(splat_with, new_pass)
-    return SimpleNamespace(project=ours[0], attenuate=ours[1], splat=ours[2])
 
 
 def chained(
-    steps: SimpleNamespace,
+    steps: Any,
     gaussians: Gaussians,
     views: Sequence[View],
     grid: ImageGrid,

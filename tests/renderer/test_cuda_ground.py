@@ -15,7 +15,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.echoes.echo import RayEnds
 from sarsplat.renderer.echoes.lit_ground import lit_ground
 from sarsplat.renderer.engines import cuda
-from sarsplat.renderer.engines.chosen_views import ChosenViews
+from sarsplat.renderer.engines.on_device import ChosenViews
 from sarsplat.renderer.engines.passes import NewPass
 
 GRID = ImageGrid(37, 41, (0.3, 0.25), (0.45, 0.4))

@@ -61,9 +61,7 @@ def test_real_ones_hide_and_are_not_hidden_by_their_images() -> None:
     """Without their order, images of low ones would stand before high ones that are farther away."""
     scene, ground = cloud(60, 41, kappa=(4.0, 12.0)), level()
     rendering, rays = render(scene, VIEWS, GRID, ground=ground), RayGrid.for_image(GRID)
-    direct, below = lit_both_ways(
-        Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
-    )
+    direct, below = lit_both_ways(Steps(passes_for("auto", scene.tensors(), GRID)), scene, VIEWS, GRID, rays, HEIGHT)
     torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-5, atol=1e-7)
     assert float(below.sum()) < 0.9 * float(rendering.lit_area.sum())
 
@@ -76,7 +74,7 @@ def test_feet_of_engines_are_those_of_the_reference(view: View, scales: tuple[fl
     for new_pass in (None, passes_for("auto", scene.tensors(), GRID)):
         leaves = [t.detach().clone().requires_grad_() for t in (scene.means, scene.quaternions, scene.scales, shift)]
         pressed = replace(scene, means=leaves[0], quaternions=leaves[1], scales=leaves[2])
-        flat = Steps(new_pass, cuts=True).pressed_flat(pressed, [view], GRID, leaves[3], HEIGHT)
+        flat = Steps(new_pass).pressed_flat(pressed, [view], GRID, leaves[3], HEIGHT)
         weights = torch.linspace(0.5, 2.0, flat.roots.numel()).view_as(flat.roots)
         ((flat.roots * weights).sum() + (flat.centers * weights[..., :2]).sum()).backward()
         found.append([flat.centers, flat.roots, *(leaf.grad for leaf in leaves)])

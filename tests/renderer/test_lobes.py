@@ -10,7 +10,7 @@ import torch
 from emulated_cuda import Emulator
 
 from sarsplat import Gaussians, NormalLobes, SarsplatError, View
-from sarsplat.renderer import lobes
+from sarsplat.renderer import operations
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.engines.problem import directions_to
 
@@ -23,8 +23,8 @@ Towards = Callable[[Gaussians, Sequence[View]], torch.Tensor]
 def amplitudes_towards(request: pytest.FixtureRequest) -> Towards:
     """By one of the engines."""
     if request.param == "cpu":
-        return partial(lobes.amplitudes_towards, cpu.Pass)
-    return partial(lobes.amplitudes_towards, partial(cuda.Pass, Emulator(request.getfixturevalue("library"))))
+        return partial(operations.amplitudes_towards, cpu.Pass)
+    return partial(operations.amplitudes_towards, partial(cuda.Pass, Emulator(request.getfixturevalue("library"))))
 
 
 def gaussians(count: int, log_exponent: tuple[float, float] = (0.0, 3.5), seed: int = 0) -> Gaussians:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import torch
-from chain import chained, steps_of
+from chain import chained
 from emulated_cuda import Emulator
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import AVAILABLE, check, everything, judged, outputs_of, relative, same_bits, traced
@@ -20,6 +20,7 @@ from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import Footprints, Waves, attenuate, project, render, splat
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.operations import Steps
 from sarsplat.renderer.reference import splat_reference
 
 RAYS = RayGrid.for_image(GRID)
@@ -34,7 +35,7 @@ def emulated(request: pytest.FixtureRequest) -> NewPass:
 @pytest.mark.parametrize("name", STEPPED)
 def test_a_chain_of_steps_matches_the_reference(name, instruction_set):
     scene, _, norms, _, maps = judged(name)
-    steps = steps_of(partial(cpu.Pass, instruction_set))
+    steps = Steps(partial(cpu.Pass, instruction_set))
     check(name, everything(scene, traced(maps, partial(chained, steps)), norms))
 
 
@@ -62,7 +63,7 @@ def test_phases_that_turn_across_footprints(name, engine, request):
     seeds = torch.randn(views, 6, scene.grid.rows, scene.grid.columns, generator=generator)
     found = []
     new_pass = partial(cpu.Pass, engine) if engine != "cuda" else emulated(request)
-    for step, dtype in ((steps_of(new_pass).splat, torch.float32), (splat_reference, torch.float64)):
+    for step, dtype in ((Steps(new_pass).splat, torch.float32), (splat_reference, torch.float64)):
         leaves = [tensor.detach().to(dtype).requires_grad_() for tensor in inputs]
         waves = Waves(numbers.to(dtype), leaves[3])
         images = step(Footprints(*leaves[:2]), leaves[2], scene.grid, waves=waves, imaging_weight=scene.imaging_weight)
@@ -93,7 +94,7 @@ def test_complex_amplitudes_are_two_channels(channels, engine):
 @pytest.mark.parametrize("name", ["many", "many views"])
 def test_same_bits_for_any_number_of_threads(name, threads):
     threads(1)
-    scene, chain = MATRIX[name](), partial(chained, steps_of(cpu.Pass))
+    scene, chain = MATRIX[name](), partial(chained, Steps(cpu.Pass))
     expected = everything(scene, chain, {})
     for count in (2, 3, 7):
         threads(count)
@@ -138,12 +139,8 @@ def by(request: pytest.FixtureRequest) -> SimpleNamespace:
     if request.param != "cuda":
         public: dict[str, Callable[..., Any]] = {"project": project, "attenuate": attenuate, "splat": splat}
         return SimpleNamespace(**{name: partial(step, engine=request.param) for name, step in public.items()})
-    steps = steps_of(emulated(request))
-    return SimpleNamespace(
-        project=partial(steps.project, rays=RAYS, shift=None),
-        attenuate=partial(steps.attenuate, first_return_depth=None),
-        splat=partial(steps.splat, imaging_weight="area"),
-    )
+    steps = Steps(emulated(request))
+    return SimpleNamespace(project=partial(steps.project, rays=RAYS), attenuate=steps.attenuate, splat=steps.splat)
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,7 @@ def test_gradients_are_finite_differences(given: bool) -> None:
 def test_without_a_stretch_it_is_what_render_shows() -> None:
     scene, rays = cloud(60, 41, kappa=(4.0, 12.0)), RayGrid.for_image(GRID)
     expected = render(scene, UNUSUAL, GRID, engine="reference")
-    found = render_stretched(Steps(None, cuts=True), scene, UNUSUAL, GRID, rays=rays)
+    found = render_stretched(Steps(None), scene, UNUSUAL, GRID, rays=rays)
     torch.testing.assert_close(found.images, expected.images, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(found.cross_sections, expected.cross_sections, rtol=1e-4, atol=1e-6)
 
@@ -116,7 +116,7 @@ def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
 
 def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:
     def emulated(gaussians: Gaussians, views: tuple[View, ...], grid: ImageGrid, **how: Tensor) -> Rendering:
-        steps = Steps(partial(cuda.Pass, Emulator(library)), cuts=True)
+        steps = Steps(partial(cuda.Pass, Emulator(library)))
         return render_stretched(steps, gaussians, views, grid, rays=RayGrid.for_image(grid), **how)
 
     scene = cloud(12, 0)

@@ -21,43 +21,27 @@ FARTHEST, STRONGEST = 1e9, 1e15
 
 FLATTEST, STEEPEST = 1e-8, 1e8
 """Limits of the roots of footprints, 1/m."""
-_MAX_ABS = {"means": FARTHEST, "shift": FARTHEST, "scattering": STRONGEST, "amplitudes": STRONGEST, "gain": STRONGEST}
-_MAX_ABS |= {"ground.gamma0": STRONGEST, "ground.exponent": STRONGEST}
 
+_LENGTHS = {
+    "means": FARTHEST,
+    "shift": FARTHEST,
+    "centers": 2 * FARTHEST,
+    "range_m": 2 * FARTHEST,
+}  # a mean and a shift
+_NUMBERS = (
+    *("scattering", "gain", "ground.gamma0", "ground.exponent", "tilt", "amplitudes", "cross_sections", "slopes"),
+)
+_MAX_ABS = {**_LENGTHS, **dict.fromkeys(_NUMBERS, STRONGEST), "roots": STEEPEST}
 _POSITIVE = "optimise logarithms, or clamp"
 ALLOWED = {
-    "means": f"finite metres, at most {FARTHEST:g}",
+    **{name: f"finite metres, at most {most:g}" for name, most in _LENGTHS.items()},
+    **dict.fromkeys(_NUMBERS, f"finite, at most {STRONGEST:g}"),
     "quaternions": f"finite and not zero, of a length between {1 / STRONGEST:g} and {STRONGEST:g}",
     "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m, at most {MAX_SCALE:g} m: {_POSITIVE}",
     "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}: {_POSITIVE}",
-    "scattering": f"finite, at most {STRONGEST:g}",
-    "shift": f"finite metres, at most {FARTHEST:g}",
-    "gain": f"finite, at most {STRONGEST:g}",
-    "ground.gamma0": f"finite, at most {STRONGEST:g}",
-    "ground.exponent": f"finite, at most {STRONGEST:g}",
-    "centers": f"finite metres, at most {2 * FARTHEST:g}",
-    "roots": (
-        f"finite, at most {STEEPEST:g} per metre, and the first and the last of the three at least {FLATTEST:g} "
-        "per metre"
-    ),
-    "range_m": f"finite metres, at most {2 * FARTHEST:g}",
-    "tilt": f"finite, at most {STRONGEST:g}",
-    "amplitudes": f"finite, at most {STRONGEST:g}",
-    "cross_sections": f"finite, at most {STRONGEST:g}",
-    "slopes": f"finite, at most {STRONGEST:g}",
+    "roots": f"finite, at most {STEEPEST:g} per metre, and the first and the last of the three at least {FLATTEST:g}",
 }
 """Requirements on each tensor, for messages."""
-
-_STEP_LIMITS = {
-    "centers": (-2 * FARTHEST, 2 * FARTHEST),  # a mean and a shift
-    "roots": (-STEEPEST, STEEPEST),
-    "optical_depth": (0.0, MAX_OPTICAL_DEPTH * (1 + 1e-6)),
-    "range_m": (-2 * FARTHEST, 2 * FARTHEST),
-    "tilt": (-STRONGEST, STRONGEST),
-    "cross_sections": (-STRONGEST, STRONGEST),
-    "slopes": (-STRONGEST, STRONGEST),
-}
-"""Minimum and maximum values of footprints and cross-sections."""
 
 _MAX_PIXELS = 32_767
 """Maximum side of an image on the CPU engine; up to 4,096 was measured."""
@@ -97,16 +81,6 @@ def check_has_values(name: str, tensor: Tensor) -> None:
     """Raise if a tensor is on the meta device."""
     if tensor.is_meta:
         raise SarsplatError(f"{name} is on torch's meta device, which holds no values; make it on the CPU")
-
-
-def check_same_kind(tensors: Mapping[str, Tensor | None], like_name: str, like: Tensor) -> None:
-    """Raise if a tensor has another dtype or device than `like`."""
-    for name, tensor in tensors.items():
-        if tensor is not None and (tensor.dtype != like.dtype or tensor.device != like.device):
-            raise SarsplatError(
-                f"{name} is {tensor.dtype} on {tensor.device} but {like_name} is {like.dtype} on {like.device}; use "
-                "one floating dtype and one device for all tensors"
-            )
 
 
 def check_options(
@@ -164,22 +138,13 @@ def check_for_reference(name: str, dtype: torch.dtype) -> None:
         )
 
 
-def check_values(tensors: dict[str, Tensor | None]) -> None:
-    """Raise if a value is out of range, with its index."""
+def check_values(tensors: Mapping[str, Tensor | None], *, by_view: bool = False) -> None:
+    """Raise if a value is out of range, with its row; of tensors [V, N, ...] if `by_view`, with a name's last part."""
     for name, tensor in tensors.items():
         if tensor is None:
             continue
-        good = tensor.abs() <= _MAX_ABS.get(name, float("inf"))
-        if name not in ALLOWED:  # of a custom echo
-            good = tensor.isfinite()
-        if name == "scales":
-            good = (tensor >= MIN_SCALE * (1 - 1e-6)) & (tensor <= MAX_SCALE)
-        elif name == "optical_depth":
-            good = (tensor >= 0) & (tensor <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
-        elif name == "quaternions":
-            shortest, longest = 1 / STRONGEST, STRONGEST
-            length = tensor.double().norm(dim=1, keepdim=True)
-            good = (length >= shortest) & (length <= longest)
+        of_pairs = by_view or name == "amplitudes"
+        good = _in_range(name.rpartition(".")[2] if by_view else name, tensor.flatten(0, 1) if of_pairs else tensor)
         try:
             all_good = bool(good.all())
         except RuntimeError as error:
@@ -190,31 +155,27 @@ def check_values(tensors: dict[str, Tensor | None]) -> None:
                 "a scene in one call"
             ) from error
         if not all_good:
-            raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0])))
+            raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0]), by_view=of_pairs))
 
 
-def check_step_values(tensors: dict[str, Tensor | None]) -> None:
-    """Raise if a value of footprints [V, N, ...] is out of range, with its index."""
-    for name, tensor in tensors.items():
-        if tensor is None or not tensor.numel():
-            continue
-        kind = name.rpartition(".")[2]
-        low, high = _STEP_LIMITS[kind]
-        good = (tensor >= low) & (tensor <= high)
-        if kind == "roots":
-            good &= tensor[..., [0, 0, 2]] >= FLATTEST  # a and c
-        good = good.reshape(*tensor.shape[:2], -1).all(-1).flatten()
-        if not bool(good.all()):
-            raise SarsplatError(complaint_by_view(name, tensor, int((~good).nonzero()[0])))
+def _in_range(name: str, rows: Tensor) -> Tensor:
+    """Return True for values, or rows, in their range; those of a custom echo need only be finite."""
+    match name:
+        case "scales":
+            return (rows >= MIN_SCALE * (1 - 1e-6)) & (rows <= MAX_SCALE)
+        case "optical_depth":
+            return (rows >= 0) & (rows <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
+        case "quaternions":
+            length = rows.double().norm(dim=1)
+            return (length >= 1 / STRONGEST) & (length <= STRONGEST)
+        case "roots":
+            return (rows.abs() <= STEEPEST) & (rows[:, [0, 0, 2]] >= FLATTEST)  # a and c
+        case _:
+            return rows.abs() <= _MAX_ABS[name] if name in _MAX_ABS else rows.isfinite()
 
 
-def complaint(name: str, tensor: Tensor, index: int) -> str:
-    """Return the message for an invalid row."""
-    return f"{name}[{index}] is {tensor[index].tolist()}; it must be {ALLOWED.get(name, 'finite')}"
-
-
-def complaint_by_view(name: str, tensor: Tensor, index: int) -> str:
-    """Return the message for an invalid row of a tensor [V, N, ...], counted over both."""
-    view, gaussian = divmod(index, tensor.shape[1])
-    allowed = ALLOWED[name.rpartition(".")[2]]
-    return f"{name}[{view}, {gaussian}] is {tensor[view, gaussian].tolist()}; it must be {allowed}"
+def complaint(name: str, tensor: Tensor, index: int, *, by_view: bool = False) -> str:
+    """Return the message for an invalid row; of a tensor [V, N, ...] if `by_view`, counted over both."""
+    at = divmod(index, tensor.shape[1]) if by_view else (index,)
+    allowed = ALLOWED.get(name.rpartition(".")[2] if by_view else name, "finite")
+    return f"{name}[{', '.join(map(str, at))}] is {tensor[at].tolist()}; it must be {allowed}"

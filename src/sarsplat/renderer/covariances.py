@@ -19,7 +19,7 @@ from torch import Tensor
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
-from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.gaussians import rotation_matrix
 from sarsplat.gaussians.law_polarimetric import Polarimetric, covariances_between
 from sarsplat.gaussians.scattering import Scattering
 from sarsplat.geometry import ImageGrid, RayGrid, View
@@ -27,7 +27,7 @@ from sarsplat.geometry.stack import Stack
 from sarsplat.renderer.constants import MIN_RAY_DEPTH
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.operation import Operation
-from sarsplat.renderer.footprints import Footprints, Waves
+from sarsplat.renderer.rendering import Footprints, Waves
 from sarsplat.renderer.steps import attenuate, project, splat, splat_parts
 
 _PAIR_TOLERANCE = 1e-5

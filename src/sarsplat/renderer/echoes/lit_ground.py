@@ -20,7 +20,7 @@ from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.echoes.echo import RayEnds
-from sarsplat.renderer.engines.chosen_views import candidates
+from sarsplat.renderer.engines.on_device import candidates
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
 

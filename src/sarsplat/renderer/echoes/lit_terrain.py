@@ -24,7 +24,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer.echoes.echo import RayEnds
 from sarsplat.renderer.echoes.lit_ground import Axis, pixel_axes, response_integrals, stds
 from sarsplat.renderer.echoes.terrain_cells import Cells, cells_of
-from sarsplat.renderer.engines.chosen_views import candidates
+from sarsplat.renderer.engines.on_device import candidates
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.point_queries import at_places

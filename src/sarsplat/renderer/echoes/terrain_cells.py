@@ -21,8 +21,15 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Look, RayGrid, Terrain, View
-from sarsplat.renderer.engines.chosen_views import ChosenViews, by_view, candidates
-from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded, is_read, kept_on_device
+from sarsplat.renderer.engines.on_device import (
+    ChosenViews,
+    NotRecordable,
+    being_recorded,
+    by_view,
+    candidates,
+    is_read,
+    kept_on_device,
+)
 from sarsplat.renderer.point_queries import at_places
 
 RESPONSE_END = 6.0

@@ -16,9 +16,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import ALLOWED, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
-from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.engines.cpu import FAULTS
-from sarsplat.renderer.engines.on_device import NotRecordable
+from sarsplat.renderer.engines.on_device import ChosenViews, NotRecordable
 
 TILE = 16
 """Side of a tile, points, as in csrc/cuda_state.cuh."""

@@ -12,13 +12,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE
-from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.gaussians.law_harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import FARTHEST, FLATTEST, MAX_SCALE, STEEPEST, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.engines.abi import api
-from sarsplat.renderer.engines.chosen_views import by_view
-from sarsplat.renderer.engines.on_device import kept_on_device
+from sarsplat.renderer.engines.on_device import by_view, kept_on_device
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")
 """Names of the inputs in a problem."""
