@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from compared import check_agreement, differentiated
 
 from sarsplat.data import read_gaussians_ply, write_gaussians_ply
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, NormalLobes, Scattering
@@ -104,16 +105,11 @@ def test_gradients_reach_parameters_and_orientation(name):
 @pytest.mark.parametrize("name", LAWS)
 def test_engine_and_reference_agree_on_every_law(name):
     views, grid = [View(20.0, 40.0), View(200.0, 15.0)], ImageGrid(20, 24, (0.2, 0.2), (0.3, 0.3))
-    found = {}
-    for engine, dtype in (("reference", torch.float64), ("cpu", torch.float32)):
-        gaussians = scene(LAWS[name]).to(dtype)
-        leaves = {key: tensor.clone().requires_grad_() for key, tensor in gaussians.tensors().items()}
-        images = render(gaussians.with_tensors(**leaves), views, grid, engine=engine).images
-        loss = (images * torch.randn(images.shape, generator=generator(3))).sum()
-        found[engine] = [images.detach(), *torch.autograd.grad(loss, list(leaves.values()))]
-    for expected, mine in zip(found["reference"], found["cpu"], strict=True):
-        assert expected.norm() > 0
-        assert (mine.double() - expected).norm() <= 1e-4 * expected.norm()
+    expected, found = (
+        differentiated(scene(LAWS[name]), dtype, lambda scene: render(scene, views, grid).images)
+        for dtype in (torch.float64, torch.float32)
+    )
+    check_agreement(found, expected)
 
 
 @pytest.mark.parametrize("name", LAWS)

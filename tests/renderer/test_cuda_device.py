@@ -17,9 +17,9 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from chain import chained
+from compared import chained, same_bits
 from emulated_cuda import Emulator, render_on
-from test_cpu_engine import everything, judged, same_bits
+from test_cpu_engine import everything, judged
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.learning import device_choice as training_device

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from chain import chained
+from compared import chained, relative, same_bits
 from emulated_cuda import SCHEDULES, Emulator, guarded, mutated, render_on, without_barrier
 from named_scenes import GRID, MATRIX, VIEWS, cloud
-from test_cpu_engine import check, everything, judged, relative, same_bits, traced
+from test_cpu_engine import check, everything, judged, traced
 from test_steps import STEPPED
 
 from sarsplat.errors import SarsplatError

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from compared import relative
 from named_scenes import MATRIX, VIEWS, cloud, facing, with_scales
-from test_cpu_engine import relative
 
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.gaussians.gaussians import covariance, rotation_matrix

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.geometry import ImageGrid, View
 
 INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
@@ -58,23 +59,28 @@ def check_shapes(
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
     v, n = len(views), len(gaussians)
-    for name, tensor in {"means": gaussians.means, "amplitudes": amplitudes, "shift": shift, "gain": gain}.items():
+    check_has_values("means", gaussians.means)
+    for name, tensor, shape in (("shift", shift, (v, 2)), ("gain", gain, (v,))):
         if tensor is not None:
             check_has_values(name, tensor)
-    if amplitudes is not None and (amplitudes.ndim != 3 or amplitudes.shape[:2] != (v, n) or amplitudes.shape[2] < 1):
-        raise SarsplatError(
-            f"amplitudes has shape {tuple(amplitudes.shape)}; for {v} views and {n} Gaussians it must be ({v}, {n}, C) "
-            "with at least one channel"
-        )
-    if amplitudes is not None and amplitudes.is_complex():
-        raise SarsplatError(
-            f"amplitudes is {amplitudes.dtype}, but render takes real ones; give complex amplitudes to sarsplat.splat"
-        )
-    for name, tensor, shape in (("shift", shift, (v, 2)), ("gain", gain, (v,))):
-        if tensor is not None and tuple(tensor.shape) != shape:
+            if tuple(tensor.shape) != shape:
+                raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}; for {v} views it must be {shape}")
+    if amplitudes is not None:
+        check_has_values("amplitudes", amplitudes)
+        check_channels("amplitudes", amplitudes, v, n)
+        if amplitudes.is_complex():
             raise SarsplatError(
-                f"{name} has shape {tuple(tensor.shape)}; for {v} views and {n} Gaussians it must be {shape}"
+                f"amplitudes is {amplitudes.dtype}; render takes real ones, sarsplat.splat complex ones"
             )
+
+
+def check_channels(name: str, tensor: Tensor, views: int, gaussians: int) -> None:
+    """Raise unless a tensor is [V, N, C], with at least one channel."""
+    if tensor.ndim != 3 or tensor.shape[:2] != (views, gaussians) or not tensor.shape[2]:
+        raise SarsplatError(
+            f"{name} has shape {tuple(tensor.shape)}; for {views} views of {gaussians} Gaussians it must be "
+            f"({views}, {gaussians}, C) with at least one channel"
+        )
 
 
 def check_has_values(name: str, tensor: Tensor) -> None:
@@ -90,11 +96,11 @@ def check_options(
     instruction_set: str = "auto",
 ) -> None:
     """Raise if an option is not among its choices, or out of range."""
-    choices = {
-        "imaging_weight": (imaging_weight, ("area", "peak")),
-        "instruction_set": (instruction_set, INSTRUCTION_SETS),
-    }
-    for name, (value, allowed) in choices.items():
+    choices = (
+        ("imaging_weight", imaging_weight, ("area", "peak")),
+        ("instruction_set", instruction_set, INSTRUCTION_SETS),
+    )
+    for name, value, allowed in choices:
         if value not in allowed:
             raise SarsplatError(f"{name} {value!r} is unknown; choose one of {', '.join(allowed)}")
     if first_return_depth is not None and not 0 < first_return_depth < float("inf"):
@@ -108,26 +114,22 @@ def check_for_cpu(grid: ImageGrid | None, tensors: Mapping[str, Tensor | None]) 
             f"an image of {grid.rows} × {grid.columns} pixels is too large for the CPU engine; "
             f"render parts of at most {_MAX_PIXELS} pixels per side by moving the grid's center"
         )
-    for name, tensor in tensors.items():
-        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
-            raise SarsplatError(
-                f"{name} is {tensor.dtype} on {tensor.device}; the CPU engine takes torch.float32 on the CPU "
-                "(engine='reference' takes torch.float64 too)"
-            )
+    words = "CPU engine takes torch.float32 on the CPU (engine='reference' takes torch.float64 too)"
+    _check_single(tensors, "cpu", words)
 
 
 def check_for_cuda(tensors: Mapping[str, Tensor | None]) -> int:
     """Raise if the CUDA engine does not support a tensor; return the index of the GPU."""
-    first, where = next((name, tensor.device) for name, tensor in tensors.items() if tensor is not None)
+    words = "CUDA engine takes torch.float32 on a GPU (move it with .to('cuda'), or use engine='cpu')"
+    _check_single(tensors, "cuda", words)
+    check_same_kind(tensors)
+    return next(tensor.device.index for tensor in tensors.values() if tensor is not None)
+
+
+def _check_single(tensors: Mapping[str, Tensor | None], device_type: str, words: str) -> None:
     for name, tensor in tensors.items():
-        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cuda"):
-            raise SarsplatError(
-                f"{name} is {tensor.dtype} on {tensor.device}; the CUDA engine takes torch.float32 on a GPU "
-                "(move it with .to('cuda'), or use engine='cpu')"
-            )
-        if tensor is not None and tensor.device != where:
-            raise SarsplatError(f"{name} is on {tensor.device} but {first} is on {where}; put them on one GPU")
-    return where.index
+        if tensor is not None and (tensor.dtype, tensor.device.type) != (torch.float32, device_type):
+            raise SarsplatError(f"{name} is {tensor.dtype} on {tensor.device}; the {words}")
 
 
 def check_for_reference(name: str, dtype: torch.dtype) -> None:

@@ -26,7 +26,7 @@ from sarsplat.renderer.reference import (
     project_reference,
     splat_reference,
 )
-from sarsplat.renderer.rendering import Attenuation, Footprints, Projection, RayMap, Rendering, Waves
+from sarsplat.renderer.rendering import Attenuation, Footprints, Projection, RayMap, Rendering, Waves, scaled
 
 
 def render_with(
@@ -71,10 +71,7 @@ def render_with(
     ends = _ray_ends(step, traced[0]) if wants_ends else None
     sighting = Sighting(g, views, grid, rays, shift, lit_area, ends, new_pass)
     images, returns = with_echoes(images, echoes, sighting)
-    if gain is not None:
-        # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
-        images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area.detach(), _ray_maps(step, traced), planes, returns)
+    return Rendering(scaled(images, gain), cross_sections, lit_area.detach(), _ray_maps(step, traced), planes, returns)
 
 
 class Steps:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import attrgetter
 
 import torch
 from jaxtyping import Float
@@ -17,11 +18,11 @@ from sarsplat.geometry import ImageGrid
 def _check_fields(owner: object, shapes: dict[str, tuple[int, ...]]) -> None:
     """Raise unless the fields are floating tensors of these shapes, of one dtype and on one device."""
     v, n = next(iter(shapes.values()))[:2]
-    check_tensors({name: getattr(owner, name) for name in shapes}, shapes, f"{v} views of {n} Gaussians")
+    check_tensors({name: attrgetter(name)(owner) for name in shapes}, shapes, f"{v} views of {n} Gaussians")
 
 
 def _sizes(tensor: Tensor) -> tuple[int, int]:
-    """Return the first two sizes of a tensor, V and N; zeros if it has fewer."""
+    """Return V and N, the first two sizes of a tensor; zeros if it has fewer."""
     return (tensor.shape[0], tensor.shape[1]) if isinstance(tensor, Tensor) and tensor.ndim > 1 else (0, 0)
 
 
@@ -75,8 +76,7 @@ class Waves:
     slopes: Float[Tensor, "v n 2"]
 
     def __post_init__(self) -> None:
-        v, n = _sizes(self.slopes)
-        c = _sizes(self.numbers)[1]
+        (v, n), (_, c) = _sizes(self.slopes), _sizes(self.numbers)
         _check_fields(self, {"slopes": (v, n, 2), "numbers": (v, c)})
         if self.numbers.requires_grad:
             raise SarsplatError("waves.numbers has no gradient; detach it, or learn the slopes")
@@ -143,18 +143,8 @@ class Projection:
         expect(Footprints, rays=self.rays, pixels=self.pixels)
         v, n = _sizes(self.optical_depth)
         c = self.amplitudes.shape[-1] if isinstance(self.amplitudes, Tensor) and self.amplitudes.ndim == 3 else 1
-        _check_fields(self, {"optical_depth": (v, n), "range_m": (v, n), "tilt": (v, n, 2), "amplitudes": (v, n, c)})
-        for name in ("rays", "pixels"):
-            centers = getattr(self, name).centers
-            if (
-                _sizes(centers) != (v, n)
-                or centers.dtype != self.range_m.dtype
-                or centers.device != self.range_m.device
-            ):
-                raise SarsplatError(
-                    f"{name}.centers is {tuple(centers.shape)} of {centers.dtype} on {centers.device}, which does not "
-                    f"fit an optical_depth of {(v, n)}, {self.range_m.dtype} on {self.range_m.device}"
-                )
+        shapes = {"optical_depth": (v, n), "range_m": (v, n), "tilt": (v, n, 2), "amplitudes": (v, n, c)}
+        _check_fields(self, shapes | {"rays.centers": (v, n, 2), "pixels.centers": (v, n, 2)})
 
 
 @dataclass(frozen=True)
@@ -234,6 +224,14 @@ class Rendering:
     def channel(self, index: int) -> Float[Tensor, "v rows columns"]:
         """Return the images of one channel: see `channel_of`."""
         return channel_of(self.images, index)
+
+
+def scaled(images: Float[Tensor, "v c rows columns"], gain: Float[Tensor, " v"] | None) -> Tensor:
+    """Return images times their gains."""
+    if gain is None:
+        return images
+    # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
+    return images * gain[:, None, None, None].expand(-1, images.shape[1], 1, images.shape[3])
 
 
 @checks_arguments

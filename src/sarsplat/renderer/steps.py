@@ -15,6 +15,7 @@ from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer.checks import (
+    check_channels,
     check_for_reference,
     check_has_values,
     check_options,
@@ -174,11 +175,7 @@ def splat(
     """
     check_options(imaging_weight=imaging_weight)
     v, n, _ = footprints.centers.shape
-    if cross_sections.ndim != 3 or tuple(cross_sections.shape[:2]) != (v, n) or cross_sections.shape[2] < 1:
-        raise SarsplatError(
-            f"cross_sections has shape {tuple(cross_sections.shape)}; for {v} views of {n} Gaussians it must be "
-            f"({v}, {n}, C) with at least one channel"
-        )
+    check_channels("cross_sections", cross_sections, v, n)
     name = "cross_sections.real" if cross_sections.is_complex() else "cross_sections"
     check_same_kind({"footprints.centers": footprints.centers, name: cross_sections.real})
     if waves is not None:

@@ -19,7 +19,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import unstretched
 from sarsplat.renderer.engines.on_device import ChosenViews, NotRecordable
 from sarsplat.renderer.operations import Steps, amplitudes_towards
-from sarsplat.renderer.rendering import Footprints, Rendering, footprints_of
+from sarsplat.renderer.rendering import Footprints, Rendering, footprints_of, scaled
 
 
 def render_stretched(
@@ -51,10 +51,7 @@ def render_stretched(
         planes = g.means.new_zeros(len(views), len(g), 4)
         _filled_later(planes, projection.rays.centers, footprints.centers)
     images = steps.splat(footprints, cross_sections, grid, imaging_weight=imaging_weight)
-    if gain is not None:
-        # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
-        images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area.detach(), plane_gradients=planes)
+    return Rendering(scaled(images, gain), cross_sections, lit_area.detach(), plane_gradients=planes)
 
 
 def imaged(

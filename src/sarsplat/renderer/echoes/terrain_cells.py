@@ -30,6 +30,7 @@ from sarsplat.renderer.engines.on_device import (
     is_read,
     kept_on_device,
 )
+from sarsplat.renderer.engines.problem import frame_of
 from sarsplat.renderer.point_queries import at_places
 
 RESPONSE_END = 6.0
@@ -157,7 +158,7 @@ def _before_ends(
     """Return True for Gaussians before the end of their ray, for `ChosenViews`, without synchronising."""
     numbers, farthest = _farthest(tuple(ends), means.dtype, means.device)
     first_column, first_row, rows, columns, begin = numbers.index_select(0, views.numbers).T[..., None]
-    x, y, z = (means @ by_view(_frame, views, means.dtype, means.device).mT).unbind(-1)
+    x, y, z = (means @ by_view(frame_of, views, means.dtype, means.device).mT).unbind(-1)
     column = (x / rays.spacing_m[0]).floor().long() - first_column
     row = (y / rays.spacing_m[1]).floor().long() - first_row
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
@@ -168,11 +169,6 @@ def _before_ends(
 @kept_on_device(maxsize=16)
 def _heights(terrain: Terrain, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "ny nx"]:
     return torch.from_numpy(terrain.heights_m).to(device, dtype)
-
-
-@kept_on_device(maxsize=1024)
-def _frame(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "3 3"]:
-    return torch.from_numpy(view.look.frame).to(device, dtype)
 
 
 @kept_on_device(maxsize=2)

@@ -20,8 +20,8 @@ from sarsplat.renderer.engines.operation import Call, Tensors
 from sarsplat.renderer.engines.passes import Pass
 from sarsplat.renderer.engines.problem import (
     ARRAYS,
+    basis_of,
     flat_frame,
-    level_basis,
     mirror_offset,
     mirrored_frame,
     new_problem,
@@ -174,7 +174,7 @@ class Bounce(_OfGaussians):
         frames, feet = (by_view(of, self.views, device) for of in (mirrored_frame, flat_frame))
         offset, basis = by_view(mirror_offset, self.views, self.height_m, device), None
         if problem.coefficients:
-            basis = by_view(level_basis, self.views, math.isqrt(problem.coefficients) - 1, device)
+            basis = by_view(basis_of, self.views, math.isqrt(problem.coefficients) - 1, True, device)
         self.constants = frames, feet, offset, basis
         problem.frames, problem.basis = pointer(frames), pointer(basis)
         return problem
