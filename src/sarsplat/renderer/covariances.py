@@ -272,23 +272,9 @@ def elevated(
 
     Given the pixel at the displacement d from the centre of a footprint, scatterers are distributed around μ + K d with
     the covariance Σ − K J Σ, where K = Σ Jᵀ (J Σ Jᵀ + response)⁻¹ and J projects on the imaging plane; only their
-    elevation matters. The inverse is that of the footprint.
-
-    Parameters
-    ----------
-    gaussians, views, pixels
-        N Gaussians, V views, and footprints on the imaging plane.
-    numbers : numpy.ndarray, float64 [V, D]
-        Phase per elevation of each pair, rad/m.
-    real, imaginary : Tensor [V, N, D]
-        Cross-sections without phases; the real part may be one for all pairs, [V, N, 1], and the imaginary part None.
-    engine : str
-        As at `render`.
-
-    Returns
-    -------
-    Tensor [V, N, 2 D], Tensor [V, N, 2]
-        Real and imaginary parts in turn, m²; and m per m.
+    elevation matters. The inverse is that of the footprint. Inputs are cross-sections without phases, of which the real
+    part may be one for all pairs, and the phase per elevation of each pair, rad/m; results are real and imaginary parts
+    in turn, m², and m per m.
     """
     means, roots = gaussians.means, pixels.roots
     frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(means)  # [V, 3, 3]

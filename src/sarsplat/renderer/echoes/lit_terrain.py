@@ -38,25 +38,16 @@ _MAX_SAVED = 1 << 22
 
 @dataclass(frozen=True)
 class _Patches:
-    """Patches of the rays of one view on terrain.
-
-    Parameters
-    ----------
-    cells : Cells
-        Slant ranges of their edges.
-    across : Axis
-        Azimuths of the cells.
-    traced : (row, column), (rows, columns)
-        First ray with known T_end, relative to the cells, and the size of their lattice, which may extend beyond.
-    along_x, along_y : (float, float, float, float)
-        Coefficients of a cell centre's x and y, m: constant, and gradients with column, row and slant range.
-    """
+    """Patches of the rays of one view on terrain."""
 
     cells: Cells
     across: Axis
+    """Azimuths of the cells."""
     traced: tuple[tuple[int, int], tuple[int, int]]
+    """(Row, column) of the first ray with known T_end among the cells, and size of the rays' lattice, maybe beyond."""
     along_x: tuple[float, ...]
     along_y: tuple[float, ...]
+    """Coefficients of a cell centre's x and y, m: constant, and gradients with column, row and slant range."""
 
     @classmethod
     def of(

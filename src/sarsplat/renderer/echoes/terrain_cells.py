@@ -11,7 +11,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
@@ -114,13 +114,7 @@ def cells_of(
     rays: RayGrid,
     shift: Float[Tensor, "v 2"] | None = None,
 ) -> list[Cells]:
-    """Return the cells of each view's rays that end on terrain, or on the plane z = `terrain`, in images on the grid.
-
-    Raises
-    ------
-    SarsplatError
-        If a view needs too many rays, or shows terrain under a tilted azimuth axis.
-    """
+    """Return the cells of each view's rays that end on terrain, or on the plane z = `terrain`, in images of a grid."""
     every, chosen = candidates(views)
     if shift is not None and chosen is not None:
         raise NotRecordable("asks how far images are displaced, since terrain beyond their edges may be seen")
@@ -184,9 +178,7 @@ def _farthest(
 
 
 def _with_margin(grid: ImageGrid, pixels: int) -> ImageGrid:
-    return ImageGrid(
-        grid.rows + 2 * pixels, grid.columns + 2 * pixels, grid.spacing_m, grid.resolution_m, grid.center_m
-    )
+    return replace(grid, rows=grid.rows + 2 * pixels, columns=grid.columns + 2 * pixels)
 
 
 def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:

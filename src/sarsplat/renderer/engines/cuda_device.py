@@ -102,13 +102,7 @@ class Device:
 
 
 def device(index: int) -> Device:
-    """Return the GPU of this index; kernels are compiled and loaded once.
-
-    Raises
-    ------
-    SarsplatError
-        If the driver, NVRTC or the device is missing.
-    """
+    """Return the GPU of this index; kernels are compiled and loaded once."""
     with _COMPILING:
         return _device(index)
 

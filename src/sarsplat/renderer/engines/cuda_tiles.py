@@ -85,7 +85,8 @@ class TileLists(Arrays):
         if self._capacity is None or self._capacity.chosen is None:
             self._rays = cut_into_tiles(self._lattices, 0.5)
         else:
-            self._rays = cut_into_tiles([largest(self._lattices)] * len(self._capacity.chosen), 0.5)
+            rows, columns = (max(lattice[k] for lattice in self._lattices) for k in (2, 3))
+            self._rays = cut_into_tiles([(0, 0, rows, columns)] * len(self._capacity.chosen), 0.5)
         return None
 
     def _pixels(self, problem: ctypes.Structure) -> list[ctypes.Structure]:
@@ -179,11 +180,6 @@ def cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float)
         tile += tiles_of(cut[-1])
         point += rows * columns
     return cut
-
-
-def largest(lattices: Sequence[tuple[int, int, int, int]]) -> tuple[int, int, int, int]:
-    """Return a lattice with room for each of these."""
-    return 0, 0, max(rows for *_, rows, _ in lattices), max(columns for *_, columns in lattices)
 
 
 def begins(lattices: Sequence[ctypes.Structure]) -> bytes:
