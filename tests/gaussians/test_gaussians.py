@@ -64,6 +64,7 @@ def test_scenes_are_joined_in_order_with_gradients() -> None:
     assert torch.equal(whole.means, torch.cat([part.means for part in parts]))
     assert whole.scattering.parameters.shape == (9, 9)
     assert whole.scattering.parameters[0, 4:].tolist() == [0.0] * 5
+    assert Gaussians.cat([replace(parts[0], scattering=Harmonics(torch.ones(2, 4))), whole]).scattering.p_min == 0
     weights = torch.arange(9.0)
     gradients = torch.autograd.grad((weights @ whole.optical_depth), [part.optical_depth for part in parts])
     assert torch.equal(torch.cat(gradients), weights)

@@ -136,14 +136,6 @@ def test_other_programs_see_decibels(tmp_path):
     assert torch.corrcoef(seen)[0, 1] > 0.85  # the brightest and the darkest are clipped
 
 
-def test_joining():
-    short, long = Harmonics(torch.ones(2, 4)), Harmonics(torch.ones(3, 9), 0.5)
-    both = short.joined(long)
-    assert both.parameters.shape == (5, 9)
-    assert both.parameters[0].tolist() == [1.0] * 4 + [0.0] * 5
-    assert both.p_min == 0
-
-
 @pytest.mark.parametrize("kind", SCATTERINGS)
 def test_threads_change_nothing(kind, threads):
     generator = torch.Generator().manual_seed(0)
