@@ -52,13 +52,10 @@ class Ground:
             if tensor.ndim not in ((0, 2) if name == "gamma0" else (0,)) or not tensor.numel():
                 shapes = "one number, or a lattice [ny, nx]" if name == "gamma0" else "one number"
                 raise SarsplatError(f"the ground's {name} has shape {tuple(tensor.shape)}; give {shapes}")
-        height_m = self.span_m[0]
-        for name, length, least, kind in (
-            ("pitch_m", self.pitch_m, 0.0, "positive, finite"),
-            ("height_m", height_m, -math.inf, "finite"),
-        ):
+        for name, length, least in (("pitch_m", self.pitch_m, 0.0), ("height_m", self.span_m[0], -math.inf)):
             if not is_number(length) or not least < length < math.inf:
-                raise SarsplatError(f"the ground's {name} is {length}; give a {kind} number of metres")
+                allowed = "a finite" if least else "a positive, finite"
+                raise SarsplatError(f"the ground's {name} is {length}; give {allowed} number of metres")
 
     @property
     def span_m(self) -> tuple[float, float]:
