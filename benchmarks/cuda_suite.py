@@ -78,7 +78,7 @@ def of_scenes(gpu: Gpu) -> Found:
 
 
 def of_steps(gpu: Gpu) -> Found:
-    """A training step, launch by launch: in all, per view and by kernel, and whether a second one has the same bits."""
+    """A training step without a CUDA graph: in all, per view, by kernel, and whether a second one has the same bits."""
     steps = {
         "default": ("default", "demo"),
         "paper": ("paper", "demo"),
@@ -97,7 +97,7 @@ def of_steps(gpu: Gpu) -> Found:
 
 
 def of_recording(gpu: Gpu) -> Found:
-    """Steps that the GPU makes by itself beside the same ones launch by launch: bits after 50, and time."""
+    """Steps replayed as a CUDA graph beside the same ones without: bits after 50, and time."""
     steps = {name: (name, "demo") for name in ("default", "quick", "speckled", "paper")}
     steps |= {"measured": ("measured", "ground")}
     steps |= {f"default with {kind}": ("default", kind) for kind in ("ground", "terrain")}

@@ -191,7 +191,7 @@ class Gpu:
     def trainer(self, preset: str, kind: str = "demo", recorded: bool = True, **changes: Any) -> Any:
         """A training before its first step, with all degrees of harmonics in use, as for most of a training.
 
-        Unless `recorded`, its steps are made launch by launch.
+        Unless `recorded`, its steps are made without a CUDA graph.
         """
         from sarsplat.learning.method import Inputs
         from sarsplat.learning.method_sar_gs import METHOD

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.covariance import covariance
+from sarsplat.gaussians.gaussians import covariance
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 

@@ -238,8 +238,8 @@ def cuda(device: dict[str, Any]) -> str:
             if one["recorded"]
         ]
         said.append(
-            f"Steps that the GPU makes by itself, instead of launch by launch, take: {', '.join(times)}; they learn "
-            f"{bits}."
+            "Steps that the GPU replays as a CUDA graph, instead of kernels that Python launches, take: "
+            f"{', '.join(times)}; they learn {bits}."
         )
     for name, one in found["paper"].items():
         said.append(f"The paper's training takes {one['training_s']:.1f} s for {name}.")

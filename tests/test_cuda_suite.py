@@ -134,7 +134,7 @@ def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_pa
         "a training step: demo, 4 rays",
         "a training step: preset measured",
         "memcheck, racecheck find no fault",
-        "Steps that the GPU makes by itself, instead of launch by launch, take: `default` ",
+        "Steps that the GPU replays as a CUDA graph, instead of kernels that Python launches, take: `default` ",
         "they learn the same bits",
         " (1 at a time), ",
     ):

@@ -106,7 +106,7 @@ def test_the_engines_alone_know_ctypes():
 
 
 def test_the_engines_need_little_of_the_renderer():
-    own = {"renderer.checks", "renderer.constants", "renderer.footprints"}
+    own = {"renderer.checks", "renderer.constants", "renderer.rendering"}
     for name, needed in graph().items():
         if name.startswith("renderer.engines."):
             outside = {one for one in needed if one.startswith("renderer.") and not one.startswith("renderer.engines")}

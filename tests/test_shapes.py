@@ -11,7 +11,7 @@ import shapes
 from sarsplat import Gaussians, Harmonics, SarsplatError, View, radar_frame
 from sarsplat.evaluation.lpips import Lpips
 from sarsplat.gaussians import covariance as covariance_module
-from sarsplat.gaussians.covariance import covariance, rotation_matrix
+from sarsplat.gaussians.gaussians import covariance, rotation_matrix
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.scenes._deposit import _Axis
 

@@ -12,7 +12,7 @@ import torch
 from sarsplat.data import read_gaussians_ply, read_points_ply, write_gaussians_ply, write_points_ply
 from sarsplat.data.ply import read_centred_gaussians
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians, Harmonics, NormalLobes
-from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.gaussians.law_harmonics import harmonic_basis
 
 
 def some(count: int = 7, degree: int = 3, seed: int = 0, p_min: float = 0.05) -> Gaussians:

@@ -9,7 +9,7 @@ import torch
 from sarsplat.data import read_gaussians_ply
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
-from sarsplat.gaussians.harmonics import CONSTANTS
+from sarsplat.gaussians.law_harmonics import CONSTANTS
 
 COUNT = 300
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from refusals import Do, Refusals, check_refused
 from sarsplat import Polarimetric, SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
-from sarsplat.gaussians.covariance import covariance, rotation_matrix
+from sarsplat.gaussians.gaussians import covariance, rotation_matrix
 
 
 def scene(count: int = 6, columns: int = 4) -> Gaussians:
@@ -64,6 +64,7 @@ def test_scenes_are_joined_in_order_with_gradients() -> None:
     assert torch.equal(whole.means, torch.cat([part.means for part in parts]))
     assert whole.scattering.parameters.shape == (9, 9)
     assert whole.scattering.parameters[0, 4:].tolist() == [0.0] * 5
+    assert Gaussians.cat([replace(parts[0], scattering=Harmonics(torch.ones(2, 4))), whole]).scattering.p_min == 0
     weights = torch.arange(9.0)
     gradients = torch.autograd.grad((weights @ whole.optical_depth), [part.optical_depth for part in parts])
     assert torch.equal(torch.cat(gradients), weights)
@@ -112,7 +113,7 @@ REFUSED: Refusals = [
     (lambda _: Gaussians.cat([]), "there are no Gaussians to join; give at least one scene"),
     (
         lambda _: Gaussians.cat([scene(), scene().to(torch.float64)]),
-        "of torch.float64 on cpu cannot be joined to those of torch.float32 on cpu",
+        "scene 1 is torch.float64 on cpu but scene 0 is torch.float32",
     ),
     (lambda _: Gaussians.cat([replace(scene(), scattering=LOBES), scene()]), "normal-lobes and harmonics cannot be"),
     (

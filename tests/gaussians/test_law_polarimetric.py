@@ -45,16 +45,6 @@ def test_matrices_are_those_of_the_factor_and_gamma0_is_their_mean_power(count):
     assert len(of.channels) == 1 + count**2 == amplitudes(of).shape[-1]
 
 
-@pytest.mark.parametrize("count", NAMES)
-def test_gradients_are_those_of_finite_differences(count):
-    of = law(count)
-    of.parameters.requires_grad_()
-    assert torch.autograd.gradcheck(lambda p: amplitudes(replace(of, parameters=p)), of.parameters)
-    cotangent = torch.randn(amplitudes(of).shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    (gradient,) = torch.autograd.grad(amplitudes(of), of.parameters, cotangent)
-    assert (gradient.abs() > 1e-6).all()
-
-
 def test_a_training_starts_with_polarisations_alike_and_uncorrelated():
     start = Polarimetric.initial(4, 0.5, 0.03).for_polarisations(("VV", "HH"))
     start = replace(start, parameters=start.parameters.double())

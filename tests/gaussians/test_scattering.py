@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+from compared import check_agreement, differentiated
 
 from sarsplat.data import read_gaussians_ply, write_gaussians_ply
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, NormalLobes, Scattering
-from sarsplat.gaussians.covariance import rotation_matrix
-from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.gaussians.gaussians import rotation_matrix
+from sarsplat.gaussians.law_harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import render
 
@@ -104,16 +105,11 @@ def test_gradients_reach_parameters_and_orientation(name):
 @pytest.mark.parametrize("name", LAWS)
 def test_engine_and_reference_agree_on_every_law(name):
     views, grid = [View(20.0, 40.0), View(200.0, 15.0)], ImageGrid(20, 24, (0.2, 0.2), (0.3, 0.3))
-    found = {}
-    for engine, dtype in (("reference", torch.float64), ("cpu", torch.float32)):
-        gaussians = scene(LAWS[name]).to(dtype)
-        leaves = {key: tensor.clone().requires_grad_() for key, tensor in gaussians.tensors().items()}
-        images = render(gaussians.with_tensors(**leaves), views, grid, engine=engine).images
-        loss = (images * torch.randn(images.shape, generator=generator(3))).sum()
-        found[engine] = [images.detach(), *torch.autograd.grad(loss, list(leaves.values()))]
-    for expected, mine in zip(found["reference"], found["cpu"], strict=True):
-        assert expected.norm() > 0
-        assert (mine.double() - expected).norm() <= 1e-4 * expected.norm()
+    expected, found = (
+        differentiated(scene(LAWS[name]), dtype, lambda scene: render(scene, views, grid).images)
+        for dtype in (torch.float64, torch.float32)
+    )
+    check_agreement(found, expected)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -138,14 +134,6 @@ def test_other_programs_see_decibels(tmp_path):
     u = directions().float()
     seen = torch.stack([foreign.gamma0(u).ravel(), written.gamma0(u).log10().ravel()])
     assert torch.corrcoef(seen)[0, 1] > 0.85  # the brightest and the darkest are clipped
-
-
-def test_joining():
-    short, long = Harmonics(torch.ones(2, 4)), Harmonics(torch.ones(3, 9), 0.5)
-    both = short.joined(long)
-    assert both.parameters.shape == (5, 9)
-    assert both.parameters[0].tolist() == [1.0] * 4 + [0.0] * 5
-    assert both.p_min == 0
 
 
 @pytest.mark.parametrize("kind", SCATTERINGS)

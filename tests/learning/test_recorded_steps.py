@@ -19,7 +19,7 @@ from sarsplat import Dataset, ImageGrid, preset
 from sarsplat.errors import SarsplatWarning
 from sarsplat.learning import Trainer, levels
 from sarsplat.learning.strategies.relocation import Relocating
-from sarsplat.renderer.engines import bounds, choice, cuda, cuda_arrays
+from sarsplat.renderer.engines import bounds, choice, cuda, cuda_device
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
 from terrains import hill
@@ -94,7 +94,7 @@ def test_steps_run_again_are_steps(
         if recorder.records > records:
             records = recorder.records
             for other in range(300):  # which drive out what was sent; the record keeps what it reads
-                cuda_arrays._sent(other.to_bytes(2, "big"), torch.device("cpu"))
+                cuda_device._sent(other.to_bytes(2, "big"), torch.device("cpu"))
         kept.append((by_itself.terms, {name: float(term) for name, term in launched.terms.items()}))
     for terms, were in kept:  # which no later step has overwritten
         assert {name: float(term) for name, term in terms.items()} == were

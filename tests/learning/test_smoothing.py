@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from sarsplat import Dataset, preset
-from sarsplat.gaussians.covariance import rotated
+from sarsplat.gaussians.gaussians import rotated
 from sarsplat.learning import Trainer, levels
 from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes, turned
 from sarsplat.settings.sections import Smoothing

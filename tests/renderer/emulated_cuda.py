@@ -24,7 +24,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import Bounds, Rendering
 from sarsplat.renderer.echoes import Echo, GroundEcho
 from sarsplat.renderer.engines import cuda, nvrtc
-from sarsplat.renderer.engines.cuda_arrays import Launcher
+from sarsplat.renderer.engines.cuda_device import Launcher
 from sarsplat.renderer.operations import render_with
 
 HERE = Path(__file__).with_name("emulator")

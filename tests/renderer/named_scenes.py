@@ -250,6 +250,15 @@ float32's precision would fall on either side by chance: `test_no_pair_lies_on_a
 """
 
 
+CLOUDS: dict[str, Callable[[], Gaussians]] = {
+    "overlap": lambda: cloud(60, 0),
+    "opaque": lambda: cloud(60, 41, kappa=(4.0, 12.0)),
+    "needles": lambda: with_scales(cloud(40, 5), (0.5, 0.01, 0.01)),
+    "discs": lambda: with_scales(cloud(40, 6), (0.2, 0.2, 0.002)),
+}
+"""For what is not rendered in one call."""
+
+
 def _unequal(gaussians: Gaussians) -> Gaussians:
     scales = gaussians.scales.clone()
     scales[5] = 1.5  # more work than all others: tasks of equal work do not exist

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from compared import check_agreement, check_gradients, differentiated
 
 from sarsplat import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View, radar_frame
@@ -247,39 +248,23 @@ def test_what_is_higher_has_more_phase_in_the_higher_pass() -> None:
     assert one.elevation_numbers(VIEW)[1] == pytest.approx(stack.elevation_numbers(VIEW)[1] / 2)
 
 
-@pytest.mark.parametrize("name", ["means", "quaternions", "scales", "optical_depth"])
-def test_gradients_are_those_of_finite_differences(name: str) -> None:
-    """In float64, where nothing is cut that a small step would bring in."""
-    gaussians = _cloud(12).to(torch.float64)
-    stack, generator = Stack(WAVELENGTH, (0.0, 0.0005, 0.002)), torch.Generator().manual_seed(0)
-    seed = torch.randn(1, 3, 3, 24, 20, generator=generator, dtype=torch.complex128)
+def test_gradients_are_those_of_finite_differences() -> None:
+    gaussians, stack = _cloud(4).to(torch.float64), Stack(WAVELENGTH, (0.0, 0.0005, 0.002))
+    grid, rays = ImageGrid(4, 5, (1.6, 1.5), (1.8, 1.7)), RayGrid((0.7, 0.8))
 
-    def loss(tensor: torch.Tensor) -> torch.Tensor:
-        found = render_covariances(gaussians.with_tensors(**{name: tensor}), [VIEW], GRID, stack, engine="reference")
-        return (found * seed).real.sum()
+    def parts(*tensors: torch.Tensor) -> list[torch.Tensor]:
+        own = dict(zip(gaussians.tensors(), tensors, strict=True))
+        found = render_covariances(gaussians.with_tensors(**own), [VIEW], grid, stack, rays=rays, engine="reference")
+        return [found.real, found.imag]
 
-    tensor = getattr(gaussians, name).clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(loss(tensor), tensor)
-    for _ in range(3):
-        direction = torch.randn(tensor.shape, generator=generator, dtype=torch.float64)
-        step = 1e-6
-        with torch.no_grad():
-            difference = (loss(tensor + step * direction) - loss(tensor - step * direction)) / (2 * step)
-        assert float((gradient * direction).sum()) == pytest.approx(
-            float(difference), rel=2e-2, abs=1e-3 * float(gradient.norm())
-        )
+    check_gradients(parts, tuple(tensor.requires_grad_() for tensor in gaussians.tensors().values()), step=1e-7)
 
 
 def test_engines_agree() -> None:
     stack = Stack(WAVELENGTH, (-0.002, 0.0, 0.002, 0.0035))  # two pairs of the same elevation number share an image
-    found = []
-    for dtype, engine in ((torch.float64, "reference"), (torch.float32, "cpu")):
-        gaussians = _cloud(60).to(dtype)
-        leaves = {name: tensor.clone().requires_grad_() for name, tensor in gaussians.tensors().items()}
-        images = render_covariances(gaussians.with_tensors(**leaves), [VIEW], GRID, stack, engine=engine)
-        weights = torch.linspace(-1, 1, images.numel(), dtype=dtype).view(images.shape)
-        (images.real * weights + images.imag * weights.flip(-1)).sum().backward()
-        found.append({"images": images.detach(), **{name: leaf.grad for name, leaf in leaves.items()}})
-    for name, judged in found[0].items():
-        tolerance = 1e-5 if name == "images" else 1e-4
-        assert float((found[1][name] - judged).norm()) <= tolerance * float(judged.norm()), name
+
+    def image_of(scene: Gaussians) -> torch.Tensor:
+        return torch.view_as_real(render_covariances(scene, [VIEW], GRID, stack))
+
+    expected, found = (differentiated(_cloud(60), dtype, image_of) for dtype in (torch.float64, torch.float32))
+    check_agreement(found, expected)

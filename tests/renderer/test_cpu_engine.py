@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from compared import relative
 from named_scenes import MATRIX, Scene, cloud, with_scales
 
 from sarsplat.errors import SarsplatError
@@ -49,13 +50,6 @@ def everything(scene: Scene, renderer, norms: dict[str, float], of=(*OUTPUTS, "g
     return {name: t.detach() for name, t in outputs.items()} | dict(zip(leaves, gradients, strict=True))
 
 
-def same_bits(first: dict[str, torch.Tensor | None], second: dict[str, torch.Tensor | None]) -> bool:
-    return all(
-        mine is theirs or torch.equal(mine.view(torch.int32), theirs.view(torch.int32))
-        for mine, theirs in ((mine, second[name]) for name, mine in first.items())
-    )
-
-
 @cache
 def judged(name: str) -> tuple[Scene, dict[str, torch.Tensor], dict[str, float], dict[str, torch.Tensor], list]:
     """The reference's outputs, their norms and its gradients."""
@@ -80,12 +74,6 @@ def traced(maps: list, renderer=render):
         return rendering
 
     return rendered
-
-
-def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
-    expected = expected.detach()
-    difference = float((found.detach().double() - expected).norm())
-    return difference / float(expected.norm()) if difference else 0.0
 
 
 def check(name: str, found: dict[str, torch.Tensor | None]) -> None:

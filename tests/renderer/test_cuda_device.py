@@ -17,15 +17,16 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from chain import chained, steps_of
+from compared import chained, same_bits
 from emulated_cuda import Emulator, render_on
-from test_cpu_engine import everything, judged, same_bits
+from test_cpu_engine import everything, judged
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.learning import device_choice as training_device
-from sarsplat.renderer.engines import choice, cuda, cuda_device, disk_cache, nvrtc, trial
+from sarsplat.renderer.engines import choice, cuda, cuda_device, nvrtc, trial
 from sarsplat.renderer.engines.abi import api
-from sarsplat.renderer.engines.cuda_arrays import Launcher
+from sarsplat.renderer.engines.cuda_device import Launcher
+from sarsplat.renderer.operations import Steps
 
 CPU = torch.device("cpu")
 
@@ -46,7 +47,7 @@ class FakeCompiler:
 @pytest.fixture
 def cache_folder(tmp_path, monkeypatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    disk_cache._warn.cache_clear()
+    nvrtc._warn.cache_clear()
     return tmp_path / "sarsplat"
 
 
@@ -107,7 +108,7 @@ def test_the_launcher_hands_everything_to_the_driver(gpu, library):
     expected = everything(scene, partial(render_on, Emulator(library)), norms)
     assert same_bits(everything(scene, partial(render_on, gpu), norms), expected)
     by_steps, once = (
-        everything(scene, partial(chained, steps_of(partial(cuda.Pass, launcher))), norms)
+        everything(scene, partial(chained, Steps(partial(cuda.Pass, launcher))), norms)
         for launcher in (gpu, Emulator(library))
     )
     assert same_bits(by_steps, once)

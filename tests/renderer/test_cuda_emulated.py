@@ -6,16 +6,17 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from chain import chained, steps_of
+from compared import chained, relative, same_bits
 from emulated_cuda import SCHEDULES, Emulator, guarded, mutated, render_on, without_barrier
 from named_scenes import GRID, MATRIX, VIEWS, cloud
-from test_cpu_engine import check, everything, judged, relative, same_bits, traced
+from test_cpu_engine import check, everything, judged, traced
 from test_steps import STEPPED
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer import render
 from sarsplat.renderer.checks import check_for_cuda
 from sarsplat.renderer.engines import cuda, cuda_device, cuda_tiles, nvrtc
+from sarsplat.renderer.operations import Steps
 
 
 @pytest.fixture(scope="session")
@@ -56,7 +57,7 @@ def test_lists_of_several_chunks_whether_ranked_or_sorted(name, short_chunks, mo
 
 
 def chain_on(library: Path, schedule: str) -> partial:
-    return partial(chained, steps_of(partial(cuda.Pass, Emulator(library, schedule))))
+    return partial(chained, Steps(partial(cuda.Pass, Emulator(library, schedule))))
 
 
 @pytest.mark.parametrize("name", STEPPED)

@@ -8,8 +8,9 @@ from types import ModuleType
 
 import pytest
 import torch
+from compared import same_bits
 from named_scenes import MATRIX, Scene, cloud
-from test_cpu_engine import check, judged, loss_of, outputs_of, same_bits
+from test_cpu_engine import check, judged, loss_of, outputs_of
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer import render

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from compared import check_agreement, differentiated
 from emulated_cuda import Emulator, render_on
 from named_scenes import GRID, VIEWS, cloud
-from test_cpu_engine import relative
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
@@ -120,12 +120,16 @@ def test_what_does_not_fit_is_refused() -> None:
 @pytest.mark.parametrize(
     ("method", "wrong", "message"),
     [
-        ("in_sight", lambda self, means, *_: torch.ones(len(means)), r"in_sight gave \(3,\); it must give a tensor"),
+        (
+            "in_sight",
+            lambda self, means, *_: torch.ones(len(means)),
+            r"in_sight gave torch.float32 \(3,\); it must give a tensor",
+        ),
         ("in_sight", lambda self, means, *_: 1.0, "in_sight gave float"),
         ("visible", lambda self, gaussians: gaussians[:2], "visible makes 3 Gaussians to 2"),
-        ("returned", lambda self, _: torch.ones(GRID.rows, GRID.columns), r"returned torch.float32 .* must"),
+        ("returned", lambda self, _: torch.ones(GRID.rows, GRID.columns), r"returned gave torch.float32 .* must"),
         ("returned", lambda self, s: s.lit_area.new_zeros(3, GRID.rows, GRID.columns).double(), "torch.float64"),
-        ("returned", lambda self, _: None, "returned NoneType"),
+        ("returned", lambda self, _: None, "returned gave NoneType"),
     ],
 )
 def test_what_an_echo_gets_wrong_is_said(engine: str, method: str, wrong: object, message: str) -> None:
@@ -135,15 +139,13 @@ def test_what_an_echo_gets_wrong_is_said(engine: str, method: str, wrong: object
 
 
 def test_lit_areas_that_echoes_are_told_are_differentiable(library: Path) -> None:
-    scene, found = cloud(12, 0), []
-    for dtype, renderer in (
-        (torch.float64, partial(render, engine="reference")),
-        (torch.float32, render),
-        (torch.float32, partial(render_on, Emulator(library))),
-    ):
-        leaves = {name: t.to(dtype, copy=True).requires_grad_() for name, t in scene.tensors().items()}
-        images = renderer(scene.with_tensors(**leaves), VIEWS, GRID, echoes=[Glow()]).images
-        found.append(torch.autograd.grad(images.square().sum(), list(leaves.values())))
-    for gradients in found[1:]:
-        for given, expected in zip(gradients, found[0], strict=True):
-            assert relative(given, expected) <= 1e-4
+    expected, *others = (
+        differentiated(cloud(12, 0), dtype, lambda scene, by=by: by(scene, VIEWS, GRID, echoes=[Glow()]).images)
+        for dtype, by in (
+            (torch.float64, partial(render, engine="reference")),
+            (torch.float32, render),
+            (torch.float32, partial(render_on, Emulator(library))),
+        )
+    )
+    for found in others:
+        check_agreement(found, expected)

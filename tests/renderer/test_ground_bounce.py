@@ -6,19 +6,17 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
+from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator, render_on
-from named_scenes import GRID, UNUSUAL, VIEWS, cloud, wall, with_scales
-from test_cpu_engine import AVAILABLE, relative
-from test_reference_gradients import check_gradients
+from named_scenes import CLOUDS, GRID, UNUSUAL, VIEWS, cloud, wall, with_scales
+from test_cpu_engine import AVAILABLE
 from torch import Tensor
 
-from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer import GroundBounce, Rendering, render, splat
 from sarsplat.renderer.echoes.bounce import lit_both_ways
 from sarsplat.renderer.engines.choice import passes_for
@@ -61,9 +59,7 @@ def test_real_ones_hide_and_are_not_hidden_by_their_images() -> None:
     """Without their order, images of low ones would stand before high ones that are farther away."""
     scene, ground = cloud(60, 41, kappa=(4.0, 12.0)), level()
     rendering, rays = render(scene, VIEWS, GRID, ground=ground), RayGrid.for_image(GRID)
-    direct, below = lit_both_ways(
-        Steps(passes_for("auto", scene.tensors(), GRID), cuts=True), scene, VIEWS, GRID, rays, HEIGHT
-    )
+    direct, below = lit_both_ways(Steps(passes_for("auto", scene.tensors(), GRID)), scene, VIEWS, GRID, rays, HEIGHT)
     torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-5, atol=1e-7)
     assert float(below.sum()) < 0.9 * float(rendering.lit_area.sum())
 
@@ -76,7 +72,7 @@ def test_feet_of_engines_are_those_of_the_reference(view: View, scales: tuple[fl
     for new_pass in (None, passes_for("auto", scene.tensors(), GRID)):
         leaves = [t.detach().clone().requires_grad_() for t in (scene.means, scene.quaternions, scene.scales, shift)]
         pressed = replace(scene, means=leaves[0], quaternions=leaves[1], scales=leaves[2])
-        flat = Steps(new_pass, cuts=True).pressed_flat(pressed, [view], GRID, leaves[3], HEIGHT)
+        flat = Steps(new_pass).pressed_flat(pressed, [view], GRID, leaves[3], HEIGHT)
         weights = torch.linspace(0.5, 2.0, flat.roots.numel()).view_as(flat.roots)
         ((flat.roots * weights).sum() + (flat.centers * weights[..., :2]).sum()).backward()
         found.append([flat.centers, flat.roots, *(leaf.grad for leaf in leaves)])
@@ -132,60 +128,46 @@ def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
 
 
 SCENES = {
-    "overlap": lambda: cloud(60, 0),
-    "opaque": lambda: cloud(60, 41, kappa=(4.0, 12.0)),
-    "needles": lambda: with_scales(cloud(40, 5), (0.5, 0.01, 0.01)),
-    "discs": lambda: with_scales(cloud(40, 6), (0.2, 0.2, 0.002)),
+    **CLOUDS,
     "dark": lambda: replace(cloud(40, 4), optical_depth=cloud(40, 4).optical_depth * (torch.arange(40) % 3 > 0)),
     "below the ground": lambda: replace(cloud(40, 7), means=cloud(40, 7).means - torch.tensor([0.0, 0.0, 0.3])),
 }
 
 
-def _everything(
+def everything(
     scene: Gaussians,
     dtype: torch.dtype,
     renderer: Callable[..., Rendering],
     views: tuple[View, ...] = VIEWS,
     given: bool = False,
 ) -> dict[str, Tensor]:
-    leaves = {name: tensor.to(dtype, copy=True).requires_grad_() for name, tensor in scene.tensors().items()}
-    own = None
-    if given:
-        own = leaves["own"] = torch.linspace(0.2, 1.0, 3 * len(scene)).view(3, -1).to(dtype).requires_grad_()
-    leaves["shift"] = (0.1 * torch.arange(6.0).view(3, 2)).to(dtype).requires_grad_()
-    leaves["reflectivity"] = torch.tensor(0.6, dtype=dtype, requires_grad=True)
-    fields = {name: leaves[name] for name in scene.tensors()}
-    ground = level(dtype)
-    echoes = [GroundBounce(ground, leaves["reflectivity"], own)]
-    how = {"shift": leaves["shift"], "ground": ground, "echoes": echoes}
-    image = renderer(scene.with_tensors(**fields), views, GRID, **how).echoes[1]
-    cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
-    found = torch.autograd.grad((image * cotangent.to(dtype)).sum(), list(leaves.values()), allow_unused=given)
-    named = {name: value for name, value in zip(leaves, found, strict=True) if value is not None}
-    return {"image": image.detach(), **named}
+    """The echo, and gradients with respect to all tensors."""
+
+    def echo(scene: Gaussians, shift: Tensor, reflectivity: Tensor, own: Tensor | None = None) -> Tensor:
+        ground = level(dtype)
+        how = {"ground": ground, "echoes": [GroundBounce(ground, reflectivity, own)]}
+        return renderer(scene, views, GRID, shift=shift, **how).echoes[1]
+
+    more = {"shift": 0.1 * torch.arange(6.0).view(3, 2), "reflectivity": torch.tensor(0.6)}
+    more |= {"own": torch.linspace(0.2, 1.0, 3 * len(scene)).view(3, -1)} if given else {}
+    return differentiated(scene, dtype, echo, **more)
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
     scene = SCENES[name]()
-    expected = _everything(scene, torch.float64, partial(render, engine="reference"))
+    expected = everything(scene, torch.float64, partial(render, engine="reference"))
     for instruction_set in AVAILABLE:
-        found = _everything(scene, torch.float32, partial(render, engine="cpu", instruction_set=instruction_set))
-        assert relative(found["image"], expected["image"]) <= 1e-5
-        for argument, value in expected.items():
-            assert float(value.norm()) > 0, argument
-            assert relative(found[argument], value) <= 1e-4, (argument, instruction_set)
+        by = partial(render, engine="cpu", instruction_set=instruction_set)
+        check_agreement(everything(scene, torch.float32, by), expected)
 
 
 @pytest.mark.parametrize(("views", "given"), [(UNUSUAL, False), (VIEWS, True)], ids=["tilted and left", "amplitudes"])
 def test_other_views_and_given_amplitudes_agree_with_the_reference(views: tuple[View, ...], given: bool) -> None:
-    scene = cloud(60, 41, kappa=(4.0, 12.0))
-    expected = _everything(scene, torch.float64, partial(render, engine="reference"), views, given)
-    found = _everything(scene, torch.float32, render, views, given)
+    scene = CLOUDS["opaque"]()
+    expected = everything(scene, torch.float64, partial(render, engine="reference"), views, given)
+    check_agreement(everything(scene, torch.float32, render, views, given), expected)
     assert ("own" in expected) is given
-    assert relative(found["image"], expected["image"]) <= 1e-5
-    for argument, value in expected.items():
-        assert relative(found[argument], value) <= 1e-4, argument
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (2.0, -1.5, 1.2), (30.0, 0.0, 0.0)])
@@ -200,40 +182,5 @@ def test_one_call_of_the_engine_is_its_steps(place: tuple[float, float, float]) 
 
 
 def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:
-    scene = cloud(12, 0)
-    expected = _everything(scene, torch.float64, partial(render, engine="reference"))
-    found = _everything(scene, torch.float32, partial(render_on, Emulator(library)))
-    assert relative(found["image"], expected["image"]) <= 1e-5
-    for argument, value in expected.items():
-        assert relative(found[argument], value) <= 1e-4, argument
-
-
-def test_the_same_bits_for_any_number_of_threads() -> None:
-    scene, threads = cloud(3000, 8, scale=0.05), torch.get_num_threads()
-    found = []
-    try:
-        for count in (1, 3):
-            torch.set_num_threads(count)
-            found.append(_everything(scene, torch.float32, render))
-    finally:
-        torch.set_num_threads(threads)
-    for name, value in found[0].items():
-        assert torch.equal(value, found[1][name]), name
-
-
-# ---- what does not fit -----------------------------------------------------------------------------------------------
-def test_what_does_not_fit_is_refused() -> None:
-    scene, ground = cloud(3, 0), level()
-    hills = Ground(torch.tensor(0.3), height_m=Terrain(np.zeros((2, 2)), (1.0, 1.0)))
-    with pytest.raises(SarsplatError, match="off a plane, but the ground is terrain"):
-        GroundBounce(hills, ONE)
-    with pytest.raises(SarsplatError, match=r"must be a torch\.Tensor of one number"):
-        GroundBounce(ground, torch.ones(2))
-    for wrong, message in (
-        (GroundBounce(ground, ONE.double()), "reflectivity is torch.float64 on cpu but means"),
-        (GroundBounce(ground, ONE, torch.ones(2, 3)), "amplitudes are of 2 views, not of 3"),
-        (GroundBounce(ground, ONE * torch.nan), r"bounce\.reflectivity"),
-        (GroundBounce(ground, ONE, torch.full((3, 3), torch.inf)), r"bounce\.amplitudes"),
-    ):
-        with pytest.raises(SarsplatError, match=message):
-            render(scene, VIEWS, GRID, ground=ground, echoes=[wrong])
+    expected = everything(cloud(12, 0), torch.float64, partial(render, engine="reference"))
+    check_agreement(everything(cloud(12, 0), torch.float32, partial(render_on, Emulator(library))), expected)

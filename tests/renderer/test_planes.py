@@ -9,7 +9,7 @@ from named_scenes import cloud
 
 from sarsplat import Gaussians, Harmonics, ImageGrid, Polarimetric, Stack, View, render_covariances
 from sarsplat.renderer.covariances import elevated, lit_planes
-from sarsplat.renderer.footprints import Footprints
+from sarsplat.renderer.rendering import Footprints
 
 VIEWS = [View(20.0, 35.0), View(200.0, 55.0)]
 GRID = ImageGrid(12, 10, (0.4, 0.5), (0.6, 0.7))

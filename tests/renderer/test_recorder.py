@@ -23,36 +23,23 @@ class Log(list):
     """Streams and graphs that only say what they are asked."""
 
     fails = False
-    """Whether a record cannot be ended."""
+    """True if a record cannot be ended."""
 
-    def stream(self, name: str) -> object:
-        log = self
+    def stream(self, name: str) -> SimpleNamespace:
+        return SimpleNamespace(wait_stream=lambda other: self.append(f"{name} waits"))
 
-        class Stream:
-            def wait_stream(self, other: object) -> None:
-                log.append(f"{name} waits")
+    def graph(self) -> SimpleNamespace:
+        return SimpleNamespace(
+            capture_begin=lambda **options: self.append(f"begin {options}"),
+            capture_end=self._end,
+            replay=lambda: self.append("replay"),
+            pool=lambda: 7,
+        )
 
-        return Stream()
-
-    def graph(self) -> object:
-        log = self
-
-        class Graph:
-            def capture_begin(self, **options: object) -> None:
-                log.append(f"begin {options}")
-
-            def capture_end(self) -> None:
-                log.append("end")
-                if log.fails:
-                    raise RuntimeError("operation failed due to a previous error during capture")
-
-            def replay(self) -> None:
-                log.append("replay")
-
-            def pool(self) -> int:
-                return 7
-
-        return Graph()
+    def _end(self) -> None:
+        self.append("end")
+        if self.fails:
+            raise RuntimeError("operation failed due to a previous error during capture")
 
     @contextmanager
     def on(self, stream: object):

@@ -102,7 +102,7 @@ def done() -> dict[str, tuple[str | None, bool]]:
 
 def test_parameters_whose_rows_went_away_between_the_passes(done):
     said, _ = done["rows went away"]
-    assert said.startswith("means had shape (3000, 3) when rendered and now have shape (10, 3)")
+    assert said.startswith("means had shape (3000, 3) when rendered and now has shape (10, 3)")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")

@@ -3,16 +3,22 @@
 import gc
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
+from compared import chained, same_bits
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud, some_dark
-from test_cpu_engine import everything, same_bits
+from test_cpu_engine import everything
+from test_ground_bounce import everything as of_bounce
+from test_stretched import everything as of_stretched
 
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.renderer import render
+from sarsplat.renderer.engines import cpu
+from sarsplat.renderer.operations import Steps
 
 # more Gaussians than fit one task, more views than bands, one view cut into bands; small scenes stay on one thread
 SCENES = {
@@ -30,15 +36,34 @@ SCENES = {
 WORTH_WAKING = 2048  # as engine.cpp has it
 
 
-@pytest.mark.parametrize("name", SCENES)
+def gains_of_one_large_image() -> dict[str, torch.Tensor]:
+    """Gradients, summed over so many pixels that torch would share them out."""
+    grid, gain = ImageGrid(256, 250, (0.01, 0.01), (0.1, 0.1)), torch.ones(1, requires_grad=True)
+    seeds = torch.rand(20, 1, 256, 250, generator=torch.Generator().manual_seed(2))
+    images = render(cloud(60, 1), VIEWS[:1], grid, rays=RayGrid((0.05, 0.05)), gain=gain).channel(0)
+    return {"gains": torch.cat([torch.autograd.grad(images, gain, seed, retain_graph=True)[0] for seed in seeds])}
+
+
+CALLS = {
+    **{name: partial(lambda make: everything(make(), render, {}, engine="cpu"), make) for name, make in SCENES.items()},
+    "steps of many": lambda: everything(MATRIX["many"](), partial(chained, Steps(cpu.Pass)), {}),
+    "steps of many views": lambda: everything(MATRIX["many views"](), partial(chained, Steps(cpu.Pass)), {}),
+    "second bounce": lambda: of_bounce(cloud(3000, 8, scale=0.05), torch.float32, render),
+    "stretched": lambda: of_stretched(cloud(3000, 8, scale=0.05), torch.float32, render),
+    "gains": gains_of_one_large_image,
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
 def test_same_bits_for_any_number_of_threads_and_run_to_run(name, threads):
-    scene = SCENES[name]()
-    assert len(scene.views) * (len(scene.gaussians) + scene.grid.rows * scene.grid.columns / 16) > WORTH_WAKING
+    if name in SCENES:
+        scene = SCENES[name]()
+        assert len(scene.views) * (len(scene.gaussians) + scene.grid.rows * scene.grid.columns / 16) > WORTH_WAKING
     threads(1)
-    expected = everything(scene, render, {}, engine="cpu")
+    expected = CALLS[name]()
     for count in (1, 2, 3):
         threads(count)
-        assert same_bits(everything(scene, render, {}, engine="cpu"), expected)
+        assert same_bits(CALLS[name](), expected), count
 
 
 def leaves_of(gaussians: Gaussians) -> Gaussians:
@@ -88,19 +113,6 @@ def test_memory_does_not_grow():
     iterate(200)
     gc.collect()
     assert resident_bytes() - before < 4 << 20  # one pass takes about 1 MB: a leak would be 200
-
-
-def test_gradient_of_the_gain_of_one_large_image(threads):
-    """Summed over so many pixels that torch would share them out."""
-    scene, grid = cloud(60, 1), ImageGrid(256, 250, (0.01, 0.01), (0.1, 0.1))
-    seeds = torch.rand(20, 1, 256, 250, generator=torch.Generator().manual_seed(2))
-    found = []
-    for count in (1, 2, 3):
-        threads(count)
-        gain = torch.ones(1, requires_grad=True)
-        images = render(scene, VIEWS[:1], grid, rays=RayGrid((0.05, 0.05)), gain=gain).channel(0)
-        found.append([torch.autograd.grad(images, gain, seed, retain_graph=True)[0].item() for seed in seeds])
-    assert found[0] == found[1] == found[2]
 
 
 @pytest.mark.parametrize("engine", ["cpu", "reference"])

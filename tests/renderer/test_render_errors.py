@@ -1,49 +1,119 @@
 """Wrong input is named, with its value and what to do."""
 
 import time
-from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from emulated_cuda import Emulator, render_on
 from named_scenes import GRID, VIEWS, changed, cloud
+from torch import Tensor
 
+from refusals import Do, Refusals, check_refused
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MIN_SCALE
-from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import render
-from sarsplat.renderer.reference import render_reference
+from sarsplat.gaussians import MIN_SCALE, Gaussians
+from sarsplat.gaussians.ground import Ground
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
+from sarsplat.renderer import Bounds, GroundBounce, render
+from terrains import terrain
 
 TEN = cloud(10, 0)
+NAN, INF = float("nan"), float("inf")
+NOWHERE = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, INF]])
+WRONG = torch.ones(3, 10, 1)
+WRONG[1, 4] = NAN
+ONE, PLANE = torch.tensor(1.0), Ground(torch.tensor(0.3), height_m=-0.55)
+HILLS = Ground(torch.tensor(0.3), height_m=Terrain(np.zeros((2, 2)), (1.0, 1.0)))
+WIDE = {"grid": ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3)), "rays": RayGrid((0.1, 0.1))}
+TOO_LONG = terrain(lambda x, y: 3e5 * np.exp(-(x**2) - y**2))
 
 
-def by(engine: str, request: pytest.FixtureRequest) -> Callable:
-    """Render with an engine; that of CUDA is emulated."""
-    if engine != "cuda":
-        return partial(render, engine=engine)
-    return partial(render_on, Emulator(request.getfixturevalue("library")))
+def out(name: str, index: tuple[int, ...], value: float) -> dict[str, Gaussians]:
+    return {"gaussians": changed(TEN, name, index, value)}
 
 
-@pytest.mark.parametrize("engine", ["cpu", "reference", "cuda"])
+def with_bounce(*arguments: Tensor) -> dict[str, object]:
+    return {"ground": PLANE, "echoes": [GroundBounce(PLANE, *arguments)]}
+
+
+AUTO, CPU, REFERENCE, BOTH = ("auto",), ("cpu",), ("reference",), ("cpu", "cuda")
+PLAIN, ALL = ("cpu", "reference"), ("cpu", "reference", "cuda")
+ARGUMENTS: list[tuple[tuple[str, ...], dict[str, object], str]] = [
+    (ALL, out("means", (3, 1), NAN), r"means\[3\] is \[.*nan.*\]; it must be finite metres"),
+    (ALL, out("quaternions", (4,), 0.0), r"quaternions\[4\] is .* not zero"),
+    (ALL, out("quaternions", (4, 2), NAN), r"quaternions\[4\]"),
+    (ALL, out("scales", (9, 2), MIN_SCALE / 2), r"scales\[9\] is .* MIN_SCALE = 0.0001"),
+    (ALL, out("scales", (3,), 1e10), r"scales\[3\] is .* at most 1e\+06 m"),
+    (ALL, out("scales", (9, 0), NAN), r"scales\[9\]"),
+    (ALL, out("optical_depth", (2,), 41.0), r"optical_depth\[2\] is 41.0; .* MAX_OPTICAL_DEPTH = 40"),
+    (ALL, out("optical_depth", (2,), -0.1), r"optical_depth\[2\]"),
+    (ALL, out("scattering", (7, 15), NAN), r"scattering\[7\]"),
+    (ALL, {"amplitudes": WRONG}, r"amplitudes\[1, 4\] is \[nan\]"),
+    (ALL, {"shift": NOWHERE}, r"shift\[2\] is \[0.0, inf\]; it must be finite metres"),
+    (BOTH, out("means", (0, 0), 1e6), r"view 0 would need too many rays .* reach 1e\+06 m .* remove distant"),
+    (BOTH, {"rays": RayGrid((1e-5, 1e-5))}, "too many rays at a spacing of"),
+    (PLAIN, {"amplitudes": torch.ones(2, 10, 1)}, r"\(2, 10, 1\); .* it must be \(3, 10, C\)"),
+    (PLAIN, {"shift": torch.ones(3)}, r"shift has shape \(3,\); .* it must be \(3, 2\)"),
+    (PLAIN, {"gain": torch.ones(1)}, r"gain has shape \(1,\); .* it must be \(3,\)"),
+    (PLAIN, {"imaging_weight": "round"}, "choose one of area, peak"),
+    (PLAIN, {"first_return_depth": 0.0}, "positive two-way"),
+    (PLAIN, {"first_return_depth": NAN}, "positive two-way"),
+    (PLAIN, {"gain": torch.ones(3, device="meta")}, "gain is on torch's meta device"),
+    (PLAIN, {"gaussians": TEN.to("meta")}, "means is on torch's meta device"),
+    (PLAIN, {"amplitudes": torch.ones(3, 10, 1).to(torch.complex64)}, r"complex64.* sarsplat.splat"),
+    (("gpu",), {}, "choose one of auto, cpu, cuda, reference"),
+    (CPU, {"instruction_set": "sse9"}, "choose one of auto, base, avx2, avx512"),
+    (AUTO, {"views": []}, "there are no views"),
+    (CPU, {"gaussians": TEN.to(torch.float64)}, "means is torch.float64 on cpu; the CPU engine takes"),
+    (CPU, {"gain": torch.ones(3).double()}, "gain is torch.float64"),
+    (REFERENCE, {"plane_gradients": True}, r"\(cpu, cuda\)"),
+    (CPU, WIDE, "80000 × 1 pixels is too large"),
+    (AUTO, {"ground": 0.3}, "an object of the class Ground"),
+    (AUTO, {"ground": Ground(torch.ones((), dtype=torch.float64))}, "ground.gamma0 is torch.float64 on cpu but means"),
+    (AUTO, {"ground": PLANE, "imaging_weight": "peak"}, "images without a unit"),
+    (AUTO, {"ground": Ground(torch.full((2, 2), INF))}, r"ground.gamma0\[0\] is inf"),
+    (AUTO, {"ground": Ground(torch.tensor(0.3), height_m=TOO_LONG)}, r"3e\+05 m high; cut it"),
+    (AUTO, with_bounce(ONE.double()), "reflectivity is torch.float64 on cpu but means"),
+    (AUTO, with_bounce(ONE, torch.ones(2, 10)), "of 2 views, not of 3"),
+    (AUTO, with_bounce(ONE * NAN), r"bounce\.reflectivity"),
+    (AUTO, with_bounce(ONE, torch.full((3, 10), INF)), r"bounce\.amplitudes"),
+]
+
+
 @pytest.mark.parametrize(
-    ("name", "index", "value", "message"),
-    [
-        ("means", (3, 1), float("nan"), r"means\[3\] is \[.*nan.*\]; it must be finite metres"),
-        ("quaternions", (4,), 0.0, r"quaternions\[4\] is \[0.0, 0.0, 0.0, 0.0\]; it must be finite and not zero"),
-        ("quaternions", (4, 2), float("nan"), r"quaternions\[4\] is \[.*nan.*\]; it must be finite and not zero"),
-        ("scales", (9, 2), MIN_SCALE / 2, r"scales\[9\] is \[.*\]; it must be finite and at least MIN_SCALE = 0.0001"),
-        ("scales", (3,), 1e10, r"scales\[3\] is .*; it must be finite .* at most 1e\+06 m"),
-        ("scales", (9, 0), float("nan"), r"scales\[9\] is \[nan.*\]; it must be finite and at least"),
-        ("optical_depth", (2,), 41.0, r"optical_depth\[2\] is 41.0; it must be between 0 and MAX_OPTICAL_DEPTH = 40"),
-        ("optical_depth", (2,), -0.1, r"optical_depth\[2\] is -0.1\d*; it must be between 0 and"),
-        ("scattering", (7, 15), float("nan"), r"scattering\[7\] is \[.*nan\]; it must be finite"),
-    ],
+    ("engine", "options", "words"), [(engine, *row) for engines, *row in ARGUMENTS for engine in engines]
 )
-def test_values_out_of_range(name, index, value, message, engine, request):
-    scene = changed(TEN, name, index, value).to(torch.float64 if engine == "reference" else torch.float32)
-    with pytest.raises(SarsplatError, match=message):
-        by(engine, request)(scene, VIEWS, GRID)
+def test_arguments(engine: str, options: dict[str, object], words: str, request: pytest.FixtureRequest) -> None:
+    renderer = partial(render, engine=engine)
+    if engine == "cuda":
+        renderer = partial(render_on, Emulator(request.getfixturevalue("library")))
+    with pytest.raises(SarsplatError, match=words):
+        renderer(**{"gaussians": TEN, "views": VIEWS, "grid": GRID} | options)
+
+
+REFUSED: Refusals = [
+    (lambda _: Ground(0.3), "gamma0 is float"),
+    (lambda _: Ground(torch.ones(3)), r"gamma0 has shape \(3,\); give one number, or a lattice"),
+    (lambda _: Ground(torch.ones(()), 0.0), "pitch_m is 0.0; give a positive"),
+    (lambda _: Ground(torch.ones(()), 1.0, NAN), "height_m is nan"),
+    (lambda _: Ground(torch.ones(()), exponent=torch.ones(1)), r"exponent has shape \(1,\); give one number$"),
+    (lambda _: Terrain(np.zeros((1, 4)), (1.0, 1.0)), "1 × 4 heights"),
+    (lambda _: Terrain(np.where(np.arange(12).reshape(3, 4) == 6, NAN, 0), (1.0, 1.0)), r"height \(1, 2\) is nan"),
+    (lambda _: Terrain(np.zeros((3, 4)), (1.0, -1.0)), "two positive"),
+    (lambda _: GroundBounce(HILLS, ONE), "off a plane"),
+    (lambda _: GroundBounce(PLANE, torch.ones(2)), "of one number"),
+    *(
+        (lambda _, x=x, s=s: Bounds((x, 0.0, 0.0), (0.0, 0.0, 0.0), s, 1.0), "hold no Gaussian")
+        for x, s in ((1.0, 0.1), (NAN, 0.1), (0.0, -1.0), (-INF, 0.1))
+    ),
+]
+
+
+@pytest.mark.parametrize(("do", "words"), REFUSED)
+def test_what_is_refused_in_a_sentence(tmp_path: Path, do: Do, words: str) -> None:
+    check_refused(tmp_path, do, words)
 
 
 def test_limits_themselves_are_allowed():
@@ -52,71 +122,11 @@ def test_limits_themselves_are_allowed():
     assert torch.isfinite(render(scene, VIEWS, GRID, engine="cpu").images).all()
 
 
-NOWHERE = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, float("inf")]])
-WRONG = torch.ones(3, 10, 1)
-WRONG[1, 4] = float("nan")
-ANY, CPU, REFERENCE, BOTH = ("auto", "cpu", "reference"), ("cpu",), ("reference",), ("cpu", "cuda")
-
-
-@pytest.mark.parametrize(
-    ("engine", "options", "message"),
-    [
-        (engine, options, message)
-        for engines, options, message in (
-            (ANY, {"amplitudes": torch.ones(2, 10, 1)}, r"amplitudes has shape \(2, 10, 1\); .* it must be \(3, 10,"),
-            (ANY, {"shift": torch.ones(3)}, r"shift has shape \(3,\); .* it must be \(3, 2\)"),
-            (ANY, {"gain": torch.ones(1)}, r"gain has shape \(1,\); .* it must be \(3,\)"),
-            (ANY, {"imaging_weight": "round"}, r"imaging_weight 'round' is unknown; choose one of area, peak"),
-            (ANY, {"first_return_depth": 0.0}, r"first_return_depth 0.0 must be a positive two-way optical depth"),
-            (ANY, {"first_return_depth": float("nan")}, r"first_return_depth nan must be a positive"),
-            (ANY, {"gain": torch.ones(3, device="meta")}, "gain is on torch's meta device"),
-            (ANY, {"gaussians": TEN.to("meta")}, "means is on torch's meta device, which holds no values"),
-            (
-                ("cpu", "reference"),
-                {"amplitudes": torch.ones(3, 10, 1, dtype=torch.complex64)},
-                r"amplitudes is torch.complex64, but render takes real ones; .* sarsplat.splat",
-            ),
-            (BOTH, {"amplitudes": WRONG}, r"amplitudes\[1, 4\] is \[nan\]; it must be finite"),
-            (BOTH, {"shift": NOWHERE}, r"shift\[2\] is \[0.0, inf\]; it must be finite metres"),
-            (("gpu",), {}, "engine 'gpu' is unknown; choose one of auto, cpu, cuda, reference"),
-            (CPU, {"instruction_set": "sse9"}, "choose one of auto, base, avx2, avx512"),
-            (("auto",), {"views": []}, "there are no views to render; give at least one View"),
-            (CPU, {"gaussians": TEN.to(torch.float64)}, "means is torch.float64 on cpu; the CPU engine takes"),
-            (CPU, {"gain": torch.ones(3).double()}, "gain is torch.float64 on cpu; the CPU"),
-            (REFERENCE, {"plane_gradients": True}, r"needs another engine \(cpu, cuda\)"),
-            (
-                BOTH,
-                {"gaussians": changed(TEN, "means", (0, 0), 1e6)},
-                r"view 0 would need too many rays .* reach 1e\+06 m .* remove distant or wide ones",
-            ),
-            (BOTH, {"rays": RayGrid((1e-5, 1e-5))}, "too many rays at a spacing of"),
-            (
-                CPU,
-                {"grid": ImageGrid(80_000, 1, (0.2, 5e-5), (0.3, 0.3)), "rays": RayGrid((0.1, 0.1))},
-                "an image of 80000 × 1 pixels is too large",
-            ),
-        )
-        for engine in engines
-    ],
-)
-def test_arguments(engine, options, message, request):
-    whole = {"gaussians": TEN, "views": VIEWS, "grid": GRID} | options
-    with pytest.raises(SarsplatError, match=message):
-        by(engine, request)(**whole)
-
-
 def test_engine_works_after_an_error():
     expected = render(TEN, VIEWS, GRID, engine="cpu").images
     with pytest.raises(SarsplatError, match="too many rays"):
         render(changed(TEN, "means", (0, 0), 1e6), VIEWS, GRID, engine="cpu")
     assert torch.equal(render(TEN, VIEWS, GRID, engine="cpu").images, expected)
-
-
-def test_engine_auto_follows_the_dtype():
-    scene = TEN
-    assert torch.equal(render(scene, VIEWS, GRID).images, render(scene, VIEWS, GRID, engine="cpu").images)
-    double = scene.to(torch.float64)
-    assert torch.equal(render(double, VIEWS, GRID).images, render_reference(double, VIEWS, GRID).images)
 
 
 def test_torch_defaults_do_not_matter():

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from compared import relative
 from named_scenes import MATRIX, VIEWS, cloud, facing, with_scales
-from test_cpu_engine import relative
 
 from sarsplat.gaussians import Gaussians, Harmonics
-from sarsplat.gaussians.covariance import covariance, rotation_matrix
-from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.gaussians.gaussians import covariance, rotation_matrix
+from sarsplat.gaussians.law_harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.renderer import Rendering
 from sarsplat.renderer import render as render_with

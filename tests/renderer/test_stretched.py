@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator
-from named_scenes import GRID, UNUSUAL, cloud, with_scales
-from test_cpu_engine import relative
-from test_reference_gradients import check_gradients
+from named_scenes import CLOUDS, GRID, UNUSUAL, cloud
 from torch import Tensor
 
 from sarsplat import ScatteringLaw, simulate_raycast
@@ -74,69 +73,29 @@ def test_gradients_are_finite_differences(given: bool) -> None:
 
 
 def test_without_a_stretch_it_is_what_render_shows() -> None:
-    scene, rays = cloud(60, 41, kappa=(4.0, 12.0)), RayGrid.for_image(GRID)
+    scene, rays = CLOUDS["opaque"](), RayGrid.for_image(GRID)
     expected = render(scene, UNUSUAL, GRID, engine="reference")
-    found = render_stretched(Steps(None, cuts=True), scene, UNUSUAL, GRID, rays=rays)
+    found = render_stretched(Steps(None), scene, UNUSUAL, GRID, rays=rays)
     torch.testing.assert_close(found.images, expected.images, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(found.cross_sections, expected.cross_sections, rtol=1e-4, atol=1e-6)
 
 
-SCENES = {
-    "overlap": lambda: cloud(60, 0),
-    "opaque": lambda: cloud(60, 41, kappa=(4.0, 12.0)),
-    "needles": lambda: with_scales(cloud(40, 5), (0.5, 0.01, 0.01)),
-    "discs": lambda: with_scales(cloud(40, 6), (0.2, 0.2, 0.002)),
-}
-
-
 def everything(scene: Gaussians, dtype: torch.dtype, renderer: Callable[..., Rendering]) -> dict[str, Tensor]:
     """Image, and gradients with respect to all tensors, shifts and gains."""
-    leaves = {name: tensor.to(dtype, copy=True).requires_grad_() for name, tensor in scene.tensors().items()}
-    how = {
-        "shift": torch.tensor([[0.1, -0.2], [0.05, 0.1]], dtype=dtype, requires_grad=True),
-        "gain": torch.tensor([0.7, 1.4], dtype=dtype, requires_grad=True),
-    }
-    image = renderer(scene.with_tensors(**leaves), VIEWS, GRID, **how).images
-    cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
-    leaves |= how
-    found = torch.autograd.grad((image * cotangent.to(dtype)).sum(), list(leaves.values()))
-    return {"image": image.detach(), **dict(zip(leaves, found, strict=True))}
+    more = {"shift": torch.tensor([[0.1, -0.2], [0.05, 0.1]]), "gain": torch.tensor([0.7, 1.4])}
+    return differentiated(scene, dtype, lambda scene, **how: renderer(scene, VIEWS, GRID, **how).images, **more)
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", CLOUDS)
 def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
-    scene = SCENES[name]()
-    expected = everything(scene, torch.float64, partial(render, engine="reference"))
-    found = everything(scene, torch.float32, partial(render, engine="cpu"))
-    assert relative(found["image"], expected["image"]) <= 1e-5
-    for argument, value in expected.items():
-        assert float(value.norm()) > 0, argument
-        assert relative(found[argument], value) <= 1e-4, argument
+    expected = everything(CLOUDS[name](), torch.float64, partial(render, engine="reference"))
+    check_agreement(everything(CLOUDS[name](), torch.float32, partial(render, engine="cpu")), expected)
 
 
 def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:
-    def emulated(gaussians: Gaussians, views: tuple[View, ...], grid: ImageGrid, **how: Tensor) -> Rendering:
-        steps = Steps(partial(cuda.Pass, Emulator(library)), cuts=True)
-        return render_stretched(steps, gaussians, views, grid, rays=RayGrid.for_image(grid), **how)
-
-    scene = cloud(12, 0)
-    expected = everything(scene, torch.float64, partial(render, engine="reference"))
-    found = everything(scene, torch.float32, emulated)
-    for argument, value in expected.items():
-        assert relative(found[argument], value) <= 1e-4, argument
-
-
-def test_the_same_bits_for_any_number_of_threads() -> None:
-    scene, threads = cloud(3000, 8, scale=0.05), torch.get_num_threads()
-    found = []
-    try:
-        for count in (1, 3):
-            torch.set_num_threads(count)
-            found.append(everything(scene, torch.float32, render))
-    finally:
-        torch.set_num_threads(threads)
-    for name, value in found[0].items():
-        assert torch.equal(value, found[1][name]), name
+    emulated = partial(render_stretched, Steps(partial(cuda.Pass, Emulator(library))), rays=RayGrid.for_image(GRID))
+    expected = everything(cloud(12, 0), torch.float64, partial(render, engine="reference"))
+    check_agreement(everything(cloud(12, 0), torch.float32, emulated), expected)
 
 
 def test_plane_gradients_are_those_of_centres() -> None:
@@ -144,10 +103,11 @@ def test_plane_gradients_are_those_of_centres() -> None:
     means = scene.means.clone().requires_grad_()
     rendering = render(replace(scene, means=means), VIEWS, GRID, plane_gradients=True)
     rendering.images.square().sum().backward()
-    planes = rendering.plane_gradients
-    assert planes is not None
-    assert planes.shape == (2, 20, 4)
-    assert (planes.abs().sum((0, 1)) > 0).all()
+    assert rendering.plane_gradients is not None
+    of_rays, of_pixels = rendering.plane_gradients.double().split(2, dim=-1)
+    looks = [view.look for view in VIEWS]
+    rays, pixels = (torch.from_numpy(np.stack(axes)) for axes in zip(*((k.frame[:2], k.gradients) for k in looks)))
+    assert relative(means.grad, (of_rays @ rays + of_pixels @ pixels).sum(0)) <= 1e-5
 
 
 def test_what_needs_plain_images_refuses_them() -> None:

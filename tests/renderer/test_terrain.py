@@ -139,18 +139,6 @@ def test_a_wall_on_a_slope_hides_more_of_it_the_more_it_falls():
         assert level[(grid.range_m > 0.2) & (grid.range_m < edge - 0.3)].max() < 5e-3
 
 
-def test_errors():
-    with pytest.raises(SarsplatError, match=r"the terrain has 1 × 4 heights; give at least 2 × 2"):
-        Terrain(np.zeros((1, 4)), (1.0, 1.0))
-    with pytest.raises(SarsplatError, match=r"the terrain's height \(1, 2\) is nan; replace it"):
-        Terrain(np.where(np.arange(12).reshape(3, 4) == 6, np.nan, 0.0), (1.0, 1.0))
-    with pytest.raises(SarsplatError, match=r"pitch_m is \(1.0, -1.0\); give two positive"):
-        Terrain(np.zeros((3, 4)), (1.0, -1.0))
-    mountain = terrain(lambda x, y: 3e5 * np.exp(-(x**2) - y**2))
-    with pytest.raises(SarsplatError, match="rays for terrain 3e\\+05 m high; cut it to what the images show"):
-        render(cloud(2, 0), VIEWS, GRID, ground=Ground(torch.tensor(0.3), height_m=mountain))
-
-
 def test_angles_at_which_a_ray_is_far_longer_than_the_terrain_are_refused_with_one_that_is_not():
     with pytest.raises(SarsplatError, match=r"grazing 1e-05° looks along \S+ m of ground to see \S+ m") as refused:
         bare(hill(), View(20, 1e-5), GRID)

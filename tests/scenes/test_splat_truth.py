@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.gaussians import rotation_matrix
 from sarsplat.geometry import View
 from sarsplat.scenes import ScatteringLaw, law_scattering, simulate_raycast, surface_gaussians, target_mesh
 from sarsplat.scenes.protocols import paper_grid

@@ -11,7 +11,7 @@ import torch
 
 from sarsplat import Gaussians, Harmonics, ImageGrid, SarsplatError, View, extract_points
 from sarsplat.data import write_mesh
-from sarsplat.gaussians.harmonics import CONSTANTS
+from sarsplat.gaussians.law_harmonics import CONSTANTS
 from sarsplat.scenes.meshes import read_mesh
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface.mesh import surface_mesh

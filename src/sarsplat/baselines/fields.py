@@ -15,7 +15,7 @@ from torch.nn.utils import skip_init
 
 from sarsplat.errors import SarsplatError
 from sarsplat.extras import install_command
-from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.gaussians.law_harmonics import harmonic_basis
 
 _POSITION_OCTAVES, _DIRECTION_OCTAVES = 10, 4
 _WIDTH, _DEPTH, _JOINED_AFTER, _HEAD_WIDTH = 256, 8, 4, 128

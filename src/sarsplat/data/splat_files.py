@@ -10,7 +10,7 @@ from jaxtyping import Float, Float64
 from sarsplat.data.files import open_file
 from sarsplat.data.ply_points import named
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians.harmonics import CONSTANTS
+from sarsplat.gaussians.law_harmonics import CONSTANTS
 
 SPLAT = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 """One Gaussian of a `.splat` file: m, standard deviations (m), colour and opacity, and 128 + 128·q of wxyz."""

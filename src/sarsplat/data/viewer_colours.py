@@ -16,7 +16,7 @@ from jaxtyping import Float, Float32, Float64
 
 from sarsplat.colours import HEIGHT, ramp
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
+from sarsplat.gaussians.law_harmonics import CONSTANTS, harmonic_basis
 from sarsplat.names import Colour
 from sarsplat.radiometry import to_db
 

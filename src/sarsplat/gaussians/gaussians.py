@@ -1,4 +1,4 @@
-"""Anisotropic Gaussians that attenuate and scatter."""
+"""Anisotropic Gaussians that attenuate and scatter, and their rotations (docs/concepts/image-model.md §2)."""
 
 from __future__ import annotations
 
@@ -26,16 +26,53 @@ _INDEX = "give an integer, a slice, a mask [N] or integers [M]"
 _GEOMETRY = ("means", "quaternions", "scales", "optical_depth")
 
 
+def rotation_matrix(quaternions: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 3 3"]:
+    """Rotation matrices R(q) of quaternions (w, x, y, z), normalised here, [..., 4] → [..., 3, 3]."""
+    w, x, y, z = torch.unbind(quaternions / quaternions.norm(dim=-1, keepdim=True), dim=-1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+
+
+def rotated(quaternions: Float[Tensor, "*n 4"], vectors: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
+    """Rotated vectors R(q) v, [..., 3]; cheaper than by the matrix."""
+    w, axis = (quaternions / quaternions.norm(dim=-1, keepdim=True)).split([1, 3], dim=-1)
+    across = 2 * torch.linalg.cross(axis, vectors)
+    return vectors + w * across + torch.linalg.cross(axis, across)
+
+
+def product(one: Float[Tensor, "*n 4"], other: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
+    """Product of quaternions, that of R(one) R(other), [..., 4]; its norm is the product of both norms."""
+    (w, axis), (x, second) = one.split([1, 3], dim=-1), other.split([1, 3], dim=-1)
+    vector = w * second + x * axis + torch.linalg.cross(axis, second)
+    return torch.cat([w * x - (axis * second).sum(-1, keepdim=True), vector], dim=-1)
+
+
+def covariance(quaternions: Float[Tensor, "*n 4"], scales: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3 3"]:
+    """Covariance matrices Σ = R(q) diag(s²) R(q)ᵀ, m²; [..., 4] and [..., 3] → [..., 3, 3]."""
+    root = rotation_matrix(quaternions) * scales[..., None, :]
+    return root @ root.transpose(-1, -2)
+
+
 def check_tensors(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], whole: str) -> None:
     """Raise if tensors have wrong shapes (those of `whole`, for the error), or different dtypes or devices."""
-    first, like = next(iter(tensors.items()))
     for name, tensor in tensors.items():
         expect(Tensor, **{name: tensor})
         if tuple(tensor.shape) != shapes[name]:
             raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}; for {whole} it must be {shapes[name]}")
         if not tensor.is_floating_point():
             raise SarsplatError(f"{name} is {tensor.dtype}; give floating-point numbers, such as torch.float32")
-        if tensor.dtype != like.dtype or tensor.device != like.device:
+    check_same_kind(tensors)
+
+
+def check_same_kind(tensors: Mapping[str, Tensor | None]) -> None:
+    """Raise if a tensor, unless None, has another dtype or device than the first."""
+    (first, like), *others = ((name, tensor) for name, tensor in tensors.items() if tensor is not None)
+    for name, tensor in others:
+        if (tensor.dtype, tensor.device) != (like.dtype, like.device):
             raise SarsplatError(
                 f"{name} is {tensor.dtype} on {tensor.device} but {first} is {like.dtype} on {like.device}; use one "
                 "floating dtype and one device for all tensors"
@@ -122,17 +159,13 @@ class Gaussians:
             If the law returns another shape, dtype or device, which engines would misread.
         """
         result = self.scattering.amplitudes(directions, self.quaternions, self.scales)
-        law, means = f"amplitudes of the scattering law {type(self.scattering).__name__}", self.means
+        law = f"amplitudes of the scattering law {type(self.scattering).__name__}"
         if not isinstance(result, Tensor):
             raise SarsplatError(f"{law} is of type {type(result).__name__}; return a tensor")
         v, n = len(directions), len(self)
         if result.ndim != 3 or result.shape[:2] != (v, n) or not result.shape[2]:
             raise SarsplatError(f"{law} has shape {tuple(result.shape)}; it must be ({v}, {n}, C)")
-        if (result.dtype, result.device) != (means.dtype, means.device):
-            raise SarsplatError(
-                f"{law} is {result.dtype} on {result.device} but means is {means.dtype} on {means.device}; "
-                "return its like"
-            )
+        check_same_kind({"means": self.means, law: result})
         return result
 
     @checks_arguments
@@ -167,12 +200,7 @@ class Gaussians:
         """
         if not scenes:
             raise SarsplatError("there are no Gaussians to join; give at least one scene")
-        for scene in scenes:
-            if (scene.means.dtype, scene.means.device) != (scenes[0].means.dtype, scenes[0].means.device):
-                raise SarsplatError(
-                    f"Gaussians of {scene.means.dtype} on {scene.means.device} cannot be joined to those of "
-                    f"{scenes[0].means.dtype} on {scenes[0].means.device}; convert them with .to(...)"
-                )
+        check_same_kind({f"scene {k}": scene.means for k, scene in enumerate(scenes)})
         geometry = {name: torch.cat([getattr(scene, name) for scene in scenes]) for name in _GEOMETRY}
         laws = [scene.scattering for scene in scenes]
         return Gaussians(**geometry, scattering=reduce(lambda first, second: first.joined(second), laws))

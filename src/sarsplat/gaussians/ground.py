@@ -44,19 +44,18 @@ class Ground:
     exponent: Float[Tensor, ""] | None = None
 
     def __post_init__(self) -> None:
-        for name, tensor, dimensions in (("gamma0", self.gamma0, (0, 2)), ("exponent", self.exponent, (0,))):
-            if tensor is None and name == "exponent":
-                continue
+        tensors = {"gamma0": self.gamma0} | ({} if self.exponent is None else {"exponent": self.exponent})
+        for name, tensor in tensors.items():
             if not isinstance(tensor, Tensor) or not tensor.is_floating_point():
                 kind = tensor.dtype if isinstance(tensor, Tensor) else type(tensor).__name__
                 raise SarsplatError(f"the ground's {name} is {kind}; give a floating-point torch.Tensor")
-            if tensor.ndim not in dimensions or not tensor.numel():
-                shapes = "one number" + (", or a lattice [ny, nx]" if 2 in dimensions else "")
+            if tensor.ndim not in ((0, 2) if name == "gamma0" else (0,)) or not tensor.numel():
+                shapes = "one number, or a lattice [ny, nx]" if name == "gamma0" else "one number"
                 raise SarsplatError(f"the ground's {name} has shape {tuple(tensor.shape)}; give {shapes}")
-        for name, length, positive in (("pitch_m", self.pitch_m, True), ("height_m", self.span_m[0], False)):
-            if not is_number(length) or not math.isfinite(length) or (positive and length <= 0):
-                kind = "a positive, finite" if positive else "a finite"
-                raise SarsplatError(f"the ground's {name} is {length}; give {kind} number of metres")
+        for name, length, least in (("pitch_m", self.pitch_m, 0.0), ("height_m", self.span_m[0], -math.inf)):
+            if not is_number(length) or not least < length < math.inf:
+                allowed = "a finite" if least else "a positive, finite"
+                raise SarsplatError(f"the ground's {name} is {length}; give {allowed} number of metres")
 
     @property
     def span_m(self) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from sarsplat.gaussians.covariance import rotated
+from sarsplat.gaussians.gaussians import rotated
 from sarsplat.gaussians.scattering import MIN_EXCESS, Scattering, softplus, softplus_inverse
 
 _IN_LOBE = 0.2

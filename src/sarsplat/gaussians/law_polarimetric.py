@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sarsplat.arguments import expect
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.gaussians.harmonics import CONSTANTS, harmonic_basis
+from sarsplat.gaussians.law_harmonics import CONSTANTS, Harmonics
 from sarsplat.gaussians.scattering import Scattering, softplus, softplus_inverse
 from sarsplat.geometry.stack import POLARISATIONS
 
@@ -74,10 +74,8 @@ class Polarimetric(Scattering):
         scales: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "v n c"]:
         """See `Scattering.amplitudes`; independent of orientation and shape."""
-        harmonics = torch.cat([self.parameters[:, :1], self.parameters[:, 1 + self._shape :]], dim=1)
-        degree = self.columns.index(self.parameters.shape[1])
-        gamma0 = self.p_min + softplus(harmonic_basis(directions, degree) @ harmonics.T)
-        return gamma0[..., None] * self._packed()
+        coefficients = torch.cat([self.parameters[:, :1], self.parameters[:, 1 + self._shape :]], dim=1)
+        return Harmonics(coefficients, self.p_min).amplitudes(directions, quaternions, scales) * self._packed()
 
     @classmethod
     def initial(cls, count: int, gamma0: float, p_min: float) -> Self:
@@ -108,11 +106,8 @@ class Polarimetric(Scattering):
         count = len(self.polarisations)
         pairs = count * (count - 1) // 2
         raw = self.parameters[:, 1 : 1 + self._shape]
-        diagonal, real, imaginary = (
-            softplus(raw[:, :count]).unbind(1),
-            raw[:, count : count + pairs],
-            raw[:, count + pairs :],
-        )
+        diagonal = softplus(raw[:, :count]).unbind(1)
+        real, imaginary = raw[:, count : count + pairs], raw[:, count + pairs :]
         below = {(i, k): n for n, (i, k) in enumerate((i, k) for i in range(count) for k in range(i))}
 
         def entry(i: int, k: int) -> tuple[Tensor, Tensor]:
@@ -143,8 +138,7 @@ def covariances_between(
     real, imaginary = pairs.chunk(2, dim=-1)
     matrices = torch.diag_embed(powers).to(powers.dtype.to_complex())
     first, second = torch.triu_indices(polarisations, polarisations, 1)
-    between = torch.complex(real.contiguous(), imaginary.contiguous())
-    matrices[..., first, second] = between
+    matrices[..., first, second] = between = torch.complex(real.contiguous(), imaginary.contiguous())
     matrices[..., second, first] = between.conj()
     return matrices
 

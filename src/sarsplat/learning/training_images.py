@@ -15,7 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.renderer.engines.chosen_views import ChosenViews
+from sarsplat.renderer.engines.on_device import ChosenViews
 
 _FAINTEST = 1e-30
 """Largest β⁰ of images that count as black: squares and reciprocals would leave float32."""

@@ -22,12 +22,10 @@ from sarsplat.renderer.echoes.bounce import GroundBounce
 from sarsplat.renderer.echoes.echo import all_visible, check_echoes
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.choice import ENGINES, chosen_engine, passes_for
-from sarsplat.renderer.engines.chosen_views import ChosenViews, candidates
-from sarsplat.renderer.engines.on_device import NotRecordable
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
+from sarsplat.renderer.engines.on_device import ChosenViews, NotRecordable, candidates
 from sarsplat.renderer.operations import Steps, render_with
 from sarsplat.renderer.reference import render_reference
-from sarsplat.renderer.rendering import RayMap, Rendering, channel_of
+from sarsplat.renderer.rendering import Attenuation, Footprints, Projection, RayMap, Rendering, Waves, channel_of
 from sarsplat.renderer.steps import attenuate, project, splat
 from sarsplat.renderer.stretched import render_stretched
 
@@ -158,8 +156,7 @@ def render(
     if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
         if stretched:
             check_values(by_view)  # the engine checks the rest
-            steps = Steps(new_pass, cuts=True)
-            return render_stretched(steps, gaussians, views, grid, **options, plane_gradients=plane_gradients)
+            return render_stretched(Steps(new_pass), gaussians, views, grid, **options, plane_gradients=plane_gradients)
         within_bounds = all(echo.within_bounds for echo in echoes)
         if not within_bounds and isinstance(views, ChosenViews):
             raise NotRecordable("has an echo from beyond its bounds")
@@ -184,6 +181,6 @@ def render(
     for values in (tensors, *(echo.values() for echo in echoes)):
         check_values(values)
     if stretched:
-        return render_stretched(Steps(None, cuts=True), gaussians, views, grid, **options)
+        return render_stretched(Steps(None), gaussians, views, grid, **options)
     rendering = render_reference(gaussians, views, grid, **options)
     return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.geometry import ImageGrid, View
 
 INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
@@ -21,43 +22,27 @@ FARTHEST, STRONGEST = 1e9, 1e15
 
 FLATTEST, STEEPEST = 1e-8, 1e8
 """Limits of the roots of footprints, 1/m."""
-_MAX_ABS = {"means": FARTHEST, "shift": FARTHEST, "scattering": STRONGEST, "amplitudes": STRONGEST, "gain": STRONGEST}
-_MAX_ABS |= {"ground.gamma0": STRONGEST, "ground.exponent": STRONGEST}
 
+_LENGTHS = {
+    "means": FARTHEST,
+    "shift": FARTHEST,
+    "centers": 2 * FARTHEST,
+    "range_m": 2 * FARTHEST,
+}  # a mean and a shift
+_NUMBERS = (
+    *("scattering", "gain", "ground.gamma0", "ground.exponent", "tilt", "amplitudes", "cross_sections", "slopes"),
+)
+_MAX_ABS = {**_LENGTHS, **dict.fromkeys(_NUMBERS, STRONGEST), "roots": STEEPEST}
 _POSITIVE = "optimise logarithms, or clamp"
 ALLOWED = {
-    "means": f"finite metres, at most {FARTHEST:g}",
+    **{name: f"finite metres, at most {most:g}" for name, most in _LENGTHS.items()},
+    **dict.fromkeys(_NUMBERS, f"finite, at most {STRONGEST:g}"),
     "quaternions": f"finite and not zero, of a length between {1 / STRONGEST:g} and {STRONGEST:g}",
     "scales": f"finite and at least MIN_SCALE = {MIN_SCALE} m, at most {MAX_SCALE:g} m: {_POSITIVE}",
     "optical_depth": f"between 0 and MAX_OPTICAL_DEPTH = {MAX_OPTICAL_DEPTH:g}: {_POSITIVE}",
-    "scattering": f"finite, at most {STRONGEST:g}",
-    "shift": f"finite metres, at most {FARTHEST:g}",
-    "gain": f"finite, at most {STRONGEST:g}",
-    "ground.gamma0": f"finite, at most {STRONGEST:g}",
-    "ground.exponent": f"finite, at most {STRONGEST:g}",
-    "centers": f"finite metres, at most {2 * FARTHEST:g}",
-    "roots": (
-        f"finite, at most {STEEPEST:g} per metre, and the first and the last of the three at least {FLATTEST:g} "
-        "per metre"
-    ),
-    "range_m": f"finite metres, at most {2 * FARTHEST:g}",
-    "tilt": f"finite, at most {STRONGEST:g}",
-    "amplitudes": f"finite, at most {STRONGEST:g}",
-    "cross_sections": f"finite, at most {STRONGEST:g}",
-    "slopes": f"finite, at most {STRONGEST:g}",
+    "roots": f"finite, at most {STEEPEST:g} per metre, and the first and the last of the three at least {FLATTEST:g}",
 }
 """Requirements on each tensor, for messages."""
-
-_STEP_LIMITS = {
-    "centers": (-2 * FARTHEST, 2 * FARTHEST),  # a mean and a shift
-    "roots": (-STEEPEST, STEEPEST),
-    "optical_depth": (0.0, MAX_OPTICAL_DEPTH * (1 + 1e-6)),
-    "range_m": (-2 * FARTHEST, 2 * FARTHEST),
-    "tilt": (-STRONGEST, STRONGEST),
-    "cross_sections": (-STRONGEST, STRONGEST),
-    "slopes": (-STRONGEST, STRONGEST),
-}
-"""Minimum and maximum values of footprints and cross-sections."""
 
 _MAX_PIXELS = 32_767
 """Maximum side of an image on the CPU engine; up to 4,096 was measured."""
@@ -74,39 +59,34 @@ def check_shapes(
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
     v, n = len(views), len(gaussians)
-    for name, tensor in {"means": gaussians.means, "amplitudes": amplitudes, "shift": shift, "gain": gain}.items():
+    check_has_values("means", gaussians.means)
+    for name, tensor, shape in (("shift", shift, (v, 2)), ("gain", gain, (v,))):
         if tensor is not None:
             check_has_values(name, tensor)
-    if amplitudes is not None and (amplitudes.ndim != 3 or amplitudes.shape[:2] != (v, n) or amplitudes.shape[2] < 1):
-        raise SarsplatError(
-            f"amplitudes has shape {tuple(amplitudes.shape)}; for {v} views and {n} Gaussians it must be ({v}, {n}, C) "
-            "with at least one channel"
-        )
-    if amplitudes is not None and amplitudes.is_complex():
-        raise SarsplatError(
-            f"amplitudes is {amplitudes.dtype}, but render takes real ones; give complex amplitudes to sarsplat.splat"
-        )
-    for name, tensor, shape in (("shift", shift, (v, 2)), ("gain", gain, (v,))):
-        if tensor is not None and tuple(tensor.shape) != shape:
+            if tuple(tensor.shape) != shape:
+                raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}; for {v} views it must be {shape}")
+    if amplitudes is not None:
+        check_has_values("amplitudes", amplitudes)
+        check_channels("amplitudes", amplitudes, v, n)
+        if amplitudes.is_complex():
             raise SarsplatError(
-                f"{name} has shape {tuple(tensor.shape)}; for {v} views and {n} Gaussians it must be {shape}"
+                f"amplitudes is {amplitudes.dtype}; render takes real ones, sarsplat.splat complex ones"
             )
+
+
+def check_channels(name: str, tensor: Tensor, views: int, gaussians: int) -> None:
+    """Raise unless a tensor is [V, N, C], with at least one channel."""
+    if tensor.ndim != 3 or tensor.shape[:2] != (views, gaussians) or not tensor.shape[2]:
+        raise SarsplatError(
+            f"{name} has shape {tuple(tensor.shape)}; for {views} views of {gaussians} Gaussians it must be "
+            f"({views}, {gaussians}, C) with at least one channel"
+        )
 
 
 def check_has_values(name: str, tensor: Tensor) -> None:
     """Raise if a tensor is on the meta device."""
     if tensor.is_meta:
         raise SarsplatError(f"{name} is on torch's meta device, which holds no values; make it on the CPU")
-
-
-def check_same_kind(tensors: Mapping[str, Tensor | None], like_name: str, like: Tensor) -> None:
-    """Raise if a tensor has another dtype or device than `like`."""
-    for name, tensor in tensors.items():
-        if tensor is not None and (tensor.dtype != like.dtype or tensor.device != like.device):
-            raise SarsplatError(
-                f"{name} is {tensor.dtype} on {tensor.device} but {like_name} is {like.dtype} on {like.device}; use "
-                "one floating dtype and one device for all tensors"
-            )
 
 
 def check_options(
@@ -116,11 +96,11 @@ def check_options(
     instruction_set: str = "auto",
 ) -> None:
     """Raise if an option is not among its choices, or out of range."""
-    choices = {
-        "imaging_weight": (imaging_weight, ("area", "peak")),
-        "instruction_set": (instruction_set, INSTRUCTION_SETS),
-    }
-    for name, (value, allowed) in choices.items():
+    choices = (
+        ("imaging_weight", imaging_weight, ("area", "peak")),
+        ("instruction_set", instruction_set, INSTRUCTION_SETS),
+    )
+    for name, value, allowed in choices:
         if value not in allowed:
             raise SarsplatError(f"{name} {value!r} is unknown; choose one of {', '.join(allowed)}")
     if first_return_depth is not None and not 0 < first_return_depth < float("inf"):
@@ -134,26 +114,22 @@ def check_for_cpu(grid: ImageGrid | None, tensors: Mapping[str, Tensor | None]) 
             f"an image of {grid.rows} × {grid.columns} pixels is too large for the CPU engine; "
             f"render parts of at most {_MAX_PIXELS} pixels per side by moving the grid's center"
         )
-    for name, tensor in tensors.items():
-        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
-            raise SarsplatError(
-                f"{name} is {tensor.dtype} on {tensor.device}; the CPU engine takes torch.float32 on the CPU "
-                "(engine='reference' takes torch.float64 too)"
-            )
+    words = "CPU engine takes torch.float32 on the CPU (engine='reference' takes torch.float64 too)"
+    _check_single(tensors, "cpu", words)
 
 
 def check_for_cuda(tensors: Mapping[str, Tensor | None]) -> int:
     """Raise if the CUDA engine does not support a tensor; return the index of the GPU."""
-    first, where = next((name, tensor.device) for name, tensor in tensors.items() if tensor is not None)
+    words = "CUDA engine takes torch.float32 on a GPU (move it with .to('cuda'), or use engine='cpu')"
+    _check_single(tensors, "cuda", words)
+    check_same_kind(tensors)
+    return next(tensor.device.index for tensor in tensors.values() if tensor is not None)
+
+
+def _check_single(tensors: Mapping[str, Tensor | None], device_type: str, words: str) -> None:
     for name, tensor in tensors.items():
-        if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cuda"):
-            raise SarsplatError(
-                f"{name} is {tensor.dtype} on {tensor.device}; the CUDA engine takes torch.float32 on a GPU "
-                "(move it with .to('cuda'), or use engine='cpu')"
-            )
-        if tensor is not None and tensor.device != where:
-            raise SarsplatError(f"{name} is on {tensor.device} but {first} is on {where}; put them on one GPU")
-    return where.index
+        if tensor is not None and (tensor.dtype, tensor.device.type) != (torch.float32, device_type):
+            raise SarsplatError(f"{name} is {tensor.dtype} on {tensor.device}; the {words}")
 
 
 def check_for_reference(name: str, dtype: torch.dtype) -> None:
@@ -164,22 +140,13 @@ def check_for_reference(name: str, dtype: torch.dtype) -> None:
         )
 
 
-def check_values(tensors: dict[str, Tensor | None]) -> None:
-    """Raise if a value is out of range, with its index."""
+def check_values(tensors: Mapping[str, Tensor | None], *, by_view: bool = False) -> None:
+    """Raise if a value is out of range, with its row; of tensors [V, N, ...] if `by_view`, with a name's last part."""
     for name, tensor in tensors.items():
         if tensor is None:
             continue
-        good = tensor.abs() <= _MAX_ABS.get(name, float("inf"))
-        if name not in ALLOWED:  # of a custom echo
-            good = tensor.isfinite()
-        if name == "scales":
-            good = (tensor >= MIN_SCALE * (1 - 1e-6)) & (tensor <= MAX_SCALE)
-        elif name == "optical_depth":
-            good = (tensor >= 0) & (tensor <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
-        elif name == "quaternions":
-            shortest, longest = 1 / STRONGEST, STRONGEST
-            length = tensor.double().norm(dim=1, keepdim=True)
-            good = (length >= shortest) & (length <= longest)
+        of_pairs = by_view or name == "amplitudes"
+        good = _in_range(name.rpartition(".")[2] if by_view else name, tensor.flatten(0, 1) if of_pairs else tensor)
         try:
             all_good = bool(good.all())
         except RuntimeError as error:
@@ -190,31 +157,27 @@ def check_values(tensors: dict[str, Tensor | None]) -> None:
                 "a scene in one call"
             ) from error
         if not all_good:
-            raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0])))
+            raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0]), by_view=of_pairs))
 
 
-def check_step_values(tensors: dict[str, Tensor | None]) -> None:
-    """Raise if a value of footprints [V, N, ...] is out of range, with its index."""
-    for name, tensor in tensors.items():
-        if tensor is None or not tensor.numel():
-            continue
-        kind = name.rpartition(".")[2]
-        low, high = _STEP_LIMITS[kind]
-        good = (tensor >= low) & (tensor <= high)
-        if kind == "roots":
-            good &= tensor[..., [0, 0, 2]] >= FLATTEST  # a and c
-        good = good.reshape(*tensor.shape[:2], -1).all(-1).flatten()
-        if not bool(good.all()):
-            raise SarsplatError(complaint_by_view(name, tensor, int((~good).nonzero()[0])))
+def _in_range(name: str, rows: Tensor) -> Tensor:
+    """Return True for values, or rows, in their range; those of a custom echo need only be finite."""
+    match name:
+        case "scales":
+            return (rows >= MIN_SCALE * (1 - 1e-6)) & (rows <= MAX_SCALE)
+        case "optical_depth":
+            return (rows >= 0) & (rows <= MAX_OPTICAL_DEPTH * (1 + 1e-6))
+        case "quaternions":
+            length = rows.double().norm(dim=1)
+            return (length >= 1 / STRONGEST) & (length <= STRONGEST)
+        case "roots":
+            return (rows.abs() <= STEEPEST) & (rows[:, [0, 0, 2]] >= FLATTEST)  # a and c
+        case _:
+            return rows.abs() <= _MAX_ABS[name] if name in _MAX_ABS else rows.isfinite()
 
 
-def complaint(name: str, tensor: Tensor, index: int) -> str:
-    """Return the message for an invalid row."""
-    return f"{name}[{index}] is {tensor[index].tolist()}; it must be {ALLOWED.get(name, 'finite')}"
-
-
-def complaint_by_view(name: str, tensor: Tensor, index: int) -> str:
-    """Return the message for an invalid row of a tensor [V, N, ...], counted over both."""
-    view, gaussian = divmod(index, tensor.shape[1])
-    allowed = ALLOWED[name.rpartition(".")[2]]
-    return f"{name}[{view}, {gaussian}] is {tensor[view, gaussian].tolist()}; it must be {allowed}"
+def complaint(name: str, tensor: Tensor, index: int, *, by_view: bool = False) -> str:
+    """Return the message for an invalid row; of a tensor [V, N, ...] if `by_view`, counted over both."""
+    at = divmod(index, tensor.shape[1]) if by_view else (index,)
+    allowed = ALLOWED.get(name.rpartition(".")[2] if by_view else name, "finite")
+    return f"{name}[{', '.join(map(str, at))}] is {tensor[at].tolist()}; it must be {allowed}"

@@ -19,7 +19,7 @@ from torch import Tensor
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
-from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.gaussians import rotation_matrix
 from sarsplat.gaussians.law_polarimetric import Polarimetric, covariances_between
 from sarsplat.gaussians.scattering import Scattering
 from sarsplat.geometry import ImageGrid, RayGrid, View
@@ -27,7 +27,7 @@ from sarsplat.geometry.stack import Stack
 from sarsplat.renderer.constants import MIN_RAY_DEPTH
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.operation import Operation
-from sarsplat.renderer.footprints import Footprints, Waves
+from sarsplat.renderer.rendering import Footprints, Waves
 from sarsplat.renderer.steps import attenuate, project, splat, splat_parts
 
 _PAIR_TOLERANCE = 1e-5
@@ -272,23 +272,9 @@ def elevated(
 
     Given the pixel at the displacement d from the centre of a footprint, scatterers are distributed around μ + K d with
     the covariance Σ − K J Σ, where K = Σ Jᵀ (J Σ Jᵀ + response)⁻¹ and J projects on the imaging plane; only their
-    elevation matters. The inverse is that of the footprint.
-
-    Parameters
-    ----------
-    gaussians, views, pixels
-        N Gaussians, V views, and footprints on the imaging plane.
-    numbers : numpy.ndarray, float64 [V, D]
-        Phase per elevation of each pair, rad/m.
-    real, imaginary : Tensor [V, N, D]
-        Cross-sections without phases; the real part may be one for all pairs, [V, N, 1], and the imaginary part None.
-    engine : str
-        As at `render`.
-
-    Returns
-    -------
-    Tensor [V, N, 2 D], Tensor [V, N, 2]
-        Real and imaginary parts in turn, m²; and m per m.
+    elevation matters. The inverse is that of the footprint. Inputs are cross-sections without phases, of which the real
+    part may be one for all pairs, and the phase per elevation of each pair, rad/m; results are real and imaginary parts
+    in turn, m², and m per m.
     """
     means, roots = gaussians.means, pixels.roots
     frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(means)  # [V, 3, 3]

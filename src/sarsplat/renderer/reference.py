@@ -17,12 +17,20 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.covariance import covariance, rotation_matrix
+from sarsplat.gaussians.gaussians import covariance, rotation_matrix
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.echoes.echo import Echo, Sighting, ends_of, left_in_sight, with_echoes
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves, deviations, footprints_of
-from sarsplat.renderer.rendering import RayMap, Rendering
+from sarsplat.renderer.rendering import (
+    Attenuation,
+    Footprints,
+    Projection,
+    RayMap,
+    Rendering,
+    Waves,
+    deviations,
+    footprints_of,
+)
 
 _UNCUT_RADIUS = 9.0
 """Extent of the lattice without cuts, standard deviations: e⁻⁴⁰ is below float64's resolution."""

@@ -11,21 +11,20 @@ from torch import Tensor
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer.checks import (
+    check_channels,
     check_for_reference,
     check_has_values,
     check_options,
-    check_same_kind,
     check_shapes,
-    check_step_values,
     check_values,
 )
 from sarsplat.renderer.engines.choice import passes_for
-from sarsplat.renderer.footprints import Attenuation, Footprints, Projection, Waves
-from sarsplat.renderer.operations import attenuate_with, project_with, splat_with
-from sarsplat.renderer.reference import attenuate_reference, project_reference, splat_reference
+from sarsplat.renderer.operations import Steps
+from sarsplat.renderer.rendering import Attenuation, Footprints, Projection, Waves
 
 
 @checks_arguments
@@ -80,11 +79,10 @@ def project(
     check_shapes(gaussians, views, None, shift, None)
     check_unstretched(views)
     tensors = {**gaussians.tensors(), "shift": shift}
-    if (new_pass := passes_for(engine, tensors, grid)) is not None:
-        return project_with(new_pass, gaussians, views, grid, rays=rays, shift=shift)
-    check_for_reference("means", gaussians.means.dtype)
-    check_values(tensors)
-    return project_reference(gaussians, views, grid, rays=rays, shift=shift)
+    if (new_pass := passes_for(engine, tensors, grid)) is None:
+        check_for_reference("means", gaussians.means.dtype)
+        check_values(tensors)
+    return Steps(new_pass).project(gaussians, views, grid, rays=rays, shift=shift)
 
 
 @checks_arguments
@@ -127,11 +125,10 @@ def attenuate(
         "tilt": p.tilt,
     }
     _check_batch("rays.centers", p.rays.centers)
-    if (new_pass := passes_for(engine, tensors)) is not None:
-        return attenuate_with(new_pass, p, rays, first_return_depth=first_return_depth)
-    check_for_reference("optical_depth", p.optical_depth.dtype)
-    check_step_values(tensors)
-    return attenuate_reference(p, rays, first_return_depth=first_return_depth)
+    if (new_pass := passes_for(engine, tensors)) is None:
+        check_for_reference("optical_depth", p.optical_depth.dtype)
+        check_values(tensors, by_view=True)
+    return Steps(new_pass).attenuate(p, rays, first_return_depth=first_return_depth)
 
 
 @checks_arguments
@@ -178,13 +175,9 @@ def splat(
     """
     check_options(imaging_weight=imaging_weight)
     v, n, _ = footprints.centers.shape
-    if cross_sections.ndim != 3 or tuple(cross_sections.shape[:2]) != (v, n) or cross_sections.shape[2] < 1:
-        raise SarsplatError(
-            f"cross_sections has shape {tuple(cross_sections.shape)}; for {v} views of {n} Gaussians it must be "
-            f"({v}, {n}, C) with at least one channel"
-        )
+    check_channels("cross_sections", cross_sections, v, n)
     name = "cross_sections.real" if cross_sections.is_complex() else "cross_sections"
-    check_same_kind({name: cross_sections.real}, "footprints.centers", footprints.centers)
+    check_same_kind({"footprints.centers": footprints.centers, name: cross_sections.real})
     if waves is not None:
         _check_waves(waves, cross_sections)
     if cross_sections.is_complex():
@@ -210,11 +203,10 @@ def splat_parts(
         "waves.slopes": None if waves is None else waves.slopes,
     }
     _check_batch("footprints.centers", footprints.centers)
-    if (new_pass := passes_for(engine, tensors, grid)) is not None:
-        return splat_with(new_pass, footprints, cross_sections, grid, waves=waves, imaging_weight=imaging_weight)
-    check_for_reference("cross_sections", cross_sections.dtype)
-    check_step_values(tensors)
-    return splat_reference(footprints, cross_sections, grid, waves=waves, imaging_weight=imaging_weight)
+    if (new_pass := passes_for(engine, tensors, grid)) is None:
+        check_for_reference("cross_sections", cross_sections.dtype)
+        check_values(tensors, by_view=True)
+    return Steps(new_pass).splat(footprints, cross_sections, grid, waves=waves, imaging_weight=imaging_weight)
 
 
 def _check_waves(waves: Waves, cross_sections: Tensor) -> None:
@@ -224,13 +216,12 @@ def _check_waves(waves: Waves, cross_sections: Tensor) -> None:
             f"cross_sections is {cross_sections.dtype}, which has no phase; give complex ones, or no waves"
         )
     found, expected = (tuple(waves.slopes.shape), tuple(waves.numbers.shape)), ((v, n, 2), (v, c))
-    like = cross_sections.real
-    if found != expected or waves.slopes.dtype != like.dtype or waves.slopes.device != like.device:
+    if found != expected:
         raise SarsplatError(
-            f"waves has slopes {found[0]} and numbers {found[1]} of {waves.slopes.dtype} on {waves.slopes.device}; for "
-            f"cross_sections {tuple(cross_sections.shape)} of {cross_sections.dtype} on {cross_sections.device} they "
-            f"must be {expected[0]} and {expected[1]} of {like.dtype}"
+            f"waves has slopes {found[0]} and numbers {found[1]}; for cross_sections {(v, n, c)} they must be "
+            f"{expected[0]} and {expected[1]}"
         )
+    check_same_kind({"cross_sections.real": cross_sections.real, "waves.slopes": waves.slopes})
 
 
 def _check_batch(name: str, tensor: Tensor) -> None:

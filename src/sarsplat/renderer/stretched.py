@@ -14,15 +14,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians, Harmonics
-from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.gaussians import rotation_matrix
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import unstretched
-from sarsplat.renderer.engines.chosen_views import ChosenViews
-from sarsplat.renderer.engines.on_device import NotRecordable
-from sarsplat.renderer.footprints import Footprints, footprints_of
-from sarsplat.renderer.lobes import amplitudes_towards
-from sarsplat.renderer.operations import Steps
-from sarsplat.renderer.rendering import Rendering
+from sarsplat.renderer.engines.on_device import ChosenViews, NotRecordable
+from sarsplat.renderer.operations import Steps, amplitudes_towards
+from sarsplat.renderer.rendering import Footprints, Rendering, footprints_of, scaled
 
 
 def render_stretched(
@@ -43,8 +40,8 @@ def render_stretched(
         raise NotRecordable("is stretched")
     g = gaussians
     unlit = replace(g, scattering=Harmonics(g.means.new_zeros(len(g), 1)))  # unused
-    projection = steps.project(unlit, unstretched(views), grid, rays)
-    lit_area = steps.lit_area(projection, rays)
+    projection = steps.project(unlit, unstretched(views), grid, rays=rays)
+    lit_area = steps.attenuate(projection, rays).lit_area
     if amplitudes is None:
         amplitudes = amplitudes_towards(steps.new_pass, g, views)
     cross_sections = amplitudes * lit_area[..., None]
@@ -53,11 +50,8 @@ def render_stretched(
     if plane_gradients:
         planes = g.means.new_zeros(len(views), len(g), 4)
         _filled_later(planes, projection.rays.centers, footprints.centers)
-    images = steps.splat(footprints, cross_sections, grid, imaging_weight)
-    if gain is not None:
-        # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
-        images = images * gain[:, None, None, None].expand(-1, images.shape[1], 1, grid.columns)
-    return Rendering(images, cross_sections, lit_area.detach(), plane_gradients=planes)
+    images = steps.splat(footprints, cross_sections, grid, imaging_weight=imaging_weight)
+    return Rendering(scaled(images, gain), cross_sections, lit_area.detach(), plane_gradients=planes)
 
 
 def imaged(

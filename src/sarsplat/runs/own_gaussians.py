@@ -13,7 +13,7 @@ from sarsplat.data.outliers import SIGMAS, outliers
 from sarsplat.data.ply import far_from_origin
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.gaussians import rotation_matrix
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.model import SceneModel

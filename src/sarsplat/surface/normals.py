@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.covariance import rotation_matrix
+from sarsplat.gaussians.gaussians import rotation_matrix
 from sarsplat.progress import stage
 from sarsplat.surface.cells import Surfels, by_cubes
 from sarsplat.surface.neighbours import neighbours_of, spacing_m

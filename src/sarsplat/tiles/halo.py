@@ -14,7 +14,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.progress import stage
 from sarsplat.renderer import Footprints, project
 from sarsplat.renderer.constants import IMAGE_CUT, MIN_RAY_DEPTH
-from sarsplat.renderer.footprints import deviations
+from sarsplat.renderer.rendering import deviations
 
 _BATCH = 1 << 18  # Gaussians that are projected at once, to bound memory
 

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
-from sarsplat.gaussians.covariance import rotated
+from sarsplat.gaussians.gaussians import rotated
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import State
 

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians.covariance import product, rotated
+from sarsplat.gaussians.gaussians import product, rotated
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
 from sarsplat.settings.config import Config

@@ -21,18 +21,17 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.view import check_unstretched
-from sarsplat.renderer.checks import check_same_kind
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.engines.choice import passes_for
-from sarsplat.renderer.engines.chosen_views import by_view
+from sarsplat.renderer.engines.on_device import by_view
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.problem import level_direction
-from sarsplat.renderer.footprints import Footprints
-from sarsplat.renderer.lobes import amplitudes_along
-from sarsplat.renderer.operations import Steps, bounced_with
+from sarsplat.renderer.operations import Steps, amplitudes_along, bounced_with
+from sarsplat.renderer.rendering import Footprints
 
 _COHERENT = 4.0
 """Power of two equal amplitudes over that of one."""
@@ -75,8 +74,8 @@ class GroundBounce(Echo):
             )
 
     def check(self, gaussians: Gaussians) -> None:
-        tensors = {"the bounce's reflectivity": self.reflectivity, "the bounce's amplitudes": self.amplitudes}
-        check_same_kind(tensors, "means", gaussians.means)
+        own = {"the bounce's reflectivity": self.reflectivity, "the bounce's amplitudes": self.amplitudes}
+        check_same_kind({"means": gaussians.means} | own)
 
     def values(self) -> dict[str, Tensor | None]:
         return {"bounce.reflectivity": self.reflectivity.reshape(1), "bounce.amplitudes": self.amplitudes}
@@ -116,7 +115,7 @@ class GroundBounce(Echo):
         self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
         """Return cross-sections by way of a perfectly reflecting ground, m², and their footprints in images."""
-        steps = Steps(passes_for("auto", gaussians.tensors(), grid), cuts=True)
+        steps = Steps(passes_for("auto", gaussians.tensors(), grid))
         return self._parts(steps, gaussians, views, grid, rays, None)
 
     def _parts(
@@ -152,12 +151,12 @@ def lit_both_ways(
     steps: Steps, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid, height_m: float
 ) -> tuple[Float[Tensor, "v n"], Float[Tensor, "v n"]]:
     """Return lit areas of Gaussians along u, and by way of the ground along M u, m²."""
-    n, p = len(gaussians), steps.project(_with_mirror_image(gaussians, height_m), views, grid, rays)
+    n, p = len(gaussians), steps.project(_with_mirror_image(gaussians, height_m), views, grid, rays=rays)
     if n:
         real, image = p.range_m.split(n, dim=1)
         behind = 1 + (real.amax(1, keepdim=True) - image.amin(1, keepdim=True))  # no digit of the real ones is lost
         p = replace(p, range_m=torch.cat([real, image + behind], 1))
-    lit = steps.lit_area(p, rays)
+    lit = steps.attenuate(p, rays).lit_area
     return lit[:, :n], lit[:, n:]
 
 

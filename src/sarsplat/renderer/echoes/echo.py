@@ -18,7 +18,7 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer.engines.chosen_views import candidates
+from sarsplat.renderer.engines.on_device import candidates
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.rendering import RayMap
 
@@ -176,10 +176,15 @@ def left_in_sight(
     if not masks:
         return None
     for mask in masks:
-        if not isinstance(mask, Tensor) or mask.shape != (len(views), len(means)):
-            found = tuple(mask.shape) if isinstance(mask, Tensor) else type(mask).__name__
-            raise SarsplatError(f"an echo's in_sight gave {found}; it must give a tensor {(len(views), len(means))}")
+        _check_given("in_sight", mask, (len(views), len(means)))
     return (torch.stack(masks).prod(0) if len(masks) > 1 else masks[0]).to(means).contiguous()  # kernels read it
+
+
+def _check_given(method: str, given: object, shape: tuple[int, ...], dtype: torch.dtype | None = None) -> None:
+    """Raise unless an echo's method gave a tensor of that shape and, if any, dtype."""
+    if not isinstance(given, Tensor) or given.shape != shape or given.dtype != (dtype or given.dtype):
+        found = f"{given.dtype} {tuple(given.shape)}" if isinstance(given, Tensor) else type(given).__name__
+        raise SarsplatError(f"an echo's {method} gave {found}; it must give a tensor {shape} of {dtype or 'any dtype'}")
 
 
 def with_echoes(
@@ -189,11 +194,7 @@ def with_echoes(
     returns = tuple(echo.returned(sighting) for echo in echoes)
     shape = (len(images), *images.shape[2:])
     for returned in returns:
-        if not isinstance(returned, Tensor) or returned.shape != shape or returned.dtype != images.dtype:
-            kind = (
-                f"{returned.dtype} {tuple(returned.shape)}" if isinstance(returned, Tensor) else type(returned).__name__
-            )
-            raise SarsplatError(f"an echo returned {kind}; it must return {images.dtype} {shape}")
+        _check_given("returned", returned, shape, images.dtype)
         beta0, channels = returned[:, None], torch.arange(images.shape[1], device=images.device)
         of_power = channels == sighting.gaussians.scattering.power_channel
         images = images + (beta0 if len(channels) == 1 else beta0 * of_power.to(images)[:, None, None])

@@ -12,15 +12,14 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
-from sarsplat.renderer.checks import check_same_kind
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.echoes.lit_ground import lit_ground
 from sarsplat.renderer.echoes.lit_terrain import lit_terrain
 from sarsplat.renderer.echoes.terrain_cells import before_terrain, cells_of
-from sarsplat.renderer.engines.chosen_views import by_view, candidates
-from sarsplat.renderer.engines.on_device import kept_on_device
+from sarsplat.renderer.engines.on_device import by_view, candidates, kept_on_device
 from sarsplat.renderer.point_queries import at_places
 
 
@@ -33,8 +32,8 @@ class GroundEcho(Echo):
     wants_ray_ends: ClassVar[bool] = True
 
     def check(self, gaussians: Gaussians) -> None:
-        tensors = {"ground.gamma0": self.ground.gamma0, "ground.exponent": self.ground.exponent}
-        check_same_kind(tensors, "means", gaussians.means)
+        own = {"ground.gamma0": self.ground.gamma0, "ground.exponent": self.ground.exponent}
+        check_same_kind({"means": gaussians.means} | own)
 
     def values(self) -> dict[str, Tensor | None]:
         ground = self.ground

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.echoes.echo import RayEnds
-from sarsplat.renderer.engines.chosen_views import candidates
+from sarsplat.renderer.engines.on_device import candidates
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
 
@@ -90,13 +90,10 @@ class LitGround(Operation):
         return torch.stack(images)
 
     def numbers(self, transmittance: Tensor, shift: Tensor | None) -> dict[str, Any]:
-        (rows, columns), sizes = pixel_axes(self.grid), [down.count * across.count for down, across in self.patches]
-        in_order = self.chosen is None
-        firsts = accumulate(sizes[:-1], initial=0) if in_order else [0] * len(sizes)
+        sizes = [down.count * across.count for down, across in self.patches]
+        of_rays, firsts = ray_numbers(self.grid, self._views, sizes, len(transmittance), self.chosen)
         return {
-            **{"views": self._views, "rows": rows.numbers, "columns": columns.numbers, "std": stds(self.grid)},
-            **{"of_views": len(sizes), "chosen": self.chosen},
-            "pitch": 0 if in_order else len(transmittance) // self._views,
+            **of_rays,
             "patches": [
                 {"rows": down.numbers, "columns": across.numbers, "first": first}
                 for (down, across), first in zip(self.patches, firsts, strict=True)
@@ -109,6 +106,19 @@ class LitGround(Operation):
     @property
     def _views(self) -> int:
         return len(self.patches) if self.chosen is None else len(self.chosen)
+
+
+def ray_numbers(
+    grid: ImageGrid, views: int, sizes: Sequence[int], rays: int, chosen: Int64[Tensor, " v"] | None
+) -> tuple[dict[str, Any], Sequence[int]]:
+    """Return members that ground and terrain share, and the first of the rays of every view.
+
+    `sizes` are numbers of rays of each view, or of each candidate; `rays` that of all.
+    """
+    (down, across), in_order = pixel_axes(grid), chosen is None
+    shared = {"views": views, "rows": down.numbers, "columns": across.numbers, "std": stds(grid), "chosen": chosen}
+    shared |= {"of_views": len(sizes), "pitch": 0 if in_order else rays // views}
+    return shared, [*accumulate(sizes[:-1], initial=0)] if in_order else [0] * len(sizes)
 
 
 def pixel_axes(grid: ImageGrid) -> tuple[Axis, Axis]:

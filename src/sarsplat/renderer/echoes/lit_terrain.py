@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 from typing import Any
 
 import torch
@@ -22,9 +21,9 @@ from torch.utils.checkpoint import checkpoint
 
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer.echoes.echo import RayEnds
-from sarsplat.renderer.echoes.lit_ground import Axis, pixel_axes, response_integrals, stds
+from sarsplat.renderer.echoes.lit_ground import Axis, pixel_axes, ray_numbers, response_integrals, stds
 from sarsplat.renderer.echoes.terrain_cells import Cells, cells_of
-from sarsplat.renderer.engines.chosen_views import candidates
+from sarsplat.renderer.engines.on_device import candidates
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.point_queries import at_places
@@ -39,25 +38,16 @@ _MAX_SAVED = 1 << 22
 
 @dataclass(frozen=True)
 class _Patches:
-    """Patches of the rays of one view on terrain.
-
-    Parameters
-    ----------
-    cells : Cells
-        Slant ranges of their edges.
-    across : Axis
-        Azimuths of the cells.
-    traced : (row, column), (rows, columns)
-        First ray with known T_end, relative to the cells, and the size of their lattice, which may extend beyond.
-    along_x, along_y : (float, float, float, float)
-        Coefficients of a cell centre's x and y, m: constant, and gradients with column, row and slant range.
-    """
+    """Patches of the rays of one view on terrain."""
 
     cells: Cells
     across: Axis
+    """Azimuths of the cells."""
     traced: tuple[tuple[int, int], tuple[int, int]]
+    """(Row, column) of the first ray with known T_end among the cells, and size of the rays' lattice, maybe beyond."""
     along_x: tuple[float, ...]
     along_y: tuple[float, ...]
+    """Coefficients of a cell centre's x and y, m: constant, and gradients with column, row and slant range."""
 
     @classmethod
     def of(
@@ -149,15 +139,10 @@ class LitTerrain(Operation):
         return torch.stack(images)
 
     def numbers(self, transmittance: Tensor, gamma0: Tensor, shift: Tensor | None) -> dict[str, Any]:
-        (rows, columns), sizes = pixel_axes(self.grid), [math.prod(patch.traced[1]) for patch in self.patches]
-        in_order = self.chosen is None
-        firsts = accumulate(sizes[:-1], initial=0) if in_order else [0] * len(sizes)
-        return {
-            **{"views": len(gamma0), "rows": rows.numbers, "columns": columns.numbers, "std": stds(self.grid)},
-            **{"cell": self.height_m, "places": tuple(gamma0.shape[1:]), "of_views": len(self.patches)},
-            **{"chosen": self.chosen, "pitch": 0 if in_order else len(transmittance) // len(gamma0)},
-            "patches": [self._patch(patch, first, gamma0) for patch, first in zip(self.patches, firsts, strict=True)],
-        }
+        sizes = [math.prod(patch.traced[1]) for patch in self.patches]
+        of_rays, firsts = ray_numbers(self.grid, len(gamma0), sizes, len(transmittance), self.chosen)
+        patches = [self._patch(patch, first, gamma0) for patch, first in zip(self.patches, firsts, strict=True)]
+        return {**of_rays, "cell": self.height_m, "places": tuple(gamma0.shape[1:]), "patches": patches}
 
     def _patch(self, patch: _Patches, first_ray: int, gamma0: Tensor) -> dict[str, Any]:
         (first, traced), cells, pitch_m = patch.traced, patch.cells, self.pitch_m

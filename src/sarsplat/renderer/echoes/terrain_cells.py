@@ -11,7 +11,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
@@ -21,8 +21,16 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Look, RayGrid, Terrain, View
-from sarsplat.renderer.engines.chosen_views import ChosenViews, by_view, candidates
-from sarsplat.renderer.engines.on_device import NotRecordable, being_recorded, is_read, kept_on_device
+from sarsplat.renderer.engines.on_device import (
+    ChosenViews,
+    NotRecordable,
+    being_recorded,
+    by_view,
+    candidates,
+    is_read,
+    kept_on_device,
+)
+from sarsplat.renderer.engines.problem import frame_of
 from sarsplat.renderer.point_queries import at_places
 
 RESPONSE_END = 6.0
@@ -106,13 +114,7 @@ def cells_of(
     rays: RayGrid,
     shift: Float[Tensor, "v 2"] | None = None,
 ) -> list[Cells]:
-    """Return the cells of each view's rays that end on terrain, or on the plane z = `terrain`, in images on the grid.
-
-    Raises
-    ------
-    SarsplatError
-        If a view needs too many rays, or shows terrain under a tilted azimuth axis.
-    """
+    """Return the cells of each view's rays that end on terrain, or on the plane z = `terrain`, in images of a grid."""
     every, chosen = candidates(views)
     if shift is not None and chosen is not None:
         raise NotRecordable("asks how far images are displaced, since terrain beyond their edges may be seen")
@@ -150,7 +152,7 @@ def _before_ends(
     """Return True for Gaussians before the end of their ray, for `ChosenViews`, without synchronising."""
     numbers, farthest = _farthest(tuple(ends), means.dtype, means.device)
     first_column, first_row, rows, columns, begin = numbers.index_select(0, views.numbers).T[..., None]
-    x, y, z = (means @ by_view(_frame, views, means.dtype, means.device).mT).unbind(-1)
+    x, y, z = (means @ by_view(frame_of, views, means.dtype, means.device).mT).unbind(-1)
     column = (x / rays.spacing_m[0]).floor().long() - first_column
     row = (y / rays.spacing_m[1]).floor().long() - first_row
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
@@ -161,11 +163,6 @@ def _before_ends(
 @kept_on_device(maxsize=16)
 def _heights(terrain: Terrain, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "ny nx"]:
     return torch.from_numpy(terrain.heights_m).to(device, dtype)
-
-
-@kept_on_device(maxsize=1024)
-def _frame(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "3 3"]:
-    return torch.from_numpy(view.look.frame).to(device, dtype)
 
 
 @kept_on_device(maxsize=2)
@@ -181,9 +178,7 @@ def _farthest(
 
 
 def _with_margin(grid: ImageGrid, pixels: int) -> ImageGrid:
-    return ImageGrid(
-        grid.rows + 2 * pixels, grid.columns + 2 * pixels, grid.spacing_m, grid.resolution_m, grid.center_m
-    )
+    return replace(grid, rows=grid.rows + 2 * pixels, columns=grid.columns + 2 * pixels)
 
 
 def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:

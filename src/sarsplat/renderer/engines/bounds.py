@@ -16,9 +16,8 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import ALLOWED, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
-from sarsplat.renderer.engines.chosen_views import ChosenViews
 from sarsplat.renderer.engines.cpu import FAULTS
-from sarsplat.renderer.engines.on_device import NotRecordable
+from sarsplat.renderer.engines.on_device import NotRecordable, candidates
 
 TILE = 16
 """Side of a tile, points, as in csrc/cuda_state.cuh."""
@@ -104,15 +103,8 @@ class Bounds:
         self.broken.copy_(torch.where(self.broken < 0, code, self.broken))
 
     def capacity(self, gaussians: int, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Capacity | None:
-        """Return the worst case of a rendering of this many Gaussians; None if it is too large to allocate.
-
-        Raises
-        ------
-        NotRecordable
-            If it is too large, and the views are `ChosenViews`.
-        """
-        chosen = views.numbers if isinstance(views, ChosenViews) else None
-        every = views.all if isinstance(views, ChosenViews) else views
+        """Return the worst case of a rendering of this many Gaussians; None if it is too large to allocate."""
+        every, chosen = candidates(views)
         deviations = math.sqrt(2 * math.log(max(1.0, self.optical_depth / MIN_RAY_DEPTH)))
         on_rays = [
             _MARGIN * deviations * math.sqrt((self.scale_m / spacing) ** 2 + CELL_WIDENING)
@@ -137,24 +129,16 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Capacity:
-    """Worst case of a rendering, for which arrays are allocated.
-
-    Parameters
-    ----------
-    lattices : tuple of (k0x, k0y, rows, columns)
-        Rays of each view, or of all candidates, that contain every footprint.
-    tiles : dict of str to int
-        Maximum tiles that one footprint touches, by plane.
-    broken : Tensor
-        Flag `Bounds.broken`, set if it is exceeded.
-    chosen : Tensor, int64 [V], or None
-        Indices of the views' lattices, for `ChosenViews`.
-    """
+    """Worst case of a rendering, for which arrays are allocated."""
 
     lattices: tuple[tuple[int, int, int, int], ...]
+    """Rays (k0x, k0y, rows, columns) of each view, or of all candidates, that contain every footprint."""
     tiles: dict[str, int]
+    """Maximum tiles that one footprint touches, by plane."""
     broken: Tensor
+    """Flag `Bounds.broken`, set if it is exceeded."""
     chosen: Int64[Tensor, " v"] | None = None
+    """Indices of the views' lattices, for `ChosenViews`."""
 
 
 # A training renders the same few views again and again.

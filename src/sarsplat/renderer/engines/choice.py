@@ -25,28 +25,17 @@ Tensors = Mapping[str, Tensor | None]
 
 @dataclass(frozen=True)
 class Engine:
-    """Engine of one kind of device.
-
-    Parameters
-    ----------
-    device_type : str
-        Device of float32 tensors for which "auto" means this engine.
-    prepare : callable
-        Function of the tensors, the image grid (None if there is no image) and an instruction set that returns a
-        constructor of passes, or raises a `SarsplatError`.
-    takes_bounds : bool
-        True if passes can be made with a `Capacity`, and then do not synchronise.
-    recorder : callable, optional
-        Constructor of the recorder of a device.
-    objection : callable
-        Function of the device that returns the reason why "auto" must not use the engine there, or "".
-    """
+    """Engine of one kind of device."""
 
     device_type: str
+    """Device of float32 tensors for which "auto" means this engine."""
     prepare: Callable[[Tensors, ImageGrid | None, str], NewPass]
+    """Return a constructor of passes for tensors, a grid and an instruction set, or raise a `SarsplatError`."""
     takes_bounds: bool = False
+    """True if passes can be made with a `Capacity`, and then do not synchronise."""
     recorder: Callable[[torch.device], Recorder] | None = None
     objection: Callable[[torch.device], str] = lambda device: ""
+    """Return the reason why "auto" must not use the engine on a device, or ""."""
 
 
 def _on_cpu(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> NewPass:
@@ -73,20 +62,10 @@ ENGINES = {
 def passes_for(
     name: str, tensors: Tensors, grid: ImageGrid | None = None, instruction_set: str = "auto"
 ) -> NewPass | None:
-    """Return the constructor of passes of an engine, over these tensors; None for plain torch.
+    """Return the constructor of passes of an engine over these tensors and images on the grid; None for plain torch.
 
-    `Operation.on` also uses plain torch for operations that the engine does not have.
-
-    Parameters
-    ----------
-    name : {"auto", "cpu", "cuda", "reference"}
-        "auto" fits the dtype and the device of the first tensor.
-    tensors : mapping of str to Tensor
-        All tensors that kernels read.
-    grid : ImageGrid, optional
-        Grid of rendered images.
-    instruction_set : {"auto", "base", "avx2", "avx512"}
-        Instruction set of the CPU engine.
+    "auto" fits the dtype and the device of the first tensor. `Operation.on` also uses plain torch for operations that
+    the engine does not have.
 
     Raises
     ------

@@ -13,7 +13,7 @@ import torch
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import LEFT_BOUNDS
-from sarsplat.renderer.engines.cuda_arrays import THREADS
+from sarsplat.renderer.engines.cuda_device import THREADS
 from sarsplat.renderer.engines.cuda_operations import OPERATIONS
 from sarsplat.renderer.engines.cuda_tiles import TileLists, fault_of, total
 from sarsplat.renderer.engines.passes import within

@@ -1,4 +1,4 @@
-"""NVIDIA GPU: loads the compiled engine and launches its kernels through the driver, on torch's current stream."""
+"""NVIDIA GPU: launches of the engine's kernels through the driver, on torch's current stream, and arrays for them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,17 @@ import threading
 from contextlib import nullcontext
 from ctypes import POINTER, byref, c_char_p, c_int, c_uint, c_void_p
 from functools import cache
+from typing import Protocol
 
 import torch
+from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.nvrtc import Nvrtc, machine_code
+from sarsplat.renderer.engines.on_device import kept_on_device
+
+THREADS = 256
+"""Threads of a block, as in csrc/cuda_state.cuh."""
 
 _NON_BLOCKING = 1
 """Flag of streams that do not synchronise with the legacy default stream, as torch's streams."""
@@ -21,6 +27,16 @@ _COMPILING = threading.Lock()
 """Lock of the first use of a GPU: one thread compiles."""
 
 _DRIVER = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
+
+
+class Launcher(Protocol):
+    """Launcher of kernels: a GPU, or the tests' emulator."""
+
+    device: torch.device
+
+    def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
+        """Queue a kernel after those before it; its arguments are C values."""
+        ...
 
 
 class Device:
@@ -86,13 +102,7 @@ class Device:
 
 
 def device(index: int) -> Device:
-    """Return the GPU of this index; kernels are compiled and loaded once.
-
-    Raises
-    ------
-    SarsplatError
-        If the driver, NVRTC or the device is missing.
-    """
+    """Return the GPU of this index; kernels are compiled and loaded once."""
     with _COMPILING:
         return _device(index)
 
@@ -127,3 +137,37 @@ def _driver() -> ctypes.CDLL:
     sizes = [c_uint] * 7  # grid, block, shared bytes
     driver.cuLaunchKernel.argtypes = [c_void_p, *sizes, c_void_p, POINTER(c_void_p), POINTER(c_void_p)]
     return driver
+
+
+class Arrays:
+    """Arrays by name, kept while kernels may read them, and the launcher of kernels."""
+
+    def __init__(self, launcher: Launcher) -> None:
+        self.launcher = launcher
+        self.arrays: dict[str, Tensor] = {}
+
+    def launch(self, name: str, blocks: int, *arguments: ctypes._CData) -> None:
+        """Queue blocks of a kernel, unless there are 0."""
+        if blocks:
+            self.launcher.launch(name, blocks, THREADS, *arguments)
+
+    def new(self, name: str, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+        """Make an uninitialised array."""
+        return self.keep(name, torch.empty(shape, dtype=dtype, device=self.launcher.device))
+
+    def keep(self, name: str, array: Tensor) -> Tensor:
+        """Keep an array, in place of one of the same name."""
+        self.arrays[name] = array  # kernels hold its address only
+        return array
+
+    def sent(self, content: bytes) -> Tensor:
+        """Return a cached copy on the device."""
+        return _sent(content, self.launcher.device)
+
+
+# The pixels of views never change, and a training renders the same few views again and again.
+@kept_on_device(maxsize=256)
+def _sent(content: bytes, device: torch.device) -> Tensor:
+    """Copy to the device asynchronously, from pinned memory: copies of other memory synchronise."""
+    array = torch.frombuffer(bytearray(content), dtype=torch.uint8)
+    return (array.pin_memory() if device.type == "cuda" else array).to(device, non_blocking=True)

@@ -6,12 +6,15 @@ import ctypes
 from collections.abc import Callable, Mapping
 from ctypes import c_int32, c_int64, c_void_p
 from dataclasses import dataclass, field
+from typing import Any
 
-from sarsplat.renderer.engines.abi import api
+import torch
+from torch import Tensor
+
+from sarsplat.renderer.engines.abi import SOURCES, api, structures
 from sarsplat.renderer.engines.bounds import TILE
 from sarsplat.renderer.engines.cpu import LIMITS
-from sarsplat.renderer.engines.cuda_arrays import THREADS, Arrays
-from sarsplat.renderer.engines.cuda_ground import lit_ground, lit_terrain
+from sarsplat.renderer.engines.cuda_device import THREADS, Arrays
 
 _MOST_GROUPS, _WINDOW = 15, 11
 """Maximum parameters of a launch, as in csrc/cuda_training.cuh; SSIM's window, pixels, as in loss_math.h."""
@@ -44,6 +47,128 @@ def _normal_lobes(arrays: Arrays, lobes: ctypes.Structure) -> None:
     arrays.launch(kernel, -(-lobes.gaussians // THREADS), lobes)
 
 
+# ---- ground ----------------------------------------------------------------------------------------------------------
+_GroundState, _TerrainState = (
+    structures((SOURCES / f"cuda_{name.lower()}.cuh").read_text(encoding="utf-8"), (f"{name}State",))[f"{name}State"]
+    for name in ("Ground", "Terrain")
+)
+
+# of csrc/cuda_ground.cuh
+_ROWS, _COLUMNS = 8, 32
+_RESPONSE_END = 6.0
+
+
+def _lit_ground(on: Arrays, ground: ctypes.Structure) -> None:
+    """Fill in the lit share of the ground, or its gradients."""
+    patches = ground.patches[: ground.of_views]
+    rows, columns = (max(one.count for one in axes) for axes in zip(*((p.rows, p.columns) for p in patches)))
+    pixels = ground.views, ground.rows.count + ground.columns.count
+    azimuth_std, range_std = ground.std
+    widths = [_width(axis, std) for p in patches for axis, std in ((p.rows, range_std), (p.columns, azimuth_std))]
+    state = _GroundState(width=max(1, *widths), columns=columns)
+    for name in ("first", "end"):
+        setattr(state, name, on.new(name, *pixels, dtype=torch.int32).data_ptr())
+    for name in ("weight", "slope") if ground.d_shift else ("weight",):
+        setattr(state, name, on.new(name, *pixels, state.width).data_ptr())
+    state.between = on.new("between", ground.views, ground.rows.count, columns).data_ptr()
+
+    def over(kernel: str, rows: int, columns: int) -> None:
+        blocks = _blocks(rows, columns)
+        on.launch(kernel, ground.views * blocks, call, state, c_int32(blocks))
+
+    call = api.ground.from_buffer_copy(ground)
+    on_device = on.sent(ctypes.string_at(ground.patches, ctypes.sizeof(api.patches) * ground.of_views))
+    call.patches = ctypes.cast(on_device.data_ptr(), type(call.patches))
+    on.launch("weigh_ground", -(-pixels[0] * pixels[1] * state.width // THREADS), call, state)
+    if not ground.d_lit:
+        over("see_ground", ground.rows.count, columns)
+        over("light_ground", ground.rows.count, ground.columns.count)
+        return
+    blocks = _blocks(ground.rows.count, columns)
+    state.shares = on.new("shares", 2, ground.views, blocks).data_ptr()
+    over("light_ground_backward", ground.rows.count, columns)
+    over("see_ground_backward", rows, columns)
+    if ground.d_shift:
+        on.launch("sum_ground_shift", 2 * ground.views, call, state, c_int32(blocks))
+
+
+def _lit_terrain(on: Arrays, terrain: ctypes.Structure) -> None:
+    """Fill in β⁰ of terrain, or its gradients."""
+    patches, views, columns = terrain.patches[: terrain.of_views], terrain.views, terrain.columns.count
+    rows, across = max(one.rows for one in patches), max(one.across.count for one in patches)
+    traced = [max(one.traced[axis] for one in patches) for axis in range(2)]
+    places, cells = terrain.places[0] * terrain.places[1], max(one.rows * one.across.count for one in patches)
+    call = api.terrain.from_buffer_copy(terrain)
+    on_device = on.sent(ctypes.string_at(terrain.patches, ctypes.sizeof(api.terrain_patches) * terrain.of_views))
+    call.patches = ctypes.cast(on_device.data_ptr(), type(call.patches))
+
+    # columns alone, as if the ground were level
+    level = api.ground(
+        views=views, columns=terrain.columns, std=terrain.std, shift=terrain.shift, chosen=terrain.chosen
+    )
+    bands = (api.patches * terrain.of_views)(*(api.patches(columns=one.across) for one in patches))
+    bands_there = on.sent(bytes(bands))
+    level.patches = ctypes.cast(bands_there.data_ptr(), type(level.patches))
+    ground = _GroundState(width=max(1, *(_width(one.across, terrain.std[0]) for one in patches)), columns=across)
+    for name in ("first", "end"):
+        setattr(ground, name, on.new(name, views, columns, dtype=torch.int32).data_ptr())
+    for name in ("weight", "slope") if terrain.d_shift else ("weight",):
+        setattr(ground, name, on.new(name, views, columns, ground.width).data_ptr())
+    on.launch("weigh_ground", -(-views * columns * ground.width // THREADS), level, ground)
+
+    state = _TerrainState(cells=cells, columns=across)
+
+    def arrays(*names: str, of: tuple[int, ...], dtype: torch.dtype = torch.float32) -> list[Tensor]:
+        made = [on.new(name, views, *of, dtype=dtype) for name in names]
+        for name, array in zip(names, made, strict=True):
+            setattr(state, name, array.data_ptr())
+        return made
+
+    def over(kernel: str, rows: int, columns: int, *states: ctypes.Structure) -> None:
+        blocks = _blocks(rows, columns)
+        on.launch(kernel, views * blocks, call, *states, c_int32(blocks))
+
+    arrays("returned", of=(cells,))
+    over("return_cells", rows, across, state)
+    if not terrain.d_lit or terrain.d_shift:
+        arrays("reached", "ahead", of=(cells,))
+        arrays("seen", of=(terrain.rows.count, across))
+        strips = -(-across // _COLUMNS)
+        on.launch("reach_cells", views * strips, call, state, c_int32(strips))
+        over("see_cells", terrain.rows.count, across, state)
+    if not terrain.d_lit:
+        over("light_terrain", terrain.rows.count, columns, ground, state)
+        return
+    arrays("told", of=(cells,))
+    arrays("between", of=(terrain.rows.count, across))
+    (largest,), (sums,) = arrays("largest", of=(), dtype=torch.int32), arrays("sums", of=(places,), dtype=torch.int64)
+    largest.zero_()
+    sums.zero_()
+    shares = _blocks(terrain.rows.count, across), _blocks(rows, across)
+    if terrain.d_shift:
+        arrays("azimuth", of=shares[:1])
+        arrays("range", of=shares[1:])
+    over("light_terrain_backward", terrain.rows.count, across, ground, state)
+    over("see_cells_backward", rows, across, state)
+    over("tell_rays", *traced, state)
+    over("tell_places", rows, across, state)
+    on.launch("write_places", -(-views * places // THREADS), call, state)
+    if terrain.d_shift:
+        on.launch("sum_terrain_shift", views, call, state, *map(c_int32, shares))
+
+
+def _width(patches: Any, std: float) -> int:
+    """Return the maximum number of patches in a pixel's response."""
+    across = 2 * _RESPONSE_END * std / patches.step
+    return min(patches.count, int(across) + 3) if across < patches.count else patches.count
+
+
+def _blocks(rows: int, columns: int) -> int:
+    """Return the blocks of a table."""
+    return -(-rows // _ROWS) * -(-columns // _COLUMNS)
+
+
+# ---- all of them -----------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Operation:
     """Function that fills in the structure of an operation, and maxima of its numbers."""
@@ -55,8 +180,8 @@ class Operation:
 OPERATIONS = {
     "adam": Operation(_adam, LIMITS["adam"]),
     "amplitude_loss": Operation(_amplitude_loss),
-    "lit_ground": Operation(lit_ground),
-    "lit_terrain": Operation(lit_terrain),
+    "lit_ground": Operation(_lit_ground),
+    "lit_terrain": Operation(_lit_terrain),
     "normal_lobes": Operation(_normal_lobes),
 }
 """Operations with kernels, by their names in csrc/api.h."""

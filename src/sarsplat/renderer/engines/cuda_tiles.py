@@ -15,7 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.abi import SOURCES, api, structures
 from sarsplat.renderer.engines.bounds import TILE, Capacity
 from sarsplat.renderer.engines.cpu import FAULTS
-from sarsplat.renderer.engines.cuda_arrays import THREADS, Arrays, Launcher
+from sarsplat.renderer.engines.cuda_device import THREADS, Arrays, Launcher
 
 _structures = structures((SOURCES / "cuda_state.cuh").read_text(encoding="utf-8"), ("Lattice", "Plane", "State"))
 ViewLattice, State = _structures["Lattice"], _structures["State"]
@@ -85,7 +85,8 @@ class TileLists(Arrays):
         if self._capacity is None or self._capacity.chosen is None:
             self._rays = cut_into_tiles(self._lattices, 0.5)
         else:
-            self._rays = cut_into_tiles([largest(self._lattices)] * len(self._capacity.chosen), 0.5)
+            rows, columns = (max(lattice[k] for lattice in self._lattices) for k in (2, 3))
+            self._rays = cut_into_tiles([(0, 0, rows, columns)] * len(self._capacity.chosen), 0.5)
         return None
 
     def _pixels(self, problem: ctypes.Structure) -> list[ctypes.Structure]:
@@ -179,11 +180,6 @@ def cut_into_tiles(lattices: Sequence[tuple[int, int, int, int]], offset: float)
         tile += tiles_of(cut[-1])
         point += rows * columns
     return cut
-
-
-def largest(lattices: Sequence[tuple[int, int, int, int]]) -> tuple[int, int, int, int]:
-    """Return a lattice with room for each of these."""
-    return 0, 0, max(rows for *_, rows, _ in lattices), max(columns for *_, columns in lattices)
 
 
 def begins(lattices: Sequence[ctypes.Structure]) -> bytes:

@@ -1,21 +1,23 @@
-"""Compilation of the CUDA engine at first use, cached on disk, with NVRTC from torch's CUDA builds."""
+"""Compilation of the CUDA engine at first use, with NVRTC from torch's CUDA builds, and the cache of it on disk."""
 
 from __future__ import annotations
 
 import ctypes
 import hashlib
+import os
 import sys
+import warnings
 from collections.abc import Mapping
 from ctypes import POINTER, byref, c_char_p, c_int, c_size_t, c_void_p
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from threading import get_ident
 from typing import Protocol
 
 import torch
 
-from sarsplat.errors import SarsplatError
-from sarsplat.renderer.engines import disk_cache
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.renderer.engines.abi import SOURCES
 
 MAIN = "kernels.cu"
@@ -63,9 +65,9 @@ def machine_code(architecture: str, compiler: Compiler) -> bytes:
     text = sources()
     key = hashlib.sha256(repr((sorted(text.items()), architecture, compiler.version, _OPTIONS)).encode()).hexdigest()
     name = f"{architecture}-{key[:32]}.cubin"
-    if (code := disk_cache.read(name)) is None:
+    if (code := read_cached(name)) is None:
         code = compiler.compile(text, architecture)
-        disk_cache.write(name, code)
+        write_cached(name, code)
     return code
 
 
@@ -150,3 +152,40 @@ def _load() -> ctypes.CDLL:
         ]
         return library
     raise SarsplatError(f"NVRTC, which compiles the CUDA engine, cannot be loaded ({'; '.join(faults)}); {_REMEDY}")
+
+
+# ---- cache on disk, in $XDG_CACHE_HOME/sarsplat or ~/.cache/sarsplat -------------------------------------------------
+def read_cached(name: str) -> bytes | None:
+    """Return cached content; None if it is missing or its checksum is wrong."""
+    try:
+        content = (_folder() / name).read_bytes()
+    except OSError:
+        return None
+    digest, payload = content[:32], content[32:]
+    return payload if hashlib.sha256(payload).digest() == digest else None
+
+
+def write_cached(name: str, content: bytes) -> None:
+    """Cache content; warn once if the folder is not writable."""
+    folder = _folder()
+    temporary = folder / f"{name}.{os.getpid()}-{get_ident()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(hashlib.sha256(content).digest() + content)
+        temporary.replace(folder / name)
+    except OSError as error:
+        _warn(folder, str(error))
+
+
+def _folder() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sarsplat"
+
+
+@cache
+def _warn(folder: Path, reason: str) -> None:
+    warnings.warn(
+        f"the compiled CUDA engine and its check cannot be kept in {folder} ({reason}), so that every program begins "
+        "with them; make it writable, or name another folder in XDG_CACHE_HOME",
+        SarsplatWarning,
+        stacklevel=2,
+    )

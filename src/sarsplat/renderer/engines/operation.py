@@ -176,19 +176,13 @@ class _Call(torch.autograd.Function):
 
 
 def _saved_inputs(ctx: Any) -> list[Any]:
-    """Return the saved tensors, whose memory may have moved; raise if they were changed in place.
-
-    Raises
-    ------
-    SarsplatError
-        If a shape has changed.
-    """
+    """Return the saved tensors, whose memory may have moved; raise if they were changed in place, or in shape."""
     saved = ctx.saved_tensors  # once: checkpointing hands out recomputed tensors only once
     inputs = [None if t is None else t.contiguous() for t in saved]
     for name, tensor, shape in zip(ctx.call.names[ctx.call.saved], inputs, ctx.shapes, strict=True):
         if tensor is not None and tensor.shape != shape:
             raise SarsplatError(
-                f"{name} had shape {tuple(shape)} when rendered and now have shape {tuple(tensor.shape)}; do not "
+                f"{name} had shape {tuple(shape)} when rendered and now has shape {tuple(tensor.shape)}; do not "
                 "replace the data of tensors between rendering and backward"
             )
     return inputs

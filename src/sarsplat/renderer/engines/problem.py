@@ -12,13 +12,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE
-from sarsplat.gaussians.harmonics import harmonic_basis
+from sarsplat.gaussians.law_harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import FARTHEST, FLATTEST, MAX_SCALE, STEEPEST, STRONGEST
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH, MIN_TRANSMITTANCE
 from sarsplat.renderer.engines.abi import api
-from sarsplat.renderer.engines.chosen_views import by_view
-from sarsplat.renderer.engines.on_device import kept_on_device
+from sarsplat.renderer.engines.on_device import by_view, kept_on_device
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")
 """Names of the inputs in a problem."""
@@ -48,8 +47,9 @@ def _direction(view: View, dtype: torch.dtype, device: torch.device) -> Float[Te
 
 
 @kept_on_device(maxsize=4096)
-def _frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
-    return torch.from_numpy(view.look.frame).float().to(device)
+def frame_of(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "3 3"]:
+    """Return the radar frame."""
+    return torch.from_numpy(view.look.frame).to(device, dtype)
 
 
 @kept_on_device(maxsize=4096)
@@ -84,20 +84,15 @@ def level_direction(view: View, dtype: torch.dtype, device: torch.device) -> Flo
 
 
 @kept_on_device(maxsize=4096)
-def level_basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
-    """Return harmonics along `level_direction`."""
-    return harmonic_basis(torch.from_numpy(_level(view)), degree).float().to(device)
+def basis_of(view: View, degree: int, level: bool, device: torch.device) -> Float[Tensor, " k"]:
+    """Return harmonics towards the radar, or along `level_direction`."""
+    direction = torch.from_numpy(_level(view) if level else view.look.facing)
+    return harmonic_basis(direction, degree).float().to(device)
 
 
 def _level(view: View) -> Float[np.ndarray, " 3"]:
     flat = view.look.facing * (1.0, 1.0, 0.0)
     return flat / np.linalg.norm(flat)
-
-
-@kept_on_device(maxsize=4096)
-def _basis(view: View, degree: int, device: torch.device) -> Float[Tensor, " k"]:
-    """Return harmonics towards the radar."""
-    return harmonic_basis(torch.from_numpy(view.look.facing), degree).float().to(device)
 
 
 def problem_of(
@@ -112,8 +107,8 @@ def problem_of(
     means, _, _, _, harmonics, amplitudes, _ = inputs
     assert means is not None
     degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
-    frames = by_view(_frame, views, means.device)
-    basis = None if harmonics is None else by_view(_basis, views, degree, means.device)
+    frames = by_view(frame_of, views, means.dtype, means.device)
+    basis = None if harmonics is None else by_view(basis_of, views, degree, False, means.device)
     problem = new_problem(len(views), len(means), grid=grid, rays=rays, peak=peak)
     problem.coefficients = 0 if harmonics is None else harmonics.shape[1]
     problem.channels = 1 if amplitudes is None else amplitudes.shape[2]

@@ -11,8 +11,7 @@ from typing import Protocol, TypeVar
 import torch
 from torch import Tensor
 
-from sarsplat.renderer.engines.cuda_arrays import Launcher
-from sarsplat.renderer.engines.cuda_device import Device
+from sarsplat.renderer.engines.cuda_device import Device, Launcher
 from sarsplat.renderer.engines.on_device import read_meanwhile
 
 T = TypeVar("T")

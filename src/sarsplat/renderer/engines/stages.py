@@ -12,16 +12,16 @@ from torch import Tensor
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer.checks import complaint, complaint_by_view
+from sarsplat.renderer.checks import complaint
 from sarsplat.renderer.engines.abi import api
-from sarsplat.renderer.engines.chosen_views import by_view
 from sarsplat.renderer.engines.cpu import FAULTS
+from sarsplat.renderer.engines.on_device import by_view
 from sarsplat.renderer.engines.operation import Call, Tensors
 from sarsplat.renderer.engines.passes import Pass
 from sarsplat.renderer.engines.problem import (
     ARRAYS,
+    basis_of,
     flat_frame,
-    level_basis,
     mirror_offset,
     mirrored_frame,
     new_problem,
@@ -29,7 +29,7 @@ from sarsplat.renderer.engines.problem import (
     pointer,
     problem_of,
 )
-from sarsplat.renderer.footprints import deviations
+from sarsplat.renderer.rendering import deviations
 
 _WIDTHS = (2, 3, None, None, 2, 2, 3, None)  # of the tensors [V, N, …] of a projection, as in csrc/api.h
 
@@ -72,7 +72,7 @@ class _OfGaussians(Stage):
             raise SarsplatError(_too_many_rays(index, self.rays, float(means.abs().max()), float(scales.max())))
         tensor = inputs[FAULTS.index(fault) - 1]
         assert tensor is not None
-        raise SarsplatError((complaint_by_view if fault == "amplitudes" else complaint)(fault, tensor, index))
+        raise SarsplatError(complaint(fault, tensor, index, by_view=fault == "amplitudes"))
 
 
 class Render(_OfGaussians):
@@ -174,7 +174,7 @@ class Bounce(_OfGaussians):
         frames, feet = (by_view(of, self.views, device) for of in (mirrored_frame, flat_frame))
         offset, basis = by_view(mirror_offset, self.views, self.height_m, device), None
         if problem.coefficients:
-            basis = by_view(level_basis, self.views, math.isqrt(problem.coefficients) - 1, device)
+            basis = by_view(basis_of, self.views, math.isqrt(problem.coefficients) - 1, True, device)
         self.constants = frames, feet, offset, basis
         problem.frames, problem.basis = pointer(frames), pointer(basis)
         return problem
@@ -318,4 +318,4 @@ def _accept_footprints(names: Sequence[str], inputs: Tensors, fault: str, index:
     for name, tensor in zip(names, inputs, strict=True):
         if fault and name.rpartition(".")[2] == fault:
             assert tensor is not None
-            raise SarsplatError(complaint_by_view(name, tensor, index))
+            raise SarsplatError(complaint(name, tensor, index, by_view=True))

@@ -12,9 +12,8 @@ from torch import Tensor
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer.engines import cpu, cuda, disk_cache, nvrtc
-from sarsplat.renderer.engines.cuda_arrays import Launcher
-from sarsplat.renderer.engines.cuda_device import device, require_cuda
+from sarsplat.renderer.engines import cpu, cuda, nvrtc
+from sarsplat.renderer.engines.cuda_device import Launcher, device, require_cuda
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.stages import Render
 
@@ -38,12 +37,12 @@ def objection(where: torch.device) -> str:
     except SarsplatError as error:
         return str(error)
     name = f"trial-{hashlib.sha256(repr((gpu.description, _sources())).encode()).hexdigest()[:32]}"
-    if (verdict := disk_cache.read(name)) is None:
+    if (verdict := nvrtc.read_cached(name)) is None:
         try:
             verdict = _disagreement(gpu).encode()
         except (SarsplatError, torch.OutOfMemoryError) as error:  # another program may be using the GPU's memory
             return f"it could not be tried ({_first_line(error)})"
-        disk_cache.write(name, verdict)
+        nvrtc.write_cached(name, verdict)
     return verdict.decode()
 
 
