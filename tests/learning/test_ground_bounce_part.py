@@ -16,8 +16,7 @@ from sarsplat.gaussians import NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.method import Inputs
 from sarsplat.learning.model import SceneModel
-from sarsplat.learning.observations.parts_of_images import PartsOfImages
-from sarsplat.learning.observations.single_images import SingleImages
+from sarsplat.learning.observations.single_images import PartsOfImages, SingleImages
 from sarsplat.learning.observations.stacks import Stacks
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.radar import Pixel

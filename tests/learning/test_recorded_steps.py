@@ -17,8 +17,8 @@ from torch import Tensor
 from datasets import box_dataset
 from sarsplat import Dataset, ImageGrid, preset
 from sarsplat.errors import SarsplatWarning
-from sarsplat.learning import Trainer, levels
-from sarsplat.learning.strategies.relocation import Relocating
+from sarsplat.learning import Trainer, scene_frame
+from sarsplat.learning.strategies.growth import Relocating
 from sarsplat.renderer.engines import bounds, choice, cuda, cuda_arrays
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
@@ -79,7 +79,7 @@ def test_steps_run_again_are_steps(
     name: str, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name == "levels":  # which a scene so small has not
-        monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
+        monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
     if name == "azimuths":
         uncertain = (replace(entry, azimuth_std_deg=2.0) for entry in dataset.entries)
         dataset = replace(dataset, entries=tuple(uncertain))

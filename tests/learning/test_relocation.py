@@ -9,7 +9,7 @@ import torch
 
 from sarsplat import Dataset, preset
 from sarsplat.learning.strategies import State, ops
-from sarsplat.learning.strategies.relocation import Relocating, pairs
+from sarsplat.learning.strategies.growth import Relocating, pairs
 from sarsplat.settings.sections import Relocation
 from trainings import trained
 

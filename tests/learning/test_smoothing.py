@@ -13,7 +13,7 @@ from torch.nn.functional import normalize
 
 from sarsplat import Dataset, preset
 from sarsplat.gaussians.covariance import rotated
-from sarsplat.learning import Trainer, levels
+from sarsplat.learning import Trainer, scene_frame
 from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes, turned
 from sarsplat.settings.sections import Smoothing
 from trainings import assert_same, trained
@@ -107,7 +107,7 @@ def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypat
     for _ in range(10):
         assert small.step() == without.step()
     assert torch.equal(small.gaussians.means, without.gaussians.means)  # a vehicle stays as it is
-    monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
+    monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
     large, without = Trainer(dataset, smoothed), Trainer(dataset, config)
     assert large.model.levels.coarsest > 1
     for _ in range(10):
@@ -122,7 +122,7 @@ def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypat
 def test_a_training_that_stops_between_rounds_goes_on_with_the_same_bits(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
+    monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
     config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=8))
     stopped = trained(dataset, config, 12).snapshot(0.0)
     assert_same(trained(dataset, config, 24).snapshot(0.0), trained(dataset, config, 12, stopped).snapshot(0.0))

@@ -21,7 +21,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.learning import Trainer, losses, model, optimiser
-from sarsplat.learning.dropout import dropped, share_dropped
+from sarsplat.learning.parts.target import dropped, share_dropped
 from sarsplat.renderer import Rendering
 from sarsplat.renderer.engines import cuda
 from sarsplat.runs import Step

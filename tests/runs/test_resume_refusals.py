@@ -15,7 +15,7 @@ import torch
 from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_tiff
-from sarsplat.learning import levels
+from sarsplat.learning import scene_frame
 from sarsplat.runs.run_folder import LogLine
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, PointExtraction, Rates, Smoothing
@@ -62,7 +62,7 @@ def refused(begun: Path, dataset: Dataset, config: Config, message: str) -> None
 
 def test_one_of_before_there_was_smoothing(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its settings do not say that it has none, and it goes on without; nor does it say how often it has grown."""
-    monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
+    monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
     unsmoothed = replace(CONFIG, coarsest=2, smoothing=Smoothing(rounds=0))
     whole = reconstruct(dataset, unsmoothed, tmp_path / "run")
     tensors, _ = load_checkpoint(whole.store.checkpoint_path)

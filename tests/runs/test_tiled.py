@@ -21,7 +21,7 @@ from sarsplat.executors import EXECUTORS, Means, executor_ray
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
-from sarsplat.learning.observations.parts_of_images import Tile, tiles_of
+from sarsplat.learning.observations.single_images import Tile, tiles_of
 from sarsplat.renderer import render
 from sarsplat.runs.tiled_training import TILE, TileEnd, TileJob
 from sarsplat.settings.sections import Densification, Surroundings

@@ -18,7 +18,7 @@ from jaxtyping import Float, Float64
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.geometry import ImageGrid
-from sarsplat.learning.levels import Levels
+from sarsplat.learning.scene_frame import Levels
 from sarsplat.learning.trainer import Trainer
 from sarsplat.radiometry import to_db
 from sarsplat.settings.config import Config

@@ -169,17 +169,12 @@ class GaussianReconstruction(Reconstruction):
         gaussians = self.gaussians
         law = gaussians.scattering
         if not isinstance(law, Polarimetric):
-            raise SarsplatError(
-                f"this run's scattering is {law.kind}, which is the same in all polarisations; give one that was "
-                "learned from stacks of several (preset polarimetric)"
-            )
-        if not all(low <= high for low, high in zip(*box, strict=True)):  # also catches NaN
-            raise SarsplatError(f"the box is {box[0]} to {box[1]} m; give its lower corner (x, y, z) first")
+            return super().covariance_within(box)
         corners = [torch.tensor(corner, dtype=torch.float64).to(gaussians.means) for corner in box]
         inside = ((gaussians.means >= corners[0]) & (gaussians.means <= corners[1])).all(dim=1)
         if not bool(inside.any()):
             raise SarsplatError(
-                f"no Gaussian lies in the box {box[0]} to {box[1]} m; give lower and upper corners around some"
+                f"no Gaussian lies in the box {box[0]} to {box[1]} m; give the lower corner (x, y, z) and the upper one"
             )
         count = len(law.polarisations)
         total, rays = np.zeros((count, count), np.complex128), self._rays(self.grid)
@@ -207,14 +202,9 @@ class GaussianReconstruction(Reconstruction):
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> Sampler:
         """Return a sampler; raise if the run was learned without speckle."""
         if self.config.surroundings is None and self.config.loss != "speckle":
-            if self.config.passes is not None:
-                raise SarsplatError(
-                    f"this run was learned from stacks (preset {self.config.preset}), which show no differences of "
-                    "single images; reconstruct their power with the preset measured or speckled"
-                )
             raise SarsplatError(
-                f"this run was learned without speckle (preset {self.config.preset}, loss {self.config.loss}); "
-                "reconstruct speckled images with the preset measured or speckled"
+                f"this run has not learned how single images differ (preset {self.config.preset}, loss "
+                f"{self.config.loss}); reconstruct the power of speckled ones with the preset measured or speckled"
             )
         return Sampler(self.model, self._degree, self.grid, ground, speckle, scatterers)
 
