@@ -225,16 +225,16 @@ class Result(ABC):
 
     @cached_property
     def points(self) -> Float32[np.ndarray, "p 3"]:
-        """Points of the surface, world frame, m; from `points.ply`, extracted if that is missing."""
-        return self.reconstruction.points() if self._stored is None else self._stored[0]
+        """Points of the surface, world frame, m, read-only; from `points.ply`, extracted if that is missing."""
+        return _fixed(self.reconstruction.points() if self._stored is None else self._stored[0])
 
     @cached_property
     def normals(self) -> Float32[np.ndarray, "p 3"]:
-        """Unit normals of the points towards the radar; from `points.ply` if it has them."""
+        """Unit normals of the points towards the radar, read-only; from `points.ply` if it has them."""
         columns = {} if self._stored is None else self._stored[1]
         if not columns.keys() >= set(_NORMAL):
-            return self.reconstruction.normals_at(self.points)
-        return np.stack([columns[name] for name in _NORMAL], axis=1)
+            return _fixed(self.reconstruction.normals_at(self.points))
+        return _fixed(np.stack([columns[name] for name in _NORMAL], axis=1))
 
     @cached_property
     def _stored(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:
@@ -322,3 +322,9 @@ class Result(ABC):
     def loss_title(self) -> tuple[str, str]:
         """Title of the loss, and its unit."""
         return METHODS[self.method].loss_title(self.config)
+
+
+def _fixed(array: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
+    """Make an array read-only: scores, report and exports share it."""
+    array.flags.writeable = False
+    return array

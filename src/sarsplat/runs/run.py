@@ -15,12 +15,12 @@ from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_by
 from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
 from sarsplat.data.folders import only_writer
 from sarsplat.data.header import place_header
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, Place, View
 from sarsplat.learning.device_choice import device_named
 from sarsplat.progress import progress
-from sarsplat.runs.methods import METHODS, method_named
+from sarsplat.runs.methods import method_named
 from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.runs.result import Result
 from sarsplat.runs.run_folder import (
@@ -114,14 +114,10 @@ class Run(Result):
         """
         if self.images is not None:
             return self.images
-        if self.dataset_path is None and not self.fingerprint:
-            raise SarsplatError(
-                "this run has no dataset; give it by Run.from_gaussians(…, dataset=…) or Run.load(…, dataset=…)"
-            )
         if self.dataset_path is None:
             raise SarsplatError(
-                f"{self.path} was made from images in memory; give them with Run.load({str(self.path)!r}, "
-                "dataset=…), or resume it with the dataset that write_dataset writes"
+                f"{self.path or 'this run'} has no dataset, or was made from images in memory; give them with "
+                "Run.load(…, dataset=…) or Run.from_gaussians(…, dataset=…)"
             )
         if not self.dataset_path.exists():
             raise SarsplatError(
@@ -171,11 +167,6 @@ class Run(Result):
         """
         path = Path(path)
         header = read_header(path)
-        if header.method not in METHODS:
-            raise SarsplatError(
-                f"{path / HEADER} is of a run by the method {shown(header.method)}; give one by {', '.join(METHODS)}, "
-                "or install the package that has this method"
-            )
         config = method_named(header.method).settings.of_run(header.config, str(path / HEADER))
         if dataset is not None and header.dataset_fingerprint not in ("", dataset.fingerprint()):
             raise SarsplatError(f"{path} was made from another dataset than {dataset}; give the one it was made from")

@@ -265,14 +265,10 @@ def read_header(path: Path) -> Header:
     header = path / HEADER
     if not header.is_file():
         if (path / "dataset.json").is_file():
-            usual = path.with_name(f"{path.name}-run")
-            made = (usual / HEADER).is_file()
-            one = f"such as {usual}" if made else f"which `sarsplat reconstruct {path} --out {usual}` makes"
-            raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, {one}")
-        if path.is_file():
-            raise SarsplatError(f"{path} is a file, but a run is a folder that holds {HEADER}; give the folder")
-        what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
-        raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
+            made = f"`sarsplat reconstruct {path} --out {path}-run` makes"
+            raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, which {made}")
+        what = f"is no folder with {HEADER}, so it is not a run" if path.exists() else "does not exist"
+        raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out DIR`")
     data = read_json(header, dict[str, Any])
     version = data.get("schema_version")
     if data.get("schema") == SCHEMA and isinstance(version, int) and version < SCHEMA_VERSION:

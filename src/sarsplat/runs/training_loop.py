@@ -67,12 +67,7 @@ class Training(Generic[T]):
     `run` has the folder of log and checkpoints; None in memory. `ended` is True after `on_step` has returned True.
     """
 
-    def __init__(
-        self,
-        trainer: T,
-        on_step: Callable[[Step[T]], object] | None,
-        shown: Reporter,
-    ) -> None:
+    def __init__(self, trainer: T, on_step: Callable[[Step[T]], object] | None, shown: Reporter) -> None:
         self.trainer, self.shown, self._on_step = trainer, shown, on_step
         self.history: list[LogLine] = []
         self.run: Run | None = None
@@ -119,9 +114,7 @@ class Training(Generic[T]):
                     f"{files.checkpoint_path} does not match this version ({error}); start again with overwrite=True"
                 ) from error
             self._begun -= snapshot.seconds
-            self.history = [
-                line for line in run.history if line.iteration <= snapshot.iteration
-            ]  # without lines beyond it
+            self.history = [line for line in run.history if line.iteration <= snapshot.iteration]
             self.shown.start_at(snapshot.iteration)
         if resumed != run:
             resumed.write_header()
@@ -259,10 +252,8 @@ def train(
     a checkpoint; points, which may take longer than the training, are extracted only at the end.
     """
     config = training.trainer.config
-    if resume and overwrite:
-        raise SarsplatError("a run is either resumed or overwritten; give only one of resume and overwrite")
-    if out is None and (resume or overwrite):
-        raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
+    if (resume and overwrite) or (out is None and (resume or overwrite)):
+        raise SarsplatError("a run in a folder is either resumed or overwritten; give out, and only one of these")
     if out is None:
         training.advance_to(config.iterations)
         held = InMemory(training.trainer.snapshot(training.seconds), training.history)

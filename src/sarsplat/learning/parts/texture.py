@@ -104,7 +104,8 @@ class Maps:
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
         given = 4 if any(view.tilt_deg or view.side == "left" for view in views) else 2
-        view_deg = torch.tensor([_numbers(view)[:given] for view in views], dtype=torch.float32).double()
+        numbers = [(view.azimuth_deg, view.grazing_deg, view.tilt_deg, float(view.side == "left")) for view in views]
+        view_deg = torch.tensor([one[:given] for one in numbers], dtype=torch.float32).double()
         return cls(
             {"ratio": torch.from_numpy(smooth).to(ratio), "shift_m": shift_m.clone(), "view_deg": view_deg},
             grid,
@@ -161,12 +162,8 @@ def _check(state: Parameters, count: int, grid: ImageGrid) -> None:
         raise ValueError("the texture has numbers that are not finite")
 
 
-def _numbers(view: View) -> tuple[float, float, float, float]:
-    return view.azimuth_deg, view.grazing_deg, view.tilt_deg, float(view.side == "left")
-
-
 def _view(azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: float = 0.0) -> View:
-    """Undo `_numbers`."""
+    """View of a row of `view_deg`."""
     return View(azimuth_deg, grazing_deg, tilt_deg, "left" if left else "right")
 
 
