@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from sarsplat.runs.run_folder import Header
-from sarsplat.runs.run_names import distinguished
+from sarsplat.runs.run_folder import Header, distinguished
 
 
 def header(dataset: str | None, method: str = "sar-gs", **config: Any) -> Header:
