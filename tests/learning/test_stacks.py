@@ -279,11 +279,6 @@ def test_refusals(images: Callable[[], Dataset], changes: dict[str, Any], messag
         reconstruct(images(), replace(preset("stack"), **changes) if changes else "auto", quiet=True)
 
 
-def test_screens_too_narrow_are_refused():
-    with pytest.raises(SarsplatError, match=r"passes.screen_std is 1e-30; give at least 1e-06 radians, or 0 to switch"):
-        replace(PASSES, screen_std=1e-30)
-
-
 # ---- phases that atmosphere adds, learned beside the scene -----------------------------------------------------------
 def screened(constants: np.ndarray, slopes: np.ndarray) -> Dataset:
     """A block's stack, with phases that are constant and those that rise from the near to the far edge, rad."""

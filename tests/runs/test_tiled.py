@@ -252,9 +252,10 @@ def test_a_tile_that_is_not_finished_is_one_sentence(
     ("given", "message"),
     [
         ({"executor": "lokal"}, "executor .lokal. is unknown; did you mean local"),
-        ({"executor": "local", "tiles": 1}, "executor is local, but the settings have no tiles"),
-        ({"executor": "local", "out": None}, "give the dataset's folder and out"),
-        ({"executor": "local", "loss": lambda a, b: (a - b).abs().mean()}, "does not support a custom loss"),
+        *(
+            ({"executor": "local", **given}, "executor is local, which needs tiles above 1, the dataset's folder, out")
+            for given in ({"tiles": 1}, {"out": None}, {"loss": lambda a, b: (a - b).abs().mean()})
+        ),
     ],
 )
 def test_what_others_cannot_learn_is_refused(
