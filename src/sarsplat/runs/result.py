@@ -211,10 +211,7 @@ class Result(ABC):
     def mesh(self) -> trimesh.Trimesh:
         """Return the surface as triangles, world frame, m; perhaps without faces. It is cached: copy before changes.
 
-        Raises
-        ------
-        SarsplatError
-            If a package is missing, or the surface would take too many triangles.
+        Raises a SarsplatError if a package is missing, or the surface would take too many triangles.
         """
         return self._mesh
 
@@ -262,13 +259,7 @@ class Result(ABC):
 
     @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"]:
-        """Corrections of the training views' azimuths, degrees, float64 [K].
-
-        Raises
-        ------
-        SarsplatError
-            If the checkpoint is damaged.
-        """
+        """Corrections of the training views' azimuths, degrees, float64 [K]; raises if the checkpoint is damaged."""
         offsets = self.reconstruction.azimuth_offset_deg
         count = len(self.snapshot.views)
         if offsets is None:

@@ -105,13 +105,7 @@ class Run(Result):
 
     @cached_property
     def dataset(self) -> Dataset:
-        """The dataset of its training.
-
-        Raises
-        ------
-        SarsplatError
-            If it is missing or has changed.
-        """
+        """The dataset of its training; raises a SarsplatError if it is missing or has changed."""
         if self.images is not None:
             return self.images
         if self.dataset_path is None:
@@ -133,13 +127,7 @@ class Run(Result):
 
     @checks_arguments
     def views_of(self, dataset: Dataset) -> tuple[View, ...]:
-        """Return the views of a dataset with the corrections of the passes that the training learned.
-
-        Parameters
-        ----------
-        dataset : Dataset
-            Images of the run's dataset, such as its test images.
-        """
+        """Return the views of images of its dataset with the corrections of passes that the training learned."""
         if not any(entry.turn is not None for entry in dataset.entries):
             return dataset.views
         return self.reconstruction.views_of(dataset.entries, self.dataset.select("train"))
@@ -277,13 +265,7 @@ class Run(Result):
 
     @property
     def folder(self) -> Path:
-        """Folder of the run.
-
-        Raises
-        ------
-        SarsplatError
-            If the run is in memory.
-        """
+        """Folder of the run; raises a SarsplatError if the run is in memory."""
         if self.path is None:
             raise SarsplatError("this run is in memory and has no folder; save it first with run.save(PATH)")
         return self.path
@@ -308,13 +290,7 @@ class Run(Result):
 
     @checks_arguments
     def keep(self, metrics: dict[str, Any]) -> None:
-        """Store the scores that `evaluate_run` returned.
-
-        Raises
-        ------
-        SarsplatError
-            If they are no scores, or another process is writing the run.
-        """
+        """Store the scores that `evaluate_run` returned; raise a SarsplatError if they are something else."""
         try:
             scores = convert(metrics, Metrics)
         except msgspec.ValidationError as error:

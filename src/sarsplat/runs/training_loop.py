@@ -170,11 +170,11 @@ class Training(Generic[T]):
     def _require_finite(self, losses: list[Tensor]) -> list[float]:
         """Return losses as numbers; raise if one is not finite."""
         values: list[float] = torch.stack(losses).tolist() if losses else []  # one wait for the device
-        for back, value in enumerate(reversed(values)):
-            if not math.isfinite(value) and all(map(math.isfinite, values[: len(values) - back - 1])):
+        for iteration, value in enumerate(values, self.trainer.iteration - len(values) + 1):
+            if not math.isfinite(value):
                 raise SarsplatError(
-                    f"the loss became {value} at iteration {self.trainer.iteration - back}; lower the learning rates, "
-                    "or make a custom loss finite for all images (the last checkpoint is from before)"
+                    f"the loss became {value} at iteration {iteration}; lower the learning rates, or make a custom "
+                    "loss finite for all images (the last checkpoint is from before)"
                 )
         return values
 

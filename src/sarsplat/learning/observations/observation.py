@@ -43,15 +43,6 @@ class Observation(ABC):
     """Base of the observations: training images of a dataset, on a device.
 
     To add one, put a file with a class derived from this one into this folder.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        Dataset with training images.
-    config : Config
-        Settings.
-    device : torch.device
-        Device of the images.
     """
 
     order: ClassVar[int]
