@@ -128,7 +128,5 @@ def test_what_it_cannot_be_combined_with_is_refused(mirrored: Dataset) -> None:
     assert Stacks.goes_with["ground"] is None  # without which there is no bounce
     with pytest.raises(SarsplatError, match="bounce is on, which needs level ground"):
         SingleImages.refuse(SHORT, replace(mirrored, terrain=hill()), Inputs())
-    with pytest.raises(
-        SarsplatError, match="bounce is on, which cannot be combined with tiles 2; give off, or"
-    ):
+    with pytest.raises(SarsplatError, match="bounce is on, which cannot be combined with tiles 2; give off, or"):
         PartsOfImages.refuse(replace(SHORT, tiles=2), mirrored, Inputs())

@@ -17,7 +17,6 @@ from sarsplat.gaussians.covariance import rotated
 from sarsplat.learning import Trainer, scene_frame
 from sarsplat.learning.strategies.smoothing import towards_planes, turned
 from sarsplat.settings.sections import Smoothing
-from trainings import assert_same, trained
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -117,15 +116,6 @@ def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypat
     assert 20 < int(moved.sum()) < len(moved)
     assert int((thinner & ~moved).sum()) == 0 < int(thinner.sum())
     large.step()
-
-
-def test_a_training_that_stops_between_rounds_goes_on_with_the_same_bits(
-    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
-    config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=8))
-    stopped = trained(dataset, config, 12).snapshot(0.0)
-    assert_same(trained(dataset, config, 24).snapshot(0.0), trained(dataset, config, 12, stopped).snapshot(0.0))
 
 
 @pytest.mark.parametrize("count", [1, 3])

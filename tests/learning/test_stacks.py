@@ -15,6 +15,7 @@ import torch
 import trimesh
 
 from sarsplat import (
+    Config,
     ImageGrid,
     Run,
     SarsplatError,
@@ -160,25 +161,22 @@ class Watching(Strategy):
     def wants_plane_gradients(self, step: int) -> bool:
         return True
 
-    def step_post_backward(self, params: Any, optimizers: Any, state: Any, step: int, info: Any) -> None:
+    def step_post_backward(self, *_: Any) -> None:
         return
 
 
-@pytest.mark.filterwarnings("ignore:there is one training view")
-def test_what_is_refused():
+def test_images_that_are_no_stacks_are_none():
     images = dataset()
     entries = (*images.entries, replace(images.entries[0], stack=None))
     with pytest.raises(SarsplatError, match="some images are of 0 passes and others of 6"):
         Dataset.of_complex(GRID, entries, np.repeat(images.signal, 2, axis=0))
     with pytest.raises(SarsplatError, match="for 6 passes; make it with of_complex"):
         Dataset(GRID, images.entries, images.power, signal=images.signal[:, 0])
-    with pytest.raises(SarsplatError, match=r"loss is .*, which cannot be combined with passes on; give 'passes'"):
-        reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
-    with pytest.raises(SarsplatError, match="plane gradients, which cannot be combined with passes on; omit it"):
-        reconstruct(images, strategies=[Watching()], quiet=True)
-    single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
-    with pytest.raises(SarsplatError, match=r"passes is on .preset stack., .* has single images; give passes off"):
-        reconstruct(single, "stack", quiet=True)
+
+
+def single() -> Dataset:
+    images = dataset()
+    return Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
 
 
 def test_a_box_higher_than_an_ambiguity_is_warned_of():
@@ -245,15 +243,21 @@ def of_two(**fields: object) -> Dataset:
 
 PAIRS = [Stack(0.24, (0.0, 0.0), polarisations=("HH", other)) for other in ("VV", "HV")]
 PASSES = preset("stack").passes
+
+
+def changed(**settings: object) -> dict[str, Config]:
+    return {"preset": replace(preset("stack"), **settings)}
+
+
 AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
 
 
 @pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
 @pytest.mark.parametrize(
-    ("images", "changes", "message"),
+    ("images", "options", "message"),
     [
         *(
-            (dataset, changes, f"{next(iter(changes))} is .*, which cannot be combined with passes on")
+            (dataset, changed(**changes), f"{next(iter(changes))} is .*, which cannot be combined with passes on")
             for changes in ({"coarsest": 8}, {"tiles": 2}, {"ground": FlatGround()}, {"surroundings": Surroundings()})
         ),
         (lambda: replace(dataset(), target_box_m=AWAY), {}, "no training image shows the box"),
@@ -268,15 +272,22 @@ AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
         ),
         (
             of_two,
-            {"passes": replace(PASSES, window=25)},
+            changed(passes=replace(PASSES, window=25)),
             r"passes.window is 25, more than the 24 × 20 pixels of the images; give a",
         ),
-        (of_two, {"passes": None}, "the loss passes needs passes on"),
+        (of_two, changed(passes=None), "the loss passes needs passes on"),
+        (
+            dataset,
+            {"loss": lambda a, b: a.mean()},
+            r"loss is .*, which cannot be combined with passes on; give 'passes'",
+        ),
+        (dataset, {"strategies": [Watching()]}, "plane gradients, which cannot be combined with passes on; omit it"),
+        (single, {"preset": "stack"}, r"passes is on .preset stack., .* has single images; give passes off"),
     ],
 )
-def test_refusals(images: Callable[[], Dataset], changes: dict[str, Any], message: str):
+def test_refusals(images: Callable[[], Dataset], options: dict[str, Any], message: str):
     with pytest.raises(SarsplatError, match=message):
-        reconstruct(images(), replace(preset("stack"), **changes) if changes else "auto", quiet=True)
+        reconstruct(images(), **options, quiet=True)
 
 
 # ---- phases that atmosphere adds, learned beside the scene -----------------------------------------------------------
