@@ -159,18 +159,6 @@ def test_a_full_disk_is_told_in_one_sentence(
     assert Run.load(tmp_path / "run").iteration == 1  # what there was room for
 
 
-def test_one_process_writes(dataset: Dataset, config: Config, tmp_path: Path, finished: Run) -> None:
-    out = tmp_path / "run"
-    shutil.copytree(finished.path, out)
-    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
-    with elsewhere(only_writer(out)):
-        for how in ({"resume": True}, {"overwrite": True}):
-            with pytest.raises(SarsplatError, match="run is in use by another process; wait"):
-                reconstruct(dataset, config, out, **how)
-    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
-    reconstruct(dataset, config, out, resume=True)
-
-
 def test_scores_are_kept_as_they_are_and_nothing_else_is(tmp_path: Path, finished: Run) -> None:
     run = Run.load(shutil.copytree(finished.path, tmp_path / "run"))
     scores: dict[str, Any] = {key: {"visible": {"count": 3, "cd_m": 0.25}} for key in ("points", "mesh", "capon")}
