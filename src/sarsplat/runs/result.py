@@ -30,6 +30,17 @@ _NORMAL = ("nx", "ny", "nz")
 """Columns of normals in `points.ply`."""
 
 
+class _Copied(cached_property[np.ndarray]):
+    """Cached array that every access copies: changes of a copy do not reach scores, report and exports."""
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        array = super().__get__(instance, owner)
+        return self if instance is None else array.copy()
+
+    def __set__(self, instance: object, value: object) -> None:  # with it, every access calls `__get__`
+        raise AttributeError(f"{self.attrname} cannot be set; it is made from the checkpoint")
+
+
 class Result(ABC):
     """Results of a method's checkpoint."""
 
@@ -220,18 +231,18 @@ class Result(ABC):
         """Mesh shared by scores, report and exports: in a large scene it takes minutes."""
         return self.reconstruction.mesh(self.points, self.normals)
 
-    @cached_property
+    @_Copied
     def points(self) -> Float32[np.ndarray, "p 3"]:
-        """Points of the surface, world frame, m, read-only; from `points.ply`, extracted if that is missing."""
-        return _fixed(self.reconstruction.points() if self._stored is None else self._stored[0])
+        """Points of the surface, world frame, m, a copy; from `points.ply`, extracted if that is missing."""
+        return self.reconstruction.points() if self._stored is None else self._stored[0]
 
-    @cached_property
+    @_Copied
     def normals(self) -> Float32[np.ndarray, "p 3"]:
-        """Unit normals of the points towards the radar, read-only; from `points.ply` if it has them."""
+        """Unit normals of the points towards the radar, a copy; from `points.ply` if it has them."""
         columns = {} if self._stored is None else self._stored[1]
         if not columns.keys() >= set(_NORMAL):
-            return _fixed(self.reconstruction.normals_at(self.points))
-        return _fixed(np.stack([columns[name] for name in _NORMAL], axis=1))
+            return self.reconstruction.normals_at(self.points)
+        return np.stack([columns[name] for name in _NORMAL], axis=1)
 
     @cached_property
     def _stored(self) -> tuple[Float32[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]] | None:
@@ -313,9 +324,3 @@ class Result(ABC):
     def loss_title(self) -> tuple[str, str]:
         """Title of the loss, and its unit."""
         return METHODS[self.method].loss_title(self.config)
-
-
-def _fixed(array: Float32[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
-    """Make an array read-only: scores, report and exports share it."""
-    array.flags.writeable = False
-    return array
