@@ -18,7 +18,7 @@ from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, SarImage, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, Place, Turn, View
 from sarsplat.runs import Run
-from sarsplat.runs.run_names import names_of
+from sarsplat.runs.run_folder import names_of
 from sarsplat.sweeps import Plan
 
 GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))

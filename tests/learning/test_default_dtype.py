@@ -9,7 +9,7 @@ import torch
 from datasets import small_dataset
 from sample_runs import made_up
 from sarsplat import Run, preset, reconstruct
-from sarsplat.learning.dropout import dropped
+from sarsplat.learning.parts.target import dropped
 from sarsplat.runs.methods import method_named
 
 

@@ -16,8 +16,7 @@ from sarsplat.gaussians import NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.method import Inputs
 from sarsplat.learning.model import SceneModel
-from sarsplat.learning.observations.parts_of_images import PartsOfImages
-from sarsplat.learning.observations.single_images import SingleImages
+from sarsplat.learning.observations.single_images import PartsOfImages, SingleImages
 from sarsplat.learning.observations.stacks import Stacks
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.radar import Pixel
@@ -129,5 +128,5 @@ def test_what_it_cannot_be_combined_with_is_refused(mirrored: Dataset) -> None:
     assert Stacks.goes_with["ground"] is None  # without which there is no bounce
     with pytest.raises(SarsplatError, match="bounce is on, which needs level ground"):
         SingleImages.refuse(SHORT, replace(mirrored, terrain=hill()), Inputs())
-    with pytest.raises(SarsplatError, match="bounce is on, which cannot be combined with tiles 2; give off, or tiles"):
+    with pytest.raises(SarsplatError, match="bounce is on, which cannot be combined with tiles 2; give off, or"):
         PartsOfImages.refuse(replace(SHORT, tiles=2), mirrored, Inputs())

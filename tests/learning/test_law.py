@@ -95,7 +95,7 @@ def test_a_law_that_leaves_nothing_to_each_gaussian_is_refused(
     dataset: Dataset, config: Config, tuned: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Tuned, "common", ((0.0, 1.0),) * 3)
-    with pytest.raises(SarsplatError, match=r"Tuned.common has 3 ranges for 3 columns"):
+    with pytest.raises(SarsplatError, match="with K above the 3 ranges of Tuned"):
         reconstruct(dataset, replace(config, scattering=tuned), quiet=True)
 
 

@@ -14,9 +14,8 @@ from sarsplat.gaussians import NormalLobes
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import RayGrid
 from sarsplat.learning import Trainer
-from sarsplat.learning.levels import Levels
 from sarsplat.learning.parts.target import scales_m
-from sarsplat.learning.scene_frame import SceneFrame
+from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.learning.strategies import Info
 from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.training_images import TrainingImages

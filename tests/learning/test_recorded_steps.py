@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,9 +20,10 @@ from torch import Tensor
 from datasets import box_dataset
 from sarsplat import Dataset, ImageGrid, preset
 from sarsplat.errors import SarsplatWarning
-from sarsplat.learning import Trainer, levels
-from sarsplat.learning.strategies.relocation import Relocating
-from sarsplat.renderer.engines import bounds, choice, cuda, cuda_device
+from sarsplat.learning import Trainer, scene_frame
+from sarsplat.learning.snapshot import Snapshot
+from sarsplat.learning.strategies.growth import Relocating
+from sarsplat.renderer.engines import bounds, choice, cuda, cuda_device, on_device
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
 from terrains import hill
@@ -60,18 +64,25 @@ CONFIGS = {
 }
 
 
-@pytest.fixture
-def recorder(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[EmulatedRecorder]:
-    """On the CPU, an emulated GPU that records steps."""
-    recorder = EmulatedRecorder(Emulator(library))
-    engine = choice.Engine(
-        "cpu", lambda *_: partial(cuda.Pass, recorder.launcher), takes_bounds=True, recorder=lambda _: recorder
-    )
+@contextmanager
+def emulated(
+    launcher: Emulator, recorder: Callable[[torch.device], EmulatedRecorder], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
+    """On the CPU, an emulated GPU with these recorders."""
+    engine = choice.Engine("cpu", lambda *_: partial(cuda.Pass, launcher), takes_bounds=True, recorder=recorder)
     monkeypatch.setitem(choice.ENGINES, "cuda", engine)
     monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))
     choice._fitting.cache_clear()
-    yield recorder
+    yield
     choice._fitting.cache_clear()
+
+
+@pytest.fixture
+def recorder(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[EmulatedRecorder]:
+    """An emulated GPU that records steps."""
+    recorder = EmulatedRecorder(Emulator(library))
+    with emulated(recorder.launcher, lambda _: recorder, monkeypatch):
+        yield recorder
 
 
 @pytest.mark.parametrize("name", CONFIGS)
@@ -79,7 +90,7 @@ def test_steps_run_again_are_steps(
     name: str, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name == "levels":  # which a scene so small has not
-        monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
+        monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
     if name == "azimuths":
         uncertain = (replace(entry, azimuth_std_deg=2.0) for entry in dataset.entries)
         dataset = replace(dataset, entries=tuple(uncertain))
@@ -162,3 +173,42 @@ def test_a_record_that_fails_is_warned_of_and_nothing_is_lost(
             assert torch.equal(by_itself.step(), launched.step())
     assert len(said) == 1
     assert_same(by_itself.snapshot(0.0), launched.snapshot(0.0))
+
+
+# ---- several trainings in threads of one process, as a sweep does them on a GPU --------------------------------------
+TOGETHER = ("default", "quick", "speckled", "measured")
+
+
+@pytest.fixture(params=["emulated GPU", "CPU"])
+def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """What trains: an emulated GPU, with a queue and recorders for each thread, or the CPU's own engine."""
+    if request.param == "CPU":
+        yield request.param
+        return
+    launcher = Emulator(request.getfixturevalue("library"))
+    monkeypatch.setattr(on_device, "queue_of", lambda device: threading.get_ident())
+    with emulated(launcher, lambda _: EmulatedRecorder(launcher), monkeypatch):
+        yield request.param
+
+
+def learned(name: str, dataset: Dataset, together: threading.Barrier | None) -> tuple[Snapshot, bool]:
+    """After some steps, and whether they were recorded; beside others if there is a barrier at which all begin."""
+    trainer = Trainer(dataset, replace(CONFIGS[name], seed=len(name)))
+    if together is not None:
+        together.wait()
+    for _ in range(12):
+        trainer.step()
+    return trainer.snapshot(0.0), trainer.records
+
+
+def test_trainings_at_a_time_learn_what_each_learns_alone(dataset: Dataset, engine: str) -> None:
+    alone = {name: learned(name, dataset, None) for name in TOGETHER}
+    all_there = threading.Barrier(len(TOGETHER), timeout=120)
+    with ThreadPoolExecutor(len(TOGETHER)) as pool:
+        asked = {name: pool.submit(learned, name, dataset, all_there) for name in TOGETHER}
+        together = {name: future.result() for name, future in asked.items()}
+    for name in TOGETHER:
+        (mine, recorded), (theirs, also) = together[name], alone[name]
+        assert recorded == also, name
+        assert recorded == (engine != "CPU") or name == "measured"
+        assert_same(mine, theirs)

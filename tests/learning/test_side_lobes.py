@@ -9,7 +9,7 @@ import torch
 
 from sarsplat import ImageGrid
 from sarsplat.geometry.responses import TAYLOR, Taylor
-from sarsplat.learning.parts.side_lobes import with_side_lobes
+from sarsplat.learning.parts.measured import with_side_lobes
 
 GRID = ImageGrid(81, 101, (0.1, 0.12), (0.3, 0.4))
 

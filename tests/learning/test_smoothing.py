@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +14,9 @@ from torch.nn.functional import normalize
 
 from sarsplat import Dataset, preset
 from sarsplat.gaussians.gaussians import rotated
-from sarsplat.learning import Trainer, levels
-from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes, turned
+from sarsplat.learning import Trainer, scene_frame
+from sarsplat.learning.strategies.smoothing import towards_planes, turned
 from sarsplat.settings.sections import Smoothing
-from trainings import assert_same, trained
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -101,13 +101,12 @@ def test_axes_turn_towards_a_normal_on_either_side_and_stay_where_there_is_none(
 def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=0))
     smoothed = replace(config, smoothing=Smoothing(rounds=4, thinner=0.1))
-    assert [step for step in range(41) if Smoothed(smoothed.smoothing, 40).due(step)] == [10, 20, 30, 40]
     small, without = Trainer(dataset, smoothed), Trainer(dataset, config)
     assert small.model.levels.coarsest == 1
     for _ in range(10):
         assert small.step() == without.step()
     assert torch.equal(small.gaussians.means, without.gaussians.means)  # a vehicle stays as it is
-    monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
+    monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
     large, without = Trainer(dataset, smoothed), Trainer(dataset, config)
     assert large.model.levels.coarsest > 1
     for _ in range(10):
@@ -119,29 +118,18 @@ def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypat
     large.step()
 
 
-def test_a_training_that_stops_between_rounds_goes_on_with_the_same_bits(
-    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("count", [1, 3])
+def test_planes_are_the_same_however_many_are_fitted_at_once(
+    count: int, threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(levels, "_MIN_ACROSS", 2)
-    config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=8))
-    stopped = trained(dataset, config, 12).snapshot(0.0)
-    assert_same(trained(dataset, config, 24).snapshot(0.0), trained(dataset, config, 12, stopped).snapshot(0.0))
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_planes_are_the_same_however_many_are_fitted_at_once(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     chance = np.random.default_rng(0)
     means = np.column_stack([chance.uniform(-6, 6, (2000, 2)), chance.normal(0, 0.15, 2000)])
     normals = UP + chance.normal(0, 0.3, (2000, 3))
     given = means, normals / np.linalg.norm(normals, axis=1, keepdims=True), chance.random(2000), 0.3, 0.9
     expected = towards_planes(*given)
-    before = torch.get_num_threads()
     monkeypatch.setattr("sarsplat.learning.strategies.smoothing._BATCH", 37)
-    try:
-        torch.set_num_threads(threads)
-        found = towards_planes(*given)
-    finally:
-        torch.set_num_threads(before)
+    threads(count)
+    found = towards_planes(*given)
     assert np.ptp(expected[2]) > 0  # narrow and wide ones
     for one, other in zip(expected, found, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -15,6 +15,7 @@ import torch
 import trimesh
 
 from sarsplat import (
+    Config,
     ImageGrid,
     Run,
     SarsplatError,
@@ -28,6 +29,7 @@ from sarsplat import (
 )
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
 from sarsplat.examination.plausible import suspicions
+from sarsplat.learning.model import SceneModel
 from sarsplat.learning.strategies import Strategy
 from sarsplat.regions.stack_region import stack_region
 from sarsplat.settings.presets import PRESETS, preset
@@ -159,25 +161,22 @@ class Watching(Strategy):
     def wants_plane_gradients(self, step: int) -> bool:
         return True
 
-    def step_post_backward(self, params: Any, optimizers: Any, state: Any, step: int, info: Any) -> None:
+    def step_post_backward(self, *_: Any) -> None:
         return
 
 
-@pytest.mark.filterwarnings("ignore:there is one training view")
-def test_what_is_refused():
+def test_images_that_are_no_stacks_are_none():
     images = dataset()
     entries = (*images.entries, replace(images.entries[0], stack=None))
     with pytest.raises(SarsplatError, match="some images are of 0 passes and others of 6"):
         Dataset.of_complex(GRID, entries, np.repeat(images.signal, 2, axis=0))
     with pytest.raises(SarsplatError, match="for 6 passes; make it with of_complex"):
         Dataset(GRID, images.entries, images.power, signal=images.signal[:, 0])
-    with pytest.raises(SarsplatError, match=r"loss is .*, which cannot be combined with passes on; give 'passes'"):
-        reconstruct(images, loss=lambda a, b: (a - b).abs().mean(), quiet=True)
-    with pytest.raises(SarsplatError, match="plane gradients, which cannot be combined with passes on; omit it"):
-        reconstruct(images, strategies=[Watching()], quiet=True)
-    single = Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
-    with pytest.raises(SarsplatError, match=r"passes is on .preset stack., .* has single images; give passes off"):
-        reconstruct(single, "stack", quiet=True)
+
+
+def single() -> Dataset:
+    images = dataset()
+    return Dataset(GRID, (replace(images.entries[0], stack=None),), images.power, looks=1.0)
 
 
 def test_a_box_higher_than_an_ambiguity_is_warned_of():
@@ -244,15 +243,21 @@ def of_two(**fields: object) -> Dataset:
 
 PAIRS = [Stack(0.24, (0.0, 0.0), polarisations=("HH", other)) for other in ("VV", "HV")]
 PASSES = preset("stack").passes
+
+
+def changed(**settings: object) -> dict[str, Config]:
+    return {"preset": replace(preset("stack"), **settings)}
+
+
 AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
 
 
 @pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
 @pytest.mark.parametrize(
-    ("images", "changes", "message"),
+    ("images", "options", "message"),
     [
         *(
-            (dataset, changes, f"{next(iter(changes))} is .*, which cannot be combined with passes on")
+            (dataset, changed(**changes), f"{next(iter(changes))} is .*, which cannot be combined with passes on")
             for changes in ({"coarsest": 8}, {"tiles": 2}, {"ground": FlatGround()}, {"surroundings": Surroundings()})
         ),
         (lambda: replace(dataset(), target_box_m=AWAY), {}, "no training image shows the box"),
@@ -267,17 +272,67 @@ AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
         ),
         (
             of_two,
-            {"passes": replace(PASSES, window=25)},
+            changed(passes=replace(PASSES, window=25)),
             r"passes.window is 25, more than the 24 × 20 pixels of the images; give a",
         ),
-        (of_two, {"passes": None}, "the loss passes needs passes on"),
+        (of_two, changed(passes=None), "the loss passes needs passes on"),
+        (
+            dataset,
+            {"loss": lambda a, b: a.mean()},
+            r"loss is .*, which cannot be combined with passes on; give 'passes'",
+        ),
+        (dataset, {"strategies": [Watching()]}, "plane gradients, which cannot be combined with passes on; omit it"),
+        (single, {"preset": "stack"}, r"passes is on .preset stack., .* has single images; give passes off"),
     ],
 )
-def test_refusals(images: Callable[[], Dataset], changes: dict[str, Any], message: str):
+def test_refusals(images: Callable[[], Dataset], options: dict[str, Any], message: str):
     with pytest.raises(SarsplatError, match=message):
-        reconstruct(images(), replace(preset("stack"), **changes) if changes else "auto", quiet=True)
+        reconstruct(images(), **options, quiet=True)
 
 
-def test_screens_too_narrow_are_refused():
-    with pytest.raises(SarsplatError, match=r"passes.screen_std is 1e-30; give at least 1e-06 radians, or 0 to switch"):
-        replace(PASSES, screen_std=1e-30)
+# ---- phases that atmosphere adds, learned beside the scene -----------------------------------------------------------
+def screened(constants: np.ndarray, slopes: np.ndarray) -> Dataset:
+    """A block's stack, with phases that are constant and those that rise from the near to the far edge, rad."""
+    clear = dataset()
+    down = np.linspace(-1, 1, GRID.rows)[:, None]
+    turned = np.exp(1j * (constants[:, None, None] + slopes[:, None, None] * down))
+    return Dataset.of_complex(GRID, clear.entries, clear.signal * turned, looks=1.0, ground=True, target="block")
+
+
+def without_heights(phases: np.ndarray) -> np.ndarray:
+    """What is left of the phases of passes when heights have explained what they can."""
+    numbers = np.stack([dataset().stacks[0].elevation_numbers(VIEW), np.ones(len(phases))], axis=1)
+    return phases - numbers @ np.linalg.lstsq(numbers, phases, rcond=None)[0]
+
+
+def test_screens_are_found():
+    constants = np.array([0.0, 0.9, -0.7, 0.5, -0.9, 0.3])
+    slopes = np.array([0.0, 0.3, -0.4, 0.4, 0.0, -0.3])
+    data = screened(constants, slopes)
+    config = replace(preset("stack"), iterations=120, gaussians=1500)
+    learned = reconstruct(data, replace(config, passes=replace(config.passes, screen_std=0.7)), quiet=True)
+    found = learned.snapshot.tensors["model/phase_screen"].numpy().reshape(6, 3)
+    assert np.abs(without_heights(found[:, 0]) - without_heights(constants)).max() < 0.2
+    assert np.abs(without_heights(found[:, 2]) - without_heights(slopes)).max() < 0.25
+    assert np.abs(without_heights(found[:, 1])).max() < 0.2
+    untold = reconstruct(data, config, quiet=True)
+    assert "model/phase_screen" not in untold.snapshot.tensors
+    assert learned.history[-1].loss < untold.history[-1].loss - 0.3
+
+
+def test_gradients_and_unseen_images():
+    data, config = screened(np.zeros(6), np.zeros(6)), preset("stack")
+    config = replace(config, gaussians=60, passes=replace(config.passes, screen_std=0.7))
+    model = SceneModel.initial(config, data, torch.Generator().manual_seed(0))
+    screen = model.parameters["phase_screen"]
+    with torch.no_grad():
+        screen += 0.3 * torch.randn(screen.shape, generator=torch.Generator().manual_seed(1))
+    (part,) = [part for part in model.parts if type(part).__name__ == "PhaseScreen"]
+    shot = model.shot([VIEW], GRID, torch.tensor([0]))
+    double = screen.detach().double().requires_grad_()
+    assert torch.autograd.gradcheck(lambda p: part.phases(shot, {"phase_screen": p}), double)
+    constant, along, away = screen.detach()[0].unflatten(0, (-1, 3)).unbind(-1)
+    phases = part.phases(shot, {"phase_screen": screen.detach()})[0]
+    torch.testing.assert_close(phases[:, 0, -1], constant + along - away)  # near range is row 0
+    torch.testing.assert_close(phases.mean((1, 2)), constant, atol=1e-5, rtol=0)
+    assert part.phases(model.shot([VIEW], GRID), {"phase_screen": double}) is None

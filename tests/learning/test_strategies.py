@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import runpy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from sarsplat import Dataset, SarsplatError, preset, reconstruct
+from datasets import small_dataset
+from sarsplat import Dataset, Gaussians, ImageGrid, SarsplatError, preset, reconstruct
 from sarsplat.learning import Trainer
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, State, Strategy, ops
-from sarsplat.settings.sections import Densification
+from sarsplat.learning.strategies.azimuths import AzimuthRefinement
+from sarsplat.learning.strategies.density import DensityControl
+from sarsplat.learning.strategies.growth import Relocating, pairs
+from sarsplat.learning.strategies.smoothing import Smoothed
+from sarsplat.learning.strategies.texture import TextureEstimation
+from sarsplat.learning.strategies.turns import TurnRefinement
+from sarsplat.settings.sections import Densification, Relocation, Smoothing, Surroundings, Turns
 from trainings import assert_same, trained
+from upright import upright
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_strategy.py"
 CONFIG = replace(
@@ -176,3 +185,111 @@ def test_moves_of_one_turn_add_up() -> None:
     moves = optimizers.take_moves()
     assert moves is not None
     assert moves.tolist() == [1, 2, -1]
+
+
+# ---- density control: who is cloned, split and pruned ----------------------------------------------------------------
+CONTROL = Densification(
+    start=10, stop=100, every=10, gradient=1.0, split_above=0.1, max_extent=0.3, min_scattering=0.01, max_gaussians=10
+)
+
+GRID = ImageGrid(10, 8, (0.5, 1.0), (1.0, 1.0))  # cells of 1 m, 10 m in range
+
+
+def five() -> Gaussians:
+    """Steep and small, steep and large, flat, black, far too large."""
+    scales = torch.tensor([[0.05], [0.2], [0.05], [0.05], [5.0]])
+    return upright(torch.arange(15.0), scales, [1.0, 1.0, 1.0, 1e-4, 1.0])
+
+
+def gathered(*gradient: float) -> State:
+    """Sums over two views."""
+    return State({"gradient": torch.tensor(gradient), "seen": torch.full((len(gradient),), 2.0)})
+
+
+def test_small_ones_are_cloned_large_ones_split_and_dark_or_huge_ones_pruned() -> None:
+    pruned, cloned, split = DensityControl(CONTROL).decide(five(), GRID, gathered(4.0, 4.0, 1.0, 9.0, 9.0))
+    assert pruned.tolist() == [False, False, False, True, True]
+    assert cloned.tolist() == [True, False, False, False, False]
+    assert split.tolist() == [False, True, False, False, False]
+
+
+def test_room_is_given_to_the_steepest() -> None:
+    density = DensityControl(replace(CONTROL, max_gaussians=6))
+    _, cloned, split = density.decide(five(), GRID, gathered(8.0, 4.0, 6.0, 0.0, 0.0))
+    assert (cloned | split).tolist() == [True, False, False, False, False]
+
+
+def test_the_last_one_is_not_pruned() -> None:
+    density = DensityControl(replace(CONTROL, min_scattering=1e6))
+    with pytest.raises(SarsplatError, match=r"would remove all Gaussians: none scatters at least 1e\+06"):
+        density.decide(five(), GRID, gathered(0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+# ---- relocation: who moves, where to, and that little of the image changes -------------------------------------------
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def test_the_weakest_join_strong_ones_each_its_own() -> None:
+    sigma = torch.tensor([5.0, 0.0, 3.0, 0.01, 2.0, 0.5])
+    idle, strong = pairs(sigma, 0.01, generator())
+    assert idle.tolist() == [1, 3]  # 0.01 of 10.51 is less than a hundredth, 0.51 is more
+    assert len(set(strong.tolist())) == 2
+    assert not set(strong.tolist()) & {1, 3}
+
+
+def test_at_most_half_is_idle_and_nobody_joins_what_scatters_nothing() -> None:
+    assert len(pairs(torch.ones(10), 1.0, generator())[0]) == 5
+    idle, strong = pairs(torch.tensor([0.0, 0.0, 0.0, 1.0]), 0.5, generator())
+    assert (len(idle), strong.tolist()) == (1, [3])
+    assert len(pairs(torch.zeros(4), 0.5, generator())[0]) == 0
+
+
+def test_a_corner_reflector_leaves_the_others_at_work() -> None:
+    sigma = torch.linspace(0.5, 1.5, 1000)
+    sigma[:10] = 1e5
+    idle, _ = pairs(sigma, 0.01, generator())
+    assert len(idle) < 50  # what holds a hundredth of powers that count as no more than 125
+    assert pairs(sigma / 1e3, 0.01, generator())[0].tolist() == idle.tolist()
+
+
+def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
+    config = replace(preset("default"), iterations=80, gaussians=400, relocation=Relocation(rounds=1))
+    trainer = trained(dataset, config, 69)
+    images, rendering = trainer.model.render(trainer.views, trainer.grid, 0)
+    before, means = images.detach(), trainer.gaussians.means.clone()
+    rows = pairs(rendering.cross_sections[..., 0].detach().mean(0), 0.01, generator())
+    ops.relocate(trainer.model.parameters, trainer.optimiser, State(), *rows, generator())
+    assert trainer.optimiser.take_moves() is not None
+    after = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()
+    assert len(trainer.model) == 400
+    assert 5 < int((trainer.gaussians.means != means).any(dim=1).sum()) < 300
+    assert float(after.mean()) == pytest.approx(float(before.mean()), rel=0.25)  # halves that hid each other are seen
+    trainer.step()
+
+
+# ---- rounds ----------------------------------------------------------------------------------------------------------
+OFTEN, MEASURED = 100_000_000, Surroundings()
+
+
+@pytest.mark.parametrize(
+    ("strategy", "expected"),
+    [
+        (DensityControl(CONTROL), range(10, 100, 10)),
+        (Relocating(Relocation(rounds=5, until=0.5), 100), range(10, 60, 10)),
+        (Relocating(Relocation(until=0), 100), []),
+        (Relocating(Relocation(rounds=OFTEN, until=1), 100), range(1, 101)),
+        (Smoothed(Smoothing(rounds=4), 40), range(10, 50, 10)),
+        (TextureEstimation(replace(MEASURED, texture_rounds=4, texture_from=0.4), 600), range(240, 601, 90)),
+        (TextureEstimation(replace(MEASURED, texture_rounds=OFTEN, texture_from=0.5), 60), range(30, 61)),
+        (AzimuthRefinement(small_dataset(), replace(MEASURED, azimuth_rounds=8), 700), range(210, 631, 60)),
+        (AzimuthRefinement(small_dataset(), replace(MEASURED, azimuth_rounds=1), 600), [180]),
+        (AzimuthRefinement(small_dataset(), replace(MEASURED, azimuth_rounds=0), 600), []),
+        (AzimuthRefinement(small_dataset(), replace(MEASURED, azimuth_rounds=OFTEN), 60), range(18, 55)),
+        (TurnRefinement(small_dataset(), Turns(rounds=5, begin=0.1, until=0.9), 100), range(10, 91, 20)),
+        (TurnRefinement(small_dataset(), Turns(rounds=0), 100), []),
+    ],
+)
+def test_rounds_are_evenly_spaced(strategy: Any, expected: Sequence[int]) -> None:
+    last = getattr(strategy, "_iterations", 130)
+    assert [step for step in range(last + 1) if strategy.due(step)] == [*expected]

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import ImageGrid, View, preset
+from sarsplat import ImageGrid, View
 from sarsplat.geometry import radar_frame
 from sarsplat.learning.parts.texture import Maps
-from sarsplat.learning.strategies.texture import TextureEstimation
 from sarsplat.settings.sections import Surroundings
 
 GRID = ImageGrid(48, 60, (0.4, 0.5), (0.6, 0.7), (1.0, -2.0))
@@ -85,12 +84,3 @@ def test_a_window_wider_than_the_image_takes_its_mean() -> None:
     settings = replace(SETTINGS, texture_width=1e6)
     found = Maps.estimated(ratio, torch.zeros(1, 2), VIEWS[:1], GRID, settings).tensors["ratio"]
     assert torch.allclose(found, found[0, 0, 0].expand_as(found), rtol=0.2)
-
-
-def test_rounds_are_even_and_end_with_the_training() -> None:
-    settings = preset("measured").surroundings
-    assert settings is not None
-    few = TextureEstimation(replace(settings, texture_rounds=4, texture_from=0.4), 600)
-    assert [step for step in range(1, 601) if few.due(step)] == [240, 330, 420, 510, 600]
-    many = TextureEstimation(replace(settings, texture_rounds=100_000_000, texture_from=0.5), 60)
-    assert [step for step in range(1, 61) if many.due(step)] == list(range(30, 61))

@@ -188,15 +188,6 @@ def test_what_would_be_most_unlikely_is_not_believed() -> None:
     assert found[0, 0] == 1.5 and abs(found[0, 2]) <= 0.03
 
 
-def test_rounds_are_evenly_spaced(refined: Run) -> None:
-    def rounds(iterations: int, **how: float) -> list[int]:
-        refinement = TurnRefinement(refined.dataset, Turns(**how), iterations)
-        return [k for k in range(iterations + 1) if refinement.due(k)]
-
-    assert rounds(100, rounds=5, begin=0.1, until=0.9) == [10, 30, 50, 70, 90]
-    assert rounds(100, rounds=0) == []
-
-
 @pytest.mark.parametrize("damaged", [torch.zeros(3, 3), torch.zeros(2), torch.full((2, 3), torch.nan)])
 def test_corrections_of_another_training_are_refused(refined: Run, damaged: torch.Tensor) -> None:
     run = replace(refined)

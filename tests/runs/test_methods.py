@@ -27,9 +27,7 @@ def test_a_run_in_a_folder_of_images_in_memory_is_evaluated(dataset: Dataset, co
     run = reconstruct(in_memory, replace(config, iterations=2), tmp_path / "run", quiet=True)
     assert evaluate_run(run, quiet=True)["images"]
     alone = Run.load(tmp_path / "run")
-    with pytest.raises(
-        SarsplatError, match=r"made from images in memory; give them with Run\.load\('.*run', dataset=…"
-    ):
+    with pytest.raises(SarsplatError, match=r"made from images in memory; give them with Run\.load"):
         _ = alone.dataset
     assert Run.load(tmp_path / "run", dataset=in_memory).dataset is in_memory
     other = replace(in_memory, power=2 * in_memory.power)

@@ -14,7 +14,7 @@ import torch
 
 from datasets import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, reconstruct
-from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply, write_points_ply
+from sarsplat.data import read_gaussians_ply, read_points_ply, write_points_ply
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.learning import Trainer
 from sarsplat.settings import Config
@@ -36,7 +36,7 @@ def test_a_run_in_memory_is_the_same_as_one_on_the_disk(dataset: Dataset, config
     assert np.array_equal(held.render(views), finished.render(views))
     assert [line.loss for line in held.history] == [line.loss for line in finished.history]
     assert (held.iteration, held.metrics, held.dataset) == (60, None, dataset)
-    with pytest.raises(SarsplatError, match="neither resumed nor overwritten"):
+    with pytest.raises(SarsplatError, match="either resumed or overwritten"):
         reconstruct(dataset, config, resume=True)
 
 
@@ -61,7 +61,10 @@ def test_a_run_needs_its_dataset_for_nothing_but_the_images(
 def test_normals_are_read_with_the_points_and_computed_where_they_are_missing(finished: Run, tmp_path: Path) -> None:
     shutil.copytree(finished.folder, tmp_path / "run")
     points, columns = read_points_ply(tmp_path / "run" / "points.ply")
-    assert np.array_equal(Run.load(tmp_path / "run").normals[:, 2], columns["nz"])
+    read = Run.load(tmp_path / "run")
+    assert np.array_equal(read.normals[:, 2], columns["nz"])
+    read.points[0] = read.normals[0] = 5.0  # copies: scores, report and exports stay the same
+    assert np.array_equal(read.points, finished.points) and np.array_equal(read.normals[:, 2], columns["nz"])
     write_points_ply(tmp_path / "run" / "points.ply", points, normals=np.tile([0.0, 0.0, 1.0], (len(points), 1)))
     assert (Run.load(tmp_path / "run").normals == [0, 0, 1]).all()
     write_points_ply(tmp_path / "run" / "points.ply", points)
@@ -185,13 +188,14 @@ def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureF
         ({"preset": replace(preset("default"), loss="amplitud")}, "loss 'amplitud' is unknown; did you mean amplitude"),
         ({"device": "cuda"}, "install .*, or use the CPU"),
         ({"preset": "defualt"}, "preset 'defualt' is unknown"),
+        ({"dataset": "nowhere"}, "does not exist; make one"),
     ],
 )
 def test_refusals(dataset: Dataset, options: dict[str, str], words: str) -> None:
     if options.get("device") == "cuda" and torch.cuda.is_available():
         pytest.skip("there is a GPU")
     with pytest.raises(SarsplatError, match=words):
-        reconstruct(dataset, **{"preset": "default", **options})
+        reconstruct(**{"dataset": dataset, "preset": "default", **options})
 
 
 def test_a_setting_that_is_given_as_an_argument_is_told_where_it_belongs(dataset: Dataset) -> None:
@@ -214,12 +218,6 @@ def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short:
     with pytest.raises(SarsplatError, match="the loss became nan at iteration 6"):
         reconstruct(dataset, short, tmp_path / "run", loss=breaks, quiet=True)
     assert Run.load(tmp_path / "run").iteration == 4
-
-
-def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:
-    for read in (reconstruct, read_dataset):
-        with pytest.raises(SarsplatError, match="does not exist; make one"):
-            read(str(tmp_path / "nowhere"))
 
 
 @pytest.mark.parametrize(("name", "words"), [("measured", "ground is on"), ("texture", "texture_looks")])

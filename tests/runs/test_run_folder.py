@@ -19,6 +19,7 @@ from sarsplat.data import read_dataset
 from sarsplat.data.folders import only_writer
 from sarsplat.learning import Trainer
 from sarsplat.runs import Step
+from sarsplat.runs.run_folder import Header, distinguished
 from sarsplat.settings import Config
 
 
@@ -158,18 +159,6 @@ def test_a_full_disk_is_told_in_one_sentence(
     assert Run.load(tmp_path / "run").iteration == 1  # what there was room for
 
 
-def test_one_process_writes(dataset: Dataset, config: Config, tmp_path: Path, finished: Run) -> None:
-    out = tmp_path / "run"
-    shutil.copytree(finished.path, out)
-    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
-    with elsewhere(only_writer(out)):
-        for how in ({"resume": True}, {"overwrite": True}):
-            with pytest.raises(SarsplatError, match="run is in use by another process; wait"):
-                reconstruct(dataset, config, out, **how)
-    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
-    reconstruct(dataset, config, out, resume=True)
-
-
 def test_scores_are_kept_as_they_are_and_nothing_else_is(tmp_path: Path, finished: Run) -> None:
     run = Run.load(shutil.copytree(finished.path, tmp_path / "run"))
     scores: dict[str, Any] = {key: {"visible": {"count": 3, "cd_m": 0.25}} for key in ("points", "mesh", "capon")}
@@ -191,3 +180,43 @@ def test_a_copied_checkpoint_is_none(tmp_path: Path, dataset: Dataset, config: C
     reconstruct(dataset, replace(config, iterations=70), run.path, resume=True, quiet=True)
     assert Run.load(run.path).iteration == 70
     assert newest.with_name("best.safetensors").is_file()
+
+
+# ---- names of runs whose folders are called by addresses -------------------------------------------------------------
+def header(dataset: str | None, method: str = "sar-gs", **config: Any) -> Header:
+    return Header("sarsplat-run", 4, dataset, "", config, method)
+
+
+def test_settings_are_named_where_they_differ_between_runs_alike() -> None:
+    runs = [
+        header("/a/T72", preset="quick", iterations=5, points={"voxel": 0.1, "rays": 2}, seed=0),
+        header("/a/T72", preset="quick", iterations=5, points={"voxel": 0.2, "rays": 2}, seed=0),
+        header("/a/BMP2", preset="quick", iterations=9, points={"voxel": 0.2, "rays": 2}, seed=1),
+    ]
+    assert distinguished(runs) == ["T72, points.voxel 0.1, seed 0", "T72, points.voxel 0.2, seed 0", "BMP2, seed 1"]
+    others = [header("/a/T72", "sar-nerf-grid", iterations=9, seed=0), header("/b/T72", preset="default", seed=0)]
+    assert distinguished([runs[0], *others]) == [
+        "/a/T72, sar-gs, quick, seed 0",
+        "/a/T72, sar-nerf-grid, seed 0",
+        "/b/T72, sar-gs, default, seed 0",
+    ]
+    assert distinguished([header(None)]) == ["images in memory"]
+
+
+def test_sections_that_some_do_not_have_are_named() -> None:
+    dense, none = {"start": 5, "stop": 9}, header("/a/T72", preset="quick", densification=None, seed=0)
+    runs = [header("/a/T72", preset="quick", densification=dense, seed=0), none]
+    assert distinguished(runs) == ["T72, densification, seed 0", "T72, densification None, seed 0"]
+    other = header("/a/T72", preset="quick", densification={**dense, "stop": 8}, seed=0)
+    assert distinguished([*runs, other]) == [
+        "T72, densification, densification.stop 9, seed 0",
+        "T72, densification None, seed 0",
+        "T72, densification, densification.stop 8, seed 0",
+    ]
+    earlier = header("/a/T72", preset="quick", seed=0)
+    assert distinguished(
+        [earlier, header("/a/T72", preset="quick", smoothing={"rounds": 40}, dropout=0.1, seed=0)]
+    ) == [
+        "T72, seed 0",
+        "T72, smoothing, dropout 0.1, seed 0",
+    ]

@@ -21,7 +21,7 @@ from sarsplat.executors import EXECUTORS, Means, executor_ray
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
-from sarsplat.learning.observations.parts_of_images import Tile, tiles_of
+from sarsplat.learning.observations.single_images import Tile, tiles_of
 from sarsplat.renderer import render
 from sarsplat.runs.tiled_training import TILE, TileEnd, TileJob
 from sarsplat.settings.sections import Densification, Surroundings
@@ -252,9 +252,10 @@ def test_a_tile_that_is_not_finished_is_one_sentence(
     ("given", "message"),
     [
         ({"executor": "lokal"}, "executor .lokal. is unknown; did you mean local"),
-        ({"executor": "local", "tiles": 1}, "executor is local, but the settings have no tiles"),
-        ({"executor": "local", "out": None}, "give the dataset's folder and out"),
-        ({"executor": "local", "loss": lambda a, b: (a - b).abs().mean()}, "does not support a custom loss"),
+        *(
+            ({"executor": "local", **given}, "executor is local, which needs tiles above 1, the dataset's folder, out")
+            for given in ({"tiles": 1}, {"out": None}, {"loss": lambda a, b: (a - b).abs().mean()})
+        ),
     ],
 )
 def test_what_others_cannot_learn_is_refused(

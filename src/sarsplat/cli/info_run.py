@@ -106,7 +106,7 @@ def _between(low: float, high: float) -> str:
 
 def describe_contents(path: Path) -> bool:
     """List the datasets and runs in a folder; False if there are none."""
-    from sarsplat.runs.run_names import is_hashed
+    from sarsplat.runs.run_folder import is_hashed
 
     entries = sorted(_entries(path))
     if not entries:
@@ -202,8 +202,7 @@ def _dataset(folder: Path) -> tuple[tuple[str, str, str], SplitSource | None]:
 
 def _names_of_runs(folders: Sequence[Path]) -> dict[Path, str]:
     """Return names of the datasets of readable runs; for unnamed ones, their differing properties."""
-    from sarsplat.runs.run_folder import read_header
-    from sarsplat.runs.run_names import distinguished, is_hashed
+    from sarsplat.runs.run_folder import distinguished, is_hashed, read_header
 
     headers = {}
     for folder in folders:

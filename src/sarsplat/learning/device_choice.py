@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -42,12 +43,11 @@ def device_named(name: str) -> torch.device:
 
 def usable_device(device: torch.device | str) -> torch.device:
     """Return a device for training from its torch name; raise if it is unknown or cannot be used."""
-    try:
+    found = None
+    with suppress(RuntimeError):
         found = torch.device(device)
-    except RuntimeError as error:
-        raise SarsplatError(f"device {shown(device)} is unknown; give cpu or cuda") from error
-    if found.type not in ("cpu", "cuda", "meta"):  # "meta": its tensors have no numbers
-        raise SarsplatError(f"nothing is trained on the device {shown(device)}; give cpu or cuda")
+    if found is None or found.type not in ("cpu", "cuda", "meta"):  # "meta": its tensors have no numbers
+        raise SarsplatError(f"device {shown(device)} is unknown, or nothing is trained there; give cpu or cuda")
     if found.type == "cuda":
         require_cuda()
     return found
@@ -56,11 +56,11 @@ def usable_device(device: torch.device | str) -> torch.device:
 @cache
 def _automatic() -> torch.device:
     """Return a GPU if the CUDA engine passes its check there, else the CPU; warn once of a GPU that fails."""
-    gpu, cpu = torch.device("cuda:0"), torch.device("cpu")
+    gpu = torch.device("cuda:0")
     try:
         require_cuda()
     except SarsplatError:
-        return cpu
+        return _CPU
     if not (reason := objection(gpu)):
         return gpu
     warnings.warn(
@@ -68,7 +68,7 @@ def _automatic() -> torch.device:
         SarsplatWarning,
         stacklevel=3,
     )
-    return cpu
+    return _CPU
 
 
 def quicker_device(

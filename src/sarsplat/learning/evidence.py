@@ -18,7 +18,7 @@ from jaxtyping import Float, Float64
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.geometry import ImageGrid
-from sarsplat.learning.levels import Levels
+from sarsplat.learning.scene_frame import Levels
 from sarsplat.learning.trainer import Trainer
 from sarsplat.radiometry import to_db
 from sarsplat.settings.config import Config
@@ -79,10 +79,11 @@ def chosen(dataset: Dataset) -> Config:
         scene = replace(scene, dropout=_SMOOTHED_DROPOUT)
     summary = (
         f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {counted(found.images, 'image')} "
-        f"displaced ({found.nats:.4f} nats per pixel)"
+        "displaced"
     )
     if found.nats >= 0:
-        return replace(scene, evidence=f"scene: {summary}")
+        return replace(scene, evidence=f"scene: {summary}; too little, so neither gains nor shifts are learned")
+    summary = f"{summary} ({found.nats:.4f} nats per pixel)"
     if not multilevel:
         return replace(PRESETS["measured"], evidence=f"measured: {summary}")
     assert scene.surroundings is not None
@@ -121,12 +122,7 @@ def differences(train: Dataset, trainer: Trainer) -> Differences:
     displaced, one = int(((even == odd) & (even != common)).sum()), np.arange(len(losses))
     cross = losses[one, 1, even] - losses[one, 1, common] + losses[one, 0, odd] - losses[one, 0, common]
     shift_nats = -cross.mean() / 2 - 2 * per_parameter if displaced > len(losses) / 2 else 0.0
-    return Differences(
-        len(losses),
-        gain_std_db,
-        displaced,
-        0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0),
-    )
+    return Differences(len(losses), gain_std_db, displaced, 0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0))
 
 
 def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows columns"]]) -> float:

@@ -147,21 +147,17 @@ def _needed(
     begins, ends = _extent(x, widths, _IN_IMAGE, variances[0], margin_m)
     nearest, farthest = _extent(z, widths, _IN_IMAGE, variances[1], margin_m)
     left, right, far, near = grid.extent_m
+    on_ground = None
+    if ground is not None:  # x_r and y_r of the rays that end on the ground in the image
+        azimuth, slant_range = (_IN_IMAGE * variance**0.5 for variance in variances)
+        across, away = (left - azimuth, right + azimuth), (near - slant_range, far + slant_range)
+        on_ground = view.look.rays_to_ground(across, away, ground.span_m)
     before = nearest < far
     shown = (ends > left) & (begins < right) & (farthest > near) & before
     for axis, (places, cell) in enumerate(zip((x, y), cells, strict=True)):
         low, high = _extent(places, widths, _ON_RAYS, cell, margin_m)
         sides = [low[shown].amin(), high[shown].amax()] if shown.any() else []
-        sides += [] if ground is None else [means.new_tensor(side) for side in _on_ground(view, grid, ground)[axis]]
+        sides += [] if on_ground is None else [means.new_tensor(side) for side in on_ground[axis]]
         if sides:
             before = before & (high > torch.stack(sides).amin()) & (low < torch.stack(sides).amax())
     return shown | before if shown.any() or ground is not None else shown
-
-
-def _on_ground(view: View, grid: ImageGrid, ground: Ground) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Ranges of x_r and y_r of the rays that end on the ground in an image, m."""
-    left, right, far, near = grid.extent_m
-    azimuth, slant_range = (_IN_IMAGE * variance**0.5 for variance in grid.response_variance_m2)
-    return view.look.rays_to_ground(
-        (left - azimuth, right + azimuth), (near - slant_range, far + slant_range), ground.span_m
-    )

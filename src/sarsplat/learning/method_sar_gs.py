@@ -169,17 +169,12 @@ class GaussianReconstruction(Reconstruction):
         gaussians = self.gaussians
         law = gaussians.scattering
         if not isinstance(law, Polarimetric):
-            raise SarsplatError(
-                f"this run's scattering is {law.kind}, which is the same in all polarisations; give one that was "
-                "learned from stacks of several (preset polarimetric)"
-            )
-        if not all(low <= high for low, high in zip(*box, strict=True)):  # also catches NaN
-            raise SarsplatError(f"the box is {box[0]} to {box[1]} m; give its lower corner (x, y, z) first")
+            return super().covariance_within(box)
         corners = [torch.tensor(corner, dtype=torch.float64).to(gaussians.means) for corner in box]
         inside = ((gaussians.means >= corners[0]) & (gaussians.means <= corners[1])).all(dim=1)
         if not bool(inside.any()):
             raise SarsplatError(
-                f"no Gaussian lies in the box {box[0]} to {box[1]} m; give lower and upper corners around some"
+                f"no Gaussian lies in the box {box[0]} to {box[1]} m; give the lower corner (x, y, z) and the upper one"
             )
         count = len(law.polarisations)
         total, rays = np.zeros((count, count), np.complex128), self._rays(self.grid)
@@ -201,20 +196,21 @@ class GaussianReconstruction(Reconstruction):
         if self.config.preset == OWN_LOOP:
             own = min(own, grid, key=lambda one: min(one.spacing_m))
         elif any(asked < 0.999 * had for asked, had in zip(grid.resolution_m, own.resolution_m, strict=True)):
-            warnings.warn(_finer(grid, own), SarsplatWarning, stacklevel=3)
+            finer, usual = (" × ".join({f"{one:.3g}": 0 for one in of.resolution_m}) + " m" for of in (grid, own))
+            warnings.warn(
+                f"a resolution of {finer} is finer than the {usual} of the training images, so the images show single "
+                "Gaussians rather than the target; ask for no finer one",
+                SarsplatWarning,
+                stacklevel=3,
+            )
         return RayGrid.for_image(own, _EVALUATION_RAYS_PER_PIXEL)
 
     def sampler(self, ground: str | Float32[np.ndarray, "r c"], speckle: Speckle, scatterers: float) -> Sampler:
         """Return a sampler; raise if the run was learned without speckle."""
         if self.config.surroundings is None and self.config.loss != "speckle":
-            if self.config.passes is not None:
-                raise SarsplatError(
-                    f"this run was learned from stacks (preset {self.config.preset}), which show no differences of "
-                    "single images; reconstruct their power with the preset measured or speckled"
-                )
             raise SarsplatError(
-                f"this run was learned without speckle (preset {self.config.preset}, loss {self.config.loss}); "
-                "reconstruct speckled images with the preset measured or speckled"
+                f"this run was learned without speckle of single images (preset {self.config.preset}, loss "
+                f"{self.config.loss}); reconstruct the power of speckled ones with the preset measured or speckled"
             )
         return Sampler(self.model, self._degree, self.grid, ground, speckle, scatterers)
 
@@ -290,17 +286,12 @@ class GaussianReconstruction(Reconstruction):
     def facts(self) -> dict[str, str]:
         own = self.config.preset == OWN_LOOP
         made = {"made by": OWN_LOOP} if own else {"preset": self.config.preset, "start": self.config.initialisation}
-        looked = {} if own else {"looked in": self._box}
+        region, above = self.model.frame.region, "" if self.model.frame.terrain is None else " above the terrain"
+        box = f"{spans(region.low, region.high)} m{above} (--target-box gives another)"
+        looked = {} if own else {"looked in": box}
         scattering = {"scattering": self.gaussians.scattering.in_words}
         chosen = {"chosen by": self.config.evidence} if self.config.evidence else {}
         return made | chosen | scattering | looked | self._rotations | self._ground
-
-    @property
-    def _box(self) -> str:
-        """Box that the Gaussians may occupy, in words."""
-        region = self.model.frame.region
-        above = "" if self.model.frame.terrain is None else " above the terrain"
-        return f"{spans(region.low, region.high)} m{above} (--target-box gives another)"
 
     @property
     def _rotations(self) -> dict[str, str]:
@@ -348,14 +339,4 @@ def lengths(config: Config, grid: ImageGrid) -> str:
         f"lengths from {cell_m:.3g} m resolution cells: start {scales[1]:.2g} m, sizes {scales[0]:.2g} … "
         f"{scales[2]:.2g} m{wider}, steps {rates.means * cell_m:.2g} → {rates.means_end * cell_m:.2g} m, rays {ray}, "
         f"voxels {config.points.voxel * cell_m:.2g} m"
-    )
-
-
-def _finer(asked: ImageGrid, own: ImageGrid) -> str:
-    def metres(pair: tuple[float, float]) -> str:
-        return " × ".join(f"{width:.3g}" for width in dict.fromkeys(pair)) + " m"
-
-    return (
-        f"a resolution of {metres(asked.resolution_m)} is finer than the {metres(own.resolution_m)} of the training "
-        "images, so the images show single Gaussians rather than the target; ask for no finer one"
     )

@@ -20,11 +20,10 @@ from sarsplat.gaussians.ground import Ground
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, Terrain, View
 from sarsplat.learning.image_windows import Windows
-from sarsplat.learning.levels import Levels
 from sarsplat.learning.parts import parts_of
 from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot
-from sarsplat.learning.scene_frame import SceneFrame
-from sarsplat.learning.snapshot import Snapshot
+from sarsplat.learning.scene_frame import Levels, SceneFrame
+from sarsplat.learning.snapshot import Snapshot, fitting
 from sarsplat.learning.stack_loss import ExpectedStacks
 from sarsplat.regions.flattened import levelled
 from sarsplat.regions.target_region import cut_off
@@ -59,9 +58,8 @@ class SceneModel:
         self.parameters: Parameters = {}
         count = len(next(parameters[name] for name, learned in self.learned.items() if learned.per_gaussian))
         for name, learned in self.learned.items():
-            tensor, shape = parameters[name].detach(), tuple(count if size is None else size for size in learned.shape)
-            if tensor.dtype != torch.float32 or tensor.shape != shape:
-                raise ValueError(f"{name} is {tensor.dtype} {list(tensor.shape)}, not float32 {list(shape)}")
+            shape = [count if size is None else size for size in learned.shape]
+            tensor = fitting(parameters, name, torch.float32, shape).detach()
             own = tensor.to(device, copy=True, memory_format=torch.contiguous_format)
             self.parameters[name] = own.requires_grad_()
 

@@ -16,14 +16,7 @@ class RecordedSteps(Generic[T]):
     """A recorded training step, recorded anew when the training changes.
 
     The first step of a kind is rehearsed: it runs normally, with its numbers on the device. The second is recorded; it
-    and all later ones replay the record.
-
-    Parameters
-    ----------
-    recorder : Recorder
-        Recorder of the training's device.
-    views, rates : int
-        Number of views of a step, and of numbers for Adam.
+    and all later ones replay the record. `views` and `rates` are how many views and numbers for Adam a step has.
     """
 
     def __init__(self, recorder: Recorder, views: int, rates: int) -> None:
@@ -51,12 +44,8 @@ class RecordedSteps(Generic[T]):
         """Make one step and return the program's result, whose tensors the next step may overwrite.
 
         `kind` is all that determines the program's launches: values, and objects that must stay identical. The program
-        gets the other three as tensors.
-
-        Raises
-        ------
-        NotRecordable, RuntimeError, SarsplatError
-            If the step cannot be recorded. The parameters are then unchanged.
+        gets the other three as tensors. Raises NotRecordable, RuntimeError or SarsplatError if the step cannot be
+        recorded; the parameters are then unchanged.
         """
         self._told.tell(
             chosen=torch.tensor(chosen, device="cpu"),

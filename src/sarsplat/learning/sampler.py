@@ -86,15 +86,11 @@ class Sampler:
         if isinstance(ground, str):
             self._backdrop = torch.ones(self._grid.rows, self._grid.columns, dtype=torch.float32)
             return
-        if ground.ndim != 2 or not ((ground >= 0) & (ground < math.inf)).all():
+        smaller = ground.ndim != 2 or ground.shape[0] < grid.rows or ground.shape[1] < grid.columns
+        if smaller or not ((ground >= 0) & (ground < math.inf)).all():
             raise SarsplatError(
-                f"the ground is {list(ground.shape)} numbers from {ground.min():g} to {ground.max():g}; give power in "
-                "rows and columns, finite and not negative"
-            )
-        if ground.shape[0] < grid.rows or ground.shape[1] < grid.columns:
-            raise SarsplatError(
-                f"the ground has {ground.shape[0]} × {ground.shape[1]} pixels, fewer than the images' {grid.rows} × "
-                f"{grid.columns}; give a larger picture of it"
+                f"the ground is {list(ground.shape)} numbers from {ground.min():g} to {ground.max():g}; give power, "
+                f"finite and not negative, of at least {grid.rows} × {grid.columns} pixels, as the images have"
             )
         self._backdrop = torch.from_numpy(ground).repeat_interleave(self._parts, 0).repeat_interleave(self._parts, 1)
 

@@ -1,8 +1,10 @@
-"""Quantities that the training images fix for a learned scene: region, unit, views, grid, terrain, stacks."""
+"""Quantities that training images and settings fix for a learned scene: region, unit, views, grid, and levels."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,6 +19,12 @@ from sarsplat.settings.config import Config
 
 _USUAL_GAMMA0 = 0.5
 """Median γ⁰ of the pixels that stand out from the ground, in the unit "target"."""
+
+_MIN_ACROSS = 20
+"""Minimum number of resolution cells across the target in multilooked images."""
+
+_COARSE_SHARE = 0.75
+"""Share of the iterations that the coarser levels take together; the rest is at full resolution."""
 
 
 @dataclass(frozen=True)
@@ -58,3 +66,57 @@ class SceneFrame:
     def samples(self) -> float:
         """Independent samples of speckle in all training images."""
         return len(self.views) * self.grid.independent_samples
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Coarse-to-fine schedule: level of the images that each iteration fits.
+
+    A level is a factor f: images are means of power over blocks of f × f pixels. The first f is the largest power of
+    two that leaves enough blocks across the target; each next one is half of it, the last one 1.
+    """
+
+    coarsest: int
+    """Factor of the first level, a power of two."""
+    grid: ImageGrid
+    """Grid at full resolution."""
+    iterations: int
+    """Length of the training."""
+
+    @classmethod
+    def of(cls, config: Config, frame: SceneFrame) -> Levels:
+        grid, (width_m, depth_m, _) = frame.grid, frame.region.high - frame.region.low
+        shown_m = (grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1])  # a box may be given, of any size
+        across_m, factor = min(math.sqrt(width_m * depth_m), *shown_m), 1
+        coarsest = min(config.coarsest, grid.rows, grid.columns)
+        while 2 * factor <= coarsest and across_m >= _MIN_ACROSS * grid.multilooked(2 * factor).cell_m:
+            factor *= 2
+        return cls(factor, grid, config.iterations)
+
+    @property
+    def _begins(self) -> list[int]:
+        """First iteration of each level."""
+        count = self.coarsest.bit_length() - 1
+        return [0, *(math.ceil(_COARSE_SHARE * self.iterations * k / count) for k in range(1, count + 1))]
+
+    def fine(self, iteration: int, share: float) -> bool:
+        """True once this share of the iterations at full resolution has passed."""
+        begin = self._begins[-1]
+        return iteration >= begin + share * (self.iterations - begin)
+
+    def factor(self, iteration: int) -> int:
+        """Level of an iteration, counted from 0."""
+        return self.coarsest >> sum(begin <= iteration for begin in self._begins[1:])
+
+    def begin_below(self, blocks: int) -> int:
+        """First iteration with blocks smaller than `blocks`."""
+        return next(begin for k, begin in enumerate(self._begins) if self.coarsest >> k < blocks)
+
+    def growths(self, iterations: int) -> int:
+        """Number of splits in the first `iterations`: one when each finer level begins, and one halfway to the next."""
+        finer = self._begins[1:]
+        return sum(one < iterations for one in {*finer, *((a + b) // 2 for a, b in pairwise(finer))})
+
+    def grid_at(self, factor: int) -> ImageGrid:
+        """Pixels and response of the images of a level."""
+        return self.grid.multilooked(factor)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import torch
 from torch import Tensor
 
 from sarsplat.data import load_checkpoint, save_checkpoint
@@ -59,15 +60,12 @@ class Snapshot:
         return digest.hexdigest()
 
     def like(self, prefix: str, expected: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return `part(prefix)`; raise ValueError unless names, shapes and types fit and numbers are finite."""
+        """Return `part(prefix)`; raise KeyError or ValueError unless names, shapes and types fit and all is finite."""
         saved = self.part(prefix)
-        if saved.keys() != expected.keys():
-            raise ValueError(f"{prefix}: it holds {', '.join(saved) or 'nothing'} instead of {', '.join(expected)}")
-        for name, tensor in saved.items():
-            if (tensor.dtype, tensor.shape) != (expected[name].dtype, expected[name].shape):
-                raise ValueError(f"{prefix}/{name} is {tensor.dtype} {list(tensor.shape)}")
-            if not tensor.isfinite().all():
-                raise ValueError(f"{prefix}/{name} is not finite")
+        for name, like in expected.items():
+            fitting(saved, name, like.dtype, like.shape)
+        if saved.keys() != expected.keys() or not all(tensor.isfinite().all() for tensor in saved.values()):
+            raise ValueError(f"{prefix} holds more than {', '.join(expected)}, or numbers that are not finite")
         return saved
 
     def save(self, path: Path) -> None:
@@ -101,6 +99,14 @@ class Snapshot:
                 f"{path} does not record how far the training had got ({shown(str(error))}); "
                 "reconstruct it again with overwrite=True"
             ) from error
+
+
+def fitting(tensors: Mapping[str, Tensor], name: str, dtype: torch.dtype, shape: Sequence[int]) -> Tensor:
+    """Return a tensor of a checkpoint; raise KeyError or ValueError unless it has this type and shape."""
+    tensor = tensors[name]
+    if tensor.dtype != dtype or tuple(tensor.shape) != tuple(shape):
+        raise ValueError(f"{name} is {tensor.dtype} {list(tensor.shape)}, not {dtype} {list(shape)}")
+    return tensor
 
 
 class _State(msgspec.Struct, forbid_unknown_fields=True):

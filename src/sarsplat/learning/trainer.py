@@ -19,13 +19,12 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.learning.adam import EngineAdam
 from sarsplat.learning.device_choice import usable_device
-from sarsplat.learning.dropout import dropped, share_dropped
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.observations import Batch, Observation, observations_of
-from sarsplat.learning.optimiser import Optimiser, followed
+from sarsplat.learning.optimiser import EngineAdam, Optimiser, followed
+from sarsplat.learning.parts.target import dropped, share_dropped
 from sarsplat.learning.recorded_steps import RecordedSteps
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, Strategy, strategies_of

@@ -108,9 +108,7 @@ class ViewQueue:
 
         Raises ValueError, KeyError, TypeError or RuntimeError if the snapshot does not hold them.
         """
-        if len(snapshot.views) != self._views:
-            raise ValueError(f"it has {len(snapshot.views)} views for {self._views} training images")
-        if not all(0 <= k < self._views for k in snapshot.queue):
-            raise ValueError("it queues views that do not exist")
+        if len(snapshot.views) != self._views or not all(0 <= k < self._views for k in snapshot.queue):
+            raise ValueError(f"its views or its queue are not those of {self._views} training images")
         self._generator.set_state(snapshot.tensors["generator"])
         self.waiting = list(snapshot.queue)

@@ -18,7 +18,7 @@ from sarsplat.report.page import ScoreTable, compared_tables, in_words, rendered
 from sarsplat.report.views import Chosen, ranked_images, views_figure, with_others
 from sarsplat.report.write import sampled, scores_expected
 from sarsplat.runs import Run
-from sarsplat.runs.run_names import names_of
+from sarsplat.runs.run_folder import names_of
 
 PAGE = "comparison.html"
 

@@ -19,7 +19,9 @@ METHODS: Mapping[str, Method] = _PLUGINS
 def method_named(name: str) -> Method:
     """Return one of `METHODS`; raise for unknown names and failed imports."""
     if name not in METHODS:
-        raise SarsplatError(f"there is no method {shown(name)}; choose one of {', '.join(METHODS)}")
+        raise SarsplatError(
+            f"there is no method {shown(name)}; choose one of {', '.join(METHODS)}, or install the package that has it"
+        )
     return METHODS[name]
 
 

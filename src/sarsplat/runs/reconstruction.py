@@ -158,13 +158,10 @@ def _tile_executor(
     executor: str, means: Means, by_tiles: bool, dataset: Dataset, out: str | Path | None, inputs: Inputs
 ) -> TileExecutor:
     """Return the function that has tiles trained by an executor; raise without tiles, or if they cannot be sent."""
-    if not by_tiles:
-        raise SarsplatError(f"executor is {executor}, but the settings have no tiles; set tiles, or leave executor out")
-    if dataset.path is None or out is None:
+    if not by_tiles or dataset.path is None or out is None or inputs.loss is not None:
         raise SarsplatError(
-            "an executor needs the dataset and the run as folders; give the dataset's folder and out, or no executor"
+            f"executor is {executor}, which needs tiles above 1, the dataset's folder, out and no custom loss; give "
+            "these, or no executor"
         )
-    if inputs.loss is not None:
-        raise SarsplatError("an executor does not support a custom loss; leave loss or executor out")
     chosen = executor_named(executor)
     return lambda jobs, folder: chosen(jobs, folder, means)

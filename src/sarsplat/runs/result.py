@@ -30,6 +30,17 @@ _NORMAL = ("nx", "ny", "nz")
 """Columns of normals in `points.ply`."""
 
 
+class _Copied(cached_property[np.ndarray]):
+    """Cached array that every access copies: changes of a copy do not reach scores, report and exports."""
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        array = super().__get__(instance, owner)
+        return self if instance is None else array.copy()
+
+    def __set__(self, instance: object, value: object) -> None:  # with it, every access calls `__get__`
+        raise AttributeError(f"{self.attrname} cannot be set; it is made from the checkpoint")
+
+
 class Result(ABC):
     """Results of a method's checkpoint."""
 
@@ -211,10 +222,7 @@ class Result(ABC):
     def mesh(self) -> trimesh.Trimesh:
         """Return the surface as triangles, world frame, m; perhaps without faces. It is cached: copy before changes.
 
-        Raises
-        ------
-        SarsplatError
-            If a package is missing, or the surface would take too many triangles.
+        Raises a SarsplatError if a package is missing, or the surface would take too many triangles.
         """
         return self._mesh
 
@@ -223,14 +231,14 @@ class Result(ABC):
         """Mesh shared by scores, report and exports: in a large scene it takes minutes."""
         return self.reconstruction.mesh(self.points, self.normals)
 
-    @cached_property
+    @_Copied
     def points(self) -> Float32[np.ndarray, "p 3"]:
-        """Points of the surface, world frame, m; from `points.ply`, extracted if that is missing."""
+        """Points of the surface, world frame, m, a copy; from `points.ply`, extracted if that is missing."""
         return self.reconstruction.points() if self._stored is None else self._stored[0]
 
-    @cached_property
+    @_Copied
     def normals(self) -> Float32[np.ndarray, "p 3"]:
-        """Unit normals of the points towards the radar; from `points.ply` if it has them."""
+        """Unit normals of the points towards the radar, a copy; from `points.ply` if it has them."""
         columns = {} if self._stored is None else self._stored[1]
         if not columns.keys() >= set(_NORMAL):
             return self.reconstruction.normals_at(self.points)
@@ -262,13 +270,7 @@ class Result(ABC):
 
     @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"]:
-        """Corrections of the training views' azimuths, degrees, float64 [K].
-
-        Raises
-        ------
-        SarsplatError
-            If the checkpoint is damaged.
-        """
+        """Corrections of the training views' azimuths, degrees, float64 [K]; raises if the checkpoint is damaged."""
         offsets = self.reconstruction.azimuth_offset_deg
         count = len(self.snapshot.views)
         if offsets is None:

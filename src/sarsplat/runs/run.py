@@ -15,12 +15,12 @@ from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_by
 from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
 from sarsplat.data.folders import only_writer
 from sarsplat.data.header import place_header
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, Place, View
 from sarsplat.learning.device_choice import device_named
 from sarsplat.progress import progress
-from sarsplat.runs.methods import METHODS, method_named
+from sarsplat.runs.methods import method_named
 from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.runs.result import Result
 from sarsplat.runs.run_folder import (
@@ -105,23 +105,13 @@ class Run(Result):
 
     @cached_property
     def dataset(self) -> Dataset:
-        """The dataset of its training.
-
-        Raises
-        ------
-        SarsplatError
-            If it is missing or has changed.
-        """
+        """The dataset of its training; raises a SarsplatError if it is missing or has changed."""
         if self.images is not None:
             return self.images
-        if self.dataset_path is None and not self.fingerprint:
-            raise SarsplatError(
-                "this run has no dataset; give it by Run.from_gaussians(…, dataset=…) or Run.load(…, dataset=…)"
-            )
         if self.dataset_path is None:
             raise SarsplatError(
-                f"{self.path} was made from images in memory; give them with Run.load({str(self.path)!r}, "
-                "dataset=…), or resume it with the dataset that write_dataset writes"
+                f"{self.path or 'this run'} has no dataset, or was made from images in memory; give them with "
+                "Run.load(…, dataset=…) or Run.from_gaussians(…, dataset=…)"
             )
         if not self.dataset_path.exists():
             raise SarsplatError(
@@ -137,13 +127,7 @@ class Run(Result):
 
     @checks_arguments
     def views_of(self, dataset: Dataset) -> tuple[View, ...]:
-        """Return the views of a dataset with the corrections of the passes that the training learned.
-
-        Parameters
-        ----------
-        dataset : Dataset
-            Images of the run's dataset, such as its test images.
-        """
+        """Return the views of images of its dataset with the corrections of passes that the training learned."""
         if not any(entry.turn is not None for entry in dataset.entries):
             return dataset.views
         return self.reconstruction.views_of(dataset.entries, self.dataset.select("train"))
@@ -171,11 +155,6 @@ class Run(Result):
         """
         path = Path(path)
         header = read_header(path)
-        if header.method not in METHODS:
-            raise SarsplatError(
-                f"{path / HEADER} is of a run by the method {shown(header.method)}; give one by {', '.join(METHODS)}, "
-                "or install the package that has this method"
-            )
         config = method_named(header.method).settings.of_run(header.config, str(path / HEADER))
         if dataset is not None and header.dataset_fingerprint not in ("", dataset.fingerprint()):
             raise SarsplatError(f"{path} was made from another dataset than {dataset}; give the one it was made from")
@@ -286,13 +265,7 @@ class Run(Result):
 
     @property
     def folder(self) -> Path:
-        """Folder of the run.
-
-        Raises
-        ------
-        SarsplatError
-            If the run is in memory.
-        """
+        """Folder of the run; raises a SarsplatError if the run is in memory."""
         if self.path is None:
             raise SarsplatError("this run is in memory and has no folder; save it first with run.save(PATH)")
         return self.path
@@ -317,13 +290,7 @@ class Run(Result):
 
     @checks_arguments
     def keep(self, metrics: dict[str, Any]) -> None:
-        """Store the scores that `evaluate_run` returned.
-
-        Raises
-        ------
-        SarsplatError
-            If they are no scores, or another process is writing the run.
-        """
+        """Store the scores that `evaluate_run` returned; raise a SarsplatError if they are something else."""
         try:
             scores = convert(metrics, Metrics)
         except msgspec.ValidationError as error:

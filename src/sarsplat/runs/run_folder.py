@@ -1,9 +1,13 @@
-"""Storage of runs of any method, in a folder or in memory; settings, log and scores are read without torch."""
+"""Storage of runs of any method, in a folder or in memory, and their readable names, all without torch.
+
+Runs are named by their folders; hashed folders of sweeps by dataset and differing settings.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NotRequired, TypedDict
@@ -265,14 +269,10 @@ def read_header(path: Path) -> Header:
     header = path / HEADER
     if not header.is_file():
         if (path / "dataset.json").is_file():
-            usual = path.with_name(f"{path.name}-run")
-            made = (usual / HEADER).is_file()
-            one = f"such as {usual}" if made else f"which `sarsplat reconstruct {path} --out {usual}` makes"
-            raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, {one}")
-        if path.is_file():
-            raise SarsplatError(f"{path} is a file, but a run is a folder that holds {HEADER}; give the folder")
-        what = "does not exist" if not path.exists() else f"holds no {HEADER}, so it is not a run"
-        raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out {path}`")
+            made = f"`sarsplat reconstruct {path} --out {path}-run` makes"
+            raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, which {made}")
+        what = f"is no folder with {HEADER}, so it is not a run" if path.exists() else "does not exist"
+        raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out DIR`")
     data = read_json(header, dict[str, Any])
     version = data.get("schema_version")
     if data.get("schema") == SCHEMA and isinstance(version, int) and version < SCHEMA_VERSION:
@@ -294,3 +294,66 @@ def require_replaceable(out: Path) -> None:
 def log_text(lines: Iterable[LogLine]) -> bytes:
     """Encode log lines as in `metrics.jsonl`."""
     return b"".join(msgspec.json.encode(line) + b"\n" for line in lines)
+
+
+def is_hashed(folder: Path) -> bool:
+    """Return whether a run's folder has a hash for a name, as in sweeps."""
+    return re.fullmatch(r"[0-9a-f]{16}", folder.name) is not None
+
+
+def names_of(folders: Sequence[Path]) -> list[str]:
+    """Return names of runs: folder names, or distinguishing names of hashed folders; paths if these coincide."""
+    hashed = [folder for folder in folders if is_hashed(folder)]
+    values_of_kind = dict(zip(hashed, distinguished([read_header(folder) for folder in hashed]), strict=True))
+    names = [values_of_kind.get(folder, folder.absolute().name) for folder in folders]
+    return names if len({*names}) == len(names) else [str(folder) for folder in folders]
+
+
+def distinguished(headers: Sequence[Header], with_method: bool = True) -> list[str]:
+    """Name each run by dataset, differing method, preset and settings, and seed.
+
+    Settings are compared between runs of one dataset, method and preset, as others differ in most. A section that other
+    runs lack is named without its settings.
+    """
+    methods = {header.method for header in headers}
+    presets = {header.config["preset"] for header in headers if "preset" in header.config}  # only of sar-gs
+    datasets: dict[str, set[str]] = {}  # folder name → paths
+    values: dict[tuple[str, str, str], dict[str, list[str]]] = {}  # kind → setting → values
+    for header in headers:
+        datasets.setdefault(Path(_dataset(header)).name, set()).add(_dataset(header))
+        values_of_kind = values.setdefault(_kind(header), {})
+        for name, value in _dotted(header.config):
+            values_of_kind.setdefault(name, []).append(str(value))
+    kind_counts = Counter(map(_kind, headers))
+    names = []
+    for header in headers:
+        name = Path(_dataset(header)).name if len(datasets[Path(_dataset(header)).name]) == 1 else _dataset(header)
+        words = [name or "images in memory"]
+        words += [header.method] if with_method and len(methods) > 1 else []
+        words += [header.config["preset"]] if len(presets) > 1 and "preset" in header.config else []
+        settings = ((name, value) for name, value in _dotted(header.config) if name not in ("preset", "seed"))
+        for setting, value in settings:
+            given, (section, dot, _) = values[_kind(header)][setting], setting.partition(".")
+            if len({*given}) > 1 or (len(given) < kind_counts[_kind(header)] and not dot):
+                words.append(f"{setting} {value}")
+            elif len(given) < kind_counts[_kind(header)] and section not in words:
+                words.append(section)
+        words += [f"seed {header.config['seed']}"] if "seed" in header.config else []
+        names.append(", ".join(words))
+    return names
+
+
+def _kind(header: Header) -> tuple[str, str, str]:
+    return _dataset(header), header.method, str(header.config.get("preset"))
+
+
+def _dataset(header: Header) -> str:
+    return header.dataset or ""
+
+
+def _dotted(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in settings.items():
+        if isinstance(value, dict):
+            yield from _dotted(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value

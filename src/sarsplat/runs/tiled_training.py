@@ -28,7 +28,7 @@ from sarsplat.executors.executor import Work
 from sarsplat.learning.device_choice import device_named
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.method import Inputs
-from sarsplat.learning.observations.parts_of_images import PartsOfImages, Tile, merged, rows_in, tiles_of, with_some
+from sarsplat.learning.observations.single_images import PartsOfImages, Tile, merged, rows_in, tiles_of, with_some
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.trainer import Trainer
 from sarsplat.progress import Reporter, progress

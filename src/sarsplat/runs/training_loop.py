@@ -67,12 +67,7 @@ class Training(Generic[T]):
     `run` has the folder of log and checkpoints; None in memory. `ended` is True after `on_step` has returned True.
     """
 
-    def __init__(
-        self,
-        trainer: T,
-        on_step: Callable[[Step[T]], object] | None,
-        shown: Reporter,
-    ) -> None:
+    def __init__(self, trainer: T, on_step: Callable[[Step[T]], object] | None, shown: Reporter) -> None:
         self.trainer, self.shown, self._on_step = trainer, shown, on_step
         self.history: list[LogLine] = []
         self.run: Run | None = None
@@ -119,9 +114,7 @@ class Training(Generic[T]):
                     f"{files.checkpoint_path} does not match this version ({error}); start again with overwrite=True"
                 ) from error
             self._begun -= snapshot.seconds
-            self.history = [
-                line for line in run.history if line.iteration <= snapshot.iteration
-            ]  # without lines beyond it
+            self.history = [line for line in run.history if line.iteration <= snapshot.iteration]
             self.shown.start_at(snapshot.iteration)
         if resumed != run:
             resumed.write_header()
@@ -177,11 +170,11 @@ class Training(Generic[T]):
     def _require_finite(self, losses: list[Tensor]) -> list[float]:
         """Return losses as numbers; raise if one is not finite."""
         values: list[float] = torch.stack(losses).tolist() if losses else []  # one wait for the device
-        for back, value in enumerate(reversed(values)):
-            if not math.isfinite(value) and all(map(math.isfinite, values[: len(values) - back - 1])):
+        for iteration, value in enumerate(values, self.trainer.iteration - len(values) + 1):
+            if not math.isfinite(value):
                 raise SarsplatError(
-                    f"the loss became {value} at iteration {self.trainer.iteration - back}; lower the learning rates, "
-                    "or make a custom loss finite for all images (the last checkpoint is from before)"
+                    f"the loss became {value} at iteration {iteration}; lower the learning rates, or make a custom "
+                    "loss finite for all images (the last checkpoint is from before)"
                 )
         return values
 
@@ -259,10 +252,8 @@ def train(
     a checkpoint; points, which may take longer than the training, are extracted only at the end.
     """
     config = training.trainer.config
-    if resume and overwrite:
-        raise SarsplatError("a run is either resumed or overwritten; give only one of resume and overwrite")
-    if out is None and (resume or overwrite):
-        raise SarsplatError("a run in memory can be neither resumed nor overwritten; pass a folder as `out`")
+    if (resume and overwrite) or (out is None and (resume or overwrite)):
+        raise SarsplatError("a run in a folder is either resumed or overwritten; give out, and only one of these")
     if out is None:
         training.advance_to(config.iterations)
         held = InMemory(training.trainer.snapshot(training.seconds), training.history)

@@ -26,7 +26,7 @@ from sarsplat.learning.method import DrawsSamples
 from sarsplat.learning.sampler import seed_of
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.runs import Run
-from sarsplat.runs.run_names import names_of
+from sarsplat.runs.run_folder import names_of
 from sarsplat.samples.backdrop import backdrop_of
 from sarsplat.samples.encoding import Encoding
 from sarsplat.settings.config import SCATTERERS

@@ -296,10 +296,7 @@ class Surroundings(Record):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("shift_std", "gain_std", "texture_looks"):
-            value = getattr(self, name)
-            if 0 < value < LEAST:  # squares and reciprocals of it would leave float32
-                raise SarsplatError(f"surroundings.{name} is {value:g}; give at least {LEAST:g}, or 0 to switch it off")
+        _refuse_tiny(self, "shift_std", "gain_std", "texture_looks")
 
 
 @dataclass(frozen=True)
@@ -353,7 +350,11 @@ class Passes(Record):
         super().__post_init__()
         if self.window % 2 == 0:
             raise SarsplatError(f"passes.window is {self.window}; give an odd number of pixels, such as 3")
-        if 0 < self.screen_std < LEAST:  # squares and reciprocals of it would leave float32
-            raise SarsplatError(
-                f"passes.screen_std is {self.screen_std:g}; give at least {LEAST:g} radians, or 0 to switch it off"
-            )
+        _refuse_tiny(self, "screen_std")
+
+
+def _refuse_tiny(record: Record, *names: str) -> None:
+    """Raise if one of these settings is above 0, but its squares and reciprocals would leave float32."""
+    for name in names:
+        if 0 < (value := getattr(record, name)) < LEAST:
+            raise SarsplatError(f"{record._section}{name} is {value:g}; give at least {LEAST:g}, or 0 to switch it off")

@@ -43,15 +43,6 @@ class Observation(ABC):
     """Base of the observations: training images of a dataset, on a device.
 
     To add one, put a file with a class derived from this one into this folder.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        Dataset with training images.
-    config : Config
-        Settings.
-    device : torch.device
-        Device of the images.
     """
 
     order: ClassVar[int]
@@ -83,17 +74,16 @@ class Observation(ABC):
     @classmethod
     def refuse(cls, config: Config, dataset: Dataset, inputs: Inputs) -> None:
         """Raise if settings, inputs or dataset do not fit this observation."""
+        found = [("custom strategies are given", "omit them")] if inputs.strategies and not cls.takes_strategies else []
         for name, value in cls.goes_with.items():
             if (asked := getattr(config, name)) != value:
                 state, remedy = ("on", "off") if value is None else (shown(asked), shown(value))
-                raise SarsplatError(
-                    f"{name} is {state}, which cannot be combined with {_asked(config, cls.switch)}; give {remedy}, or "
-                    f"{cls.switch}"
-                )
-        if inputs.strategies and not cls.takes_strategies:
+                found.append((f"{name} is {state}", f"give {remedy}"))
+        for conflict, remedy in found:
+            setting, off = cls.switch.split()
+            asked = "on" if off == "off" else getattr(config, setting)
             raise SarsplatError(
-                f"custom strategies cannot be combined with {_asked(config, cls.switch)}; omit them, or give "
-                f"{cls.switch}"
+                f"{conflict}, which cannot be combined with {setting} {asked}; {remedy}, or give {cls.switch}"
             )
 
     def first_model(self, generator: torch.Generator) -> SceneModel:
@@ -111,9 +101,3 @@ class Observation(ABC):
     @abstractmethod
     def compared(self, model: SceneModel, images: TrainingImages, batch: Batch) -> tuple[Tensor, Rendering]:
         """Return the loss of a batch of `images`, which may be multilooked, and the rendering."""
-
-
-def _asked(config: Config, switch: str) -> str:
-    """Return a setting and its value in words: `passes on`, `tiles 2`."""
-    name, off = switch.split()
-    return f"{name} on" if off == "off" else f"{name} {getattr(config, name)}"

@@ -1,21 +1,28 @@
-"""Observation of the power of single images."""
+"""Observations of the power of single images: whole, or, after training the whole scene, the parts that show a tile."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import ClassVar
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Polarimetric
+from sarsplat.geometry import RayGrid
 from sarsplat.learning.batching import compared_in_groups, in_groups
+from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.losses import LOSSES, ImageScale, Loss, named_loss
 from sarsplat.learning.method import Inputs
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.observations.observation import Batch, Observation
+from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.training_images import TrainingImages
 from sarsplat.renderer import Rendering, channel_of
 from sarsplat.settings.config import Config
@@ -87,3 +94,97 @@ def _of_black(loss: Loss, truth: Float32[Tensor, "v rows columns"]) -> Tensor:
     if not isinstance(value, Tensor) or value.is_complex():  # the first step raises
         return truth.new_ones(())
     return torch.where(value.isfinite() & (value > 0), value, 1.0)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A rectangle on the ground; unbounded at the edges of the scene."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    """Corners (x, y), m; the upper ones belong to the next tile."""
+
+    def holds(self, means: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
+        """Mask of the centres in the tile."""
+        places = means.detach()[:, :2]
+        return ((places >= places.new_tensor(self.low)) & (places < places.new_tensor(self.high))).all(1)
+
+
+class PartsOfImages(SingleImages):
+    """Parts of single images that show the Gaussians in a tile; `whole` is the training of the whole scene before.
+
+    It trains these Gaussians, and those around the tile that its images show or that occlude these. Parameters that are
+    not per Gaussian, such as the ground's, are frozen.
+    """
+
+    order = 3
+    switch = "tiles 1"
+    goes_with: ClassVar = {"bounce": None, "surroundings": None, "densification": None}
+    takes_strategies = False
+    recordable = False  # images have windows of their own
+
+    def __init__(self, dataset: Dataset, config: Config, device: torch.device, whole: Snapshot, tile: Tile) -> None:
+        super().__init__(dataset, config, device)
+        model = SceneModel.saved(whole, config, device)
+        scene, levels = model.target(model.degree(whole.iteration)).detach(), model.levels
+        learned_m = levels.grid_at(levels.factor(max(whole.iteration - 1, 0))).cell_m  # its accuracy
+        own, finest = tile.holds(scene.means), levels.factor(whole.iteration)
+        self.tile = tile
+        self._windows = Windows.around(scene[own], whole.views, whole.grid, learned_m, finest)
+        rays = RayGrid.for_image(levels.grid_at(finest), config.rays_per_pixel)
+        near = own | self._windows.shown(scene, whole.views, rays, model.ground(), learned_m)
+        self.begun = with_some(whole, rows_in(model), near)
+        """Snapshot from which the tile's training begins."""
+        self.images = self.images.through(self._windows)
+
+    @classmethod
+    def wanted(cls, config: Config) -> bool:
+        return config.tiles > 1
+
+    def first_model(self, generator: torch.Generator) -> SceneModel:
+        return SceneModel.saved(self.begun, self.config, self.device)
+
+    def begin(self, model: SceneModel) -> None:
+        model.look_through(self._windows)
+
+
+def tiles_of(means: Float[Tensor, "n 3"], side: int) -> list[Tile]:
+    """Divide centres into `side` × `side` tiles of nearly equal numbers."""
+    every = Tile((-math.inf, -math.inf), (math.inf, math.inf))
+    return [tile for slab in _cut(every, means, side, 0) for tile in _cut(slab, means, side, 1)]
+
+
+def _cut(tile: Tile, means: Float[Tensor, "n 3"], parts: int, axis: int) -> list[Tile]:
+    """Divide a tile along an axis; into fewer parts if too few centres differ."""
+    places = means.detach().cpu()[tile.holds(means).cpu()][:, axis].sort().values
+    inner = [float(places[len(places) * k // parts]) for k in range(1, parts)]
+    edges = [tile.low[axis], *sorted({edge for edge in inner if edge > float(places[0])}), tile.high[axis]]
+    along = [((low, tile.low[1]), (high, tile.high[1])) for low, high in pairwise(edges)]
+    if axis == 1:
+        along = [((tile.low[0], low), (tile.high[0], high)) for low, high in pairwise(edges)]
+    return [Tile(low, high) for low, high in along]
+
+
+def with_some(snapshot: Snapshot, rows: Collection[str], which: Bool[Tensor, " n"]) -> Snapshot:
+    """Snapshot with a subset of the Gaussians; `rows` names the parameters with a row for each."""
+    chosen = which.cpu().nonzero()[:, 0]
+    some = {name: tensor[chosen] for name, tensor in snapshot.tensors.items() if _of_rows(name, rows)}
+    return replace(snapshot, tensors=snapshot.tensors | some)
+
+
+def merged(parts: Sequence[Snapshot], rows: Collection[str], seconds: float) -> Snapshot:
+    """Join the Gaussians of snapshots; all else is that of the first one."""
+    first = parts[0]
+    joined = {name: torch.cat([part.tensors[name] for part in parts]) for name in first.tensors if _of_rows(name, rows)}
+    return replace(first, seconds=seconds, tensors=first.tensors | joined)
+
+
+def _of_rows(name: str, rows: Collection[str]) -> bool:
+    """Return True if a tensor of a snapshot has a row for each Gaussian."""
+    kind, _, which = name.partition("/")
+    return kind in ("model", "optimiser") and which.partition("/")[0] in rows
+
+
+def rows_in(model: SceneModel) -> list[str]:
+    """Names of the parameters with a row for each Gaussian."""
+    return [name for name, how in model.learned.items() if how.per_gaussian]

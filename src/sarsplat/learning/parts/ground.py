@@ -1,4 +1,4 @@
-"""The ground: the plane at z = 0, or the dataset's terrain, whose γ⁰ is learned."""
+"""The ground, whose γ⁰ is learned: the plane at z = 0 or the dataset's terrain; and the second bounce by way of it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from sarsplat.data import Dataset
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import Terrain
 from sarsplat.geometry.view import ground_radius_m
-from sarsplat.learning.parts.part import Learned, Parameters, Part, normal_nats
+from sarsplat.learning.parts.part import Learned, Parameters, Part, late, normal_nats
 from sarsplat.radiometry import from_db
 from sarsplat.regions.image_levels import ground_levels_db
+from sarsplat.renderer import GroundBounce
+from sarsplat.renderer.echoes import Echo
 
 _FAINTEST = 0.01
 """Minimum initial level, relative to the mean power: a logarithm could not rise from black images."""
@@ -101,3 +103,26 @@ class FlatGroundPart(Part):
     @property
     def _radius_m(self) -> float:
         return ground_radius_m(self.frame.views, self.frame.grid)
+
+
+class GroundBouncePart(Part):
+    """Echo of the scene's Gaussians by way of the plane at z = 0, a mirror of learned reflectivity."""
+
+    order = 25
+    section = "bounce"
+    surrounds = True
+
+    @property
+    def learned(self) -> dict[str, Learned]:
+        def later(done: float) -> float:
+            return late(done) if done >= self.config.law_from else 0.0  # not before the shape is known
+
+        return {"ground_reflectivity": Learned((1,), (self.config.rates.nuisance,), later, 0.0, 1.0)}
+
+    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
+        start = torch.full((1,), self.settings.reflectivity, dtype=torch.float32, device="cpu")
+        return {"ground_reflectivity": start}
+
+    def echoes(self, p: Parameters) -> tuple[Echo, ...]:
+        reflectivity = p["ground_reflectivity"][0]
+        return (GroundBounce(Ground(torch.zeros_like(reflectivity)), reflectivity),)  # at z = 0

@@ -1,4 +1,4 @@
-"""The target: Gaussians with learned means, orientations, scales, optical depths and scattering."""
+"""The target: Gaussians with learned means, orientations, scales, optical depths and scattering, and their dropout."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sarsplat.arguments import described
@@ -18,15 +19,14 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_named
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import Stack
-from sarsplat.learning.dropout import share_dropped
-from sarsplat.learning.levels import Levels
 from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, in_rows, late, normal_nats
-from sarsplat.learning.scene_frame import SceneFrame
+from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.radiometry import brighter, usual_peak
 from sarsplat.regions.outlines import levels_db, outline
 from sarsplat.regions.stack_region import enough_gaussians, imaged_sample
 from sarsplat.renderer import Bounds
 from sarsplat.renderer.checks import MAX_SCALE
+from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.renderer.engines.operation import differentiable_once
 from sarsplat.renderer.point_queries import at_places
 from sarsplat.settings.config import Config
@@ -41,6 +41,17 @@ _INITIAL_WIDTHS = (1.0, 1.0, 0.9)
 
 _SIMILAR = 0.6
 """Scale of the scattering penalty: larger differences of parameters cost little more."""
+
+_STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03
+"""Odd multipliers that spread step and seed over 64 bits."""
+
+_MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+"""Steele, Lea & Flood, Fast splittable pseudorandom number generators, 2014, as improved by Stafford (variant 13)."""
+
+_BITS = 24
+
+_MAX_SHARE = 0.4
+"""Maximum share dropped because there are few views."""
 
 
 class Target(Part):
@@ -240,16 +251,12 @@ def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ())
     """
     kind = scattering_named(config.scattering)
     made = kind.initial(count, gamma0, config.p_min)
-    if type(made) is not kind or made.parameters.shape[0] != count or made.parameters.dtype != torch.float32:
+    shape = [*made.parameters.shape] if type(made) is kind else []
+    if shape[:1] != [count] or shape[-1] <= len(kind.common) or made.parameters.dtype != torch.float32:
         what = f"{made.parameters.dtype} {list(made.parameters.shape)}" if type(made) is kind else described(made)
         raise SarsplatError(
             f"{kind.__name__}.initial({count}, …) returned {what}; it must return a {kind.__name__} whose parameters "
-            f"are torch.float32 [{count}, K]"
-        )
-    if len(kind.common) >= made.parameters.shape[1]:
-        raise SarsplatError(
-            f"{kind.__name__}.common has {len(kind.common)} ranges for {made.parameters.shape[1]} columns of "
-            "parameters; leave at least one column per Gaussian"
+            f"are torch.float32 [{count}, K], with K above the {len(kind.common)} ranges of {kind.__name__}.common"
         )
     polarisations = tuple(dict.fromkeys(stacks[0].of_channels)) if stacks else ()
     return (made.for_polarisations(polarisations) if len(polarisations) > 1 else made).detailed(config.harmonics_degree)
@@ -287,3 +294,35 @@ def _start_scales_m(config: Config, cell_m: float) -> list[float]:
     if not scattering_named(config.scattering).oriented:
         return [first] * 3
     return [max(share * first, min(smallest, first)) for share in _INITIAL_WIDTHS]
+
+
+def share_dropped(config: Config, views: int) -> float:
+    """Share of the Gaussians that a step drops, given the number of training views."""
+    return max(config.dropout, min(_MAX_SHARE, (config.few_views / views) ** 2))
+
+
+def dropped(
+    count: int, share: float, seed: int, step: int | Int64[Tensor, " 1"], device: torch.device
+) -> Bool[Tensor, " {count}"]:
+    """Mask of the dropped Gaussians, a random share (0 to 1) of `count`.
+
+    A hash of seed, step and row decides; the state of a generator would have to be copied to the device.
+    """
+    if isinstance(step, Tensor):  # wraps around by itself
+        mixed = step * _signed(_STEP) + _signed(seed * _SEED) + _rows(count, device)
+    else:
+        mixed = _rows(count, device) + _signed(seed * _SEED + step * _STEP)
+    for factor, shift in zip(_MIX, (30, 27), strict=True):
+        mixed.bitwise_xor_(mixed >> shift).mul_(_signed(factor))
+    first_kept = math.ceil(np.float32(share * 2**_BITS))  # an integer: others are rounded to torch's default dtype
+    return (mixed >> 32).bitwise_and_(2**_BITS - 1) < first_kept
+
+
+@kept_on_device(maxsize=4)
+def _rows(count: int, device: torch.device) -> Int64[Tensor, " {count}"]:
+    return torch.arange(count, device=device) * _signed(_STEP * _STEP)
+
+
+def _signed(number: int) -> int:
+    """The last 64 bits as a signed integer, torch's int64."""
+    return (number + 2**63) % 2**64 - 2**63

@@ -13,10 +13,10 @@ from scipy.ndimage import gaussian_filter
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from sarsplat.errors import counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.view import ground_radius_m
 from sarsplat.learning.parts.part import Parameters, Part, Shot
+from sarsplat.learning.snapshot import fitting
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings
 
@@ -59,9 +59,9 @@ class Texture(Part):
         return {} if self.maps is None else self.maps.tensors
 
     def load(self, state: Parameters) -> None:
+        if state:
+            _check(state, len(self.frame.views), self.frame.grid)
         self.maps = Maps(state, self.frame.grid, self.settings) if state else None
-        if self.maps is not None and len(state["ratio"]) != len(self.frame.views):
-            raise ValueError(f"a texture of {len(state['ratio'])} images for {counted(len(self.frame.views), 'view')}")
 
 
 class Maps:
@@ -76,7 +76,6 @@ class Maps:
     """
 
     def __init__(self, tensors: dict[str, Tensor], grid: ImageGrid, settings: Surroundings) -> None:
-        _check(tensors, grid)
         self.tensors, ratio = tensors, tensors["ratio"]
         self._shifts_m = tensors["shift_m"].cpu().double().numpy()
         self._views = tuple(_view(*numbers) for numbers in tensors["view_deg"].tolist())
@@ -105,7 +104,8 @@ class Maps:
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
         given = 4 if any(view.tilt_deg or view.side == "left" for view in views) else 2
-        view_deg = torch.tensor([_numbers(view)[:given] for view in views], dtype=torch.float32).double()
+        numbers = [(view.azimuth_deg, view.grazing_deg, view.tilt_deg, float(view.side == "left")) for view in views]
+        view_deg = torch.tensor([one[:given] for one in numbers], dtype=torch.float32).double()
         return cls(
             {"ratio": torch.from_numpy(smooth).to(ratio), "shift_m": shift_m.clone(), "view_deg": view_deg},
             grid,
@@ -153,26 +153,17 @@ class Maps:
         return (self._settings.texture_looks + ratios) / (self._settings.texture_looks + weights)
 
 
-def _check(tensors: dict[str, Tensor], grid: ImageGrid) -> None:
-    count = len(tensors["view_deg"])
-    known = 4 if tensors["view_deg"].shape[-1:] == (4,) else 2
-    expected = {
-        "ratio": (torch.float32, (count, grid.rows, grid.columns)),
-        "shift_m": (torch.float32, (count, 2)),
-        "view_deg": (torch.float64, (count, known)),
-    }
-    for name, (dtype, shape) in expected.items():
-        tensor = tensors[name]
-        if tensor.dtype != dtype or tensor.shape != shape or not tensor.isfinite().all():
-            raise ValueError(f"the texture's {name} is {tensor.dtype} {list(tensor.shape)}, or not finite")
-
-
-def _numbers(view: View) -> tuple[float, float, float, float]:
-    return view.azimuth_deg, view.grazing_deg, view.tilt_deg, float(view.side == "left")
+def _check(state: Parameters, count: int, grid: ImageGrid) -> None:
+    """Raise ValueError or KeyError unless a saved texture is one of `count` images on this grid."""
+    fitting(state, "ratio", torch.float32, (count, grid.rows, grid.columns))
+    fitting(state, "shift_m", torch.float32, (count, 2))
+    fitting(state, "view_deg", torch.float64, (count, 4 if state["view_deg"].shape[-1:] == (4,) else 2))
+    if not all(tensor.isfinite().all() for tensor in state.values()):
+        raise ValueError("the texture has numbers that are not finite")
 
 
 def _view(azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: float = 0.0) -> View:
-    """Undo `_numbers`."""
+    """View of a row of `view_deg`."""
     return View(azimuth_deg, grazing_deg, tilt_deg, "left" if left else "right")
 
 

@@ -17,6 +17,7 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.batching import in_groups
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.optimiser import Optimiser, followed
+from sarsplat.learning.snapshot import fitting
 from sarsplat.learning.training_images import TrainingImages
 from sarsplat.renderer import Bounds, Rendering, channel_of
 from sarsplat.settings.config import Config
@@ -50,10 +51,7 @@ class State:
             for name, like in of.items():
                 if name in self.added and name not in tensors:
                     continue
-                saved = tensors[name]
-                if saved.shape != like.shape or saved.dtype != like.dtype:
-                    raise ValueError(f"{name} is {saved.dtype} {list(saved.shape)}")
-                of[name] = saved.to(like.device, copy=True)
+                of[name] = fitting(tensors, name, like.dtype, like.shape).to(like.device, copy=True)
 
 
 @dataclass(frozen=True)
