@@ -161,7 +161,6 @@ def test_a_rendered_set_is_scored_by_protocol_r(make):
     assert [scores[key] for key in SPECKLED_ONLY] == [None] * 4
     assert "speckle" in metrics["reasons"]["images.test-17.nats_per_pixel"]
     assert scores["lpips"] is None
-    assert "--lpips-weights" in metrics["reasons"]["images.test-17.lpips"]
     assert WEIGHTS_VARIABLE in metrics["reasons"]["images.test-17.lpips"]
 
 
@@ -371,5 +370,5 @@ def test_masks_are_scored_if_they_are_given(make, tmp_path, ground):
     assert scores["target_iou"] == 0.5
     assert scores["shadow_iou"] == (pytest.approx(2 / 3) if ground else None)
     assert metrics["images"]["test-15"]["target_iou"] is None
-    assert "--masks" in metrics["reasons"]["images.test-15.target_iou"]
+    assert "no true masks" in metrics["reasons"]["images.test-15.target_iou"]
     assert metrics["masks"] == str(tmp_path)

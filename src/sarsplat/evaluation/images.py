@@ -298,7 +298,7 @@ def _check_positive(power: Stack, name: str) -> None:
     zeros = int(np.count_nonzero(power <= 0))
     if zeros:
         remedy = (
-            "raise zeros to the smallest power, or simulate with --ground"
+            "raise zeros to the smallest power, or simulate with ground_gamma0"
             if name == "true"
             else "reconstruct with a noise floor (preset measured)"
         )

@@ -19,12 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
-from sarsplat.errors import SarsplatError
-from sarsplat.extras import install_command
 from sarsplat.geometry import View
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._patches import Patches
-from sarsplat.scenes._rays import Facets, Region, Trace, sparse_hits
+from sarsplat.scenes._rays import Facets, Region, Trace, embree_scene, sparse_hits
 from sarsplat.scenes.scattering import ScatteringLaw
 
 if TYPE_CHECKING:
@@ -228,21 +226,9 @@ class _Legs:
     """Rays from points of a mesh: occlusion tests and first hits; needs embreex."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError as error:
-            raise SarsplatError(f"ray casting needs embreex; {install_command('simulate')}") from error
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
-        lower, upper = vertices.min(axis=0), vertices.max(axis=0)
-        self._center = (lower + upper) / 2  # float32 keeps the most digits around zero
-        self.lift = _LIFT * float(np.linalg.norm(upper - lower))
-        self._scene = EmbreeScene(robust=True)
-        TriangleMesh(
-            scene=self._scene,
-            vertices=(vertices - self._center).astype(np.float32),
-            indices=np.asarray(mesh.faces, dtype=np.int32),
-        )
+        self.lift = _LIFT * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        self._scene, self._center = embree_scene(vertices, np.asarray(mesh.faces, dtype=np.int32))
 
     def first(self, origin: Points, direction: Float64[np.ndarray, "*k 3"]) -> Int32[np.ndarray, " k"]:
         """Return the first faces hit, −1 without a hit."""

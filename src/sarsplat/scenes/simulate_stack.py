@@ -14,18 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Complex64, Complex128, Float64
 
-from sarsplat.arguments import checks_arguments
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.arguments import check_number, checks_arguments
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.geometry.responses import Response
 from sarsplat.geometry.stack import LOUDEST
 from sarsplat.geometry.view import check_unstretched
-from sarsplat.scenes._random import generator
 from sarsplat.scenes._rays import Facets, Region, tracer
 from sarsplat.scenes.mechanisms import Mechanisms
 from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.raycast import check_rays
-from sarsplat.scenes.scattering import ScatteringLaw
+from sarsplat.scenes.scattering import ScatteringLaw, generator
 
 if TYPE_CHECKING:
     import trimesh
@@ -97,8 +96,7 @@ def simulate_stack(
     roots = _roots(mechanisms, stack, len(mesh.faces))
     spacing = min(grid.resolution_m) / _PER_CELL if spacing_m is None else spacing_m
     check_rays(mesh, ground_gamma0, spacing, (0.5, 0.5))
-    if not 0 <= noise <= LOUDEST:  # also catches NaN
-        raise SarsplatError(f"noise is {shown(noise)}; give a power from 0 to {LOUDEST:g}")
+    check_number("noise", noise, 0, LOUDEST)
     warn_below_ground(mesh, grid, ground_gamma0, None)
     rng = generator(seed, "scatterers")
     facets, look = Facets.of(mesh, view), view.look
@@ -136,13 +134,10 @@ def _roots(mechanisms: Mechanisms | None, stack: Stack, faces: int) -> Complex12
     """Return L of each facet and, at the end, of the ground, with E[a aᴴ] = γ⁰ L Lᴴ."""
     if not stack.polarimetric:
         return np.ones((faces + 1, 1, 1), np.complex128)
-    if mechanisms is None:
-        raise SarsplatError("the stack has several polarisations; give mechanisms, their covariances")
-    if mechanisms.polarisations != tuple(dict.fromkeys(stack.of_channels)) or len(mechanisms.of_faces) != faces:
-        raise SarsplatError(
-            f"mechanisms are of {len(mechanisms.of_faces)} facets in {', '.join(mechanisms.polarisations)}; give those "
-            f"of {faces} in {', '.join(dict.fromkeys(stack.of_channels))}"
-        )
+    given = None if mechanisms is None else (len(mechanisms.of_faces), *mechanisms.polarisations)
+    needed = faces, *dict.fromkeys(stack.of_channels)
+    if mechanisms is None or given != needed:
+        raise SarsplatError(f"mechanisms (facets, polarisations) are {given}, but the stack needs {needed}")
     return mechanisms.roots
 
 
