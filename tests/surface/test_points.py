@@ -21,8 +21,8 @@ from sarsplat.surface import points as of_points
 from sarsplat.surface.bricks import Brick, Scene, Window
 from sarsplat.surface.cells import Voxels
 from sarsplat.surface.clusters import largest
-from sarsplat.surface.points import between, spread
 from sarsplat.surface.first_returns import OfView
+from sarsplat.surface.points import between, spread
 from upright import upright
 
 GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))

@@ -112,8 +112,8 @@ def evaluate_run(
         dataset = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
         folder = None if masks is None else Path(masks)
         weights = None if lpips_weights is None else Path(lpips_weights)
-        if mesh is not None and not points:
-            raise SarsplatError(f"points are left out, so nothing is held against {mesh}; leave out one of the two")
+        if not points and (mesh is not None or alignment == "rigid"):
+            raise SarsplatError("points are left out, but a mesh or an alignment is given for them; leave that out")
         if not run.state.trained:
             warn([f"{run.path or 'the run'} is {run.state}: the scores are provisional"])
         metrics = _evaluate(run, dataset, alignment, folder, weights, points, quiet)
@@ -157,8 +157,6 @@ def _evaluate(
 ) -> dict[str, Any]:
     if alignment not in ("none", "rigid"):
         raise SarsplatError(f"alignment {alignment!r} is unknown; choose none or rigid")
-    if alignment == "rigid" and not points:
-        raise SarsplatError("points are left out, so nothing can be aligned; leave out one of the two")
     if alignment == "rigid" and dataset.truth_mesh is None:
         raise SarsplatError(f"{dataset} has no true mesh to align the points to; give one as `mesh`")
     test_sets = [split for split in dataset.splits() if split != "train"]

@@ -133,7 +133,7 @@ KNOWN_SURFACE = Requirement(
 
 def _lpips(pair: ImagePair) -> float:
     if pair.network is None:
-        raise UndefinedScore(f"no LPIPS weights; give their folder as lpips_weights or in {lpips.WEIGHTS_VARIABLE}")
+        raise UndefinedScore(f"no LPIPS weights; give their folder as `lpips_weights` or in {lpips.WEIGHTS_VARIABLE}")
     return lpips.lpips(pair.truth, pair.rendered, pair.reference_amplitude, pair.network)
 
 

@@ -50,7 +50,7 @@ def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> 
 def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
     """Warnings (at most one) of parts of the target outside of a region, by the true shape or else by the images."""
     box = f"the box it is looked for in ({spans(region.low, region.high)} m)"
-    remedy = "give another target_box"
+    remedy = "give another `target_box`"
     low, high = region.low - margin_m, region.high + margin_m
     if dataset.truth_mesh is not None:
         try:
@@ -89,8 +89,8 @@ def _objects_beside(found: StandingOut, inside: Bool[np.ndarray, "side side"], r
     )
     more = f" and {len(beside) - _NAMED} more" if len(beside) > _NAMED else ""
     return [
-        f"what stands at {where}{more} is outside of {box} and will be left out; target_box "
-        f"{' '.join(f'{value:.3g}' for value in [*low, *high])} goes around it, as high as the box is now"
+        f"what stands at {where}{more} is outside of {box} and will be left out; "
+        f"`target_box=({', '.join(f'{value:.3g}' for value in [*low, *high])})` goes around it, as high as the box is"
     ]
 
 

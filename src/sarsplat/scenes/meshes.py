@@ -103,7 +103,7 @@ def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
 
 def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
     """Multiply every coordinate of a mesh by a positive, finite factor."""
-    check_number("scale", factor, 0, above=True)
+    check_number("`scale`", factor, 0, above=True)
     return mesh.copy().apply_scale(factor)
 
 
@@ -120,7 +120,7 @@ def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
         return []
     return [
         f"the target is {extent:.3g} m long, but the images are {side_m(grid):.3g} m wide with a resolution of "
-        f"{cell:.3g} m; scale the mesh to metres, or change the grid's pixels or spacing"
+        f"{cell:.3g} m; if the mesh is not in metres, give `scale`, otherwise other `pixels` or `spacing`"
     ]
 
 
@@ -160,16 +160,20 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     try:
         if not path.is_file():  # pipes and devices may never end
             raise SarsplatError(f"there is no mesh file at '{path}'; give the path of an {', '.join(_FORMATS)} file")
+        size = path.stat().st_size
         with path.open("rb") as file:
-            data = file.read(_LARGEST["binary"] + 1)
+            data = file.read(_LARGEST["binary"])
     except (OSError, MemoryError) as error:
         raise SarsplatError(f"cannot read '{path}': {error}; check the path and its permissions") from error
     if kind == ".ply" and re.match(rb"ply\r[^\n]", data):  # lines that end in CR alone
         header, end, body = data.partition(b"end_header\r")
         data = (header + end).replace(b"\r", b"\n") + body
     binary = kind == ".glb" or _is_binary(kind, data)
-    if len(data) > (most := _LARGEST["binary" if binary else kind]):
-        raise SarsplatError(f"'{path}' has more than {most} bytes; simplify the mesh, or write a binary .ply of it")
+    if size > _LARGEST["binary" if binary else kind]:
+        of_text = "" if binary else " of text"
+        raise SarsplatError(
+            f"'{path}' has {size} bytes{of_text}; simplify the mesh, or write it as .glb or binary .ply"
+        )
     try:
         if kind == ".glb":
             _check_glb(data)

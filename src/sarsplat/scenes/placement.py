@@ -61,12 +61,12 @@ def outside_images(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid
     where = "the target is around (" + ", ".join(f"{value:.10g}" for value in mesh.bounds.mean(axis=0)) + ") m"
     if not any(shown):
         raise SarsplatError(
-            f"{where}, outside of all images, which are centred on the origin; recentre it, or subtract that from its "
-            "coordinates"
+            f"{where}, outside of all images, which are centred on the origin; give `recentre`, or subtract that from "
+            "its coordinates"
         )
     return [
         f"{where}: {counted(shown.count(False), 'image')} of {len(shown)} cannot show it, as they are centred on the "
-        "origin; recentre it, or give more pixels"
+        "origin; give `recentre`, or more `pixels`"
     ]
 
 
@@ -83,8 +83,8 @@ def _cut_off(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> l
     if max(outside) < _CUT_OFF or is_larger(mesh, grid):
         return []
     return [
-        f"{max(outside):.0%} of the target's surface is outside of an image, though it would fit; recentre it, or give "
-        "more pixels"
+        f"{max(outside):.0%} of the target's surface is outside of an image, though it would fit; give `recentre`, or "
+        "more `pixels`"
     ]
 
 

@@ -43,7 +43,7 @@ def mstar_views() -> list[tuple[View, str]]:
 
 def random_views(count: int, lowest_deg: float, highest_deg: float, seed: int) -> list[View]:
     """Draw 1 to 10,000 directions, uniform over the part of the sky between two grazing angles, degrees."""
-    check_number("the number of random views", count, 1, _MAX_VIEWS)
+    check_number("`random_views`", count, 1, _MAX_VIEWS)
     low, high = (math.sin(math.radians(angle)) for angle in (lowest_deg, highest_deg))
     azimuths, heights = generator(seed, "views").random((2, count))
     return [

@@ -279,7 +279,7 @@ def check_rays(
         ),
         (not np.isfinite(ray_offset).all(), f"ray_offset {ray_offset} must be two finite numbers, in ray spacings"),
     )
-    check_number("ray_spacing", ray_spacing, 0, above=True)
+    check_number("`ray_spacing`", ray_spacing, 0, above=True)
     check_ground(ground_gamma0)
 
 

@@ -30,7 +30,7 @@ _MAX_SPREAD_DB = 10.0
 
 def generator(seed: int, purpose: Literal["speckle", "reflectivity", "views", "scatterers"]) -> np.random.Generator:
     """Make the random generator for one purpose, which has a stream of its own; raise if the seed is negative."""
-    check_number("seed", seed, 0)
+    check_number("`seed`", seed, 0)
     return np.random.default_rng([seed, *_STREAMS[purpose]])
 
 
@@ -116,7 +116,7 @@ def add_speckle(
     SarsplatError
         If `looks` is not positive and finite.
     """
-    check_number("looks", looks, 0, above=True)
+    check_number("`looks`", looks, 0, above=True)
     return (power * rng.gamma(looks, 1 / looks, size=power.shape)).astype(power.dtype)
 
 
@@ -127,16 +127,19 @@ def check_ground(
     lost = reflectivity is not None and (bounces != 2 or gamma0 is None)
     wrong = bounces == 2 and gamma0 is not None and (reflectivity is None or not 0 <= reflectivity <= 1)  # also NaN
     raise_first(
-        (gamma0 is not None and not 0 <= gamma0 <= _MAX_GAMMA0, f"ground_gamma0 is {gamma0}; give a linear γ⁰, no dB"),
-        (terrain is not None and gamma0 is None, "terrain needs the γ⁰ of the ground; give ground_gamma0, too"),
-        (bounces not in (1, 2), f"bounces is {bounces}; give 1, or 2 for second bounces"),
-        (bounces == 2 and terrain is not None, "second bounces need flat ground; leave out the terrain"),
+        (
+            gamma0 is not None and not 0 <= gamma0 <= _MAX_GAMMA0,
+            f"`ground_gamma0` is {gamma0}; give a linear γ⁰, no dB",
+        ),
+        (terrain is not None and gamma0 is None, "terrain needs the γ⁰ of the ground; give `ground_gamma0`, too"),
+        (bounces not in (1, 2), f"`bounces` is {bounces}; give 1, or 2 for second bounces"),
+        (bounces == 2 and terrain is not None, "second bounces need flat ground; leave out `terrain`"),
         (
             lost,
-            f"ground_reflectivity is {reflectivity}, but only second bounces on ground have one; give bounces=2 and "
-            "ground_gamma0 (0 for a dark mirror), or leave it out",
+            f"`ground_reflectivity` is {reflectivity}, but only second bounces on ground have one; give `bounces=2` and "
+            "`ground_gamma0` (0 for a dark mirror), or leave it out",
         ),
-        (wrong, f"ground_reflectivity is {reflectivity}; give |Γ|², 0 to 1, for second bounces on ground"),
+        (wrong, f"`ground_reflectivity` is {reflectivity}; give |Γ|², 0 to 1, for second bounces on ground"),
     )
 
 

@@ -117,12 +117,15 @@ def simulate_images(
     speckle = generator(seed, "speckle")
     splat = source == "splat"
     raise_first(
-        (source not in ("raycast", "splat"), f"source is {source!r}; choose 'raycast' or 'splat'"),
-        (splat and ray_spacing is not None, f"ray_spacing is {ray_spacing}, but it is for ray casting; leave it out"),
-        (splat and grid.response != GAUSSIAN, f"the response is {grid.response}, not Gaussian; choose 'raycast'"),
+        (source not in ("raycast", "splat"), f"`source` is {source!r}; choose 'raycast' or 'splat'"),
+        (splat and ray_spacing is not None, f"`ray_spacing` is {ray_spacing}, but it is for ray casting; leave it out"),
+        (
+            splat and grid.response != GAUSSIAN,
+            f"the response is {grid.response}, not Gaussian; choose `source='raycast'`",
+        ),
         (
             splat and bounces == 2 and not ground_reflectivity,
-            "second bounces of the renderer need ground that reflects; give ground_reflectivity, or choose 'raycast'",
+            "second bounces of the renderer need ground that reflects; give `ground_reflectivity` or `source='raycast'`",
         ),
     )
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]

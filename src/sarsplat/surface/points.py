@@ -46,7 +46,7 @@ _SAMPLES = 3.0
 _RETURN, _POINT, _KEPT = 130, 650, 72
 """Upper bounds of memory, bytes: of a return while thinning, of a point while its normal is found, and afterwards."""
 
-_FEWER = "set points.rays_per_pixel to 1; resuming a finished training with it extracts the points"
+_FEWER = "give `points.rays_per_pixel=1`; resuming a finished training with it extracts the points"
 
 
 @checks_arguments
