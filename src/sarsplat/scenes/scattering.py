@@ -136,8 +136,8 @@ def check_ground(
         (bounces == 2 and terrain is not None, "second bounces need flat ground; leave out `terrain`"),
         (
             lost,
-            f"`ground_reflectivity` is {reflectivity}, but only second bounces on ground have one; give `bounces=2` and "
-            "`ground_gamma0` (0 for a dark mirror), or leave it out",
+            f"`ground_reflectivity` is {reflectivity}, but only second bounces on ground have one; give `bounces=2` "
+            "and `ground_gamma0` (0 for a dark mirror), or leave it out",
         ),
         (wrong, f"`ground_reflectivity` is {reflectivity}; give |Γ|², 0 to 1, for second bounces on ground"),
     )

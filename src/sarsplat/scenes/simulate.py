@@ -125,7 +125,7 @@ def simulate_images(
         ),
         (
             splat and bounces == 2 and not ground_reflectivity,
-            "second bounces of the renderer need ground that reflects; give `ground_reflectivity` or `source='raycast'`",
+            "the renderer's second bounces need ground that reflects; give `ground_reflectivity` or `source='raycast'`",
         ),
     )
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
