@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import typing
@@ -91,6 +92,13 @@ def expect(kind: Any, **values: object) -> None:
 def _expect(kinds: Sequence[Any], name: str, value: object) -> None:
     if type(value) not in kinds and not _fits(value, kinds):  # the first test is cheap
         raise SarsplatError(f"{name} {_error(value, kinds)}")
+
+
+def check_number(name: str, value: float, low: float, high: float = math.inf, *, above: bool = False) -> None:
+    """Raise unless a number is finite and from `low`, or `above` it, to `high`; the name may end with `in UNIT`."""
+    if not ((low < value if above else low <= value) and value <= high and value < math.inf):
+        limits = [f"above {low:g}" if above else f"of at least {low:g}", f"at most {high:g}" if high < math.inf else ""]
+        raise SarsplatError(f"{name} is {value}; give a number {' and '.join(filter(None, limits))}")
 
 
 def is_number(value: object) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sarsplat.evaluation.alignment import Alignment, align
+from sarsplat.evaluation.points import Alignment, align
 
 trimesh = pytest.importorskip("trimesh")
 

@@ -48,23 +48,6 @@ def test_small_images_have_no_lpips(network):
         lpips(np.ones((1, 30, 40), np.float32), np.ones((1, 30, 40), np.float32), 1.0, network)
 
 
-@needs_weights
-@pytest.mark.parametrize("damage", ["truncated", "text", "other key", "other shape"])
-def test_broken_heads_are_refused(tmp_path, damage):
-    shutil.copy(WEIGHTS / "alexnet_features_torchvision.npz", tmp_path)
-    heads, data = tmp_path / "lpips_v0.1_lin_alex.pth", (WEIGHTS / "lpips_v0.1_lin_alex.pth").read_bytes()
-    if damage == "truncated":
-        heads.write_bytes(data[: len(data) // 2])
-    elif damage == "text":
-        heads.write_text("not weights")
-    elif damage == "other key":
-        torch.save({"weight": torch.zeros(1)}, heads)
-    else:
-        torch.save({f"lin{k}.model.1.weight": torch.zeros(1, 7, 1, 1) for k in range(5)}, heads)
-    with pytest.raises(SarsplatError, match="no usable LPIPS weights"):
-        Lpips(tmp_path)
-
-
 class _Exploit:
     def __init__(self, victim: Path) -> None:
         self.victim = victim

@@ -7,7 +7,7 @@ import torch
 
 from datasets import FEW_POINTS, dataset_of
 from sarsplat import Gaussians, Harmonics, ImageGrid, Run, View, render
-from sarsplat.evaluation.missing import missing
+from sarsplat.evaluation.left_open import _middles, missing
 from sarsplat.runs.run_folder import left_open
 
 GRID = ImageGrid(64, 48, (0.25, 0.3), (0.25, 0.3))
@@ -32,3 +32,13 @@ def test_an_object_without_points_is_named_where_it_stands() -> None:
     places = missing(run)
     assert len(places) == 1 and np.linalg.norm(places[0] - BALLS[1].numpy()) < 1.0
     assert "1 place" in left_open({"missing": places.tolist()})["missing"]
+
+
+def test_patches_connected_at_half_the_level_are_one_object() -> None:
+    excess_db = np.zeros((3, 9, 20))
+    excess_db[1, 4, 2:9] = 2.0
+    excess_db[1, 4, [2, 8]] = 4.0
+    excess_db[1, 4, 14] = 5.0
+    excess_db[1, 7, 14:18] = 2.5  # faint everywhere
+    assert _middles(excess_db, 3.0).tolist() == [[1, 4, 14], [1, 4, 5]]
+    assert _middles(excess_db, 6.0).shape == (0, 3)

@@ -13,7 +13,7 @@ import torch
 from datasets import FEW_POINTS, dataset_of
 from sarsplat import Gaussians, Harmonics, ImageGrid, Run, View, render
 from sarsplat.evaluation.images import UndefinedScore
-from sarsplat.evaluation.undetermined import places, undetermined
+from sarsplat.evaluation.left_open import places, undetermined
 from sarsplat.learning import batching
 from sarsplat.learning.model import SceneModel
 

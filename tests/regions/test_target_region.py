@@ -44,7 +44,7 @@ def test_what_stands_out_beyond_the_box_is_said(shown: Dataset) -> None:
     region = target_region(shown, ground=True, box=Config(target_box=INNER).box_m)
     (said,) = cut_off(region, 0.3, shown)
     assert "of the brightness above the ground lies outside of the box" in said
-    assert "--target-box" in said
+    assert "give another `target_box`" in said
     assert cut_off(target_region(shown, ground=True, box=Config(target_box=WHOLE).box_m), 0.3, shown) == []
 
 
@@ -60,7 +60,7 @@ def test_every_object_is_in_the_box_and_what_stands_beside_a_given_one_is_said()
     (said,) = cut_off(Region.box((-3, -3, 0), (3, 3, 2)), 0.0, dataset)
     assert said.startswith("what stands at x 5")
     assert " is outside of the box it is looked for in (" in said
-    around = tuple(float(word) for word in said.partition("--target-box ")[2].split()[:6])
+    around = tuple(float(word) for word in said.partition("target_box=(")[2].partition(")")[0].split(", "))
     assert around[3] > 6
     assert cut_off(target_region(dataset, ground=True, box=Config(target_box=around).box_m), 0.0, dataset) == []
     assert target_region(dataset, ground=True).high[0] > 6

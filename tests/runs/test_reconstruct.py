@@ -184,7 +184,7 @@ def test_a_target_larger_than_its_box_is_told(dataset: Dataset, tmp_path: Path) 
         ):
             Trainer(images, config)
     trimesh.creation.box(bounds=[[-40, -40, 0], [40, 40, 40]]).export(mesh)
-    with pytest.warns(SarsplatWarning, match="cut off; give another with --target-box"):
+    with pytest.warns(SarsplatWarning, match="cut off; give another `target_box`"):
         Trainer(replace(images, target_box_m=None), config)
     # bounded by the images: no warning
     Trainer(replace(images, target_box_m=None), replace(preset("default"), gaussians=20))

@@ -111,7 +111,7 @@ def test_one_of_two_equal_faces_is_kept_without_a_warning(tmp_path):
 def test_other_units_are_suspected(scale):
     box = trimesh.creation.box((7 * scale, 3 * scale, 2 * scale))
     (message,) = suspicious_size(box, paper_grid())
-    assert "give --scale" in message
+    assert "give `scale`" in message
     assert suspicious_size(scaled(box, 1 / scale), paper_grid()) == []
 
 

@@ -31,7 +31,7 @@ def box(x: float = 0, y: float = 0, z: float = 1):
 
 @pytest.mark.parametrize("place", [(5e5, 5.2e6, 401), (0, 0, 500), (60, 0, 1)])
 def test_a_mesh_outside_of_all_images_is_refused_and_can_be_brought_back(place):
-    with pytest.raises(SarsplatError, match=r"around \(.*\) m, outside of all images.*give --recentre"):
+    with pytest.raises(SarsplatError, match=r"around \(.*\) m, outside of all images.*give `recentre`"):
         outside_images(box(*place), VIEWS, GRID)
     back, moved = recentred(box(*place))
     np.testing.assert_allclose(moved, np.array(place) - (0, 0, 1))

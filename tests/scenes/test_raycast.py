@@ -10,7 +10,7 @@ import pytest
 from sarsplat.geometry import ImageGrid, View, radar_frame
 from sarsplat.geometry.responses import TAYLOR, Sampled
 from sarsplat.scenes import ScatteringLaw, paper_grid, raycast, simulate_raycast, target_mesh
-from sarsplat.scenes._patches import Patches, entered_cells
+from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import tracer
 
 trimesh = pytest.importorskip("trimesh")
@@ -151,11 +151,6 @@ def test_large_scenes_are_cut_to_the_swath_and_batched():
     np.testing.assert_allclose(image, 1.0, rtol=1e-3)
 
 
-def test_target_beside_the_image_leaves_it_empty():
-    image = simulate_raycast(box((-1, 1), (99, 101), (0, 1)), View(0, 45), GRID, CONSTANT)
-    assert (image.shape, image.dtype, image.max()) == ((64, 64), np.float32, 0)
-
-
 # ---- rays as sparse as flat surfaces allow ---------------------------------------------------------------------------
 def test_flat_surfaces_need_few_rays_however_they_are_divided(monkeypatch):
     """A house in few faces or in many takes the same few rays, and has the image of a dense lattice of them."""
@@ -215,18 +210,6 @@ def test_patches_are_connected_flat_and_of_one_reflectivity():
     side = np.abs(bent.face_normals[:, 2]) < 0.5
     patches = Patches.of(bent, np.ones(len(bent.faces)))
     assert len(np.unique(patches.of_face[side])) == side.sum()
-
-
-def test_every_square_that_a_segment_enters_is_found():
-    rng = np.random.default_rng(0)
-    start, end = rng.uniform(-20, 30, (2, 200, 2))
-    entered = entered_cells(start, end, (8, 10))
-    points = start[:, None] + np.linspace(0, 1, 5000)[None, :, None] * (end - start)[:, None]
-    column, row = np.floor(points.reshape(-1, 2)).astype(int).T
-    inside = (column >= 0) & (column < 10) & (row >= 0) & (row < 8)
-    assert entered[row[inside], column[inside]].all()
-    one = entered_cells(np.array([[2.5, 3.5], [-1e9, 6.5]]), np.array([[2.5, 3.5], [1e9, 6.5]]), (8, 10))
-    assert one[3, 2] and one[6].all() and one.sum() <= 4 + 20
 
 
 def test_a_mesh_far_larger_than_the_image_costs_no_more(monkeypatch):

@@ -21,8 +21,8 @@ from sarsplat.surface import points as of_points
 from sarsplat.surface.bricks import Brick, Scene, Window
 from sarsplat.surface.cells import Voxels
 from sarsplat.surface.clusters import largest
+from sarsplat.surface.first_returns import OfView
 from sarsplat.surface.points import between, spread
-from sarsplat.surface.returns_on_cpu import OfView
 from upright import upright
 
 GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))
@@ -224,7 +224,7 @@ def test_what_does_not_fit_into_memory_is_refused(ball_with_a_hole: Gaussians, m
     monkeypatch.setattr(memory, "free_bytes", lambda: 1000.0)
     monkeypatch.setattr(OfView, "of", lambda *_: pytest.fail("must not get here"))
     with pytest.raises(
-        SarsplatError, match=r"^extracting the surface takes about .* 9\.3e-07 GiB are free; .*rays-per"
+        SarsplatError, match=r"^extracting the surface takes about .* 9\.3e-07 GiB are free; .*rays_per"
     ):
         extract_points(ball_with_a_hole, VIEWS, GRID, KEPT)
 

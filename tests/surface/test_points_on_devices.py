@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from sarsplat import Gaussians, ImageGrid, Terrain, View, extract_points
-from sarsplat.geometry.terrain import heights_of
 from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.strategies.ops import whole_sums
 from sarsplat.scenes import surface_gaussians, target_mesh
@@ -204,13 +203,6 @@ def test_points_spread_least_along_the_axis_of_the_smallest_eigenvalue() -> None
         np.testing.assert_allclose(
             axis / np.linalg.norm(axis), np.divide(expected, np.linalg.norm(expected)), atol=1e-6
         )
-
-
-def test_heights_above_terrain_are_those_of_the_terrain() -> None:
-    points = np.random.default_rng(0).uniform(-20, 20, (500, 3))
-    for terrain in (None, hill()):
-        found = first_returns._heights(torch.tensor(points), terrain)
-        np.testing.assert_allclose(found, heights_of(points, terrain), atol=1e-12)
 
 
 def test_sums_along_a_ranking_do_not_depend_on_the_order_of_additions() -> None:

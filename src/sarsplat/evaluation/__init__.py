@@ -1,6 +1,5 @@
 """Scores of images against unseen views and of points against the true surface, and baselines for both."""
 
-from sarsplat.evaluation.alignment import Alignment, align
 from sarsplat.evaluation.baselines import baseline_scores, nearest_chip, rotated_average
 from sarsplat.evaluation.evaluate import evaluate_run
 from sarsplat.evaluation.images import (
@@ -25,7 +24,7 @@ from sarsplat.evaluation.paper import (
     paper_beside,
     paper_scores,
 )
-from sarsplat.evaluation.points import PointMetrics, Yardstick, point_metrics
+from sarsplat.evaluation.points import Alignment, PointMetrics, Yardstick, align, point_metrics
 from sarsplat.evaluation.surface import VisibleSurface, read_truth_mesh, visible_surface
 from sarsplat.evaluation.tables import (
     Beaten,

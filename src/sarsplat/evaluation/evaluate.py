@@ -17,10 +17,10 @@ from sarsplat.data import Dataset, Mask, read_masks
 from sarsplat.data.files import open_file
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation.alignment import MOST_TURNED_DEG, align
 from sarsplat.evaluation.baselines import baseline_scores
 from sarsplat.evaluation.capon import capon_points
 from sarsplat.evaluation.images import MaskPair, Stack, UndefinedScore, predicted_masks
+from sarsplat.evaluation.left_open import missing
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.metrics import (
     IMAGE_METRICS,
@@ -33,8 +33,7 @@ from sarsplat.evaluation.metrics import (
     leading_metric,
     metrics_of_points,
 )
-from sarsplat.evaluation.missing import missing
-from sarsplat.evaluation.points import Cloud, PointMetrics, Yardstick, side_by_side
+from sarsplat.evaluation.points import MOST_TURNED_DEG, Cloud, PointMetrics, Yardstick, align, side_by_side
 from sarsplat.evaluation.surface import imaged_alone, of_stacks, read_truth_mesh, visible_surface
 from sarsplat.examination.plausible import warn, weakest_direction
 from sarsplat.geometry import View
@@ -113,8 +112,8 @@ def evaluate_run(
         dataset = run.dataset if mesh is None else replace(run.dataset, truth_mesh=Path(mesh))
         folder = None if masks is None else Path(masks)
         weights = None if lpips_weights is None else Path(lpips_weights)
-        if mesh is not None and not points:
-            raise SarsplatError(f"points are left out, so nothing is held against {mesh}; leave out one of the two")
+        if not points and (mesh is not None or alignment == "rigid"):
+            raise SarsplatError("points are left out, but a mesh or an alignment is given for them; leave that out")
         if not run.state.trained:
             warn([f"{run.path or 'the run'} is {run.state}: the scores are provisional"])
         metrics = _evaluate(run, dataset, alignment, folder, weights, points, quiet)
@@ -158,10 +157,8 @@ def _evaluate(
 ) -> dict[str, Any]:
     if alignment not in ("none", "rigid"):
         raise SarsplatError(f"alignment {alignment!r} is unknown; choose none or rigid")
-    if alignment == "rigid" and not points:
-        raise SarsplatError("points are left out, so nothing can be aligned; leave out one of the two")
     if alignment == "rigid" and dataset.truth_mesh is None:
-        raise SarsplatError(f"{dataset} has no true mesh to align the points to; give one as `mesh` (--mesh FILE)")
+        raise SarsplatError(f"{dataset} has no true mesh to align the points to; give one as `mesh`")
     test_sets = [split for split in dataset.splits() if split != "train"]
     if not test_sets and not points:
         raise SarsplatError(f"nothing can be scored: {dataset} has no test images, and points are left out; score them")
@@ -182,7 +179,7 @@ def _evaluate(
     reasons: dict[str, str] = {}
     speckled_tests = dataset.looks is not None and not dataset.clean_tests
     if not test_sets:
-        reasons["images"] = "the dataset has no test images, so nothing is unseen; simulate it with --test-azimuth"
+        reasons["images"] = "the dataset has no test images, so nothing is unseen; add views of other splits"
     images: dict[str, dict[str, float | None]] = {}
     by_image: dict[str, dict[str, Any]] = {}
     tests = sum(len(dataset.images(split)) for split in test_sets)
@@ -257,7 +254,7 @@ def _masks(
     """True and predicted masks of the images of a test set that have a true mask."""
     masked = [index for index, mask in enumerate(masks) if mask is not None]
     if not masked:
-        return UndefinedScore("no true masks; give their folder with --masks")
+        return UndefinedScore("no true masks; give their folder as `masks`")
     try:
         predicted = predicted_masks(run, tested.take(masked), rendered[masked])
     except UndefinedScore as undefined:

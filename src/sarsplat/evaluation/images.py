@@ -24,6 +24,7 @@ from jaxtyping import Float, Float64, Int64, Real
 from scipy.ndimage import correlate
 from scipy.ndimage import shift as displaced
 
+from sarsplat.arguments import check_number
 from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.losses import SSIM_WINDOW, structural_similarity
@@ -50,10 +51,7 @@ class UndefinedScore(SarsplatError):
 
 def normalised_amplitude(power: Stack, reference_amplitude: float) -> Stack:
     """√power / reference_amplitude, float32, not clipped, for the scores of protocol R."""
-    if not (np.isfinite(reference_amplitude) and reference_amplitude > 0):
-        raise SarsplatError(
-            f"the reference amplitude {reference_amplitude} must be positive; give the largest of the training set"
-        )
+    check_number("the reference amplitude", reference_amplitude, 0, above=True)
     return (np.sqrt(power, dtype=np.float32) / np.float32(reference_amplitude)).astype(np.float32, copy=False)
 
 
@@ -298,7 +296,7 @@ def _check_positive(power: Stack, name: str) -> None:
     zeros = int(np.count_nonzero(power <= 0))
     if zeros:
         remedy = (
-            "raise zeros to the smallest power, or simulate with --ground"
+            "raise zeros to the smallest power, or simulate with `ground_gamma0`"
             if name == "true"
             else "reconstruct with a noise floor (preset measured)"
         )

@@ -16,8 +16,8 @@ import numpy as np
 from sarsplat.data import Dataset
 from sarsplat.evaluation import images, lpips
 from sarsplat.evaluation.images import REACH, MaskPair, Stack, UndefinedScore
+from sarsplat.evaluation.left_open import undetermined
 from sarsplat.evaluation.points import NORMALS_OFF_DEG, PointMetrics, Yardstick
-from sarsplat.evaluation.undetermined import undetermined
 from sarsplat.geometry import SHADOW, TARGET
 from sarsplat.runs import Run
 
@@ -133,7 +133,7 @@ KNOWN_SURFACE = Requirement(
 
 def _lpips(pair: ImagePair) -> float:
     if pair.network is None:
-        raise UndefinedScore(f"no LPIPS weights: give their folder with --lpips-weights or in {lpips.WEIGHTS_VARIABLE}")
+        raise UndefinedScore(f"no LPIPS weights; give their folder as `lpips_weights` or in {lpips.WEIGHTS_VARIABLE}")
     return lpips.lpips(pair.truth, pair.rendered, pair.reference_amplitude, pair.network)
 
 

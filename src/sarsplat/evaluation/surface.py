@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from sarsplat.arguments import checks_arguments
+from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import order_in_space
 from sarsplat.geometry import View
@@ -130,11 +130,8 @@ def visible_surface(
     """
     if not views:
         raise SarsplatError("the visible surface needs at least one view; give the training views")
-    if not (0 < ray_spacing < math.inf and samples > 0):
-        raise SarsplatError(
-            f"the visible surface cannot have {samples} samples found by rays {ray_spacing} m apart; give at least one "
-            "sample, and metres above 0"
-        )
+    check_number("ray_spacing", ray_spacing, 0, above=True)
+    check_number("samples", samples, 1)
     if not (mesh.area > 0 and np.isfinite(mesh.bounds).all()):
         raise SarsplatError(f"the mesh ({len(mesh.faces)} triangles) has no surface; give a mesh with an area")
     scene = _scene(mesh)

@@ -25,8 +25,7 @@ from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot
 from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.learning.snapshot import Snapshot, fitting
 from sarsplat.learning.stack_loss import ExpectedStacks
-from sarsplat.regions.flattened import levelled
-from sarsplat.regions.target_region import cut_off
+from sarsplat.regions.target_region import cut_off, levelled
 from sarsplat.renderer import Bounds, Rendering, render
 from sarsplat.renderer.covariances import lit_planes
 from sarsplat.renderer.echoes import Echo

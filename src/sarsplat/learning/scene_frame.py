@@ -11,10 +11,9 @@ import numpy as np
 from sarsplat.data import Dataset
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, Stack, Terrain, View
-from sarsplat.regions.flattened import levelled
 from sarsplat.regions.outlines import usual_gamma0
 from sarsplat.regions.stack_region import stack_region
-from sarsplat.regions.target_region import target_region
+from sarsplat.regions.target_region import levelled, target_region
 from sarsplat.settings.config import Config
 
 _USUAL_GAMMA0 = 0.5

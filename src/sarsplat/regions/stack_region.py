@@ -57,10 +57,7 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
         box = (-reach, -reach, low), (reach, reach, high)
     region = Region.box(*box)
     if not _in_any(_tried(region), train.views, grid).any():
-        raise SarsplatError(
-            f"no training image shows the box {box[0]} to {box[1]} m; give another with --target-box, in Python "
-            "Config(target_box=...)"
-        )
+        raise SarsplatError(f"no training image shows the box {box[0]} to {box[1]} m; give another `target_box`")
     if not of_one_direction(train.views):
         return region
     azimuth, slant = train.views[0].look.gradients

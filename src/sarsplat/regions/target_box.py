@@ -141,7 +141,7 @@ def _levels(
     if half <= 0:
         raise SarsplatError(
             f"the images, with their middle at {grid.center_m} m, do not show the world's origin, around which the "
-            "target is looked for; give --target-box, in Python Config(target_box=...), or images that show the origin"
+            "target is looked for; give `target_box`, or images that show the origin"
         )
     if (factor := math.ceil(4 * half / grid.cell_m / _SIDE)) > 1:
         grid, power = grid.multilooked(factor), in_blocks(power, factor).mean(axis=(2, 4))

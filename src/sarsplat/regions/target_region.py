@@ -1,24 +1,33 @@
-"""Region of Gaussians' centres, and warnings of objects that it cuts off."""
+"""Region of Gaussians' centres, also on terrain, whose images are levelled for it; warnings of objects cut off."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool
+import torch
+from jaxtyping import Bool, Float32
+from scipy.ndimage import map_coordinates
 
 from sarsplat.data import Dataset
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.initialise import Region, bounded_region
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
-from sarsplat.regions.flattened import levelled
 from sarsplat.regions.image_levels import seen_by_all
 from sarsplat.regions.target_box import StandingOut, standing_out, target_box
+from sarsplat.renderer.echoes.echo import RayEnds
+from sarsplat.renderer.echoes.lit_terrain import lit_terrain
+from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.scenes.meshes import read_mesh
 
 _MUCH = 0.2
 """Maximum share of the brightness (dB) above the ground outside of the box, for side lobes and chance."""
+
+_DIMMEST = 0.1
+"""Power of terrain, relative to flat ground, below which pixels are replaced by median ground."""
 
 _NAMED = 3
 """Maximum number of objects outside of the box that a warning locates."""
@@ -41,7 +50,7 @@ def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> 
 def cut_off(region: Region, margin_m: float, dataset: Dataset) -> list[str]:
     """Warnings (at most one) of parts of the target outside of a region, by the true shape or else by the images."""
     box = f"the box it is looked for in ({spans(region.low, region.high)} m)"
-    remedy = "give another with --target-box, in Python Config(target_box=...)"
+    remedy = "give another `target_box`"
     low, high = region.low - margin_m, region.high + margin_m
     if dataset.truth_mesh is not None:
         try:
@@ -80,8 +89,8 @@ def _objects_beside(found: StandingOut, inside: Bool[np.ndarray, "side side"], r
     )
     more = f" and {len(beside) - _NAMED} more" if len(beside) > _NAMED else ""
     return [
-        f"what stands at {where}{more} is outside of {box} and will be left out; --target-box "
-        f"{' '.join(f'{value:.3g}' for value in [*low, *high])} goes around it, as high as the box is now"
+        f"what stands at {where}{more} is outside of {box} and will be left out; "
+        f"`target_box=({', '.join(f'{value:.3g}' for value in [*low, *high])})` goes around it, as high as the box is"
     ]
 
 
@@ -95,3 +104,38 @@ def box_misses(dataset: Dataset) -> list[str]:
 def spans(low: np.ndarray, high: np.ndarray) -> str:
     """Text of a box, m: "x -3.2 … 9.7, y 0.3 … 7.8, z 0 … 5"."""
     return ", ".join(f"{name} {a:.3g} … {b:.3g}" for name, a, b in zip("xyz", low, high, strict=True))
+
+
+# ---- images of terrain, warped to level ground ----
+def levelled(dataset: Dataset) -> Dataset:
+    """Warp images to level ground, with its brightness; unchanged without terrain.
+
+    Layover and shadow of objects on the terrain are nearly as on level ground.
+    """
+    if dataset.terrain is None:
+        return dataset
+    power = np.stack(
+        [_levelled(image, view, dataset.grid, dataset.terrain) for image, view in zip(dataset.power, dataset.views)]
+    )
+    return replace(dataset, power=power, signal=None, terrain=None, path=None)
+
+
+def _levelled(
+    power: Float32[np.ndarray, "rows columns"], view: View, grid: ImageGrid, terrain: Terrain
+) -> Float32[np.ndarray, "rows columns"]:
+    look = view.look
+    bare = RayEnds(torch.empty(0, dtype=torch.float32), [(0, 0)], [(0.0, 0.0)])
+    rays, new_pass = RayGrid.for_image(grid), passes_for("auto", {"transmittance": bare.transmittance})
+    free = lit_terrain(
+        bare, [view], grid, rays, terrain, torch.ones(1, 1, 1, dtype=torch.float32), 1.0, None, new_pass
+    )[0].numpy()
+    share = look.gamma0_of_beta0(free)
+    known = share > _DIMMEST
+    flat = np.where(known, power / np.where(known, share, 1.0), np.median(power[known]) if known.any() else 0.0)
+    x, r = grid.azimuth_m[None, :], grid.range_m[:, None]
+    across, away = look.onto_ground
+    place = x[..., None] * across + r[..., None] * away
+    shift_m = terrain.height_m(place[..., 0], place[..., 1]) * look.sine  # towards the radar
+    row = (r - shift_m - grid.range_m[0]) / grid.spacing_m[1]
+    column = np.broadcast_to(np.arange(grid.columns), row.shape)
+    return map_coordinates(flat, [row, column], order=1, mode="nearest").astype(np.float32)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.sparse import csr_matrix
 
+from sarsplat.arguments import check_number
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import Response, variance_of, width_of
@@ -17,8 +18,7 @@ class NodeGrid:
     """Grid of `oversample` nodes per pixel and axis, pixel centres included, with the response from nodes to pixels."""
 
     def __init__(self, grid: ImageGrid, oversample: int) -> None:
-        if oversample < 1 or oversample != int(oversample):
-            raise SarsplatError(f"oversample {oversample} must be a whole number of at least 1")
+        check_number("oversample", oversample, 1)
         width, depth = grid.spacing_m
         self.columns = _Axis(grid.azimuth_m, width / oversample, grid.resolution_m[0], grid.response, oversample)
         self.rows = _Axis(grid.range_m, depth / oversample, grid.resolution_m[1], grid.response, oversample)

@@ -82,7 +82,7 @@ def triangulated(corners: Float64[np.ndarray, "m n 3"]) -> tuple[list[list[list[
 
     count, number, _ = corners.shape
     if number > _MAX_CORNERS or count * number**2 > _MAX_WORK:
-        raise SarsplatError(f"{count:,} of its faces are concave with {number:,} corners; triangulate it beforehand")
+        raise SarsplatError(f"has {count:,} concave faces with {number:,} corners; triangulate it beforehand")
     flat, _, size = _in_its_plane(corners)
     scaled = (corners - corners.mean(axis=1, keepdims=True)) / size[:, None, None]
     before, after = np.roll(scaled, 1, axis=1), np.roll(scaled, -1, axis=1)

@@ -17,7 +17,7 @@ from sarsplat.scenes._patches import Patches, entered_cells
 
 if TYPE_CHECKING:
     import trimesh
-
+    from embreex.rtcore_scene import EmbreeScene
 
 # The ray lattice is rotated by tan⁻¹((√5 − 1)/2), so that its lines are not parallel to an edge of a vehicle at a round
 # azimuth: a whole row of rays would cross such an edge at once when the offset changes.
@@ -120,19 +120,26 @@ def turned(points: Float64[np.ndarray, "k 2"], back: bool = False) -> Float64[np
     return points @ (turn.T if back else turn)
 
 
-def tracer(facets: Facets) -> Trace:
-    """Make the function that traces rays along the line of sight; needs embreex."""
+def embree_scene(
+    vertices: Float64[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"]
+) -> tuple[EmbreeScene, Float64[np.ndarray, " 3"]]:
+    """Make a scene of a mesh for rays, and return its origin, the middle of the mesh; needs embreex."""
     try:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
     except ImportError as error:
         raise SarsplatError(f"ray casting needs embreex; {install_command('simulate')}") from error
-    lower, upper = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
-    center = (lower + upper) / 2  # float32 keeps the most digits around zero
+    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2  # float32 keeps the most digits around zero
     scene = EmbreeScene(robust=True)  # watertight along shared edges
-    TriangleMesh(scene=scene, vertices=(facets.vertices - center).astype(np.float32), indices=facets.faces)
+    TriangleMesh(scene=scene, vertices=(vertices - center).astype(np.float32), indices=faces)
+    return scene, center
+
+
+def tracer(facets: Facets) -> Trace:
+    """Make the function that traces rays along the line of sight; needs embreex."""
+    scene, center = embree_scene(facets.vertices, facets.faces)
     direction = np.array([[0.0, 0.0, 1.0]], dtype=np.float32)
-    start = lower[2] - 1.0
+    start = facets.vertices[:, 2].min() - 1.0
 
     def trace(position: Float64[np.ndarray, "k 2"]) -> Int32[np.ndarray, " k"]:
         origins = np.empty((len(position), 3), dtype=np.float32)

@@ -19,12 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
-from sarsplat.errors import SarsplatError
-from sarsplat.extras import install_command
 from sarsplat.geometry import View
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._patches import Patches
-from sarsplat.scenes._rays import Facets, Region, Trace, sparse_hits
+from sarsplat.scenes._rays import Facets, Region, Trace, embree_scene, sparse_hits
 from sarsplat.scenes.scattering import ScatteringLaw
 
 if TYPE_CHECKING:
@@ -121,10 +119,9 @@ class SecondBounce:
         progress: Callable[[float], object] = lambda share: None,
     ) -> None:
         """Deposit facet–ground and ground–facet paths: a point is imaged at its foot on the ground, at any height."""
-        u = view.look.facing
-        mirrored, legs = u * (1.0, 1.0, -1.0), _Legs(self._mesh)
-        bisector = np.array([u[0], u[1], 0.0]) / math.hypot(u[0], u[1])
-        look = view.look
+        look, legs = view.look, _Legs(self._mesh)
+        u = look.facing
+        mirrored, bisector = u * (1.0, 1.0, -1.0), np.array([u[0], u[1], 0.0]) / math.hypot(u[0], u[1])
 
         def add(points: _Points, incoming: Points, outgoing: Points) -> None:
             p, q = points.normal @ incoming, points.normal @ outgoing
@@ -138,7 +135,7 @@ class SecondBounce:
             length = points.position[:, 2] / u[2]
             feet = points.position + length[:, None] * mirrored
             free = legs.free(points.position + legs.lift * points.normal, mirrored, length)
-            free &= legs.free_above(feet, u)
+            free &= legs.free(legs.above(feet), u)
             add(points[free], u, mirrored)
 
         image = Facets.of(self._mirrored, view)  # mirror image in the ground
@@ -147,7 +144,7 @@ class SecondBounce:
             ground = np.column_stack([position, look.range_on_ground(*position.T)]) @ look.frame
             face = legs.first(legs.above(ground), -mirrored)
             hit = np.flatnonzero(face >= 0)
-            face[hit[~legs.free_above(ground[hit], u)]] = -1
+            face[hit[~legs.free(legs.above(ground[hit]), u)]] = -1
             return face
 
         for points in self._found(image, by_mirror, view, u, lambda share: progress((1 + share) / 2), (1.0, 1.0, -1.0)):
@@ -180,7 +177,8 @@ class SecondBounce:
             normal = self._normals[face]
             facing = -(normal * away).sum(axis=1)
             normal, facing = normal * np.sign(facing)[:, None], np.abs(facing)
-            length = -(((self._corner(face) - points.position) * normal).sum(axis=1)) / np.maximum(facing, 1e-12)
+            corner = np.asarray(self._mesh.vertices, dtype=np.float64)[np.asarray(self._mesh.faces)[face, 0]]
+            length = -(((corner - points.position) * normal).sum(axis=1)) / np.maximum(facing, 1e-12)
             second = points.position + length[:, None] * away
             visible = (normal @ u > 0) & (facing > 1e-6) & (length > 0)
             if self._reflectivity is not None:
@@ -199,9 +197,6 @@ class SecondBounce:
     def _gamma(self, face: Int32[np.ndarray, " k"], normal: Points, total: Points) -> Float64[np.ndarray, " k"]:
         """Return γ of facets between two directions with this sum."""
         return self._factors[face] * self._law.gamma0((normal * total).sum(axis=1) / np.linalg.norm(total, axis=1))
-
-    def _corner(self, face: Int32[np.ndarray, " k"]) -> Points:
-        return np.asarray(self._mesh.vertices, dtype=np.float64)[np.asarray(self._mesh.faces)[face, 0]]
 
     def _found(
         self,
@@ -228,21 +223,9 @@ class _Legs:
     """Rays from points of a mesh: occlusion tests and first hits; needs embreex."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        try:
-            from embreex.mesh_construction import TriangleMesh
-            from embreex.rtcore_scene import EmbreeScene
-        except ImportError as error:
-            raise SarsplatError(f"ray casting needs embreex; {install_command('simulate')}") from error
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
-        lower, upper = vertices.min(axis=0), vertices.max(axis=0)
-        self._center = (lower + upper) / 2  # float32 keeps the most digits around zero
-        self.lift = _LIFT * float(np.linalg.norm(upper - lower))
-        self._scene = EmbreeScene(robust=True)
-        TriangleMesh(
-            scene=self._scene,
-            vertices=(vertices - self._center).astype(np.float32),
-            indices=np.asarray(mesh.faces, dtype=np.int32),
-        )
+        self.lift = _LIFT * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        self._scene, self._center = embree_scene(vertices, np.asarray(mesh.faces, dtype=np.int32))
 
     def first(self, origin: Points, direction: Float64[np.ndarray, "*k 3"]) -> Int32[np.ndarray, " k"]:
         """Return the first faces hit, −1 without a hit."""
@@ -254,10 +237,6 @@ class _Legs:
         """Return True for unoccluded rays, of this length if it is given."""
         until = None if length is None else length.astype(np.float32)
         return np.asarray(self._scene.run(*self._rays(origin, direction), until, "OCCLUDED")) < 0
-
-    def free_above(self, ground: Points, direction: Float64[np.ndarray, " 3"]) -> Bool[np.ndarray, " k"]:
-        """Return True for unoccluded rays from points of the ground."""
-        return self.free(self.above(ground), direction)
 
     def above(self, ground: Points) -> Points:
         """Lift points of the ground by `lift`."""

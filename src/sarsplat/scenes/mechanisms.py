@@ -76,19 +76,18 @@ class Mechanisms:
                 f"polarisations is {shown(names)}; give different ones of {', '.join(KNOWN_POLARISATIONS)}"
             )
         object.__setattr__(self, "polarisations", tuple(names))
-        if self.of_faces.ndim != 1 or self.of_faces.dtype.kind not in "iu":
-            raise SarsplatError(
-                f"of_faces is {self.of_faces.dtype} of shape {self.of_faces.shape}; give a whole number for each facet"
-            )
         count, matrices = len(self.polarisations), self.matrices
         if matrices.ndim != 3 or matrices.shape[1:] != (count, count):
             raise SarsplatError(
                 f"matrices has shape {matrices.shape}; for {count} polarisations give (M, {count}, {count})"
             )
         numbers = np.append(self.of_faces, self.of_ground)
-        if numbers.min() < 0 or numbers.max() >= len(matrices):
-            wrong = numbers.min() if numbers.min() < 0 else numbers.max()
-            raise SarsplatError(f"a facet has matrix {shown(int(wrong))} of {len(matrices)}; number them from 0")
+        whole = self.of_faces.ndim == 1 and self.of_faces.dtype.kind in "iu"
+        if not whole or numbers.min() < 0 or numbers.max() >= len(matrices):
+            raise SarsplatError(
+                f"of_faces is {self.of_faces.dtype} of shape {self.of_faces.shape}, and with of_ground from "
+                f"{numbers.min():g} to {numbers.max():g}; give a whole number for each facet, 0 to {len(matrices) - 1}"
+            )
         for matrix in matrices:
             hermitian = np.isfinite(matrix).all() and np.allclose(matrix, matrix.conj().T)
             if not hermitian or np.linalg.eigvalsh(matrix)[0] < -_TOLERANCE:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 import logging
-import math
 import os
 import re
 import warnings
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sarsplat.arguments import checks_arguments
+from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid
 from sarsplat.scenes._polygons import polygon_mesh
@@ -34,10 +33,8 @@ _LARGEST_TARGET, _SMALLEST_TARGET = 1.0, 2.0
 _FORMATS = (".obj", ".stl", ".ply", ".off", ".glb")
 _FARTHEST = 1e9
 """Maximum distance of a vertex from the origin, m: beyond any mistaken unit, with a finite square."""
-_LARGEST_FILE = 1 << 28
-"""Maximum size of a file, bytes."""
-_LONGEST_TEXT = {".obj": 1 << 25, ".stl": 1 << 25, ".off": 1 << 24, ".ply": 1 << 24}
-"""Maximum length of text files, bytes: trimesh needs 50 times (.obj, .stl) to 80 times as much memory."""
+_LARGEST = {"binary": 1 << 28, ".obj": 1 << 25, ".stl": 1 << 25, ".off": 1 << 24, ".ply": 1 << 24}
+"""Maximum size of binary files, and of text, bytes: trimesh needs 50 times (.obj, .stl) to 80 times as much memory."""
 _FREE_NUMBERS = 100_000
 """Count of numbers to which a .glb file of any size may expand."""
 _LONGEST_SCENE = 1 << 20
@@ -106,8 +103,7 @@ def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
 
 def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
     """Multiply every coordinate of a mesh by a positive, finite factor."""
-    if not (math.isfinite(factor) and factor > 0):
-        raise SarsplatError(f"scale {factor} must be positive and finite; 0.001 makes metres of millimetres")
+    check_number("`scale`", factor, 0, above=True)
     return mesh.copy().apply_scale(factor)
 
 
@@ -124,7 +120,7 @@ def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
         return []
     return [
         f"the target is {extent:.3g} m long, but the images are {side_m(grid):.3g} m wide with a resolution of "
-        f"{cell:.3g} m; if the mesh is not in metres, give --scale, otherwise other --pixels or --spacing"
+        f"{cell:.3g} m; if the mesh is not in metres, give `scale`, otherwise other `pixels` or `spacing`"
     ]
 
 
@@ -164,24 +160,27 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     try:
         if not path.is_file():  # pipes and devices may never end
             raise SarsplatError(f"there is no mesh file at '{path}'; give the path of an {', '.join(_FORMATS)} file")
-        if (size := path.stat().st_size) > _LARGEST_FILE:
-            raise SarsplatError(f"'{path}' has {size} bytes, more than is sensible for a target; simplify the mesh")
-        if kind in (".obj", ".off"):
-            _check_length(path, size)
-        data = path.read_bytes()
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            data = file.read(_LARGEST["binary"])
     except (OSError, MemoryError) as error:
         raise SarsplatError(f"cannot read '{path}': {error}; check the path and its permissions") from error
     if kind == ".ply" and re.match(rb"ply\r[^\n]", data):  # lines that end in CR alone
         header, end, body = data.partition(b"end_header\r")
         data = (header + end).replace(b"\r", b"\n") + body
-    if kind == ".glb":
-        _check_glb(path, data)
-    elif not _is_binary(kind, data):
-        data = _plain_text(path, kind, data)
+    binary = kind == ".glb" or _is_binary(kind, data)
+    if size > _LARGEST["binary" if binary else kind]:
+        of_text = "" if binary else " of text"
+        raise SarsplatError(
+            f"'{path}' has {size} bytes{of_text}; simplify the mesh, or write it as .glb or binary .ply"
+        )
     try:
+        if kind == ".glb":
+            _check_glb(data)
+        data = data if binary else _plain_text(kind, data)
         cut = polygon_mesh(kind, data)
     except SarsplatError as error:
-        raise SarsplatError(f"'{path}': {error}") from error
+        raise SarsplatError(f"'{path}' {error}") from error
     mesh = _read_with_trimesh(path, kind, data) if cut is None else trimesh.Trimesh(*cut[:2], process=False)
     if cut is not None and cut[2]:
         warnings.warn(
@@ -192,9 +191,11 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
         )
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if len(faces) == 0:
-        raise SarsplatError(f"'{path}' holds no faces, only {len(vertices)} vertices; give a triangle mesh")
+        raise SarsplatError(
+            f"'{path}' is damaged, or holds no faces, only {len(vertices)} vertices; give a triangle mesh"
+        )
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
-        raise SarsplatError(f"'{path}' has faces that refer to missing vertices; repair the mesh")
+        raise SarsplatError(f"'{path}' {_MISSING}")
     if (far := np.abs(vertices[np.isfinite(vertices)])).size and far.max() > _FARTHEST:
         raise SarsplatError(f"'{path}' has a vertex {far.max():.3g} m from the origin; repair it or scale it to metres")
     return mesh
@@ -219,34 +220,19 @@ def _read_with_trimesh(path: Path, kind: str, data: bytes) -> trimesh.Trimesh:
     return mesh
 
 
-def _check_length(path: Path, size: int) -> None:
-    if size > _LONGEST_TEXT[path.suffix.lower()]:
-        raise SarsplatError(f"'{path}' has {size} bytes of text; simplify the mesh or export it as .glb or binary .ply")
-
-
 def _is_binary(kind: str, data: bytes) -> bool:
     if kind == ".stl":
         return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
     return kind == ".ply" and not re.match(rb"[^\n]*\n[^\n]*ascii", data, re.IGNORECASE)  # trimesh's criterion
 
 
-def _plain_text(path: Path, kind: str, data: bytes) -> bytes:
+def _plain_text(kind: str, data: bytes) -> bytes:
     """Return UTF-8 text without materials, comments and empty lines, which are expensive for trimesh."""
-    _check_length(path, len(data))
-    if kind == ".stl" and b"\0" in data:
-        faces = int.from_bytes(data[80:84], "little")
-        raise SarsplatError(
-            f"'{path}' declares {faces} faces ({84 + 50 * faces} bytes) but has {len(data)} bytes; export it again"
-        )
     data = data.decode("utf-8", "replace").encode()
     if kind == ".stl" and (solids := data.lower().count(b"endsolid")) > _MAX_SOLIDS:
-        raise SarsplatError(f"'{path}' holds {solids} solids, each a mesh; export it as one plain mesh")
+        raise SarsplatError(f"holds {solids} solids, each a mesh; export it as one plain mesh")
     if kind == ".obj":
-        try:
-            data = _plain_obj(data)
-        except SarsplatError as error:
-            raise SarsplatError(f"'{path}' {error}") from error
-        return data.replace(b"usemtl", b"#")  # each change of material would take milliseconds for a mesh
+        return _plain_obj(data).replace(b"usemtl", b"#")  # each change of material would take milliseconds for a mesh
     if kind == ".off":
         return re.sub(rb"(?:[\n-\r\x1c-\x1e]|#[^\n]*)(?:[\s\x1c-\x1e]+|#[^\n]*)*+", b"\n", data)
     return re.sub(rb"[\n-\r\x1c-\x1e][\s\x1c-\x1e]*", b"\n", data)
@@ -288,26 +274,22 @@ def _corner(word: bytes, counts: list[int]) -> bytes:
     return b"/".join(numbers)
 
 
-def _check_glb(path: Path, data: bytes) -> None:
+def _check_glb(data: bytes) -> None:
     """Raise if the JSON of a scene describes far more data than the file holds."""
     length = int.from_bytes(data[12:16], "little")
-    if data[:4] != b"glTF" or data[16:20] != b"JSON" or length > len(data) - 20:
-        raise SarsplatError(f"'{path}' is not a whole .glb file; export it again")
-    if length > _LONGEST_SCENE:
-        raise SarsplatError(f"'{path}' describes its scene in {length} bytes of JSON; export it as one plain mesh")
+    if data[:4] != b"glTF" or data[16:20] != b"JSON" or length > min(len(data) - 20, _LONGEST_SCENE):
+        raise SarsplatError(f"is not a whole .glb file with at most {_LONGEST_SCENE} bytes of JSON; export it again")
     try:
         scene = json.loads(data[20 : 20 + length].decode())
         gaussians = "KHR_gaussian_splatting" in scene.get("extensionsUsed", ())
         numbers, parts = _unfolded(scene)
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise SarsplatError(f"'{path}' has a garbled scene ({repr(error)[:200]}); export it again") from error
+        raise SarsplatError(f"has a garbled scene ({repr(error)[:200]}); export it again") from error
     if gaussians:
-        raise SarsplatError(
-            f"'{path}' holds Gaussians (KHR_gaussian_splatting), which are not read from .glb; give their PLY"
-        )
+        raise SarsplatError("holds Gaussians (KHR_gaussian_splatting), which are not read from .glb; give their PLY")
     if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MAX_PARTS:
         raise SarsplatError(
-            f"'{path}' expands {len(data)} bytes to {numbers} numbers in {parts} parts; export it as one plain mesh"
+            f"expands {len(data)} bytes to {numbers} numbers in {parts} parts; export it as one plain mesh"
         )
 
 
@@ -322,8 +304,6 @@ def _unfolded(scene: dict[str, Any]) -> tuple[int, int]:
     loads, parts = [], len(nodes)
     for mesh in meshes:
         primitives = mesh["primitives"]
-        if any("KHR_draco_mesh_compression" in primitive.get("extensions", ()) for primitive in primitives):
-            raise ValueError("compressed data are not read")
         used = [index for p in primitives for index in (*p["attributes"].values(), p.get("indices"))]
         loads.append((sum(accessors[index]["count"] for index in used if index is not None), len(primitives)))
     for load, count in [*loads, *(loads[node["mesh"]] for node in nodes if "mesh" in node)]:

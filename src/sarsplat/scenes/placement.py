@@ -61,12 +61,12 @@ def outside_images(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid
     where = "the target is around (" + ", ".join(f"{value:.10g}" for value in mesh.bounds.mean(axis=0)) + ") m"
     if not any(shown):
         raise SarsplatError(
-            f"{where}, outside of all images, which are centred on the origin; give --recentre, or subtract that from "
+            f"{where}, outside of all images, which are centred on the origin; give `recentre`, or subtract that from "
             "its coordinates"
         )
     return [
         f"{where}: {counted(shown.count(False), 'image')} of {len(shown)} cannot show it, as they are centred on the "
-        "origin; give --recentre, or more --pixels"
+        "origin; give `recentre`, or more `pixels`"
     ]
 
 
@@ -83,8 +83,8 @@ def _cut_off(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> l
     if max(outside) < _CUT_OFF or is_larger(mesh, grid):
         return []
     return [
-        f"{max(outside):.0%} of the target's surface is outside of an image, though it would fit; give --recentre, or "
-        "more --pixels"
+        f"{max(outside):.0%} of the target's surface is outside of an image, though it would fit; give `recentre`, or "
+        "more `pixels`"
     ]
 
 
@@ -104,13 +104,8 @@ def warn_below_ground(
     mesh: trimesh.Trimesh, grid: ImageGrid, ground_gamma0: float | None, terrain: Terrain | None
 ) -> None:
     """Warn if a good part of a mesh is hidden below the ground."""
-    if ground_gamma0 is not None and len(mesh.faces):
-        for text in _below_ground(mesh, grid, terrain):
-            warnings.warn(text, SarsplatWarning, stacklevel=1)  # one location, so that Python suppresses repetitions
-
-
-def _below_ground(mesh: trimesh.Trimesh, grid: ImageGrid, terrain: Terrain | None) -> list[str]:
-    """Return a warning if a good part of a mesh is below the ground."""
+    if ground_gamma0 is None or not len(mesh.faces):
+        return
     corners = np.asarray(mesh.triangles, np.float64)
     height = corners[..., 2]
     if terrain is not None:
@@ -118,16 +113,17 @@ def _below_ground(mesh: trimesh.Trimesh, grid: ImageGrid, terrain: Terrain | Non
     hidden = float((mesh.area_faces * _share_below(height)).sum())
     deepest, usual = -float(height.min()), _LITTLE if terrain is None else _FOUNDATIONS
     if not (deepest > _SUNK_CELLS * max(grid.resolution_m) and hidden >= usual * mesh.area > 0):  # also NaN
-        return []
+        return
     low, high = mesh.bounds
     level = _LEANS * float(mesh.extents.max())
     lying = terrain is None and abs(low[1]) < level and abs(low[2] + high[2]) < level
     remedy = "if y is up in the file, export it with z up; otherwise " if lying else ""
-    share = f"{hidden / mesh.area:.0%} of the target's surface"
-    return [
-        f"{share} is below the ground, up to {deepest:.3g} m, and hidden; {remedy}raise it by "
-        f"{deepest:.3g} m, or simulate it with --recentre"
-    ]
+    warnings.warn(
+        f"{hidden / mesh.area:.0%} of the target's surface is below the ground, up to {deepest:.3g} m, and hidden; "
+        f"{remedy}raise it by {deepest:.3g} m, or recentre it",
+        SarsplatWarning,
+        stacklevel=1,  # one location, so that Python suppresses repetitions
+    )
 
 
 def _share_below(height: Float64[np.ndarray, "f 3"]) -> Float64[np.ndarray, " f"]:

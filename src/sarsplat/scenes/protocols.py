@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.arguments import check_number
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.scenes._random import generator
+from sarsplat.scenes.scattering import generator
 
 _MAX_VIEWS = 10_000
 
@@ -43,8 +43,7 @@ def mstar_views() -> list[tuple[View, str]]:
 
 def random_views(count: int, lowest_deg: float, highest_deg: float, seed: int) -> list[View]:
     """Draw 1 to 10,000 directions, uniform over the part of the sky between two grazing angles, degrees."""
-    if not 1 <= count <= _MAX_VIEWS:
-        raise SarsplatError(f"{counted(count, 'random view')} cannot be drawn; give 1 to {_MAX_VIEWS}")
+    check_number("`random_views`", count, 1, _MAX_VIEWS)
     low, high = (math.sin(math.radians(angle)) for angle in (lowest_deg, highest_deg))
     azimuths, heights = generator(seed, "views").random((2, count))
     return [

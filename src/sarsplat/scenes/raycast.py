@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Float64, Int32, Real, UInt8
 
-from sarsplat.arguments import checks_arguments
+from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, Look, Terrain, View
 from sarsplat.geometry.view import check_unstretched
@@ -25,7 +25,7 @@ from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, first_hits, sparse_hits, tracer
 from sarsplat.scenes._second_bounce import SecondBounce
 from sarsplat.scenes.placement import warn_below_ground
-from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity
+from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity, raise_first
 
 if TYPE_CHECKING:
     import trimesh
@@ -271,15 +271,15 @@ def check_rays(
     mesh: trimesh.Trimesh, ground_gamma0: float | None, ray_spacing: float, ray_offset: tuple[float, float]
 ) -> None:
     """Raise if a mesh, a ground or rays are invalid."""
-    finite = bool(np.isfinite(mesh.vertices).all())
-    for valid, message in (
-        (len(mesh.faces) > 0, "the mesh has 0 faces; give a mesh with triangles"),
-        (finite, "the mesh has a vertex that is not finite; read it with load_mesh, which drops such faces"),
-        (0 < ray_spacing < math.inf, f"ray_spacing {ray_spacing} must be positive and finite, in metres"),
-        (np.isfinite(ray_offset).all(), f"ray_offset {ray_offset} must be two finite numbers, in ray spacings"),
-    ):
-        if not valid:
-            raise SarsplatError(message)
+    raise_first(
+        (len(mesh.faces) == 0, "the mesh has 0 faces; give a mesh with triangles"),
+        (
+            not np.isfinite(mesh.vertices).all(),
+            "the mesh has a vertex that is not finite; read it with load_mesh, which drops such faces",
+        ),
+        (not np.isfinite(ray_offset).all(), f"ray_offset {ray_offset} must be two finite numbers, in ray spacings"),
+    )
+    check_number("`ray_spacing`", ray_spacing, 0, above=True)
     check_ground(ground_gamma0)
 
 

@@ -1,11 +1,11 @@
-"""Scattering law of surfaces (γ⁰ against incidence angle), speckle, and checks of ground and bounces."""
+"""Scattering law of surfaces (γ⁰ against incidence angle), speckle and its seeds, checks of ground and bounces."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Complex64, Float, Float32, Float64, Real
@@ -13,19 +13,25 @@ from scipy import fft
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from sarsplat.arguments import checks_arguments, expect
+from sarsplat.arguments import check_number, checks_arguments, expect
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Terrain
 from sarsplat.geometry.responses import Response
 from sarsplat.radiometry import from_db
-from sarsplat.scenes._random import generator
 
 if TYPE_CHECKING:
     import trimesh
 
+_STREAMS: dict[str, tuple[int, ...]] = {"speckle": (), "reflectivity": (1,), "views": (2,), "scatterers": (3,)}
 _MAX_GAMMA0 = 1e6
 _MAX_SPREAD_DB = 10.0
 """Maximum standard deviation of factors on γ⁰: they span six orders of magnitude."""
+
+
+def generator(seed: int, purpose: Literal["speckle", "reflectivity", "views", "scatterers"]) -> np.random.Generator:
+    """Make the random generator for one purpose, which has a stream of its own; raise if the seed is negative."""
+    check_number("`seed`", seed, 0)
+    return np.random.default_rng([seed, *_STREAMS[purpose]])
 
 
 @dataclass(frozen=True)
@@ -59,9 +65,7 @@ class ScatteringLaw:
     def __post_init__(self) -> None:
         expect(float, **self.as_dict())
         for name, value in self.as_dict().items():
-            if not 0 <= value <= _MAX_GAMMA0:  # also catches NaN
-                unit = "" if name == "exponent" else " (linear γ⁰)"
-                raise SarsplatError(f"the scattering law's {name} {value} must be from 0 to {_MAX_GAMMA0:g}{unit}")
+            check_number(f"the scattering law's {name}" + " (linear γ⁰)" * (name != "exponent"), value, 0, _MAX_GAMMA0)
 
     def gamma0(self, cos_incidence: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """Return γ⁰ for the cosine of the incidence angle, of either sign; same shape and dtype."""
@@ -77,8 +81,7 @@ def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Flo
 
     Faces that share a corner belong to one part; factors are log-normal around 1 with this standard deviation.
     """
-    if not 0 <= spread_db <= _MAX_SPREAD_DB:
-        raise SarsplatError(f"the reflectivity's spread {spread_db} dB must be between 0 and {_MAX_SPREAD_DB:g} dB")
+    check_number("the spread of the reflectivity in dB", spread_db, 0, _MAX_SPREAD_DB)
     corners = np.unique(mesh.vertices, axis=0, return_inverse=True)[1].reshape(-1)[mesh.faces]
     first, others = np.repeat(corners[:, :1], 2, axis=1).ravel(), corners[:, 1:].ravel()
     edges = coo_matrix((np.ones(len(first), dtype=bool), (first, others)), shape=(corners.max() + 1,) * 2)
@@ -113,8 +116,7 @@ def add_speckle(
     SarsplatError
         If `looks` is not positive and finite.
     """
-    if not (math.isfinite(looks) and looks > 0):
-        raise SarsplatError(f"looks {looks} must be positive and finite; leave it out for a clean image")
+    check_number("`looks`", looks, 0, above=True)
     return (power * rng.gamma(looks, 1 / looks, size=power.shape)).astype(power.dtype)
 
 
@@ -122,32 +124,29 @@ def check_ground(
     gamma0: float | None, terrain: Terrain | None = None, bounces: int = 1, reflectivity: float | None = None
 ) -> None:
     """Raise if γ⁰, terrain, number of bounces or mirror reflectivity |Γ|² of the ground are invalid or do not fit."""
-    mirror = bounces == 2 and gamma0 is not None
-    for wrong, message in (
+    lost = reflectivity is not None and (bounces != 2 or gamma0 is None)
+    wrong = bounces == 2 and gamma0 is not None and (reflectivity is None or not 0 <= reflectivity <= 1)  # also NaN
+    raise_first(
         (
             gamma0 is not None and not 0 <= gamma0 <= _MAX_GAMMA0,
-            f"ground_gamma0 {gamma0} must be finite and at least 0 (linear γ⁰, not decibels)",
+            f"`ground_gamma0` is {gamma0}; give a linear γ⁰, no dB",
         ),
-        (terrain is not None and gamma0 is None, "terrain needs the γ⁰ of the ground; give that too, with --ground"),
-        (bounces not in (1, 2), f"bounces {bounces} is unknown; choose 1, or 2 for second bounces"),
+        (terrain is not None and gamma0 is None, "terrain needs the γ⁰ of the ground; give `ground_gamma0`, too"),
+        (bounces not in (1, 2), f"`bounces` is {bounces}; give 1, or 2 for second bounces"),
+        (bounces == 2 and terrain is not None, "second bounces need flat ground; leave out `terrain`"),
         (
-            bounces == 1 and reflectivity is not None,
-            f"the ground's reflectivity {reflectivity} is for second bounces; ask for 2 bounces, or leave it out",
+            lost,
+            f"`ground_reflectivity` is {reflectivity}, but only second bounces on ground have one; give `bounces=2` "
+            "and `ground_gamma0` (0 for a dark mirror), or leave it out",
         ),
-        (bounces == 2 and terrain is not None, "second bounces need flat ground; leave out the terrain"),
-        (
-            bounces == 2 and gamma0 is None and reflectivity is not None,
-            f"the ground's reflectivity is {reflectivity}, but there is no ground; give its γ⁰ too (0 for a dark "
-            "mirror), with --ground, or leave it out",
-        ),
-        (
-            mirror and (reflectivity is None or not 0 <= reflectivity <= 1),  # also catches NaN
-            f"the ground's mirror reflectivity is {reflectivity}; give 0 to 1 (|Γ|², not decibels), with "
-            "--ground-reflectivity",
-        ),
-    ):
-        if wrong:
-            raise SarsplatError(message)
+        (wrong, f"`ground_reflectivity` is {reflectivity}; give |Γ|², 0 to 1, for second bounces on ground"),
+    )
+
+
+def raise_first(*mistakes: tuple[bool, str]) -> None:
+    """Raise with the message of the first mistake that is True."""
+    for message in (message for mistaken, message in mistakes if mistaken):
+        raise SarsplatError(message)
 
 
 def check_reflectivity(

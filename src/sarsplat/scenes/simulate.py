@@ -10,18 +10,23 @@ import torch
 from jaxtyping import Float, Float32, Float64, Real
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN
 from sarsplat.names import Simulator
 from sarsplat.renderer import GroundBounce, render
 from sarsplat.scenes._parallel import in_order
-from sarsplat.scenes._random import generator
 from sarsplat.scenes._second_bounce import BY_GROUND
 from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
-from sarsplat.scenes.scattering import ScatteringLaw, add_speckle, check_ground, check_reflectivity
+from sarsplat.scenes.scattering import (
+    ScatteringLaw,
+    add_speckle,
+    check_ground,
+    check_reflectivity,
+    generator,
+    raise_first,
+)
 from sarsplat.scenes.splat_truth import law_by_ground, law_scattering, surface_gaussians
 
 if TYPE_CHECKING:
@@ -110,35 +115,28 @@ def simulate_images(
     check_ground(ground_gamma0, terrain, bounces, ground_reflectivity)
     warn_below_ground(mesh, grid, ground_gamma0, terrain)
     speckle = generator(seed, "speckle")
+    splat = source == "splat"
+    raise_first(
+        (source not in ("raycast", "splat"), f"`source` is {source!r}; choose 'raycast' or 'splat'"),
+        (splat and ray_spacing is not None, f"`ray_spacing` is {ray_spacing}, but it is for ray casting; leave it out"),
+        (
+            splat and grid.response != GAUSSIAN,
+            f"the response is {grid.response}, not Gaussian; choose `source='raycast'`",
+        ),
+        (
+            splat and bounces == 2 and not ground_reflectivity,
+            "the renderer's second bounces need ground that reflects; give `ground_reflectivity` or `source='raycast'`",
+        ),
+    )
     images: Iterator[Float[np.ndarray, "{grid.rows} {grid.columns}"]]
     powers: dict[View, dict[str, float]] = {}
-    if source == "raycast":
-        caster = RayCaster(
-            mesh,
-            grid,
-            law,
-            reflectivity=reflectivity,
-            ground_gamma0=ground_gamma0,
-            terrain=terrain,
-            bounces=bounces,
-            ground_reflectivity=ground_reflectivity,
-            ray_spacing=default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing,
-            oversample=_OVERSAMPLE,
-        )
+    if not splat:
+        spacing = default_ray_spacing(mesh, grid) if ray_spacing is None else ray_spacing
+        ground: dict[str, Any] = {"ground_gamma0": ground_gamma0, "terrain": terrain}
+        ground |= {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
+        rays: dict[str, Any] = {"ray_spacing": spacing, "oversample": _OVERSAMPLE}
+        caster = RayCaster(mesh, grid, law, reflectivity=reflectivity, **ground, **rays)
         images, powers = in_order(caster.image, views, progress), caster.power_by_echo
-    elif source != "splat":
-        raise SarsplatError(f"source {source!r} is unknown; choose 'raycast' or 'splat'")
-    elif ray_spacing is not None:
-        raise SarsplatError(f"ray_spacing {ray_spacing} is for ray casting, but the source is 'splat'; leave it out")
-    elif grid.response != GAUSSIAN:
-        raise SarsplatError(
-            f"the renderer's response is Gaussian, but the grid's is {grid.response}; choose the source 'raycast'"
-        )
-    elif bounces == 2 and not ground_reflectivity:
-        raise SarsplatError(
-            "the renderer's second bounces need a ground that reflects; give ground_reflectivity, or choose the source "
-            "'raycast'"
-        )
     else:
         images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain, ground_reflectivity, powers)
     stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
@@ -174,18 +172,10 @@ def simulation_record(
     unless there are second ones.
     """
     sampling: dict[str, dict[str, Any]] = {
-        "raycast": {
-            "ray_spacing_m": ray_spacing,
-            "ray_error_db": ray_error_db,
-            "nodes_per_pixel": _OVERSAMPLE,
-        },
-        "splat": {
-            "surface_pieces_per_pixel": _PIECES_PER_PIXEL,
-            "rays_per_pixel": _RAYS_PER_PIXEL,
-        },
+        "raycast": {"ray_spacing_m": ray_spacing, "ray_error_db": ray_error_db, "nodes_per_pixel": _OVERSAMPLE},
+        "splat": {"surface_pieces_per_pixel": _PIECES_PER_PIXEL, "rays_per_pixel": _RAYS_PER_PIXEL},
     }
-    second: dict[str, Any] = {"bounces": bounces, "ground_reflectivity": ground_reflectivity}
-    second["power_by_echo"] = power_by_echo
+    second = {"bounces": bounces, "ground_reflectivity": ground_reflectivity, "power_by_echo": power_by_echo}
     return {
         "kind": source,
         "law": law.as_dict(),

@@ -14,18 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Complex64, Complex128, Float64
 
-from sarsplat.arguments import checks_arguments
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.arguments import check_number, checks_arguments
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Stack, View
-from sarsplat.geometry.responses import Response
 from sarsplat.geometry.stack import LOUDEST
 from sarsplat.geometry.view import check_unstretched
-from sarsplat.scenes._random import generator
 from sarsplat.scenes._rays import Facets, Region, tracer
 from sarsplat.scenes.mechanisms import Mechanisms
 from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.raycast import check_rays
-from sarsplat.scenes.scattering import ScatteringLaw
+from sarsplat.scenes.scattering import ScatteringLaw, generator
 
 if TYPE_CHECKING:
     import trimesh
@@ -97,14 +95,13 @@ def simulate_stack(
     roots = _roots(mechanisms, stack, len(mesh.faces))
     spacing = min(grid.resolution_m) / _PER_CELL if spacing_m is None else spacing_m
     check_rays(mesh, ground_gamma0, spacing, (0.5, 0.5))
-    if not 0 <= noise <= LOUDEST:  # also catches NaN
-        raise SarsplatError(f"noise is {shown(noise)}; give a power from 0 to {LOUDEST:g}")
+    check_number("`noise`", noise, 0, LOUDEST)
     warn_below_ground(mesh, grid, ground_gamma0, None)
     rng = generator(seed, "scatterers")
     facets, look = Facets.of(mesh, view), view.look
     gamma0 = np.append(law.gamma0(facets.cos_incidence), ground_gamma0 or 0.0)  # the last is the ground's
     trace, vectors = tracer(facets), stack.phase_vectors(view) @ look.frame.T  # in the radar frame
-    axes = _Axis(grid, 0), _Axis(grid, 1)
+    axes, names = (_Axis(grid, 0), _Axis(grid, 1)), [*dict.fromkeys(stack.of_channels)]
     nodes = np.zeros((len(stack), axes[1].count, axes[0].count), np.complex128)
     for position in _scattered(_region(facets, axes, ground_gamma0, view), spacing, rng):
         face = trace(position)
@@ -118,31 +115,23 @@ def simulate_stack(
         row, column = axes[1].nearest(point[:, 2]), axes[0].nearest(point[:, 0])
         inside = (row >= 0) & (row < axes[1].count) & (column >= 0) & (column < axes[0].count)
         node = (row * axes[0].count + column)[inside]
-        for total, vector, polarisation in zip(nodes, vectors, _polarisations(stack), strict=True):
-            signal = (amplitude[:, polarisation] * np.exp(1j * point @ vector))[inside]
-            total += _summed(node, signal, total.size).reshape(total.shape)
+        for total, vector, polarisation in zip(nodes, vectors, stack.of_channels, strict=True):
+            signal = (amplitude[:, names.index(polarisation)] * np.exp(1j * point @ vector))[inside]
+            real, imaginary = (np.bincount(node, part, total.size) for part in (signal.real, signal.imag))
+            total += (real + 1j * imaginary).reshape(total.shape)
     images = axes[1].response @ nodes @ axes[0].response.T
     images += math.sqrt(noise / 2) * (rng.standard_normal((*images.shape, 2)) @ [1, 1j])
     return images.astype(np.complex64)
-
-
-def _polarisations(stack: Stack) -> list[int]:
-    """Return the index of each channel's polarisation, in order of appearance."""
-    names = list(dict.fromkeys(stack.of_channels))
-    return [names.index(name) for name in stack.of_channels]
 
 
 def _roots(mechanisms: Mechanisms | None, stack: Stack, faces: int) -> Complex128[np.ndarray, "f p p"]:
     """Return L of each facet and, at the end, of the ground, with E[a aᴴ] = γ⁰ L Lᴴ."""
     if not stack.polarimetric:
         return np.ones((faces + 1, 1, 1), np.complex128)
-    if mechanisms is None:
-        raise SarsplatError("the stack has several polarisations; give mechanisms, their covariances")
-    if mechanisms.polarisations != tuple(dict.fromkeys(stack.of_channels)) or len(mechanisms.of_faces) != faces:
-        raise SarsplatError(
-            f"mechanisms are of {len(mechanisms.of_faces)} facets in {', '.join(mechanisms.polarisations)}; give those "
-            f"of {faces} in {', '.join(dict.fromkeys(stack.of_channels))}"
-        )
+    given = None if mechanisms is None else (len(mechanisms.of_faces), *mechanisms.polarisations)
+    needed = faces, *dict.fromkeys(stack.of_channels)
+    if mechanisms is None or given != needed:
+        raise SarsplatError(f"mechanisms (facets, polarisations) are {given}, but the stack needs {needed}")
     return mechanisms.roots
 
 
@@ -167,16 +156,12 @@ class _Axis:
         self.count = (len(pixels) - 1) * _NODES + 1 + 2 * margin
         self.reach = self.first, self.first + (self.count - 1) * self.step
         distance = np.subtract.outer(pixels, self.first + self.step * np.arange(self.count)) / width
-        self.response = _amplitude(grid.response, distance) / math.sqrt(width)
+        norm = math.sqrt(float(grid.response.density(np.zeros(1))[0]))  # the square of the amplitude integrates to 1
+        self.response = grid.response.amplitude(distance) * norm / math.sqrt(width)
 
     def nearest(self, position: Float64[np.ndarray, " k"]) -> np.ndarray:
         """Return the index of the node nearest to each position, possibly beyond both ends."""
         return np.rint((position - self.first) / self.step).astype(np.int64)
-
-
-def _amplitude(response: Response, distance: Float64[np.ndarray, "n k"]) -> Float64[np.ndarray, "n k"]:
-    """Return the amplitude at distances in 3 dB widths; its square integrates to 1."""
-    return response.amplitude(distance) * math.sqrt(float(response.density(np.zeros(1))[0]))
 
 
 def _region(facets: Facets, axes: tuple[_Axis, _Axis], ground_gamma0: float | None, view: View) -> Region:
@@ -202,9 +187,3 @@ def _scattered(region: Region, spacing: float, rng: np.random.Generator) -> Iter
         u = np.arange(columns) + rng.random((count, columns))
         v = first + np.arange(count)[:, None] + rng.random((count, columns))
         yield np.column_stack([region.x[0] + spacing * u.ravel(), region.y[0] + spacing * v.ravel()])
-
-
-def _summed(node: np.ndarray, signal: Complex128[np.ndarray, " k"], size: int) -> Complex128[np.ndarray, " n"]:
-    real, imaginary = (np.bincount(node, weights, size) for weights in (signal.real, signal.imag))
-    total: Complex128[np.ndarray, " n"] = real + 1j * imaginary
-    return total

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Float64, Int
 from scipy.spatial.transform import Rotation
 
-from sarsplat.arguments import checks_arguments
+from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics
 from sarsplat.geometry import View
@@ -58,10 +58,8 @@ def surface_gaussians(mesh: trimesh.Trimesh, size: float) -> tuple[Gaussians, In
     SarsplatError
         If `size` is not positive, the mesh has no area, or that would take too many Gaussians.
     """
-    if not (math.isfinite(size) and size > 0):
-        raise SarsplatError(f"size {size} of the surface's pieces must be positive and finite, in metres")
-    if not mesh.area > 0:
-        raise SarsplatError(f"the mesh has a surface of {mesh.area} m², so it cannot be covered with Gaussians")
+    check_number("size", size, 0, above=True)
+    check_number("the mesh's area in m²", mesh.area, 0, above=True)
     fewest = mesh.area / (size**2 / 4)
     if fewest > _MAX_GAUSSIANS:
         raise SarsplatError(

@@ -59,7 +59,10 @@ class Groups:
 
     def sums(self, rows: Float64[Tensor, "p c"]) -> Float64[Tensor, "g c"]:
         """Sum of the rows of each group."""
-        return sums_of(rows[self.order], self.counts)
+        if not len(rows):
+            return rows.new_zeros(len(self.counts), rows.shape[1])
+        ranked = rows[self.order]
+        return torch.segment_reduce(ranked, "sum", lengths=self.counts, axis=0, unsafe=True)  # checks would synchronise
 
     @property
     def first(self) -> Int64[Tensor, " g"]:
@@ -72,13 +75,6 @@ class Groups:
         groups = torch.arange(len(self.counts), device=self.order.device)
         ranked = groups.repeat_interleave(self.counts, output_size=len(self.order))
         return torch.empty_like(self.order).index_copy_(0, self.order, ranked)
-
-
-def sums_of(rows: Float64[Tensor, "p c"], counts: Int64[Tensor, " g"]) -> Float64[Tensor, "g c"]:
-    """Sums of consecutive segments of rows, whose lengths are `counts`."""
-    if not len(rows):
-        return rows.new_zeros(len(counts), rows.shape[1])
-    return torch.segment_reduce(rows, "sum", lengths=counts, axis=0, unsafe=True)  # checks would synchronise
 
 
 def by_cubes(

@@ -30,8 +30,7 @@ from sarsplat.surface import cells
 from sarsplat.surface.bricks import Scene, ray_count
 from sarsplat.surface.cells import MOST_POINTS, MOST_WAITING, Voxels
 from sarsplat.surface.clusters import bright, brightest_speckle_m2, largest
-from sarsplat.surface.first_returns import FirstReturns, view_batches
-from sarsplat.surface.returns_on_cpu import FirstReturnsOnCpu
+from sarsplat.surface.first_returns import FirstReturns, FirstReturnsOnCpu, view_batches
 from sarsplat.tiles.plan import memory_bytes
 
 _MOST_VIEWS = 96
@@ -47,9 +46,7 @@ _SAMPLES = 3.0
 _RETURN, _POINT, _KEPT = 130, 650, 72
 """Upper bounds of memory, bytes: of a return while thinning, of a point while its normal is found, and afterwards."""
 
-_FEWER = (
-    "set fewer rays, such as --points.rays-per-pixel 1; `--resume` with it extracts the points of a finished training"
-)
+_FEWER = "give `points.rays_per_pixel=1`; resuming a finished training with it extracts the points"
 
 
 @checks_arguments
