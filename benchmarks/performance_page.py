@@ -54,7 +54,7 @@ def beside_pytorch(parts: dict[str, Any]) -> str:
         ),
         *(row(name, theirs, ours, quotient) for name, quotient, theirs, ours in against_twins(parts["twins"])),
     ]
-    return markdown(("what is computed", "PyTorch", "sarsplat", "times as fast (↑)"), rows)
+    return markdown(("computation", "PyTorch", "sarsplat", "times as fast (↑)"), rows)
 
 
 def beside_arithmetic(floor: dict[str, Any]) -> str:
@@ -68,13 +68,13 @@ def beside_arithmetic(floor: dict[str, Any]) -> str:
             floor["ratios"]["engine / floor of visited blocks"],
         ),
         row(
-            "the same without what is done once for every Gaussian, seen or not",
+            "the same without the work done once for every Gaussian, seen or not",
             floor["times"]["engine less the same Gaussians unseen"],
             bound,
             floor["ratios"]["engine less the same Gaussians unseen / floor of visited blocks"],
         ),
     ]
-    return markdown(("what is computed", "sarsplat", "arithmetic alone", "times as long (↓)"), rows)
+    return markdown(("computation", "sarsplat", "arithmetic alone", "times as long (↓)"), rows)
 
 
 def beside_the_ordinary(parts: dict[str, Any]) -> str:
@@ -106,7 +106,7 @@ def beside_the_ordinary(parts: dict[str, Any]) -> str:
             for first, second in [parts["degenerate"]["contenders_s"][load]]
         ),
     ]
-    return markdown(("what is different", "with it", "without", "times as long (↓)"), rows)
+    return markdown(("difference", "with it", "without", "times as long (↓)"), rows)
 
 
 def _load(name: str) -> str:
@@ -190,8 +190,8 @@ def how(machine: dict[str, Any]) -> str:
         f"Measured by `make bench` on {machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, "
         f"{machine['instruction_set']}, PyTorch {machine['torch']}, {machine['date']}, with `OMP_WAIT_POLICY=PASSIVE` "
         f"as the command line sets it; the machine's load before the run was {machine['load']:.1f}. Unless a row says "
-        f"otherwise, the scene is one view of {COUNT:,} Gaussians as they are halfway through the reconstruction of a "
-        "T-72 (synthetic, same distributions), 128 × 128 pixels, two rays per pixel spacing (four per pixel).",
+        f"otherwise, the scene is one view of {COUNT:,} Gaussians, distributed as halfway through the reconstruction "
+        "of a T-72 (synthetic), 128 × 128 pixels, two rays per pixel spacing (four per pixel).",
         f"The two sides of a row take turns of {TURN} calls each in one process; the first call of a turn, with cold "
         "caches and sleeping threads, is discarded. Times are medians. The ratio is that of the medians; in brackets, "
         "the 10th and 90th percentiles of the ratios of adjacent turns. Caches differ between rows, and so does the "
@@ -322,9 +322,9 @@ def section(results: dict[str, Any], devices: list[dict[str, Any]]) -> str:
             "exponentials, sorting, memory and waiting."
         ),
         beside_arithmetic(parts["floor"]),
-        "## What other calls and awkward scenes cost\n",
+        "## Cost of other calls and awkward scenes\n",
         wrapped(
-            "Below 1, what is different is faster. Scenes of huge or coincident Gaussians occur when a training goes "
+            "Below 1, the different case is faster. Scenes of huge or coincident Gaussians occur when a training goes "
             "wrong; they should cost no more than the work that is in them."
         ),
         beside_the_ordinary(parts),

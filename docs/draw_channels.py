@@ -25,7 +25,7 @@ STACK = Stack(wavelength_m=0.031, offsets_rad=(0.0, 0.0006))
 HEIGHTS = np.arange(-3.0, 8.1, 1.0)  # m
 
 WORLD, VIEWED, HIGHER, POINT, FAINT = "#333333", "#1f5fa8", "#c0392b", "#2e7d32", "#9a9a9a"
-THETA, WIDER = math.radians(VIEW.grazing_deg), math.radians(14.0)  # b/R as it is drawn
+THETA, WIDER = math.radians(VIEW.grazing_deg), math.radians(14.0)  # b/R in the drawing
 
 U = np.array([-math.cos(THETA), math.sin(THETA)])  # towards the view's antenna; ground range to the right, z up
 UP = np.array([math.sin(THETA), math.cos(THETA)])  # y_r
@@ -66,7 +66,7 @@ def scene(ax: Axes, title: str, x: tuple[float, float], y: tuple[float, float]) 
 
 
 def passes(ax: Axes) -> None:
-    """Where the antennas are: directions, the offset b/R, the axis of elevation."""
+    """Draw the antennas' positions: directions, the offset b/R, the axis of elevation."""
     scene(ax, "a   a positive offset b/R: the antenna of pass i is seen higher", (-9.4, 5.2), (-1.2, 8.6))
     far = 9.0
     for direction, colour, name, at in ((U, VIEWED, "view", (0.2, -0.55)), (U_I, HIGHER, "pass i", (0.2, 0.5))):
@@ -136,7 +136,7 @@ def measured(ax: Axes) -> None:
 
 
 def simulated_phase(z: float) -> float:
-    """Of level plates of 3 × 3 m, from signals."""
+    """Phase of a level plate of 3 × 3 m, from signals."""
     plate = trimesh.creation.box((3.0, 3.0, 0.01))
     plate.apply_translation((0.0, 0.0, z))
     signals = simulate_stack(plate, VIEW, GRID, STACK, ScatteringLaw(1.0, 0.0, 1.0))
@@ -145,7 +145,7 @@ def simulated_phase(z: float) -> float:
 
 
 def rendered_phase(z: float) -> float:
-    """Of a flat Gaussian, from covariances."""
+    """Phase of a flat Gaussian, from covariances."""
     law = Harmonics(torch.tensor([[1.0]]))
     flat = torch.tensor([[1.0, 1.0, 0.01]])
     plate = Gaussians(torch.tensor([[0.0, 0.0, z]]), torch.tensor([[1.0, 0, 0, 0]]), flat, torch.tensor([4.0]), law)

@@ -19,10 +19,10 @@ from sarsplat.samples import Encoding
 
 PICTURE = Path(__file__).parent / "images" / "chips.png"
 AZIMUTHS = (15, 75, 135, 225, 315)
-"""Of the target, degrees, as near as there are chips: half-way between training chips."""
+"""Azimuths of the target, degrees: half-way between training chips, each replaced by that of the nearest chip."""
 SIDE, INCHES, DPI = 80, 0.8, 100
 BLOCKS = 2
-"""Of runs, beside each other."""
+"""Number of blocks of runs beside each other."""
 
 
 def main() -> None:
@@ -71,7 +71,7 @@ def away(chip: Chip, azimuth_deg: float) -> float:
 
 
 def middle(image: np.ndarray) -> np.ndarray:
-    """What is cut out of an image."""
+    """Central square of an image."""
     top, left = ((size - SIDE) // 2 for size in image.shape)
     return image[top : top + SIDE, left : left + SIDE]
 

@@ -46,7 +46,7 @@ def scene() -> trimesh.Trimesh:
 
 
 def points(mesh: trimesh.Trimesh, antenna: np.ndarray, rng: np.random.Generator) -> cphds.Points:
-    """What the antenna sees, with amplitudes whose squares are cross-sections up to a factor."""
+    """Scatterers visible to the antenna, with amplitudes whose squares are cross-sections up to a factor."""
     towards = antenna / np.linalg.norm(antenna)
     fine = mesh.subdivide_to_size(0.4)
     assert isinstance(fine, trimesh.Trimesh)

@@ -172,7 +172,7 @@ def side_view(ax: Axes, triangles: np.ndarray) -> None:
 
 
 def image_array(ax: Axes, power: np.ndarray) -> None:
-    """The image as it is stored: row 0 near and on top, columns along the flight."""
+    """Draw the stored image: row 0 near and on top, columns along the flight."""
     decibels = to_db(power, least=1e-6)
     ax.imshow(decibels, cmap=colormap(POWER), vmin=-26, vmax=3, interpolation="nearest")
     ax.set_anchor("N")

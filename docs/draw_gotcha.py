@@ -88,7 +88,7 @@ def cut(aperture: Aperture, weighting: Taylor, along: int) -> tuple[np.ndarray, 
 
 
 def width(place: np.ndarray, power: np.ndarray) -> float:
-    """Where the main lobe is above half its peak."""
+    """Width of the main lobe above half its peak."""
     half = np.flatnonzero(power >= 0.5)
     first, last = half[0], half[-1]
     left = np.interp(0.5, power[[first - 1, first]], place[[first - 1, first]])

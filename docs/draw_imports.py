@@ -39,7 +39,7 @@ def between_rooms(edges: Edges) -> Edges:
 
 
 def levels(edges: Edges) -> dict[str, int]:
-    """How many imports lead down from each at most: 0 for what imports nothing."""
+    """Longest chain of imports down from each module: 0 if it imports nothing."""
     found: dict[str, int] = {}
 
     def level(name: str) -> int:
@@ -53,7 +53,7 @@ def levels(edges: Edges) -> dict[str, int]:
 
 
 def draw(axes: Axes, edges: Edges, colours: Mapping[str, object], size: float, *, names: bool) -> None:
-    """Every level a row; arrows run from what imports to what is imported."""
+    """Draw a row for each level, with arrows from importing to imported modules."""
     rows: dict[int, list[str]] = defaultdict(list)
     for name, level in sorted(levels(edges).items(), key=lambda item: (room_of(item[0]), item[0])):
         rows[level].append(name)

@@ -31,7 +31,7 @@ SUN = LightSource(azdeg=315, altdeg=40)
 
 
 def shaded(ax: Axes, heights: np.ndarray, pixel_m: float, highest: float, title: str) -> None:
-    """Heights as colours, lit from the upper left; white where there are none."""
+    """Draw heights as colours, lit from the upper left; white where unknown."""
     known = np.isfinite(heights)
     filled = np.where(known, heights, 0.0)
     rgb = SUN.shade(filled, colormap(HEIGHT), vmin=0, vmax=highest, dx=pixel_m, dy=pixel_m, blend_mode="soft")

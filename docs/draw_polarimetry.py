@@ -33,7 +33,7 @@ MATRICES = {  # E[y yᴴ] up to a factor: 2 HV² is the power of both cross-pola
 OPEN = (((-9.0, -9.0), (9.0, -7.0)), ((-9.0, -7.0), (-7.0, 9.0)), ((7.5, -7.0), (9.0, 9.0)))
 """Corners of open ground, x and y."""
 NEAR_M, LOW_M = 0.4, 0.5
-"""What counts: within NEAR_M of a box, and higher than that; of open ground, within LOW_M of z = 0."""
+"""Gaussians count within NEAR_M of a box, and higher than NEAR_M; those of open ground within LOW_M of z = 0."""
 
 
 def dataset(seed: int) -> Dataset:
@@ -59,7 +59,7 @@ def dataset(seed: int) -> Dataset:
 
 
 def error(run: Run, name: str) -> float:
-    """Of the mean matrix per power, HV counted twice; the norm of the difference over that of the truth."""
+    """Relative error of the normalised mean matrix, HV counted twice: norm of the difference over that of the truth."""
     twice = np.diag([1.0, 2**0.5, 1.0])
     found, true = (twice @ matrix @ twice for matrix in (within(run, name), np.array(MATRICES[name])))
     found, true = (matrix / np.trace(matrix) for matrix in (found, true))
@@ -71,7 +71,7 @@ def within(run: Run, name: str) -> np.ndarray:
         return np.sum([run.covariance_within(((*low, -LOW_M), (*high, LOW_M))) for low, high in OPEN], axis=0)
     corner, side = BOXES[name]
     low, high = np.array(corner) - NEAR_M, np.array(corner) + side + NEAR_M
-    low[2] = max(low[2], NEAR_M)  # what is lower may be ground
+    low[2] = max(low[2], NEAR_M)  # lower Gaussians may be ground
     return run.covariance_within((tuple(low.tolist()), tuple(high.tolist())))
 
 

@@ -48,7 +48,7 @@ def show_distances(axes: list[Axes], points: np.ndarray, others: np.ndarray) -> 
     """Points from the side and from above, coloured by how far each is from the others."""
     sample = np.random.default_rng(0).permutation(points)[:SHOWN]
     distance = KDTree(others).query(sample, workers=-1)[0]
-    order = np.argsort(distance)  # what is wrong is on top
+    order = np.argsort(distance)  # largest errors on top
     for ax, up in zip(axes, (2, 1), strict=True):
         dots = ax.scatter(
             *(sample[order, 0], sample[order, up], 0.5, distance[order]),

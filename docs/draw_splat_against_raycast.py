@@ -46,7 +46,7 @@ def raycast(spacing: float, offset: tuple[float, float] = (0.5, 0.5)) -> list[np
 
 
 def splat(gaussians: Gaussians, faces: np.ndarray, spacing: float, farther: float = 0.0) -> np.ndarray:
-    """β⁰ of every view by the renderer, moved away from the radar by so many metres."""
+    """β⁰ of every view by the renderer, with the image moved away from the radar by `farther` metres."""
     scattering = torch.from_numpy(law_scattering(MESH.face_normals, VIEWS, LAW)[:, faces, None]).float()
     shift = torch.tensor([[0.0, farther]] * len(VIEWS))
     rays = RayGrid((spacing, spacing))
@@ -76,7 +76,7 @@ def respread(gaussians: Gaussians, widening: float, depth: float) -> Gaussians:
 
 
 def inset(gaussians: Gaussians, faces: np.ndarray, depth: float) -> Gaussians:
-    """The same, moved inwards by so many metres."""
+    """Gaussians moved inwards by `depth` metres."""
     return replace(gaussians, means=gaussians.means - depth * torch.from_numpy(MESH.face_normals[faces]).float())
 
 
@@ -96,7 +96,7 @@ def changes(truth: Sequence[np.ndarray]) -> tuple[list[tuple[str, np.ndarray]], 
     gaussians, faces = surface_gaussians(MESH, size)
     plain = splat(gaussians, faces, spacing)
     found = [
-        (f"as it is: discs, widened by {WIDENING:g}, mean depth {SHEET_DEPTH:g}", plain),
+        (f"unchanged: discs, widened by {WIDENING:g}, mean depth {SHEET_DEPTH:g}", plain),
         ("balls instead of discs", splat(isotropic(gaussians), faces, spacing)),
     ]
     for widening, depth in ((1.0, 7.0), (1.6, 7.0), (2.2, 7.0), (1.2, 5.0), (1.2, 10.0)):
@@ -135,7 +135,7 @@ def tables(
     rows = [*changed, ("the ray caster against itself: another offset of its rays", offsets)]
     lines += [f"| {name} | {' | '.join(f'{v:.1f}' for v in found)} | {found.mean():.1f} |" for name, found in rows]
     cells = " | ".join(f"{value:+.1f} %" for value in (*excess, excess.mean()))
-    lines.append(f"| *sum of the image as it is, too much by* | {cells} |")
+    lines.append(f"| *sum of the unchanged image, too much by* | {cells} |")
     return "\n".join(lines) + "\n"
 
 

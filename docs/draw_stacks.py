@@ -59,7 +59,7 @@ def true_surface(dataset: Dataset) -> VisibleSurface:
 
 
 def scores(points: np.ndarray, surface: VisibleSurface) -> tuple[float, float, float, float]:
-    """F1 within 0.5 m, of walls and of the roof what is found, and F1 within 0.75 m."""
+    """F1 within 0.5 m, recall of walls, recall of the roof, and F1 within 0.75 m."""
     found = point_metrics(points, surface.triangles, surface.samples, YARDSTICK)
     far, near = YARDSTICK.thresholds_m[:2]
     height, distance = surface.samples[:, 2], cKDTree(points).query(surface.samples)[0]

@@ -51,7 +51,7 @@ def bounds(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def drawn(run: Run, points: np.ndarray, normals: np.ndarray, view: View) -> Image.Image:
-    """One view: what the radar records, and what stands there."""
+    """One view: the radar image and the scene."""
     spacing_m = run.grid.spacing_m[0] / FINER
     grid = asked_grid(run.grid, None, spacing_m, None)
     decibels = to_db(run.render([view], grid)[0], run.brightest)

@@ -205,7 +205,7 @@ def main() -> None:
     if not (CHIPS / "labels.csv").is_file():
         print(
             f"There are no measured chips in {CHIPS}, so the T-72 is not compared and "
-            "docs/reference/vehicles.md stays as it is."
+            "docs/reference/vehicles.md is not changed."
         )
         return
     text = compare()

@@ -30,7 +30,7 @@ SEEN_FROM = View(30.0, 40.0)
 
 
 def show(ax: Axes, places: np.ndarray, colour: np.ndarray, **how: Any) -> PathCollection:
-    """Places as they look from there, what is nearer on top."""
+    """Draw places as seen from `SEEN_FROM`, nearer ones on top."""
     azimuth, grazing = np.radians([SEEN_FROM.azimuth_deg, SEEN_FROM.grazing_deg])
     towards, right = np.array([np.cos(azimuth), -np.sin(azimuth)]), np.array([np.sin(azimuth), np.cos(azimuth)])
     near, across = places[:, :2] @ towards, places[:, :2] @ right

@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def fill_block(page: Path, name: str, text: str) -> None:
-    """Replace what stands between the markers of that name."""
+    """Replace the text between the markers of that name."""
     block = re.compile(rf"(<!-- {name}: begin[^>]*-->\n).*?(<!-- {name}: end -->)", re.DOTALL)
     old = page.read_text(encoding="utf-8")
     if not block.search(old):

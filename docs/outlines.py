@@ -23,7 +23,7 @@ FILTERS: dict[str, Filter] = {
 
 @dataclass(frozen=True)
 class Rule:
-    """How outlines are found: a despeckling filter, and levels over the ground's median."""
+    """Rule for outlines: a despeckling filter, and levels over the ground's median."""
 
     smooth: Filter
     bright: float
@@ -75,7 +75,7 @@ def _frame(power: np.ndarray) -> np.ndarray:
 
 
 def _largest(mask: np.ndarray, touching: np.ndarray | None = None) -> np.ndarray:
-    """The largest connected component of a mask, among those that touch another mask; empty if there is none."""
+    """Largest connected component of a mask, among those that touch another mask; empty if no component does."""
     components, _ = label(mask)
     allowed = components if touching is None else np.where(np.isin(components, components[touching]), components, 0)
     sizes = np.bincount(allowed.ravel())[1:]

@@ -1,4 +1,4 @@
-"""A hook of mkdocs: pages link to each other and to the repository as on GitHub, and the site has what they link to.
+"""A hook of mkdocs: pages link to each other and to the repository as on GitHub, and the site has the linked files.
 
 The README becomes the home page; other files outside docs/ that a page links to come along under `repository/`.
 """
@@ -22,7 +22,7 @@ _LINK = re.compile(r"\]\((?!\w+:)([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def place(path: str) -> str:
-    """Where the site has a file of the repository; tutorials are pages there."""
+    """Path on the site of a file of the repository; tutorials are pages there."""
     if path in PAGES:
         return PAGES[path]
     folder, _, inside = path.partition("/")
@@ -38,13 +38,13 @@ def linked(page: str) -> set[str]:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add what lies outside docs/ and is linked to."""
+    """Add linked files from outside docs/."""
     for path, uri in PAGES.items():
         files.append(File.generated(config, uri, abs_src_path=str(REPOSITORY / path)))
     sources = [*PAGES, *(f"docs/{file.src_uri}" for file in files.documentation_pages() if _is_in_docs(file))]
     for path in sorted({target for page in sources for target in linked(page)}):
         outside = not path.startswith("docs/") and path not in PAGES
-        if outside and (REPOSITORY / path).is_file():  # what is missing is for mkdocs to complain of
+        if outside and (REPOSITORY / path).is_file():  # mkdocs reports missing files
             files.append(File.generated(config, place(path), abs_src_path=str(REPOSITORY / path)))
     return files
 

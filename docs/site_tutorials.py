@@ -27,7 +27,7 @@ LIMIT_S = 600  # a cell
 
 
 def kept(source: Path) -> Path:
-    """Where the executed notebook is; its name changes with the script and with the library."""
+    """Path of the executed notebook; its name changes with the script and with the library."""
     state = hashlib.sha256(source.read_bytes())
     for path in sorted((REPOSITORY / "src").rglob("*.py")):
         state.update(path.read_bytes())

@@ -1,4 +1,4 @@
-"""Write the registers of CUDA kernels, and what they spill, as NVRTC says, into concepts/engines.md; needs no GPU."""
+"""Write registers and spills of CUDA kernels, as reported by NVRTC, into concepts/engines.md; needs no GPU."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _KERNEL = re.compile(r"properties for (\w+)\s.*?(\d+) bytes spill stores.*?Used 
 
 
 def digest() -> str:
-    """Of everything that the table depends on."""
+    """Digest of everything that the table depends on."""
     programs = [Path(path).read_text(encoding="utf-8") for path in (__file__, nvrtc.__file__)]
     return hashlib.sha256(repr((Nvrtc().version, sources(), programs)).encode()).hexdigest()[:16]
 
 
 def registers(architecture: str) -> dict[str, str]:
-    """What a thread of each kernel takes, by the kernel's name."""
+    """Registers and spilled bytes of a thread, by kernel."""
     compiler = Nvrtc()
     compiler.compile(sources(), architecture, "--ptxas-options=-v")
     kernels = _KERNEL.findall(compiler.log)

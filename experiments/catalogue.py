@@ -143,7 +143,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment(
         "paper-training",
         "The same sets with the paper's training",
-        "The preset `paper` follows the paper's training as far as it is stated: 30,000 iterations of one view, from a "
+        "The preset `paper` follows the paper's training as far as published: 30,000 iterations of one view, from a "
         "hemisphere, with densification. The paper's figures are its Tables II and III.",
         _rendered(("paper",)),
         (IMAGES, POINTS),
@@ -220,7 +220,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "times",
         "Training times",
         "T-72, true images by ray casting; one training at a time, on one thread. The paper's times are those of "
-        "its Table II and of the text above its Table VII, on GPUs: compare how they grow, not what they are. Seconds "
+        "its Table II and of the text above its Table VII, on GPUs: compare their growth, not their values. Seconds "
         "are of the machine that measured them: compare them with each other.",
         _TIMES,
         (("time_s",),),

@@ -80,10 +80,10 @@ MEASURED = (
         (SCORES, SHAPE),
         judged=SCORES[:2],
     ),
-    Experiment("measured-terms", "What each term is worth: T72", _LEFT_OUT, _terms(_T72), (SCORES,), judged=SCORES[:2]),
+    Experiment("measured-terms", "Effect of each term: T72", _LEFT_OUT, _terms(_T72), (SCORES,), judged=SCORES[:2]),
     Experiment(
         "measured-multi-terms",
-        "What each term is worth: T72-A64 and SLICY",
+        "Effect of each term: T72-A64 and SLICY",
         _LEFT_OUT,
         _terms(chips("T72-A64", 36), _AT_MANY[1]),
         (SCORES,),

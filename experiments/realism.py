@@ -118,11 +118,11 @@ def line(name: str, sets: list[dict[str, tuple[np.ndarray, np.ndarray]]]) -> dic
         column: float(np.mean([statistic(*one[name], *one[LEFT_OUT]) for one in sets]))
         for column, statistic in COLUMNS.items()
     }
-    found["told apart (AUC)"] = None
+    found["AUC"] = None
     if name not in (TRAINING, LEFT_OUT):
         side = min(min(one[LEFT_OUT][0].shape[1:]) for one in sets)
         own, others = (np.concatenate([_middle(one[kind][0], side) for one in sets]) for kind in (name, LEFT_OUT))
-        found["told apart (AUC)"] = area_under_curve(own, others)
+        found["AUC"] = area_under_curve(own, others)
     print(name, found, flush=True)
     return found
 
@@ -157,9 +157,9 @@ are good where they are small, and the AUC where it is near 0.5. Means over the 
 {table}
 
 *Alike*: correlation of the power of neighbouring pixels of clutter. *Histogram*: by how many dB pixels' levels have to be
-moved on average to have the distribution of the chips left out. *AUC*: how well a small network tells them from these,
-0.5 if not at all; it was trained on every other view and asked about the rest. The runs' own masks say what is target, and
-clutter is what is eight pixels and more away from target and shadow.
+moved on average to have the distribution of the chips left out. *AUC*: area under the ROC curve of a small network that
+distinguishes them from these, 0.5 if it cannot; it was trained on every other view and tested on the rest. Target and shadow
+are those of the runs' own masks, and clutter is at least eight pixels away from both.
 """  # noqa: E501
 
 

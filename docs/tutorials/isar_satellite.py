@@ -2,9 +2,8 @@
 # # A satellite by inverse SAR
 #
 # A radar that stands still, and a satellite that turns: each frame is an image of the
-# plane that its line of sight and its motion span. Here are 24 frames about three
-# axes, how they look, what is reconstructed from them, how good that is, and what
-# becomes of it if the rotation was not quite what was assumed.
+# plane that its line of sight and its motion span. Here are 24 frames about three axes,
+# their reconstruction and its errors, also if the assumed rotation is slightly wrong.
 
 # %%
 from dataclasses import replace
@@ -84,7 +83,7 @@ plt.show()
 
 # %%
 def dataset_of(images, some_turns, some_unseen):
-    """A dataset of frames as they are taken to be."""
+    """A dataset of frames with assumed rotations."""
     learned, others = (
         [
             SarImage(power, turn.seen_from(sight), grid)
@@ -115,8 +114,8 @@ plt.show()
 # %% [markdown]
 # ## How far off are the points?
 #
-# The surface that some frame shows is what they are held against; half a resolution
-# cell is 0.15 m.
+# They are compared with the surface that some frame shows; half a resolution cell is
+# 0.15 m.
 
 # %%
 yardstick = Yardstick.of(grid)
@@ -151,9 +150,9 @@ plt.show()
 #
 # The rate of rotation follows from a track or a light curve, and is wrong by per cent:
 # angles are then wrong by as much, and so is the scale of cross-range. Here the
-# satellite turned faster by 3 % than was assumed about the first axis, and slower
-# about the others. What was recorded is the same Doppler frequencies; scaled by the
-# rate that was assumed, its pixels are as if they were a little narrower.
+# satellite turned faster by 3 % than was assumed about the first axis, and slower about
+# the others. The recorded Doppler frequencies are the same; scaled by the assumed rate,
+# pixels appear a little narrower.
 
 # %%
 faster = {"z": 0.03, "x": -0.03, "y": -0.03}

@@ -2,12 +2,12 @@
 # # Measured chips (MSTAR)
 #
 # From a folder of chips to a target, with a fair answer to the question whether it is
-# any good. The public MSTAR chips are not part of sarsplat, so this notebook makes
-# chips of its own in the same form: JPEGs of single-look magnitude with near range at
-# the bottom, and a table of labels. To use real ones, set the environment variable
-# `MSTAR_CHIPS` to their folder, with `labels.csv` in it
-# ([its columns](../reference/formats/mstar.md#the-table-of-labels)),
-# and run the notebook again.
+# any good. The public MSTAR chips are not part of sarsplat, so this notebook simulates
+# chips in the same form: JPEGs of single-look magnitude with near range at the bottom,
+# and a table of labels. To use real ones, set the environment variable `MSTAR_CHIPS` to
+# their folder, with `labels.csv` in it ([its
+# columns](../reference/formats/mstar.md#the-table-of-labels)), and run the notebook
+# again.
 
 # %%
 import csv
@@ -153,8 +153,8 @@ for name, score in found.items():
     print(f"{name:20s} {nats:7.3f} nats per pixel   correlation {correlation:.3f}")
 
 # %% [markdown]
-# More chips, more iterations (`preset("measured")` as it is) and several depressions
-# (`train_depression=[15, 17, 30]`) help. What was measured on the real chips is in
+# More chips, more iterations (the default of `preset("measured")`) and several
+# depressions (`train_depression=[15, 17, 30]`) help. Results on the real chips are in
 # [Measured chips, term by term](../concepts/measured-chips.md) and in the
 # [README](../../README.md#measured-images). On the command line the same is `sarsplat
 # import mstar`, `sarsplat reconstruct`, `sarsplat evaluate`.

@@ -23,7 +23,7 @@ from sarsplat import (
 )
 
 # %% [markdown]
-# ## What was recorded
+# ## Recorded arrays
 #
 # In place of your files: amplitudes of a vehicle, near range in the *last* row,
 # incidence angles instead of grazing angles, and headings of the aircraft instead of
@@ -38,7 +38,7 @@ incidences_deg = [60.0] * 6 + [30.0] * 6
 
 
 def to_view(heading_deg: float, incidence_deg: float) -> View:
-    """The radar looks to the right of its flight: it is left of what it sees."""
+    """View of a right-looking radar, which is to the left of its scene."""
     return View(azimuth_deg=(heading_deg - 90) % 360, grazing_deg=90 - incidence_deg)
 
 

@@ -80,9 +80,9 @@ ax.legend()
 plt.show()
 
 # %% [markdown]
-# ## What it changed
+# ## Effect
 #
-# Each loss is best at what it asks for. Judged in decibels:
+# Each loss is best at its own criterion. Judged in decibels:
 
 # %%
 truth = torch.as_tensor(dataset.power)

@@ -113,4 +113,4 @@ plt.show()
 # `run.mesh()` is a surface through the points, and `run.mesh().export("boat.ply")`
 # writes it. To simulate ground, speckle or other scattering laws, see
 # `help(sarsplat.simulate_images)`; on the command line all of this is `sarsplat
-# simulate --mesh boat.obj …` and [what follows](../reference/command-line.md).
+# simulate --mesh boat.obj …` and [further commands](../reference/command-line.md).

@@ -79,16 +79,16 @@ signals.shape, signals.dtype
 # %% [markdown]
 # ## Power, phase and coherence
 #
-# The phase of level ground is known: `plane_phases`. Without it, what remains in the
-# phase between two passes is height. Averages over 3 × 3 pixels make it less noisy, and
-# their magnitude tells how much the two passes have in common: the coherence.
+# The phase of level ground is known: `plane_phases`. Without it, the phase between two
+# passes shows height. Averages over 3 × 3 pixels make it less noisy, and their
+# magnitude is the coherence of the two passes.
 
 # %%
 deramped = signals * np.exp(-1j * stack.plane_phases(view, grid))
 
 
 def covariance(i: int, j: int) -> np.ndarray:
-    """Of two passes: the mean of y_i y_j* over 3 × 3 pixels."""
+    """Covariance of two passes: the mean of y_i y_j* over 3 × 3 pixels."""
     return uniform_filter(deramped[i] * deramped[j].conj(), 3)
 
 
@@ -169,7 +169,7 @@ plt.show()
 # ## A slice through the building
 #
 # Along the line of sight, with the radar at the upper left: the front, the roof and the
-# ground before it are taken apart. What is behind the building is in its shadow, where
+# ground before it are separated. The space behind the building is in its shadow, where
 # a few points float: there is only noise to explain.
 
 # %%
