@@ -15,7 +15,8 @@ import pytest
 from datasets import FEW_POINTS
 from sarsplat import Dataset, Place, Run, SarsplatError, View
 from sarsplat.cli import main
-from sarsplat.data.geotiff import Raster, read_heights, write_raster
+from sarsplat.data.geotiff import Raster, write_raster
+from sarsplat.data.terrain_file import read_heights
 from sarsplat.exports import export, export_terrain, format_of
 from sarsplat.runs import reconstruct
 from sarsplat.settings import preset

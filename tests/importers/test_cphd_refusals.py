@@ -118,7 +118,7 @@ def test_worlds_are_not_mixed(tmp_path, capsys):
         ([str(placed), str(other)], "b.mat has no place on earth; import files"),
         ([str(other), *place], "b.mat has no place on earth; leave out --place"),
         ([str(other), "--channel", "HH"], "b.mat has no channels .*, so leave out --channel"),
-        ([str(placed), "--place=95,8"], "latitude 95°, longitude 8° is no place on earth"),
+        ([str(placed), "--place=95,8"], "latitude_deg 95.0 of a place on earth"),
         ([str(placed), "--place=47,8"], "shows 1000 m × 1000 m about"),
     ):
         assert main(["import", "phase-history", *words, *out]) == 2

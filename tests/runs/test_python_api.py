@@ -218,7 +218,7 @@ def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short:
 
 def test_images_of_a_folder_that_is_none(tmp_path: Path) -> None:
     for read in (reconstruct, read_dataset):
-        with pytest.raises(SarsplatError, match="does not exist; make one"):
+        with pytest.raises(SarsplatError, match="does not exist"):
             read(str(tmp_path / "nowhere"))
 
 

@@ -16,7 +16,7 @@ from datasets import dataset_of
 from sarsplat import ImageGrid, View, write_dataset
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
-from sarsplat.data.masks import read_masks
+from sarsplat.data.sidecar import read_masks
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers import import_folder, import_mstar
 from sarsplat.names import ChipScale, Side

@@ -129,7 +129,7 @@ def test_another_set_is_not_gone_on_with_and_not_lost(run: Run, tmp_path, change
     what = r"seed \(0, not 1\)" if changed == "seed" else "the picture of the ground"
     with pytest.raises(SarsplatError, match=f"unfinished set that differs in {what}; go on with it"):
         write_chips(other, tmp_path / "set")
-    header = next(tmp_path.glob(".set.tmpdir/chips.json"))
+    header = next(tmp_path.glob(".set.sarsplat-new/chips.json"))
     text = header.read_text()
     header.write_text(text.replace('"schema_version": 5', '"schema_version": 3'))
     with pytest.raises(SarsplatError, match="that has a header that this version of the program does not read"):

@@ -10,9 +10,8 @@ from typing import Any, get_args
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.exports.format import Format, Points, content_of
-from sarsplat.exports.map_system import MapSystem
+from sarsplat.exports.georeference import MapSystem, refuse_elsewhere, remove_place, write_place
 from sarsplat.exports.maps import Coordinates, map_of, of_terrain, require_fit
-from sarsplat.exports.place_file import refuse_elsewhere, remove_place, write_place
 from sarsplat.geometry import View
 from sarsplat.geometry.place import DATUM
 from sarsplat.names import Colour, Content, Map

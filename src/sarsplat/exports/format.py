@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -13,13 +13,10 @@ from jaxtyping import Float32
 from sarsplat.data import write_mesh
 from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.exports.map_system import MapSystem
+from sarsplat.exports.georeference import Coordinates, MapSystem
 from sarsplat.geometry import Place
 from sarsplat.names import Colour, Content
 from sarsplat.runs import Run
-
-Coordinates = Literal["scene", "map", "degrees"]
-"""Coordinate system of a file."""
 
 Write = Callable[[Any, Path, Colour], object]
 """Writer of `Gaussians`, `Points`, a trimesh or a `Raster` to a file; the colour is for Gaussians."""

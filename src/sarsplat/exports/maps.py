@@ -12,9 +12,10 @@ from typing import get_args
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from sarsplat.data.geotiff import Raster, read_heights
+from sarsplat.data.geotiff import Raster
+from sarsplat.data.terrain_file import read_heights
 from sarsplat.errors import SarsplatError
-from sarsplat.exports.map_system import MapSystem
+from sarsplat.exports.georeference import MapSystem
 from sarsplat.geometry import Terrain, View
 from sarsplat.memory import free_bytes, required
 from sarsplat.names import Map
