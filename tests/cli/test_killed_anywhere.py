@@ -134,7 +134,8 @@ def test_overwriting(workshop: Workshop, name: str) -> None:
     bare = [{name: content for name, content in whole.items() if name != "preview.png"} for whole in made]
     for turn, (limit, value) in enumerate(workshop.moments(commands[1])):
         workshop.killed(commands[turn % 2], limit, value)
-        assert tree(out if out.exists() else out.with_name(f".{out.name}.sarsplat-old")) in [*made, *bare], (limit, value)
+        found = tree(out if out.exists() else out.with_name(f".{out.name}.sarsplat-old"))
+        assert found in [*made, *bare], (limit, value)
         if out.exists() and name != "render":  # whose folders `info` does not describe
             workshop.done(f"info {out}")
         if turn % 3 == 2:  # else the next killed one meets what this one left

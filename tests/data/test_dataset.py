@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 import tifffile
 
+from chip_files import phoenix_bytes
 from datasets import NOISE, SIGNALS, TINY, VIEWS, tiny_dataset
 from sarsplat.data import Dataset, SarImage, read_dataset, read_tiff, write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Turn
 from sarsplat.geometry.responses import Taylor
+from sarsplat.importers import import_mstar
 
 
 def make(path: Path, *, truth_mesh=None, overwrite=False, **fields) -> Dataset:

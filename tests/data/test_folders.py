@@ -112,10 +112,7 @@ def test_files_in_the_way(tmp_path):
     make(tmp_path, "file")
     (tmp_path / "loop").symlink_to("loop")
     for path in (tmp_path / "file" / "out", tmp_path / "file", tmp_path / "loop"):
-        with (
-            pytest.raises(SarsplatError, match="is a file, not a folder|symbolic links"),
-            new_folder(path, True, marker=RUN),
-        ):
+        with pytest.raises(SarsplatError, match=r"^cannot write "), new_folder(path, True, marker=RUN):
             pass
 
 

@@ -288,7 +288,7 @@ def test_coordinates_far_from_where_a_system_is_for_are_told(tmp_path):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             assert read_terrain(on_map(tmp_path / "a.tif", epsg, *at)).place is not None
-        assert any("check number and coordinates" in str(one.message) for one in caught) == told
+        assert any("check its number and its coordinates" in str(one.message) for one in caught) == told
 
 
 def test_terrain_of_ours_that_another_program_placed_is_read_as_it_says(tmp_path):

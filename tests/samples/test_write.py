@@ -158,16 +158,6 @@ def test_numbers_of_numpy_make_the_same_files(run: Run, tmp_path: Path) -> None:
     assert tree(tmp_path / "set") == tree(tmp_path / "plain")
 
 
-def test_folders_in_the_way(run: Run, tmp_path: Path) -> None:
-    made = chips([run], count=1)
-    write_chips(made, tmp_path / "set")
-    with pytest.raises(SarsplatError, match="already exists; choose another name or pass overwrite=True"):
-        write_chips(made, tmp_path / "set")
-    other = chips([run], count=2, format="png")
-    write_chips(other, tmp_path / "set", overwrite=True)
-    assert len(list((tmp_path / "set" / "box").iterdir())) == 2
-
-
 def test_shards_hold_image_class_and_row(folders: list[Path], tmp_path: Path) -> None:
     made = chips(folders, count=2, format="npy")
     write_chips(made, tmp_path / "set", shard=3)

@@ -321,7 +321,8 @@ def far_outside(crs: Any, place: Place, tolerance_deg: float = 5.0) -> str | Non
         return None
     return (
         f"which is for longitudes {west:g}° to {east:g}° and latitudes {south:g}° to {north:g}°, but its place is at "
-        f"latitude {place.latitude_deg:.4f}°, longitude {place.longitude_deg:.4f}°: check number and coordinates"
+        f"latitude {place.latitude_deg:.4f}°, longitude {place.longitude_deg:.4f}°: check its number and its "
+        "coordinates"
     )
 
 

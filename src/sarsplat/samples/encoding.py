@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
@@ -83,9 +82,10 @@ class Encoding:
         for name, value in (("quantity", "complex"), ("scale", "calibrated")):
             if getattr(self, name) == value and self.eight_bit:
                 raise SarsplatError(f"{name} is {value!r}, which the 8 bits of {self.format} cannot hold; choose npy")
-        for name, value, most in (("jpeg_quality", self.jpeg_quality, 100), ("crop", self.crop, math.inf)):
-            if value is not None and not 1 <= value <= most:
-                raise SarsplatError(f"{name} is {value}; give 1 to {most:g}")
+        if not 1 <= self.jpeg_quality <= 100:
+            raise SarsplatError(f"jpeg_quality is {self.jpeg_quality}; give 1 to 100")
+        if self.crop is not None and self.crop < 1:
+            raise SarsplatError(f"crop is {self.crop}; give at least one pixel")
 
     @property
     def eight_bit(self) -> bool:
