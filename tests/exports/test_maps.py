@@ -231,7 +231,7 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
         ("dsm.tif", {"view": View(0, 30)}, "does not depend on the direction"),
         ("dsm.tif", {"pixel_m": 0.001}, "finer than the points of the surface are apart"),
         ("dsm.tif", {"pixel_m": -1.0}, "positive number of metres"),
-        ("a.ply", {"pixel_m": 1.0}, "has no pixel"),
+        ("a.ply", {"pixel_m": 1.0}, "has no pixels"),
         ("dsm.tif", {"crs": "EPSG:32633"}, "has no georeference"),
         ("layover-shadow.tif", {"view": View(0, 30, tilt_deg=9)}, "need a level view"),
         ("layover-shadow.tif", {"view": View(0, 30, aloft=True)}, "aloft"),

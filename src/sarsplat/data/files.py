@@ -139,27 +139,13 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_bytes(path: Path, data: bytes | memoryview) -> None:
-    """Write a file, whole or not at all (see `new_file`).
-
-    Parameters
-    ----------
-    path : Path
-        File to write; its folder must exist.
-    data : bytes
-        Its whole content.
-    """
+    """Write the whole content of a file, whole or not at all; parameters and errors as for `new_file`."""
     with new_file(path) as file:
         file.write(data)
 
 
 def write_json(path: Path, obj: Any) -> None:
-    """Write an object as indented JSON, whole or not at all (see `write_bytes`).
-
-    Raises
-    ------
-    SarsplatError
-        If the object holds NaN, an infinity or something JSON has no word for, or the file cannot be written.
-    """
+    """Write an object as indented JSON, whole or not at all; raise for NaN and infinities, and as `new_file` does."""
     write_bytes(path, encode_json(obj, Path(path)))
 
 

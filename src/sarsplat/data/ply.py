@@ -264,14 +264,8 @@ def _from_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarr
     depth = np.minimum(np.logaddexp(0, logit), MAX_OPTICAL_DEPTH)  # −ln(1 − sigmoid(x)) = ln(1 + eˣ)
     with np.errstate(over="ignore"):
         scales = np.maximum(np.exp(stacked(path, columns, [f"scale_{k}" for k in range(3)])), np.float32(MIN_SCALE))
-    return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": _flip_odd(harmonics)}
-
-
-def _flip_odd(harmonics: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-    """Return coefficients for the opposite direction: Y_k(−u) = (−1)^degree Y_k(u)."""
-    flipped = harmonics.copy()
-    flipped[:, [k for k in ODD if k < harmonics.shape[1]]] *= -1
-    return flipped
+    harmonics[:, [k for k in ODD if k < harmonics.shape[1]]] *= -1  # Y_k(−u) = (−1)^degree Y_k(u)
+    return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": harmonics}
 
 
 def _check_gaussians(values: dict[str, np.ndarray], name: str) -> None:

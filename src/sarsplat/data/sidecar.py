@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from sarsplat.data.dataset import Dataset, DatasetEntry
+from sarsplat.data.dataset import Dataset
 from sarsplat.data.files import inside, open_file, plain_os_errors
 from sarsplat.data.header import SPLIT
 from sarsplat.data.orientation import oriented
@@ -162,7 +162,12 @@ def mask_names(dataset: Dataset, splits: Collection[str]) -> dict[int, PurePosix
     for index, entry in enumerate(dataset.entries):
         if entry.split not in splits:
             continue
-        names[index] = name = _mask_name(entry)
+        name = PurePosixPath(entry.name)
+        if not name.name or name.is_absolute() or ".." in name.parts or not entry.name.isprintable():
+            raise SarsplatError(
+                f"no mask can be named after the image {shown(entry.name)}; give it the name of a file, such as 007"
+            )
+        names[index] = name = name.with_suffix(".png")
         if name in images:
             raise SarsplatError(
                 f"the images {shown(images[name])} and {shown(entry.name)} would share the mask {shown(str(name))}; "
@@ -170,15 +175,6 @@ def mask_names(dataset: Dataset, splits: Collection[str]) -> dict[int, PurePosix
             )
         images[name] = entry.name
     return names
-
-
-def _mask_name(entry: DatasetEntry) -> PurePosixPath:
-    name = PurePosixPath(entry.name)
-    if not name.name or name.is_absolute() or ".." in name.parts or not entry.name.isprintable():
-        raise SarsplatError(
-            f"no mask can be named after the image {shown(entry.name)}; give it the name of a file, such as 007"
-        )
-    return name.with_suffix(".png")
 
 
 @dataclass(frozen=True)
