@@ -178,7 +178,7 @@ def write_points_ply(
     positions = places_of(points, "points").reshape(-1, 3)
     if normals is not None:
         columns = {**named(("nx", "ny", "nz"), places_of(normals, "normals").reshape(-1, 3)), **columns}
-    table = {**named(("x", "y", "z"), positions), **columns}
+    table = {**named(("x", "y", "z"), positions), **{name: np.asarray(column) for name, column in columns.items()}}
     for name, column in table.items():
         if np.shape(column) != (len(positions),) or not np.isfinite(column).all() or columns.keys() & {"x", "y", "z"}:
             raise SarsplatError(
