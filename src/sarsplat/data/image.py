@@ -194,8 +194,11 @@ def check_signal(
     if signal is None and not passes:
         return
     shape = (power.shape[0], passes, *power.shape[1:]) if passes else power.shape
-    same = signal is not None and signal.dtype == np.complex64 and signal.shape == shape
-    if not same or not np.array_equal(power_of_passes(signal) if passes else power_of(signal), power):
+    if (
+        signal is None
+        or (signal.dtype, signal.shape) != (np.complex64, shape)
+        or not np.array_equal(power_of_passes(signal) if passes else power_of(signal), power)
+    ):
         has = "None" if signal is None else f"{signal.dtype} of shape {signal.shape}"
         raise SarsplatError(
             f"the power of {name} is not the squared magnitude of its signal, {has}, which must be complex64 {shape}; "
