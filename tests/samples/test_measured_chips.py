@@ -169,7 +169,7 @@ def test_power_in_eight_bits_is_read_as_power_or_not_at_all(datasets: list[Path]
     out, labels = tmp_path / "out", tmp_path / "out" / "labels.csv"
     write_measured_chips(datasets, out, Encoding(format="png", quantity="power"))
     with pytest.raises(
-        SarsplatError, match="which is for power, but they are taken for amplitude; give --quantity power"
+        SarsplatError, match="which is for power, but they are taken for amplitude; the quantity must be power"
     ):
         import_folder(out, tmp_path / "a", target_class="BMP2", quantity="amplitude")
     with pytest.raises(SarsplatError, match=r"is at the bottom \(near_side\), but --near is top; leave it out"):

@@ -13,7 +13,7 @@ from sarsplat.samples import write_chips
 
 SETS: list[tuple[dict[str, Any], str]] = [
     *(({"count": count}, f"count is {count}; give 1 to 100000000 chips") for count in (0, 10**20)),
-    ({"azimuths_deg": [float("inf")]}, "azimuth inf is not a number of degrees"),
+    ({"azimuths_deg": [float("inf")]}, "azimuth inf is not a number between"),
     ({"grazing_deg": (20.0, 10.0)}, "grazing 20:10 goes down; give the lower"),
     ({"grazing_deg": (0.0, 10.0)}, "grazing angle 0.0° is outside"),
     ({"crop": 33}, "crop is 33, but the images of the runs have 32 × 36 pixels; give at most 32"),
