@@ -39,7 +39,7 @@ from sarsplat.data import (
     write_gaussians_ply,
     write_points_ply,
 )
-from sarsplat.data.splat_files import SPLAT
+from sarsplat.data.ply import SPLAT
 from sarsplat.errors import SarsplatWarning
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View

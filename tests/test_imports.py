@@ -100,7 +100,7 @@ def test_the_renderer_imports_torch_and_numpy_only():
 
 def test_the_engines_alone_know_ctypes():
     """Beside them, what Python has no function for: giving memory back, dying together."""
-    others = {"runs.tiled_training", "samples.parallel_map"}
+    others = {"runs.tiled_training", "samples.write"}
     known = {name for name, path in modules().items() if "ctypes" in imported(path)}
     assert {name for name in known if not name.startswith("renderer.engines.")} == others
 

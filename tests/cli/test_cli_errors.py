@@ -30,7 +30,7 @@ MISTAKES = {
     f"{SIMULATE} --response hann": "the response 'hann' is unknown; choose one of gaussian",
     f"simulate --target t72 {ONE_VIEW} --out full": "--overwrite",
     "reconstruct nowhere --out new": "nowhere does not exist",
-    "reconstruct empty --out new": "empty is empty",
+    "reconstruct empty --out new": "empty is not a dataset",
     "reconstruct full --out new": "not a dataset",
     "reconstruct full --out new --resume --overwrite": "one of them",
     "evaluate nowhere": "nowhere does not exist",

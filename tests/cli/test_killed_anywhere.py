@@ -44,9 +44,7 @@ def results(run: Path) -> Tree:
 
 
 def leftovers(folder: Path) -> list[str]:
-    return [
-        path.name for pattern in (".*.tmp", ".*.tmpdir", ".*.replaced", ".*.lock") for path in folder.rglob(pattern)
-    ]
+    return [path.name for path in folder.rglob(".*.sarsplat-*")]
 
 
 class Workshop:
@@ -136,7 +134,8 @@ def test_overwriting(workshop: Workshop, name: str) -> None:
     bare = [{name: content for name, content in whole.items() if name != "preview.png"} for whole in made]
     for turn, (limit, value) in enumerate(workshop.moments(commands[1])):
         workshop.killed(commands[turn % 2], limit, value)
-        assert tree(out if out.exists() else out.with_name(f".{out.name}.replaced")) in [*made, *bare], (limit, value)
+        found = tree(out if out.exists() else out.with_name(f".{out.name}.sarsplat-old"))
+        assert found in [*made, *bare], (limit, value)
         if out.exists() and name != "render":  # whose folders `info` does not describe
             workshop.done(f"info {out}")
         if turn % 3 == 2:  # else the next killed one meets what this one left
@@ -168,7 +167,7 @@ def test_resuming(workshop: Workshop) -> None:
         moment += 10
         workshop.killed("reconstruct dataset --out begun --seed 5", "KILL_BEFORE", moment)
     assert not (begun / "points.ply").exists()
-    (workshop.folder / ".begun.lock").unlink(missing_ok=True)
+    (workshop.folder / ".begun.sarsplat-lock").unlink(missing_ok=True)
     shutil.copytree(begun, out)
     moments = workshop.moments(command)
     for turn, (limit, value) in enumerate(moments):
@@ -196,7 +195,7 @@ def test_overwriting_a_run(workshop: Workshop) -> None:
         shutil.copytree("run6", out)
         workshop.killed(command, limit, value)
         if not out.exists() or b'"seed": 6' in (out / "config.json").read_bytes():
-            assert tree(out if out.exists() else out.with_name(".over.replaced")) == old, (limit, value)
+            assert tree(out if out.exists() else out.with_name(".over.sarsplat-old")) == old, (limit, value)
             workshop.done(command)
         else:
             workshop.done("reconstruct dataset --out over --resume")
@@ -219,7 +218,7 @@ def test_scores_and_report(workshop: Workshop, name: str) -> None:
             shutil.copytree("run5", run)
         workshop.killed(f"{name} scored", limit, value)
         found = tree(run) or {}
-        unfinished = {key for key in found if Path(key).name.endswith((".tmp", ".lock"))}
+        unfinished = {key for key in found if ".sarsplat-" in Path(key).name}
         assert before.keys() <= found.keys()
         assert {key: found[key] for key in found.keys() - unfinished}.items() <= after.items(), (limit, value)
         workshop.done("info scored")

@@ -20,13 +20,17 @@ def names(folder: Path) -> list[str]:
 def test_write_bytes_replaces_and_leaves_nothing_else(tmp_path):
     path = tmp_path / "a.bin"
     write_bytes(path, b"one")
-    (tmp_path / ".a.bin.tmp").write_bytes(b"half of something longer, which a killed process left")
+    (tmp_path / ".a.bin.sarsplat-tmp").write_bytes(b"half of something longer, which a killed process left")
+    for own in (".a.bin.tmp", ".a.bin.lock"):  # of the user
+        (tmp_path / own).touch()
     write_bytes(path, b"two")
     assert path.read_bytes() == b"two"
-    assert names(tmp_path) == ["a.bin"]
+    assert names(tmp_path) == [".a.bin.lock", ".a.bin.tmp", "a.bin"]
 
 
 def test_write_bytes_refuses_while_another_writes(tmp_path):
+    tmp_path /= "any.tmpdir"
+    tmp_path.mkdir()
     path = tmp_path / "a.bin"
     with elsewhere(locked(path)), pytest.raises(SarsplatError, match=r"a\.bin is in use by another process"):
         write_bytes(path, b"new")
@@ -43,7 +47,7 @@ def test_who_holds_a_lock_may_come_again(tmp_path):
             write_bytes(path, b"mine")
         with pytest.raises(SarsplatError, match="in use"), elsewhere(locked(path)):
             pass
-        assert (tmp_path / ".a.lock").exists()
+        assert (tmp_path / ".a.sarsplat-lock").exists()
     with elsewhere(locked(path)):
         pass
     assert names(tmp_path) == ["a", "link"]
@@ -54,14 +58,14 @@ def test_a_killed_process_leaves_no_stale_lock(tmp_path):
         with locked(tmp_path / "a"):
             os.kill(os.getpid(), signal.SIGKILL)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
-    assert names(tmp_path) == [".a.lock"]
+    assert names(tmp_path) == [".a.sarsplat-lock"]
     write_bytes(tmp_path / "a", b"new")
     assert names(tmp_path) == ["a"]
 
 
 def test_a_link_under_the_temporary_name_is_not_followed(tmp_path):
     (tmp_path / "other").write_text("other")
-    (tmp_path / ".a.tmp").symlink_to("other")
+    (tmp_path / ".a.sarsplat-tmp").symlink_to("other")
     write_bytes(tmp_path / "a", b"new")
     assert ((tmp_path / "other").read_text(), (tmp_path / "a").read_text()) == ("other", "new")
 

@@ -58,14 +58,14 @@ def test_an_error_keeps_the_old_folder(tmp_path, error):
 
 
 def test_what_a_killed_process_left_is_cleared_or_put_back(tmp_path):
-    out, left = tmp_path / "out", tmp_path / ".out.tmpdir"
+    out, left = tmp_path / "out", tmp_path / ".out.sarsplat-new"
     make(left, "half")
-    make(tmp_path, ".out.replaced/config.json")
+    make(tmp_path, ".out.sarsplat-old/config.json")
     with pytest.raises(SarsplatError, match="exists"), new_folder(out, False, marker=RUN):
         pass  # killed between two renames: the old folder is back
     assert names(out) == [RUN]
     make(left, "half")
-    make(tmp_path, ".out.replaced/config.json")
+    make(tmp_path, ".out.sarsplat-old/config.json")
     with new_folder(out, True, marker=RUN) as folder:
         assert names(folder) == []
         make(folder, RUN, "points.ply")
@@ -101,10 +101,10 @@ def test_who_writes_a_folder_may_replace_it_and_go_on(tmp_path):
 
 
 def test_the_only_writer_clears_what_an_overwriting_killed_one_left_beside(tmp_path):
-    make(tmp_path, "out/config.json", ".out.tmpdir/config.json", ".out.replaced/config.json")
-    (tmp_path / ".out.lock").touch()
+    make(tmp_path, "out/config.json", ".out.sarsplat-new/config.json", ".out.sarsplat-old/config.json")
+    (tmp_path / ".out.sarsplat-lock").touch()
     with only_writer(tmp_path / "out"):
-        assert names(tmp_path) == [".out.lock", "out"]
+        assert names(tmp_path) == [".out.sarsplat-lock", "out"]
     assert names(tmp_path) == ["out"]
 
 
@@ -112,7 +112,7 @@ def test_files_in_the_way(tmp_path):
     make(tmp_path, "file")
     (tmp_path / "loop").symlink_to("loop")
     for path in (tmp_path / "file" / "out", tmp_path / "file", tmp_path / "loop"):
-        with pytest.raises(SarsplatError, match="is a file, not a folder"), new_folder(path, True, marker=RUN):
+        with pytest.raises(SarsplatError, match=r"^cannot write "), new_folder(path, True, marker=RUN):
             pass
 
 

@@ -14,7 +14,7 @@ import tifffile
 from datasets import small_dataset
 from sarsplat import Place, SarsplatError, SarsplatWarning, Terrain, View, read_terrain, write_terrain
 from sarsplat.data import Dataset, read_dataset, write_dataset
-from sarsplat.data.geotiff import read_heights
+from sarsplat.data.terrain_file import read_heights
 from sarsplat.examination.plausible import suspicions
 from sarsplat.importers import MeasuredImage, dataset_of
 from terrains import hill, write_geotiff
@@ -195,7 +195,7 @@ def test_heights_have_scale_and_offset_of_their_file_and_are_in_metres(tmp_path)
         text = f'<GDALMetadata><Item name="A" sample="0" role="{item}">{factor or "ft"}</Item></GDALMetadata>'
         path = write_geotiff(tmp_path / "a.tif", HEIGHTS.astype(np.int16), extra=[(42112, "s", 0, text, True)])
         if factor is None:
-            with pytest.raises(SarsplatError, match="heights in 'ft'; convert"):
+            with pytest.raises(SarsplatError, match="measured upwards in 'ft'; convert"):
                 read_terrain(path)
         else:
             assert read_terrain(path).heights_m.max() == pytest.approx(11 * 0.1 if item == "scale" else 11 + 5)

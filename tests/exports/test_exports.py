@@ -150,11 +150,6 @@ def test_a_mesh_is_made_once(run: Run) -> None:
     assert run.mesh() is run.mesh()  # for scores, report and exports of one run
 
 
-def test_colours_apply_only_to_gaussians(run: Run, tmp_path: Path) -> None:
-    with pytest.raises(SarsplatError, match=r"a\.las will hold points, whose colours are not chosen"):
-        export(run, tmp_path / "a.las", colour="height")
-
-
 def test_other_methods_have_points_but_no_gaussians(small_box: Dataset, tmp_path: Path) -> None:
     method = "sar-nerf-grid"
     settings = replace(METHODS[method].preset("auto", small_box), iterations=2)

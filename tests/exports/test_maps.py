@@ -15,7 +15,8 @@ import pytest
 from datasets import FEW_POINTS
 from sarsplat import Dataset, Place, Run, SarsplatError, View
 from sarsplat.cli import main
-from sarsplat.data.geotiff import Raster, read_heights, write_raster
+from sarsplat.data.geotiff import Raster, write_raster
+from sarsplat.data.terrain_file import read_heights
 from sarsplat.exports import export, export_terrain, format_of
 from sarsplat.runs import reconstruct
 from sarsplat.settings import preset
@@ -230,7 +231,7 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
         ("dsm.tif", {"view": View(0, 30)}, "does not depend on the direction"),
         ("dsm.tif", {"pixel_m": 0.001}, "finer than the points of the surface are apart"),
         ("dsm.tif", {"pixel_m": -1.0}, "positive number of metres"),
-        ("a.ply", {"pixel_m": 1.0}, "has no pixel"),
+        ("a.ply", {"pixel_m": 1.0}, "has no pixels"),
         ("dsm.tif", {"crs": "EPSG:32633"}, "has no georeference"),
         ("layover-shadow.tif", {"view": View(0, 30, tilt_deg=9)}, "need a level view"),
         ("layover-shadow.tif", {"view": View(0, 30, aloft=True)}, "aloft"),

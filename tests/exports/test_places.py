@@ -14,8 +14,7 @@ from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View, write_gau
 from sarsplat.cli import main
 from sarsplat.exports import export
 from sarsplat.exports.format_geojson import rings_of
-from sarsplat.exports.map_system import MapSystem, usual_system
-from sarsplat.exports.place_file import write_place
+from sarsplat.exports.georeference import MapSystem, usual_system, write_place
 from upright import upright
 
 PLACES = {
@@ -27,6 +26,8 @@ PLACES = {
     "north pole": (Place(89.9999, 40.0, 100.0, 90.0), "EPSG:5041"),
     "south pole": (Place(-90.0, 0.0, 2800.0, 30.0), "EPSG:5042"),
 }
+SWISS, CUT = Place(47.3, 8.5, 420.0), {"crs": "EPSG:3857"}
+"""A place, and a map that is cut along the date line."""
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def test_las_holds_the_coordinates_of_a_map(anywhere: Run, tmp_path: Path, place
 
 def test_las_may_be_in_another_system(anywhere: Run, tmp_path: Path) -> None:
     laspy, pyproj = pytest.importorskip("laspy"), pytest.importorskip("pyproj")
-    place = Place(47.3, 8.5, 420.0)
+    place = SWISS
     done = export(at(anywhere, place), tmp_path / "a.laz", crs="EPSG:2056")
     assert "CH1903+ / LV95 (EPSG:2056), heights above the WGS 84 ellipsoid (not the sea)" in done.summary
     assert "reached from WGS 84 to 1 m" in done.summary
@@ -96,19 +97,30 @@ def test_heights_above_the_sea_are_not_said_to_be_ellipsoidal(anywhere: Run, tmp
 
 
 @pytest.mark.parametrize(
-    ("crs", "why"),
+    ("name", "place", "given", "why"),
     [
-        ("EPSG:4326", r"\(WGS 84\) is not in metres on a plane; give a projected one, such as EPSG:32632"),
-        ("EPSG:2263", "is not in metres on a plane"),
-        ("EPSG:5555", "includes heights, which are not converted"),
-        ("EPSG:99999", "is not a known coordinate system; give one as EPSG:NUMBER"),
-        ("utm", "is not a known coordinate system"),
+        ("a.las", SWISS, {"crs": "EPSG:4326"}, r"\(WGS 84\) is not in metres on a plane.*such as EPSG:32632"),
+        ("a.las", SWISS, {"crs": "EPSG:2263"}, "is not in metres on a plane"),
+        ("a.las", SWISS, {"crs": "EPSG:5555"}, "without heights, which are not converted"),
+        ("a.las", SWISS, {"crs": "utm"}, "is not a known coordinate system; give another, such as EPSG:32632"),
+        ("a.las", SWISS, {"colour": "height"}, r"a\.las will hold points, whose colours are not chosen"),
+        ("a.glb", SWISS, {"crs": "EPSG:32632"}, "will hold the scene's own.*leave out --crs"),
+        ("a.geojson", SWISS, {"crs": "EPSG:32632"}, "will hold longitudes and latitudes; leave out --crs"),
+        ("a.geojson", PLACES["south pole"][0], {}, "goes around a pole"),
+        ("a.las", None, {"crs": "EPSG:32632"}, "the run in memory has no georeference; import SICDs or"),
+        ("a.geojson", None, {}, "the run in memory has no georeference"),
+        # half of the points would lie 40,000 km from the others; also where the cut is not at the very origin
+        ("a.las", Place(10.0, 180.0, 5.0), CUT, r"cut in two within the scene.*such as EPSG:326(01|60)"),
+        ("dsm.tif", Place(10.0, 180.0002, 5.0), {**CUT, "pixel_m": 5.0}, "cut in two within the scene"),
+        ("a.las", Place(40.0, 10.0, 5.0), {"crs": "EPSG:26718"}, r"nothing that is installed .* 40\.0000°, 10\.0000°"),
     ],
 )
-def test_systems_that_do_not_fit_are_refused(anywhere: Run, tmp_path: Path, crs: str, why: str) -> None:
+def test_what_cannot_be_placed_is_refused(
+    anywhere: Run, tmp_path: Path, name: str, place: Place | None, given: dict[str, Any], why: str
+) -> None:
     pytest.importorskip("pyproj")
     with pytest.raises(SarsplatError, match=why):
-        export(at(anywhere, Place(47.3, 8.5, 420.0)), tmp_path / "a.las", crs=crs)
+        export(at(anywhere, place), tmp_path / name, **given)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -116,15 +128,17 @@ def test_a_system_that_is_not_for_the_place_is_warned_of(anywhere: Run, tmp_path
     pytest.importorskip("pyproj")
     outside = r"EPSG:32636 .*is for longitudes 30° to 36° .* such as EPSG:32632"
     with pytest.warns(SarsplatWarning, match=outside) as caught:
-        system = MapSystem.of(Place(47.3, 8.5, 420.0), "EPSG:32636")
+        system = MapSystem.of(SWISS, "EPSG:32636")
     assert len(caught) == 1
     assert "is for" not in str(system)
     for name, given in (("a.las", {}), ("dsm.tif", {"pixel_m": 20.0})):
         with pytest.warns(SarsplatWarning, match=outside) as caught:
-            export(at(anywhere, Place(47.3, 8.5, 420.0)), tmp_path / name, crs="EPSG:32636", **given)
+            export(at(anywhere, SWISS), tmp_path / name, crs="EPSG:32636", **given)
         assert len(caught) == 1
-    assert "a metre on the ground is 1.47 m of the map" in str(MapSystem.of(Place(47.3, 8.5, 420.0), "EPSG:3857"))
+    assert "a metre on the ground is 1.47 m of the map" in str(MapSystem.of(SWISS, "EPSG:3857"))
     MapSystem.of(Place(10.0, 180.0, 0.0), "EPSG:3832")  # 98.69°E to 68.44°W: warnings are errors here
+    MapSystem.of(Place(10.0, 179.9, 5.0), "EPSG:3857").to_map(anywhere.points)
+    assert "reached from WGS 84 to 10 m" in str(MapSystem.of(Place(40.0, -75.0, 5.0), "EPSG:26718"))
 
 
 def test_zones_are_those_of_utm() -> None:
@@ -187,30 +201,12 @@ def test_the_outline_is_around_all_points(anywhere: Run, tmp_path: Path, place: 
     assert 3000 < about["area_m2"] < 3600
 
 
-def test_an_outline_around_a_pole_is_refused(anywhere: Run, tmp_path: Path) -> None:
-    with pytest.raises(SarsplatError, match="goes around a pole"):
-        export(at(anywhere, PLACES["south pole"][0]), tmp_path / "a.geojson")
-
-
 def test_a_ring_is_cut_where_it_crosses_the_date_line() -> None:
     west, east = rings_of(np.array([[179.0, 0], [-179.0, 0], [-179.0, 1], [179.0, 1]]), Path("a"))
     assert {tuple(at) for at in west} == {(179.0, 0.0), (180.0, 0.0), (180.0, 1.0), (179.0, 1.0)}
     assert {tuple(at) for at in east} == {(-179.0, 0.0), (-180.0, 0.0), (-180.0, 1.0), (-179.0, 1.0)}
     ((left,),) = [rings_of(np.array([[179.0, 0], [180.0, 0], [180.0, 1], [179.0, 1]]), Path("a"))]
     assert np.max(left, axis=0)[0] == 180
-
-
-@pytest.mark.parametrize(("name", "crs"), [("a.las", "EPSG:32632"), ("a.geojson", None)])
-def test_a_run_of_no_place_says_how_to_give_it_one(anywhere: Run, tmp_path: Path, name: str, crs: Any) -> None:
-    with pytest.raises(SarsplatError, match=r"the run in memory has no georeference; import SICDs or"):
-        export(anywhere, tmp_path / name, crs=crs)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(("name", "what"), [("a.glb", "the scene's own"), ("a.geojson", "longitudes and latitudes")])
-def test_a_system_for_files_that_have_none_is_refused(anywhere: Run, tmp_path: Path, name: str, what: str) -> None:
-    with pytest.raises(SarsplatError, match=f"will hold {what}.*leave out --crs"):
-        export(at(anywhere, Place(1.0, 2.0, 3.0)), tmp_path / name, crs="EPSG:32631")
 
 
 def test_without_pyproj_it_says_what_to_install(anywhere: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -257,23 +253,3 @@ def test_a_place_is_moved_with_its_axes() -> None:
         np.testing.assert_allclose(moved.ecef, place.to_ecef(by), atol=1e-6)
         turn = moved.axes @ place.axes.T
         assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) == pytest.approx(np.degrees(40_112 / 6.37e6), rel=0.02)
-
-
-@pytest.mark.parametrize("name", ["a.las", "dsm.tif"])
-def test_a_map_of_the_earth_that_is_cut_within_the_scene_is_refused(anywhere: Run, tmp_path: Path, name: str) -> None:
-    """Half of the points would lie 40,000 km from the others; also where the cut is not at the very origin."""
-    pytest.importorskip("pyproj")
-    for east_m in (0.0, 20.0):
-        place = Place(10.0, 180.0 + east_m / 1.1e5, 5.0)
-        with pytest.raises(SarsplatError, match=r"cut in two within the scene.*such as EPSG:326(01|60)"):
-            export(
-                at(anywhere, place), tmp_path / name, crs="EPSG:3857", **({} if name == "a.las" else {"pixel_m": 5.0})
-            )
-    MapSystem.of(Place(10.0, 179.9, 5.0), "EPSG:3857").to_map(anywhere.points)
-
-
-def test_a_datum_that_nothing_relates_to_the_place_is_refused(anywhere: Run, tmp_path: Path) -> None:
-    pytest.importorskip("pyproj")
-    assert "reached from WGS 84 to 10 m" in str(MapSystem.of(Place(40.0, -75.0, 5.0), "EPSG:26718"))
-    with pytest.raises(SarsplatError, match=r"nothing that is installed relates the two at 40\.0000°, 10\.0000°"):
-        export(at(anywhere, Place(40.0, 10.0, 5.0)), tmp_path / "a.las", crs="EPSG:26718")

@@ -82,24 +82,6 @@ def test_frames_of_one_pass_share_axis_deviations_and_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"axis": (0, 0, 0)}, "the rotation axis .* has no direction"),
-        ({"axis": ("a", "b", "c")}, "the rotation axis .* has no direction"),
-        ({"axis": (0, math.nan, 1)}, "the rotation axis .* has no direction"),
-        ({"angle_deg": 1e6}, "angle_deg 1000000.0 is not a number between -36000 and 36000"),
-        ({"axis_std_deg": 11.0}, "axis_std_deg 11.0 is not a number between 0 and 10; give degrees"),
-        ({"rate_std": -0.1}, "rate_std -0.1 is not a number between 0 and 0.2"),
-        ({"rate_std": "much"}, "rate_std 'much' is not a number"),
-        ({"name": 3}, "the name of a pass is 3; give text"),
-    ],
-)
-def test_rotations_that_cannot_be(wrong: dict, message: str) -> None:
-    with pytest.raises(SarsplatError, match=message):
-        Turn(**{"axis": ASSUMED, "angle_deg": 10.0, **wrong})
-
-
-@pytest.mark.parametrize(
     "view",
     [
         View(10.0, 20.0),

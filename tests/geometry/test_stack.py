@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sarsplat import SarsplatError, Stack
+from sarsplat import Stack
 
 
 def test_evenly_spaced_passes_repeat_after_as_many_resolutions_as_there_are_gaps() -> None:
@@ -30,25 +30,3 @@ def test_polarisations_tell_no_elevation() -> None:
     assert not Stack(0.03, (0.0, 0.0), polarisations=("HH", "VV")).interferometric
     assert not Stack(0.03, (0.0, 0.0, 0.001), polarisations=("HH", "VV", "HH")).interferometric
     assert Stack(0.03, (0.0, 0.001), polarisations=("HH", "HH")).interferometric
-
-
-@pytest.mark.parametrize(
-    ("fields", "words"),
-    [
-        ({"wavelength_m": 0.0}, "wavelength_m is 0.0; give 0.0001 to 100 metres"),
-        ({"offsets_rad": ()}, r"offsets_rad is \(\); give the b/R of each pass"),
-        ({"offsets_rad": (0.0, 0.3)}, "an offset is 0.3; give b/R in radians"),
-        ({"offsets_rad": (0.0, math.nan)}, "an offset is nan"),
-        ({"transmit": "both"}, "transmit is 'both'; give one of each, one"),
-        ({"noise": (0.1,)}, "noise is .*; give a power for each of 2 channels"),
-        ({"noise": (0.1, 0.0)}, "noise of a channel is 0.0; give a positive power"),
-        ({"noise": (0.1, math.nan)}, "noise of a channel is nan"),
-        ({"polarisations": ("HH",)}, "polarisations is .*; give one for each of 2 channels"),
-        ({"polarisations": ("HH", "XY")}, "a polarisation is 'XY'; give one of HH, HV"),
-        ({"offsets_rad": (0.0, 0.0)}, "two passes are the same"),
-        ({"offsets_rad": (0.0, 0.0), "polarisations": ("HH", "HH")}, "two passes are the same"),
-    ],
-)
-def test_what_is_refused(fields: dict[str, object], words: str) -> None:
-    with pytest.raises(SarsplatError, match=words):
-        Stack(**{"wavelength_m": 0.03, "offsets_rad": (0.0, 0.001), **fields})

@@ -149,7 +149,7 @@ def test_worlds_are_not_mixed(tmp_path):
         ([placed, other], {}, "b.mat has no place on earth; import files"),
         ([other], {"place": (PLACE.latitude_deg, PLACE.longitude_deg)}, "b.mat has no place on earth; leave out"),
         ([other], {"channel": "HH"}, "b.mat has no channels .*; leave out"),
-        ([placed], {"place": (95.0, 8.0)}, "latitude 95°, longitude 8° is no place on earth"),
+        ([placed], {"place": (95.0, 8.0)}, "latitude_deg 95.0 of a place on earth"),
         ([placed], {"place": (47.0, 8.0)}, "shows 1000 m × 1000 m about"),
         ([placed], {"place": (47.0,)}, "must be a latitude, a longitude and, if need be, a height"),
         ([placed], {"around_m": (1e308, 0.0, 0.0)}, "must be metres from the scene centre, at most 1e"),

@@ -203,7 +203,7 @@ def test_folders_of_others_are_neither_read_nor_replaced(
     with pytest.raises(SarsplatError, match="exists"):
         reconstruct(dataset, config, finished.path)
     (tmp_path / "config.json").write_text('{"mine": 1}')
-    with pytest.raises(SarsplatError, match="its schema is None, not 'sarsplat-run'"):
+    with pytest.raises(SarsplatError, match="its schema is None but this program reads 'sarsplat-run'"):
         Run.load(tmp_path)
     for write in (partial(reconstruct, dataset, config), finished.save):
         with pytest.raises(SarsplatError, match="not the header of a run"):

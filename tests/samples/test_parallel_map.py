@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from sarsplat import SarsplatError
-from sarsplat.samples.parallel_map import parallel_map
+from sarsplat.samples.write import parallel_map
 
 
 @pytest.fixture(params=[1, 2])

@@ -310,7 +310,7 @@ def test_progress_names_the_runs_and_how_far_they_are(place, out, plan, monkeypa
     monkeypatch.setattr(fleet, "_EVERY_S", 0.01)
     one = cells_of(Plan.from_dict(plan, ""), place)[0]
     with fleet.Live([one], out, Shown()) as live:
-        log = out / "runs" / f".{one.address}.tmpdir" / "metrics.jsonl"
+        log = out / "runs" / f".{one.address}.sarsplat-new" / "metrics.jsonl"
         log.parent.mkdir(parents=True)
 
         def write(iteration: int) -> None:

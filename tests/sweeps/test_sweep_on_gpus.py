@@ -58,7 +58,7 @@ def under_way(crew: Worker, cells: list[Cell], out: Path) -> Iterator[list[Any]]
         asked = [pool.submit(crew.ask, cell) for cell in cells]
         try:
             end = time.monotonic() + 120
-            while not all((out / "runs" / f".{cell.address}.tmpdir").exists() for cell in cells):
+            while not all((out / "runs" / f".{cell.address}.sarsplat-new").exists() for cell in cells):
                 assert time.monotonic() < end
                 time.sleep(0.02)
             yield asked

@@ -35,7 +35,7 @@ def test_a_node_that_dies_costs_no_run(place, plan, cluster, results):
 
     def kill() -> None:
         rows, end = place / "out" / "rows", time.monotonic() + 120
-        while len(list(rows.glob("*.lock")) + list(rows.glob(".*.lock"))) < 2 and time.monotonic() < end:
+        while len(list(rows.glob(".*.sarsplat-lock"))) < 2 and time.monotonic() < end:
             time.sleep(0.02)  # until each node is at a run
         cluster.remove_node(second, allow_graceful=False)
         killed.set()

@@ -222,7 +222,7 @@ def run_at(path: Path, *, strays: bool = True) -> Run:
 
     FILE.place.json is the georeference of a file.
     """
-    from sarsplat.exports.place_file import read_place
+    from sarsplat.exports.georeference import read_place
     from sarsplat.runs import Run
 
     if not is_gaussians(path):

@@ -69,7 +69,7 @@ def _describe_file(path: Path) -> None:
         case _:
             raise SarsplatError(f"{path} cannot be described; give {_UNDERSTOOD}")
     if path.with_name(f"{path.name}.place.json").is_file():
-        from sarsplat.exports.place_file import read_place  # imports torch
+        from sarsplat.exports.georeference import read_place  # imports torch
 
         rows["on earth"] = str(read_place(path))
     console.facts(f"{path}: {kind}", rows)

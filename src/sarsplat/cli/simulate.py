@@ -47,7 +47,7 @@ def simulate(options: Annotated[Options, tyro.conf.arg(name="")]) -> None:
     """Simulate SAR images of a target as a dataset."""
     from sarsplat.data import write_dataset
     from sarsplat.data.dataset_folder import HEADER
-    from sarsplat.data.masks import pillow
+    from sarsplat.data.sidecar import pillow
     from sarsplat.examination.plausible import suspicions, warn
     from sarsplat.progress import progress
     from sarsplat.regions.target_region import box_misses

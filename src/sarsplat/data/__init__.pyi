@@ -3,12 +3,12 @@ from .dataset import Dataset, DatasetEntry
 from .dataset_folder import read_dataset, write_dataset
 from .files import new_file, read_json, read_versioned_json, write_bytes, write_json
 from .folders import new_folder
-from .geotiff import read_terrain, write_terrain
 from .image import SarImage
-from .masks import Mask, Masks, read_masks
 from .mesh import write_mesh
 from .ply import read_gaussians_ply, write_gaussians_ply
 from .ply_points import read_points_ply, write_points_ply
+from .sidecar import Mask, Masks, read_masks
+from .terrain_file import read_terrain, write_terrain
 from .tiff import read_tiff, write_tiff
 
 __all__ = [

@@ -10,15 +10,11 @@ import safetensors
 import safetensors.torch
 from torch import Tensor
 
-from sarsplat.data.files import decode_json, encode_json, open_file, plain_os_errors, write_bytes
+from sarsplat.data.files import decode_json, encode_json, open_file, write_bytes
 from sarsplat.errors import SarsplatError, shown
 
 _SCHEMA = "sarsplat-checkpoint"
 _VERSION = "1"
-_LONGEST_HEADER = 1 << 20
-"""Maximum length of a file's header, bytes; it describes dozens of tensors."""
-
-_REMEDY = "delete it, and `sarsplat reconstruct … --resume` continues from the one before"
 
 
 def save_checkpoint(path: Path, tensors: Mapping[str, Tensor], state: dict[str, Any]) -> None:
@@ -67,27 +63,17 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """
     path = Path(path)
     try:
-        _check_header(path)
-        with plain_os_errors("read", path), safetensors.safe_open(path, framework="pt") as file:
+        with open_file(path), safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is not a dict)
     except safetensors.SafetensorError as error:
-        raise SarsplatError(f"{path} is a damaged checkpoint ({shown(str(error))}); {_REMEDY}") from error
-    if metadata.get("schema") != _SCHEMA:
-        raise SarsplatError(f"{path} contains tensors but is not a run's checkpoint; give one from RUN/checkpoints")
-    if metadata.get("version") != _VERSION:
         raise SarsplatError(
-            f"{path} is a checkpoint of version {shown(metadata.get('version'))} but this program reads {_VERSION!r}; "
-            "start the run again"
+            f"{path} is a damaged checkpoint ({shown(str(error))}); delete it, and `sarsplat reconstruct … --resume` "
+            "continues from the one before"
+        ) from error
+    if (metadata.get("schema"), metadata.get("version")) != (_SCHEMA, _VERSION):
+        raise SarsplatError(
+            f"{path} holds {shown(metadata.get('schema'))} of version {shown(metadata.get('version'))}, not "
+            f"{_SCHEMA!r} of version {_VERSION!r}; give a file from RUN/checkpoints, or start the run again"
         )
     return tensors, decode_json(metadata.get("state", "").encode(), Path(f"the state in {path}"), dict[str, Any])
-
-
-def _check_header(path: Path) -> None:
-    """Raise if the header's length exceeds the file or `_LONGEST_HEADER`; safetensors checks the rest."""
-    with open_file(path) as file:
-        size = file.seek(0, 2)
-        file.seek(0)
-        length = int.from_bytes(file.read(8), "little")
-    if not 0 < length <= min(size - 8, _LONGEST_HEADER):
-        raise SarsplatError(f"{path} is a damaged checkpoint (a header of {length} bytes in {size}); {_REMEDY}")

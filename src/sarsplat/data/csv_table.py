@@ -7,14 +7,13 @@ import csv
 import io
 import itertools
 import math
-import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
-from sarsplat.data.files import open_file
+from sarsplat.data.files import open_file, read_bytes
 from sarsplat.errors import SarsplatError, counted, shown
 
 _SEPARATORS = ",;\t"
@@ -40,9 +39,10 @@ class CsvTable:
         """Parse a cell as a finite number."""
         value = parsed(row[1][column], self.decimal_comma)
         if not math.isfinite(value):
-            comma = math.isfinite(parsed(row[1][column], decimal_comma=True))
-            remedy = "write it with a point, or put semicolons between the cells" if comma else "it must be a number"
-            raise SarsplatError(f"{self.path}, line {row[0]}: {column} is {shown(row[1][column])}; {remedy}")
+            raise SarsplatError(
+                f"{self.path}, line {row[0]}: {column} is {shown(row[1][column])}; give a number, with a decimal point "
+                "unless semicolons separate the cells"
+            )
         return value
 
     def direction(self, row: Row, column: str) -> float:
@@ -56,22 +56,15 @@ class CsvTable:
 
 
 def read_table(path: Path, purpose: str, needed: Sequence[str] = ()) -> CsvTable:
-    """Read a table in UTF-8, or UTF-16 with a byte-order mark, whose first line names the columns; skip empty rows.
+    """Read a table in UTF-8 or UTF-16, whose first line names the columns; skip empty rows.
 
     `purpose` is the file that errors ask for, such as "the table of labels". Raise if a `needed` column is missing.
     """
-    with open_file(path) as file:
-        if file.seek(0, os.SEEK_END) > _LARGEST:
-            raise SarsplatError(f"{path} has more than {_LARGEST >> 20} MiB; split it into smaller tables")
-        file.seek(0)
-        data = file.read()
     try:
-        text = _decoded(data)
+        text = _decoded(read_bytes(path, _LARGEST))
         separator = _separator(text)
         reader = _reader(text, separator)
         columns = _names(reader)
-        if any("\0" in name for name in columns):
-            raise SarsplatError(f"{path} has zero bytes in its first line, like UTF-16; save {purpose} in UTF-8")
         if missing := [name for name in needed if name not in columns]:
             lacks = f"column{'' if len(missing) == 1 else 's'} {', '.join(map(repr, missing))}"
             raise SarsplatError(f"{path} is missing the {lacks}; it needs {', '.join(needed)}")
@@ -134,8 +127,8 @@ def _reader(text: str, separator: str) -> Any:
 
 def _decoded(data: bytes, errors: str = "strict") -> str:
     """Decode a table, without byte-order mark and without a first line such as `sep=;`."""
-    encoding = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
-    text = data.decode(encoding, errors)
+    encodings = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+    text = data.decode(encodings.get(data[:2], "utf-16-le" if data[1:2] == b"\0" else "utf-8-sig"), errors)
     return text[text.find("\n") :] if text[:4].lower() == "sep=" else text
 
 

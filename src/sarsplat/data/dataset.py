@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import operator
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
@@ -147,8 +146,6 @@ class Dataset:
     def __post_init__(self) -> None:
         expect(ImageGrid, grid=self.grid)
         expect(tuple[DatasetEntry, ...], entries=self.entries)
-        if not self.entries:
-            raise SarsplatError("a dataset needs at least one image, but entries is empty; give one for each image")
         expected, power = (len(self.entries), self.grid.rows, self.grid.columns), self.power
         if not isinstance(power, np.ndarray) or power.shape != expected or power.dtype != np.float32:
             raise SarsplatError(
@@ -168,6 +165,7 @@ class Dataset:
         looks, margin, box, aloft = self.looks, self.score_margin, self.target_box_m, sum(v.aloft for v in self.views)
         sides = zip(*box, strict=True) if box is not None else ()
         for wrong, message in (
+            (not self.entries, "a dataset needs at least one image, but entries is empty; give one for each image"),
             (looks is not None and not 0 < looks < math.inf, f"looks {looks} must be a positive number, or None"),
             (self.clean_tests and looks is None, "clean_tests needs speckled images, but looks is None; give both"),
             (
@@ -259,11 +257,6 @@ class Dataset:
             if count != len(every):
                 raise SarsplatError(f"{name} holds {count} values for {len(every)} images; give one for each")
         signals = [image.signal for image in every if image.signal is not None]
-        if signals and len(signals) < len(every):
-            raise SarsplatError(
-                f"{len(signals)} of {len(every)} images have their phase and the others do not; give all with phase, "
-                "or all without"
-            )
         digits = max(3, len(str(len(every) - 1)))
         entries = tuple(
             DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}", std, turn=turn)
@@ -275,14 +268,9 @@ class Dataset:
     def __len__(self) -> int:
         return len(self.entries)
 
+    @checks_arguments
     def __getitem__(self, index: int) -> SarImage:
         """Return an image; of a stack, its power without phases."""
-        try:
-            index = operator.index(index)
-        except TypeError as error:
-            raise SarsplatError(
-                f"{shown(index)} is not the index of an image; give a whole number, or take a set with select('train')"
-            ) from error
         signal = None if self.signal is None or self.passes else self.signal[index]
         return SarImage(self.power[index], self.entries[index].view, self.grid, signal)
 
@@ -350,7 +338,7 @@ class Dataset:
         """
         clean = self.clean_tests and split != "train"
         looks = None if clean else self.looks
-        return replace(self.take(self._of_set(split)), looks=looks, clean_tests=False)
+        return replace(self.take(self.indices(split)), looks=looks, clean_tests=False)
 
     @checks_arguments
     def take(self, indices: Sequence[int]) -> Dataset:
@@ -374,9 +362,10 @@ class Dataset:
         SarsplatError
             If there is no such set.
         """
-        return self.power[_part(self._of_set(split))]
+        return self.power[_part(self.indices(split))]
 
-    def _of_set(self, split: str) -> list[int]:
+    def indices(self, split: str) -> list[int]:
+        """Return the indices of the images of one set; raise if there is no such set."""
         chosen = [index for index, entry in enumerate(self.entries) if entry.split == split]
         if not chosen:
             raise SarsplatError(f"{self} has no set {split!r}; it has {', '.join(self.splits())}")

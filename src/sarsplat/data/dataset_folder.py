@@ -16,12 +16,11 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import PLAIN_FIELDS, TERRAIN, Dataset, DatasetEntry, passes_of
 from sarsplat.data.files import inside, open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
-from sarsplat.data.geotiff import read_terrain, write_terrain
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
-from sarsplat.data.masks import encode_masks
-from sarsplat.data.sidecar import MASKS, sidecars_of
+from sarsplat.data.sidecar import MASKS, encode_masks, sidecars_of
+from sarsplat.data.terrain_file import read_terrain, write_terrain
 from sarsplat.data.tiff import read_tiff, write_tiff
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Stack, Turn, View
 
 if TYPE_CHECKING:
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
 HEADER = "dataset.json"
 _MESH = "truth.ply"
-_MAKE_ONE = "make one with `sarsplat simulate` or `sarsplat import`"
 
 
 @checks_arguments
@@ -175,13 +173,11 @@ def read_dataset(path: str | Path) -> Dataset:
         if len({file.resolve() for file in files}) < len(files):
             raise SarsplatError("two views name the same image file; give each view its own")
         passes = passes_of(entries)
-        if passes and header.pixels != "complex":
-            raise SarsplatError('stacks need phases, but pixels is "power"; store complex amplitudes, or no stack')
         mesh = None if header.truth_mesh is None else inside(path, header.truth_mesh)
         heights = None if header.terrain is None else inside(path, header.terrain)
-    with plain_os_errors("read", path):  # a name may be longer than the system has names
-        if mesh is not None and not mesh.is_file():
-            raise SarsplatError(f"{path} is missing its mesh {shown(mesh.name)}; {_MAKE_ONE}")
+    if mesh is not None:
+        with open_file(mesh):  # raises if it is missing
+            pass
     make, pixel = (Dataset.of_complex, np.complex64) if header.pixels == "complex" else (Dataset, np.float32)
     shape = (passes, grid.rows, grid.columns) if passes else (grid.rows, grid.columns)
     images = [read_tiff(file, shape, pixel) for file in files]
@@ -202,28 +198,16 @@ def read_dataset(path: str | Path) -> Dataset:
 
 def read_header(path: Path) -> DatasetHeader:
     """Read `dataset.json`; raise if the folder holds no dataset, or one of another version."""
-    _require_dataset(path)
+    with plain_os_errors("read", path):
+        names = {entry.name for entry in path.iterdir()}
+    if HEADER not in names:
+        remedy = f"make one with `sarsplat simulate`, or by an import, which `sarsplat info {path}` recommends"
+        if "metrics.jsonl" in names:
+            remedy = "it looks like a run, so give the dataset it was made from"
+        raise SarsplatError(f"{path} is not a dataset, for it holds no {HEADER}; {remedy}")
     return read_versioned_json(
         path / HEADER, DatasetHeader, schema=SCHEMA, version=SCHEMA_VERSION, remedy="simulate or import it again"
     )
-
-
-def _require_dataset(path: Path) -> None:
-    with plain_os_errors("read", path):
-        if not path.exists():
-            raise SarsplatError(f"{path} does not exist; {_MAKE_ONE}")
-        if not path.is_dir():
-            raise SarsplatError(f"{path} is a file, but a dataset is a folder that holds {HEADER}; give the folder")
-        names = {entry.name for entry in path.iterdir()}
-    if HEADER in names:
-        return
-    if not names:
-        raise SarsplatError(f"{path} is empty; {_MAKE_ONE}")
-    if "metrics.jsonl" in names:
-        remedy = "it looks like a run, so give the dataset it was made from"
-    else:
-        remedy = f"`sarsplat info {path}` says how to import images in it, such as with `sarsplat import folder`"
-    raise SarsplatError(f"{path} is not a dataset, for it holds no {HEADER}; {remedy}")
 
 
 @contextmanager

@@ -38,8 +38,15 @@ _REASONS = {
 
 _LARGEST_JSON = 1 << 26
 """Maximum size of a JSON file, bytes."""
-BUILT = ".tmpdir"
-"""Suffix of a folder that is being built."""
+_OURS = ".sarsplat-"
+"""Mark of temporary names, which no file of a user has."""
+BUILT = "new"
+"""Kind of a folder that is being built (see `beside`)."""
+
+
+def beside(path: Path, kind: str) -> Path:
+    """Return the temporary name `.NAME.sarsplat-KIND` beside a file or folder."""
+    return path.with_name(f".{path.name}{_OURS}{kind}")
 
 
 @contextmanager
@@ -69,13 +76,13 @@ def refuse_unwritable(path: Path) -> None:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Lock a file or folder for writing while the block runs, by a file `.NAME.lock` in the same folder.
+    """Lock a file or folder for writing while the block runs, by a file `.NAME.sarsplat-lock` in the same folder.
 
     Raise if another process or thread holds the lock. It is reentrant. The system releases it when the process ends in
     any way; the next process removes the empty file.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
-    lock_file = path.with_name(f".{path.name}.lock")
+    lock_file = beside(path, "lock")
     lock_file.parent.stat()  # FileLock would make missing folders
     lock = FileLock(lock_file, is_singleton=True)
     try:
@@ -95,8 +102,8 @@ def locked(path: Path) -> Iterator[None]:
 def new_file(path: Path) -> Iterator[BinaryIO]:
     """Write a file in parts, whole or not at all; an existing one is replaced once the new one is on the disk.
 
-    A killed process leaves `.NAME.tmp`, which the next one overwrites. In a folder that is being built, files are
-    neither locked nor flushed to the disk.
+    A killed process leaves `.NAME.sarsplat-tmp`, which the next one overwrites. In a folder that is being built, files
+    are neither locked nor flushed to the disk.
 
     Parameters
     ----------
@@ -111,12 +118,12 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
     """
     path = Path(path)
     with plain_os_errors("write", path):
-        if not path.name or path.is_dir():
-            raise SarsplatError(f"cannot write {path}: it is a folder, not a file; give another path")
-        if os.path.lexists(path) and not path.is_file():
-            raise SarsplatError(f"cannot write {path}: it is a device, a pipe or a broken link; give another path")
-        temporary = path.with_name(f".{path.name}.tmp")
-        final = all(folder.suffix != BUILT for folder in path.parents)
+        if not path.name or (os.path.lexists(path) and not path.is_file()):
+            raise SarsplatError(
+                f"cannot write {path}: it is a folder, a device, a pipe or a broken link; give another path"
+            )
+        temporary = beside(path, "tmp")
+        final = all(folder.suffix != f"{_OURS}{BUILT}" for folder in path.parents)
         with locked(path) if final else nullcontext():
             temporary.unlink(missing_ok=True)
             try:
@@ -132,27 +139,13 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_bytes(path: Path, data: bytes | memoryview) -> None:
-    """Write a file, whole or not at all (see `new_file`).
-
-    Parameters
-    ----------
-    path : Path
-        File to write; its folder must exist.
-    data : bytes
-        Its whole content.
-    """
+    """Write the whole content of a file, whole or not at all; parameters and errors as for `new_file`."""
     with new_file(path) as file:
         file.write(data)
 
 
 def write_json(path: Path, obj: Any) -> None:
-    """Write an object as indented JSON, whole or not at all (see `write_bytes`).
-
-    Raises
-    ------
-    SarsplatError
-        If the object holds NaN, an infinity or something JSON has no word for, or the file cannot be written.
-    """
+    """Write an object as indented JSON, whole or not at all; raise for NaN and infinities, and as `new_file` does."""
     write_bytes(path, encode_json(obj, Path(path)))
 
 
@@ -162,14 +155,9 @@ def encode_json(obj: Any, path: Path) -> bytes:
         # not by msgspec, which silently turns NaN into null
         text = json.dumps(obj, indent=2, ensure_ascii=False, allow_nan=False, default=_struct_as_dict)
         return (text + "\n").encode()
-    except UnicodeEncodeError as error:  # a path whose bytes are not UTF-8 carries them as halves of surrogate pairs
-        name = error.object[: error.start].rpartition('"')[2] + error.object[error.start :].partition('"')[0]
+    except (TypeError, ValueError, RecursionError) as error:  # UnicodeEncodeError of a file's name among them
         raise SarsplatError(
-            f"{path} cannot hold the name {shown(name)}, which is not UTF-8 text; rename that file"
-        ) from error
-    except (TypeError, ValueError, RecursionError) as error:
-        raise SarsplatError(
-            f"{path} cannot be written as JSON: {error}; use finite numbers, text, lists, dicts"
+            f"{path} cannot be written as JSON: {error}; use finite numbers, UTF-8 text, lists, dicts"
         ) from error
 
 
@@ -232,12 +220,9 @@ def read_versioned_json(path: Path, type: type[T], *, schema: str, version: int,
     """
     data = _read_text(path)
     kind = decode_json(data, Path(path), _Kind)
-    if kind.schema != schema:
-        raise SarsplatError(f"{path}: its schema is {shown(kind.schema)}, not {schema!r}; {remedy}")
-    if kind.schema_version != version:
-        raise SarsplatError(
-            f"{path}: its schema_version is {shown(kind.schema_version)} but this program reads {version}; {remedy}"
-        )
+    for field, expected in (("schema", schema), ("schema_version", version)):
+        if (stated := getattr(kind, field)) != expected:
+            raise SarsplatError(f"{path}: its {field} is {shown(stated)} but this program reads {expected!r}; {remedy}")
     return decode_json(data, Path(path), type)
 
 
@@ -247,13 +232,16 @@ class _Kind(msgspec.Struct):
 
 
 def _read_text(path: Path) -> bytes:
+    return read_bytes(path, _LARGEST_JSON).removeprefix(BOM_UTF8)  # some editors put that mark first
+
+
+def read_bytes(path: Path, largest: int) -> bytes:
+    """Read a whole file; raise if it has more than `largest` bytes."""
     with open_file(path) as file:
-        if file.seek(0, os.SEEK_END) > _LARGEST_JSON:
-            raise SarsplatError(
-                f"{path} is larger than {_LARGEST_JSON} bytes, so sarsplat did not write it; create it again"
-            )
+        if file.seek(0, os.SEEK_END) > largest:
+            raise SarsplatError(f"{path} is larger than {largest >> 20} MiB; give a smaller file")
         file.seek(0)
-        return file.read().removeprefix(BOM_UTF8)  # some editors put that mark first
+        return file.read()
 
 
 def decode_json(data: bytes, path: Path, type: type[T]) -> T:
@@ -262,9 +250,7 @@ def decode_json(data: bytes, path: Path, type: type[T]) -> T:
         return decode(data, type)
     except msgspec.ValidationError as error:
         raise SarsplatError(f"{path}: {_named_field(data, str(error))}; correct it or create it again") from error
-    except RecursionError as error:
-        raise SarsplatError(f"{path} is nested too deeply to be a sarsplat file; create it again") from error
-    except ValueError as error:  # msgspec.DecodeError and UnicodeDecodeError among them
+    except (ValueError, RecursionError) as error:  # msgspec.DecodeError and UnicodeDecodeError among them
         raise SarsplatError(f"{path} is not valid JSON ({shown(str(error))}); create it again") from error
 
 

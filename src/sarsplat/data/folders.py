@@ -11,11 +11,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sarsplat.data.files import BUILT, locked, open_file, plain_os_errors, refuse_unwritable
+from sarsplat.data.files import BUILT, beside, locked, open_file, plain_os_errors, refuse_unwritable
 from sarsplat.errors import SarsplatError
 
 Recognises = Callable[[bytes, int], bool]
 """Predicate of a kind of file, by its first bytes and its size."""
+
+_OLD = "old"
+"""Kind of a folder that is being replaced (see `beside`)."""
 
 _HEAD = 96
 """Number of bytes by which a kind of file is recognised."""
@@ -39,7 +42,7 @@ def new_folder(
     """Build an output folder under a temporary sibling name, and rename it to `path` when the block ends well.
 
     If the block raises, KeyboardInterrupt included, the temporary folder is removed and an existing `path` stays. A
-    killed process leaves `.NAME.tmpdir`, which the next writer of this path clears.
+    killed process leaves `.NAME.sarsplat-new`, which the next writer of this path clears.
 
     Parameters
     ----------
@@ -67,11 +70,11 @@ def new_folder(
 
     Notes
     -----
-    The old folder becomes `.NAME.replaced` before the new one is renamed. If the process is killed in between, the next
-    call for the same path restores it.
+    The old folder becomes `.NAME.sarsplat-old` before the new one is renamed. If the process is killed in between, the
+    next call for the same path restores it.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
-    built, old = temporary_folder(path), _old_folder(path)
+    built, old = temporary_folder(path), beside(path, _OLD)
     with plain_os_errors("write", path):
         refuse_existing(path, overwrite, marker=marker)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -105,10 +108,8 @@ def refuse_existing(path: Path, overwrite: bool, *, marker: str) -> None:
 
 def refuse_other_kinds(path: Path, run: Path, recognises: Recognises) -> None:
     """Raise if an export of a run would be written inside its folder, or over a file of another kind."""
-    if Path(os.path.realpath(path)) == run.resolve():
-        raise SarsplatError(f"{path} is the file that is exported; choose another name")
     if Path(os.path.realpath(path)).is_relative_to(run.resolve()):
-        raise SarsplatError(f"{path} is inside the run; choose a path outside {run}")
+        raise SarsplatError(f"{path} is the file that is exported or is inside the run; choose a path outside {run}")
     if path.exists():
         with open_file(path) as content:
             head, size = content.read(_HEAD), content.seek(0, os.SEEK_END)
@@ -121,23 +122,17 @@ def refuse_other_kinds(path: Path, run: Path, recognises: Recognises) -> None:
 
 def temporary_folder(path: Path) -> Path:
     """Temporary path at which `new_folder` builds a folder."""
-    return path.with_name(f".{path.name}{BUILT}")
-
-
-def _old_folder(path: Path) -> Path:
-    return path.with_name(f".{path.name}.replaced")
+    return beside(path, BUILT)
 
 
 def _clear(path: Path) -> None:
-    for left in (temporary_folder(path), _old_folder(path)):
+    for left in (temporary_folder(path), beside(path, _OLD)):
         shutil.rmtree(left, ignore_errors=True)
 
 
 def _refuse_existing(path: Path, overwrite: bool, marker: str) -> None:
     if not os.path.lexists(path):
         return
-    if not path.is_dir():
-        raise SarsplatError(f"{path} is a file, not a folder; choose another name")
     if not any(path.iterdir()):
         return
     if not overwrite:

@@ -1,8 +1,7 @@
-"""Georeferenced rasters by GDAL (rasterio): heights, pictures, maps of runs, and the terrain of datasets."""
+"""Georeferenced rasters by GDAL (rasterio), their map coordinates, and the place on earth of a point on a map."""
 
 from __future__ import annotations
 
-import io
 import logging
 import math
 import warnings
@@ -16,14 +15,11 @@ import numpy as np
 import tifffile
 from jaxtyping import Float64, Shaped
 
-from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import open_file, write_bytes
-from sarsplat.data.known_part import known_part
-from sarsplat.data.map_place import place_on_map
-from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.extras import install_command
-from sarsplat.geometry import Place, Terrain
-from sarsplat.geometry.place import HeightAbove
+from sarsplat.geometry import Place
+from sarsplat.geometry.place import HeightAbove, geodetic_of_ecef
 
 HEIGHTS_ABOVE = "HEIGHTS_ABOVE"
 """Metadata item that names the zero level of heights: with a vertical system GDAL loses the horizontal one's number."""
@@ -33,23 +29,35 @@ LEVELS: dict[HeightAbove, str] = {
     "unknown": "an unknown level",
 }
 """Names of the zero levels of heights."""
-_PIXEL_SCALE, _KEYS, _DOUBLES, _ORIENTATION = 33550, 34735, 34736, 274
-_OWN_KEYS = (1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 2, 3072, 0, 1, 32767, 3076, 0, 1, 9001)
-"""GeoKeys of `terrain_bytes`: metres, of no known system."""
+KEYS = 34735
+"""Tag of GeoKeys in TIFFs."""
+_DOUBLES, _ORIENTATION = 34736, 274
 _UNIT_KEYS = {2054: (9102, "degrees"), 3076: (9001, "metres"), 4099: (9001, "metres")}
 """Keys of angular, linear and vertical units: their usual value, which GDAL assumes without a known system."""
 _LOCAL = 'LOCAL_CS["scene",UNIT["metre",1]]'
-_HIGHEST_M, _USUAL_HOLE = 12_000.0, -9999.0
-"""Bound of the heights of the earth's surface, and the usual sentinel of holes."""
 _HARMLESS, _MOST_PACKED = 1 << 27, 64
 """Pixels of any raster, and pixels per byte of its file; a raster of more than both is rejected."""
-_EQUATOR_M = 6378137.0
-"""Semi-major axis of the ellipsoids of WGS 84 and GRS 1980."""
 _ELSEWHERE = {
     *("VRT", "WMS", "WCS", "WMTS", "GTI", "STACIT", "STACTA"),
     *("MRF", "DAAS", "EEDA", "EEDAI", "PLMOSAIC", "HTTP"),
 }
 """Drivers of GDAL that follow a file to other files or to the net."""
+
+_STEP_M = 50.0
+"""Distance over which a map's axes are compared with east and north."""
+_SKEWED = 1e-3
+"""Maximum cosine of the angle between a map's axes on the ground."""
+INEXACT_M = 1.0
+"""Minimum error of a conversion to WGS 84 that is reported; ETRS89 and its like are more exact."""
+NOT_RELATED = (
+    "no installed transformation relates its datum to WGS 84, and they can differ by some hundred metres; convert it "
+    "to WGS 84, as by gdalwarp -t_srs EPSG:326xx (the UTM zone)"
+)
+UNCONVERTED = (
+    "heights are not converted: levels can differ by about 100 m, and gdalwarp -s_srs EPSG:326xx+5773 (EGM96; +3855 "
+    "EGM2008, +5703 NAVD88) -t_srs EPSG:4979, then -s_srs EPSG:4326 -t_srs EPSG:326xx, makes them ellipsoidal"
+)
+"""Sentence about heights above sea level."""
 
 logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # sarsplat's errors describe damaged files
 
@@ -87,25 +95,6 @@ class Raster:
 
 
 @dataclass(frozen=True, eq=False)
-class MapHeights:
-    """Heights on a map.
-
-    Attributes
-    ----------
-    raster : Raster
-        Heights, float64, m, NaN where unknown, in the file's system.
-    place : Place or None
-        Position of their middle on earth, if known.
-    metres : (float, float)
-        Metres on the ground for each metre of the map along its x and y; 1 if unknown.
-    """
-
-    raster: Raster
-    place: Place | None
-    metres: tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
 class Georeference:
     """Map coordinates of pixels.
 
@@ -140,38 +129,42 @@ class Georeference:
     @property
     def system(self) -> str:
         """Name of the map's system."""
-        if self.crs is None or (number := self.epsg) is not None:
-            return "no system" if self.crs is None else f"EPSG:{number}"
-        return f"a {'geographic' if self.geographic else 'projected'} system without a number"
+        if self.crs is not None and self.epsg is None:
+            return f"a {'geographic' if self.geographic else 'projected'} system without a number"
+        return "no system" if self.crs is None else f"EPSG:{self.epsg}"
+
+
+def _rasterio(path: Path) -> Any:
+    """Import rasterio and pyproj, or raise with the command that installs them."""
+    try:
+        import pyproj  # noqa: F401 (callers need it)
+        import rasterio
+    except ImportError as error:
+        raise SarsplatError(
+            f"{path} needs rasterio and pyproj, which are not installed; {install_command('gis')}"
+        ) from error
+    return rasterio
 
 
 @contextmanager
 def opened_raster(path: Path) -> Iterator[Any]:
     """Open a raster of any format by rasterio; every failure becomes a `SarsplatError`."""
-    try:
-        import pyproj  # noqa: F401 (callers need it)
-        import rasterio
-        from rasterio.errors import NotGeoreferencedWarning
-        from rasterio.io import DatasetReader
-    except ImportError as error:
-        raise SarsplatError(
-            f"{path} needs rasterio and pyproj, which are not installed; {install_command('gis')}"
-        ) from error
+    rasterio = _rasterio(path)
     with open_file(path) as file:
         size = file.seek(0, 2)
     try:
         with (
-            warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning),
+            warnings.catch_warnings(action="ignore", category=rasterio.errors.NotGeoreferencedWarning),
             # a world file says nothing of its unit
             rasterio.Env(GTIFF_REPORT_COMPD_CS=True, GDAL_GEOREF_SOURCES="PAM,INTERNAL") as env,
-            DatasetReader(str(path), driver=[*env.drivers().keys() - _ELSEWHERE]) as raster,
+            rasterio.io.DatasetReader(str(path), driver=[*env.drivers().keys() - _ELSEWHERE]) as raster,
         ):
             block = max((math.prod(shape) for shape in raster.block_shapes), default=0)
             pixels = max(raster.width * raster.height * raster.count, block)
             if pixels > max(_HARMLESS, _MOST_PACKED * size):
                 raise SarsplatError(f"{path} has {size} bytes but claims to hold {pixels} pixels; get it again")
             if raster.driver == "GTiff":
-                _refuse_unread_tags(path, _system(raster))
+                _refuse_unread_tags(path, system_of(raster))
             yield raster
     except SarsplatError:
         raise
@@ -185,7 +178,7 @@ def _refuse_unread_tags(path: Path, crs: Any) -> None:
         tags: Any = {tag.code: tag.value for tag in tiff.pages.first.tags.values()}
     if tags.get(_ORIENTATION, 1) != 1:
         raise SarsplatError(f"{path} is stored turned (orientation {int(tags[_ORIENTATION])}); write it upright")
-    rows = np.reshape(tags.get(_KEYS, ())[4:], (-1, 4)).astype(int)
+    rows = np.reshape(tags.get(KEYS, ())[4:], (-1, 4)).astype(int)
     stated = {key: value for key, place, _, value in rows.tolist() if place == 0}
     if 3076 in stated and ((crs is not None and crs.to_2d().to_epsg()) or 1.0 in np.ravel(tags.get(_DOUBLES, ()))):
         del stated[3076]  # GDAL knows the unit of a numbered system; an own unit may be one of 1 m
@@ -202,149 +195,22 @@ def georeference_of(raster: Any) -> Georeference | None:
     if raster.transform.is_identity or not np.linalg.det(matrix[:, :2]):
         return None
     matrix[:, 2] += matrix[:, :2] @ (0.5, 0.5)
-    return Georeference(matrix, _horizontal(_system(raster)))
+    return Georeference(matrix, horizontal_system(system_of(raster)))
 
 
-def _system(raster: Any) -> Any:
+def system_of(raster: Any) -> Any:
     """Return the system of an open raster, heights included, as pyproj.CRS; None without one."""
     from pyproj import CRS
 
     return CRS.from_wkt(raster.crs.to_wkt(version="WKT2_2019")) if raster.crs else None
 
 
-def _horizontal(crs: Any) -> Any:
+def horizontal_system(crs: Any) -> Any:
     """Return the system without heights, by its EPSG number if it has one, which adds its area of use."""
     if crs is None:
         return None
     number = crs.to_2d().to_epsg()
     return crs.to_2d() if number is None else type(crs).from_epsg(number)
-
-
-@checks_arguments
-def read_terrain(path: str | Path) -> Terrain:
-    """Read heights of a raster of one band: its middle at the origin, columns (east) along +x, rows upwards along +y.
-
-    Parameters
-    ----------
-    path : str or Path
-        GeoTIFF, or any raster that GDAL reads, in a projected system in metres.
-
-    Returns
-    -------
-    Terrain
-        Heights as stored; `Terrain.centred` measures them from the origin. If its system has an EPSG number, `place` is
-        the middle, x axis along the columns, and the pitch is in metres on the ground, not on the map.
-
-    Raises
-    ------
-    SarsplatError
-        If it cannot be read, has several bands, is in degrees or feet, is rotated, has no pixel size, has fewer than
-        2 × 2 heights, or unknown ones inside; or rasterio is missing (files by `write_terrain` do not need it).
-
-    Warns
-    -----
-    SarsplatWarning
-        If its system has a known EPSG number but no place on earth is found, or unknown heights at its edges are cut
-        off.
-    """
-    path = Path(path)
-    heights, pitch, place = _read_own(path) or _read_foreign(path)
-    try:
-        return Terrain(np.ascontiguousarray(heights[::-1]), pitch, place)
-    except SarsplatError as error:
-        raise SarsplatError(f"{path}: {error}") from error
-
-
-_Stored = tuple[Float64[np.ndarray, "rows columns"], tuple[float, float], Place | None]
-"""Heights with row 0 in the north, pitch and place."""
-
-
-def _read_foreign(path: Path) -> _Stored:
-    """Read heights and pitch of any raster."""
-    found = read_heights(path)
-    (x, y), (on_x, on_y) = found.raster.pitch_m, found.metres
-    return known_part(path, found.raster.values), (x * on_x, y * on_y), found.place
-
-
-def _read_own(path: Path) -> _Stored | None:
-    """Read heights and pitch by `write_terrain`; None if another program wrote or changed the file, or if damaged."""
-    with open_file(path) as file:
-        data = file.read()
-    try:
-        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
-            page: Any = tiff.pages.first
-            uncompressed = page.compression == tifffile.COMPRESSION.NONE and page.size * 8 <= len(data)
-            own = page.software == "sarsplat" and page.tags[_KEYS].value == _OWN_KEYS and 42112 not in page.tags
-            if not own or page.dtype != np.float64 or page.ndim != 2 or not uncompressed:
-                return None
-            dx, dy, _ = map(float, page.tags[_PIXEL_SCALE].value)
-            return page.asarray(), (dx, dy), None
-    except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
-        return None
-
-
-def read_heights(path: str | Path) -> MapHeights:
-    """Read heights of a raster of one band, unknown ones as NaN; errors as for `read_terrain`."""
-    path = Path(path)
-    with opened_raster(path) as file:
-        if file.count != 1:
-            raise SarsplatError(f"{path} has {file.count} bands; give one of heights, as by gdal_translate -b 1")
-        if np.dtype(file.dtypes[0]).kind not in "iuf":
-            raise SarsplatError(f"{path} holds {file.dtypes[0]} numbers; give heights")
-        crs, transform = _system(file), file.transform
-        if crs is None and file.driver != "GTiff":
-            raise SarsplatError(
-                f"{path} names no coordinate system; give it one, as by gdal_translate -a_srs EPSG:NUMBER"
-            )
-        _refuse_units(path, crs, file.units[0])
-        _refuse_turned(path, transform)
-        values = file.read(1, masked=True).astype(np.float64).filled(np.nan) * file.scales[0] + file.offsets[0]
-        level = file.tags().get(HEIGHTS_ABOVE)
-    values[~np.isfinite(values)] = np.nan
-    odd = values[(np.abs(values) > _HIGHEST_M) | (values == _USUAL_HOLE)]
-    if len(odd):
-        raise SarsplatError(
-            f"{path} has {counted(len(odd), 'height')} beyond the earth's, such as {odd[0]:.9g} m; if that means "
-            f"unknown, set it as no data, as by gdal_translate -a_nodata {odd[0]:.9g}"
-        )
-    top = transform.f
-    if transform.e > 0:  # rows go upwards (north)
-        values, top = values[::-1], top + len(values) * transform.e
-    pitch = transform.a, abs(transform.e)
-    above = next((name for name, text in LEVELS.items() if text == level), None) or _height_above(crs)
-    horizontal = None if crs is None or crs.is_engineering else _horizontal(crs)
-    raster = Raster(values, (transform.c, top), pitch, horizontal, above)
-    if horizontal is None or horizontal.to_epsg() is None:
-        return MapHeights(raster, None, (1.0, 1.0))
-    middle = transform.c + values.shape[1] / 2 * pitch[0], top - values.shape[0] / 2 * pitch[1]
-    where = place_on_map(horizontal, middle, str(path), above or "unknown")
-    return MapHeights(raster, where.place if where else None, where.metres if where else (1.0, 1.0))
-
-
-def terrain_bytes(terrain: Terrain) -> bytes:
-    """Encode terrain as a GeoTIFF that `read_terrain` reads to the same bits; its origin is the scene's."""
-    (dx, dy), (half_x, half_y) = terrain.pitch_m, terrain.half_m
-    buffer = io.BytesIO()
-    tifffile.imwrite(
-        buffer,
-        terrain.heights_m[::-1],
-        photometric="minisblack",
-        metadata=None,
-        description="height of the ground, m; columns along x, rows from +y to -y",
-        software="sarsplat",
-        extratags=[
-            (_PIXEL_SCALE, "d", 3, (dx, dy, 0.0), True),
-            (33922, "d", 6, (0.0, 0.0, 0.0, -half_x, half_y, 0.0), True),
-            (_KEYS, "H", len(_OWN_KEYS), _OWN_KEYS, True),
-        ],
-    )
-    return buffer.getvalue()
-
-
-@checks_arguments
-def write_terrain(path: str | Path, terrain: Terrain) -> None:
-    """Write terrain as a GeoTIFF, whole or not at all."""
-    write_bytes(Path(path), terrain_bytes(terrain))
 
 
 def write_raster(
@@ -370,10 +236,7 @@ def write_raster(
     colours : mapping of int to (red, green, blue), optional
         Colours of classes, 0 to 255; without them the raster holds numbers.
     """
-    try:
-        import rasterio
-    except ImportError as error:
-        raise SarsplatError(f"{path} needs rasterio, which is not installed; {install_command('gis')}") from error
+    rasterio = _rasterio(path)
     (rows, columns), (left, top), (dx, dy) = raster.values.shape, raster.corner_m, raster.pitch_m
     kind, no_data = ("float32", math.nan) if colours is None else ("uint8", 255)
     packed = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate"}
@@ -401,39 +264,67 @@ def write_raster(
         write_bytes(path, memory.getbuffer())
 
 
-def _refuse_units(path: Path, crs: Any, unit: str | None) -> None:
-    """Raise if coordinates or heights are not in metres, or are depths."""
-    if unit and unit.lower() not in ("m", "metre", "meter", "metres", "meters"):
-        raise SarsplatError(f"{path} has heights in {shown(unit)}; convert them to metres")
-    if crs is None:
-        return
-    if crs.is_geographic:
-        raise SarsplatError(
-            f"{path} is in degrees of latitude and longitude; convert it to metres, as by "
-            "gdalwarp -t_srs EPSG:326xx (the UTM zone)"
-        )
-    for axis in crs.axis_info:
-        if axis.unit_conversion_factor != 1 or axis.direction == "down":
-            raise SarsplatError(
-                f"{path} is measured {axis.direction} in units called {axis.unit_name}; convert it to metres (upwards)"
-            )
+def place_on_map(
+    crs: Any, at: tuple[float, float], name: str, height_above: HeightAbove = "unknown"
+) -> tuple[Place, tuple[float, float]] | None:
+    """Locate a point (x, y) of a projected EPSG system on earth; None, with a warning about `name`, if that fails.
 
+    Returns its place at height 0, x axis along the map's, and the metres on the ground for each unit of the map along
+    x and y.
+    """
+    from pyproj import Transformer
 
-def _refuse_turned(path: Path, transform: Any) -> None:
-    if transform.is_identity:
-        raise SarsplatError(
-            f"{path} has no pixel size; write it as a GeoTIFF in metres, as by "
-            "gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT BOTTOM"
-        )
-    if transform.b or transform.d or transform.a < 0:
-        raise SarsplatError(f"{path} is rotated against its system's axes; straighten it, as by gdalwarp")
-
-
-def _height_above(crs: Any) -> HeightAbove | None:
-    """Return the zero level of heights by a system's third axis; None without such an axis."""
-    if crs is None or len(crs.axis_info) < 3:
+    system = f"{name} has map coordinates (EPSG:{crs.to_epsg()})"
+    steps = _STEP_M * np.array([[0.0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
+    transformer: Any = Transformer.from_crs(crs, "EPSG:4978", always_xy=True)
+    corners = np.transpose(transformer.transform(*(np.asarray(at) + steps).T, np.zeros(len(steps))))
+    if (exact_m := exactness_m(transformer)) is None:
+        _warn(f"{system}, but its place on earth stays unknown: {NOT_RELATED}")
         return None
-    datum = next((part.datum for part in crs.sub_crs_list if part.is_vertical), None)
-    if datum is not None:
-        return "unknown" if not datum.name or "unknown" in datum.name or "ellipsoid" in datum.name else "sea level"
-    return "ellipsoid" if crs.ellipsoid.semi_major_metre == _EQUATOR_M else "unknown"
+    if exact_m > INEXACT_M:
+        _warn(f"{system} that convert to WGS 84 to within {exact_m:g} m")
+    if not np.isfinite(corners).all():
+        _warn(f"{system}, but ({at[0]:.10g}, {at[1]:.10g}) is outside of that system; its place stays unknown")
+        return None
+    latitude, longitude, _ = map(float, geodetic_of_ecef(corners[0]))
+    level = Place(latitude, longitude, 0.0)  # x to the east
+    along = (level.from_ecef(corners)[1:3, :2] - level.from_ecef(corners)[3:5, :2]) / (2 * _STEP_M)
+    metres = np.linalg.norm(along, axis=1)
+    if not abs(along[0] @ along[1]) < _SKEWED * math.prod(metres) or not np.linalg.det(along) > 0:
+        _warn(f"{system}, whose axes are not at right angles there: its place stays unknown; warp it to a UTM zone")
+        return None
+    bearing = 90.0 - math.degrees(math.atan2(along[0, 1], along[0, 0]))
+    place = Place(latitude, longitude, 0.0, bearing, height_above)
+    if (outside := far_outside(crs, place)) is not None:
+        _warn(f"{system}, {outside}")
+    return place, (float(metres[0]), float(metres[1]))
+
+
+def exactness_m(transformer: Any) -> float | None:
+    """Return the error of a transformer's last operation, m; None if it ignores a difference of datums."""
+    used = transformer.get_last_used_operation()
+    return None if "ballpark" in used.description.lower() else float(max(used.accuracy, 0.0))
+
+
+def far_outside(crs: Any, place: Place, tolerance_deg: float = 5.0) -> str | None:
+    """Return a clause of a warning if a place is outside of a system's area of use; otherwise None.
+
+    UTM zones are also used for their neighbours: hence the tolerance.
+    """
+    if crs.area_of_use is None:
+        return None
+    west, south, east, north = crs.area_of_use.bounds
+    last = east if west <= east else east + 360.0  # it may cross the date line
+    turns = [place.longitude_deg + turn for turn in (-360.0, 0.0, 360.0)]
+    within = any(west - tolerance_deg <= turn <= last + tolerance_deg for turn in turns)
+    if within and south - tolerance_deg <= place.latitude_deg <= north + tolerance_deg:
+        return None
+    return (
+        f"which is for longitudes {west:g}° to {east:g}° and latitudes {south:g}° to {north:g}°, but its place is at "
+        f"latitude {place.latitude_deg:.4f}°, longitude {place.longitude_deg:.4f}°: check its number and its "
+        "coordinates"
+    )
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, SarsplatWarning, stacklevel=4)

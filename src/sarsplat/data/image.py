@@ -63,17 +63,15 @@ class SarImage:
     def __post_init__(self) -> None:
         if hasattr(self.power, "detach"):  # a torch.Tensor: files of images are read without torch
             object.__setattr__(self, "power", self.power.detach().cpu().numpy())
-        if not isinstance(self.power, np.ndarray) or self.power.dtype.kind not in "fiu":
-            kind = self.power.dtype if isinstance(self.power, np.ndarray) else type(self.power).__name__
-            raise SarsplatError(
-                f"the image is of type {kind}; give power as an array of real numbers (complex amplitudes go to "
-                "SarImage.of_complex)"
-            )
+        expect(np.ndarray, power=self.power)
         expect(View, view=self.view)
         expect(ImageGrid, grid=self.grid)
         expected = (self.grid.rows, self.grid.columns)
-        if self.power.shape != expected:
-            raise SarsplatError(f"the image has shape {self.power.shape} but its grid has {expected} (range × azimuth)")
+        if self.power.shape != expected or self.power.dtype.kind not in "fiu":
+            raise SarsplatError(
+                f"the image is {self.power.dtype} of shape {self.power.shape}; give real power of shape {expected} "
+                "(range × azimuth), or complex amplitudes to SarImage.of_complex"
+            )
         check_power(self.power, "the image")
         check_signal(self.signal, self.power, "the image")
 
@@ -139,7 +137,10 @@ class SarImage:
         SarsplatError
             If matplotlib is not installed.
         """
-        open_window(self.power, self.view, self.grid, dynamic_range_db)
+        with _matplotlib_needed():
+            from matplotlib import pyplot
+        _draw(self.power, self.view, self.grid, pyplot.figure(), dynamic_range_db)
+        pyplot.show()
 
     def _repr_png_(self) -> bytes | None:
         """Picture for notebooks; None without matplotlib."""
@@ -161,9 +162,8 @@ def check_power(power: Real[np.ndarray, "*shape"], name: str) -> None:
 
 def as_signal(signal: Complex[np.ndarray, "*shape"], name: str) -> Complex64[np.ndarray, "*shape"]:
     """Convert complex amplitudes to complex64; raise SarsplatError if they are not complex numbers."""
-    if not isinstance(signal, np.ndarray) or signal.dtype.kind != "c":
-        kind = signal.dtype if isinstance(signal, np.ndarray) else type(signal).__name__
-        raise SarsplatError(f"{name} is of type {kind}; give an array of complex amplitudes")
+    if signal.dtype.kind != "c":
+        raise SarsplatError(f"{name} is of type {signal.dtype}; give an array of complex amplitudes")
     with np.errstate(over="ignore"):  # `check_power` rejects infinite pixels
         return signal.astype(np.complex64, copy=False)
 
@@ -193,15 +193,16 @@ def check_signal(
     """Raise SarsplatError if the power is not |signal|², of stacks its mean over `passes`, or stacks have no signal."""
     if signal is None and not passes:
         return
-    if signal is None:
-        raise SarsplatError(f"{name} are stacks of {passes} passes, which need phases; make them with of_complex")
     shape = (power.shape[0], passes, *power.shape[1:]) if passes else power.shape
-    same = signal.dtype == np.complex64 and signal.shape == shape
-    if not same or not np.array_equal(power_of_passes(signal) if passes else power_of(signal), power):
+    if (
+        signal is None
+        or (signal.dtype, signal.shape) != (np.complex64, shape)
+        or not np.array_equal(power_of_passes(signal) if passes else power_of(signal), power)
+    ):
+        has = "None" if signal is None else f"{signal.dtype} of shape {signal.shape}"
         raise SarsplatError(
-            f"the power of {name} is not the squared magnitude of its signal, {signal.dtype} of shape {signal.shape}"
-            + (f" for {passes} passes" if passes else "")
-            + "; make it with of_complex"
+            f"the power of {name} is not the squared magnitude of its signal, {has}, which must be complex64 {shape}; "
+            "make it with of_complex"
         )
 
 
@@ -215,14 +216,6 @@ def picture_png(power: Power, view: View, grid: ImageGrid, dynamic_range_db: flo
     _draw(power, view, grid, figure, dynamic_range_db)
     figure.savefig(buffer, format="png", dpi=_DPI)
     return buffer.getvalue()
-
-
-def open_window(power: Power, view: View, grid: ImageGrid, dynamic_range_db: float) -> None:
-    """Show the image with pyplot: a window, or a picture in a notebook."""
-    with _matplotlib_needed():
-        from matplotlib import pyplot
-    _draw(power, view, grid, pyplot.figure(), dynamic_range_db)
-    pyplot.show()
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,13 @@ from sarsplat.errors import SarsplatError
 if TYPE_CHECKING:
     import trimesh
 
-MESH_FORMATS = (".ply", ".glb", ".obj", ".stl")
-"""Suffixes of mesh files."""
+_OPTIONS: dict[str, dict[str, Any]] = {
+    ".ply": {"vertex_normal": True},
+    ".glb": {"include_normals": True},
+    ".obj": {"include_normals": True, "include_texture": False, "header": "sarsplat mesh, m"},
+    ".stl": {},
+}
+"""Options of trimesh's exporters, by the suffix of mesh files."""
 
 _GLTF_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Rotation about x from z up (world) to y up (glTF)."""
@@ -41,25 +46,16 @@ def write_mesh(path: str | Path, mesh: trimesh.Trimesh) -> None:
         If the name ends otherwise, the mesh has no faces, or the file cannot be written.
     """
     import trimesh
-    from trimesh.exchange.gltf import export_glb
-    from trimesh.exchange.obj import export_obj
-    from trimesh.exchange.ply import export_ply
-    from trimesh.exchange.stl import export_stl
 
     path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _OPTIONS:
+        raise SarsplatError(f"{path} is not named as a mesh; choose a name that ends in {', '.join(_OPTIONS)}")
     if len(mesh.faces) == 0:
         raise SarsplatError(f"the mesh for {path} has no faces; reconstruct a surface with more points first")
-    match path.suffix.lower():
-        case ".ply":
-            data = export_ply(mesh, vertex_normal=True)
-        case ".glb":
-            upright = trimesh.Scene()
-            upright.add_geometry(mesh, transform=_GLTF_FROM_WORLD)
-            data = export_glb(upright, include_normals=True)
-        case ".obj":
-            data = export_obj(mesh, include_normals=True, include_texture=False, header="sarsplat mesh, m").encode()
-        case ".stl":
-            data = export_stl(mesh)
-        case _:
-            raise SarsplatError(f"{path} is not named as a mesh; choose a name that ends in {', '.join(MESH_FORMATS)}")
-    write_bytes(path, data)
+    upright: Any = mesh
+    if suffix == ".glb":
+        upright = trimesh.Scene()
+        upright.add_geometry(mesh, transform=_GLTF_FROM_WORLD)
+    data = upright.export(file_type=suffix[1:], **_OPTIONS[suffix])
+    write_bytes(path, data.encode() if isinstance(data, str) else data)

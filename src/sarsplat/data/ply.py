@@ -1,4 +1,4 @@
-"""Gaussians as PLY, in the layout of 3D Gaussian splatting, so that other programs open them.
+"""Gaussians as PLY, in the layout of 3D Gaussian splatting, so that other programs open them; `.splat` files.
 
 A Gaussian's vertex holds, as float32,
 
@@ -27,10 +27,9 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.files import decode_json
+from sarsplat.data.files import decode_json, open_file
 from sarsplat.data.outliers import outliers
 from sarsplat.data.ply_points import named, read_ply, stacked, write_ply
-from sarsplat.data.splat_files import splat_columns
 from sarsplat.data.viewer_colours import ODD, viewer_colours
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.gaussians import (
@@ -42,6 +41,7 @@ from sarsplat.gaussians import (
     Scattering,
     scattering_named,
 )
+from sarsplat.gaussians.law_harmonics import CONSTANTS
 from sarsplat.names import Colour
 
 _OTHER_AXIS = re.compile(r"vertical axis:\s*([+-]?[xy]|-z)\s*", re.IGNORECASE)
@@ -59,6 +59,11 @@ _SMALLEST_LOG, _LARGEST_LOG = math.log(MIN_SCALE), 80.0
 """Range of logarithms of scales in m; e^80 is near the largest float32."""
 _MIN_LOGIT = -30.0
 """Logit written for an opacity of zero."""
+_MAX_LOGIT = 40.0
+"""Logit of an opacity of 1 in a `.splat` file."""
+SPLAT = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
+"""One Gaussian of a `.splat` file (web viewer antimatter15/splat): m, standard deviations (m), colour and opacity, and
+128 + 128·q of wxyz."""
 
 
 @checks_arguments
@@ -144,7 +149,7 @@ def read_centred_gaussians(path: Path) -> tuple[Gaussians, Float64[np.ndarray, "
 def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
     """Read Gaussians and the vector subtracted from their means, which is zero unless coordinates are read `exact`."""
     if path.suffix.lower() == ".splat":
-        columns, comments = splat_columns(path), list[str]()
+        columns, comments = _splat_columns(path), list[str]()
     else:
         columns, comments = read_ply(
             path, lambda name, of: _VERSION not in of or not name.startswith(_FOR_VIEWERS), exact
@@ -168,6 +173,29 @@ def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.nda
     tensors = {name: torch.from_numpy(np.ascontiguousarray(value, np.float32)) for name, value in values.items()}
     law = _law(path, comments, tensors.pop("scattering")) if ours else Harmonics(tensors.pop("scattering"))
     return Gaussians(**tensors, scattering=law), moved
+
+
+def _splat_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
+    """Read the Gaussians of a `.splat` file as the properties of a 3DGS PLY."""
+    with open_file(path) as file:
+        data = file.read()
+    if not data or len(data) % SPLAT.itemsize:
+        raise SarsplatError(
+            f"{path} has {len(data)} bytes, but a .splat file has {SPLAT.itemsize} for each Gaussian; get it again, or "
+            "give a PLY"
+        )
+    table = np.frombuffer(data, SPLAT)
+    colours = table["rgba"] / 255.0
+    with np.errstate(divide="ignore"):
+        scales = np.log(np.maximum(table["scale"].astype(np.float64), 0.0))
+        logit = np.log(colours[:, 3]) - np.log1p(-colours[:, 3])
+    return {
+        **named(("x", "y", "z"), table["position"].astype(np.float64)),
+        **named((f"scale_{k}" for k in range(3)), scales),
+        **named((f"f_dc_{k}" for k in range(3)), (colours[:, :3] - 0.5) / CONSTANTS[0]),  # harmonic of degree 0
+        "opacity": np.clip(logit, -_MAX_LOGIT, _MAX_LOGIT),
+        **named((f"rot_{k}" for k in range(4)), table["rotation"] / 128.0 - 1.0),
+    }
 
 
 def _usable(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -236,27 +264,19 @@ def _from_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarr
     depth = np.minimum(np.logaddexp(0, logit), MAX_OPTICAL_DEPTH)  # −ln(1 − sigmoid(x)) = ln(1 + eˣ)
     with np.errstate(over="ignore"):
         scales = np.maximum(np.exp(stacked(path, columns, [f"scale_{k}" for k in range(3)])), np.float32(MIN_SCALE))
-    return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": _flip_odd(harmonics)}
-
-
-def _flip_odd(harmonics: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-    """Return coefficients for the opposite direction: Y_k(−u) = (−1)^degree Y_k(u)."""
-    flipped = harmonics.copy()
-    flipped[:, [k for k in ODD if k < harmonics.shape[1]]] *= -1
-    return flipped
+    harmonics[:, [k for k in ODD if k < harmonics.shape[1]]] *= -1  # Y_k(−u) = (−1)^degree Y_k(u)
+    return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": harmonics}
 
 
 def _check_gaussians(values: dict[str, np.ndarray], name: str) -> None:
     for key, value in values.items():
         if not np.isfinite(value).all():
             raise SarsplatError(f"{name} contain NaN or an infinity in {key}; remove those Gaussians")
-    scales, depth = values["scales"], values["optical_depth"]
-    if (scales < np.float32(MIN_SCALE)).any():
-        raise SarsplatError(f"{name} contain a scale of {scales.min()} m; the minimum is {MIN_SCALE} m")
-    if ((depth < 0) | (depth > MAX_OPTICAL_DEPTH)).any():
-        raise SarsplatError(
-            f"{name} contain optical depths from {depth.min()} to {depth.max()}; the range is 0 to {MAX_OPTICAL_DEPTH}"
-        )
+    for key, low, high in (("scales", np.float32(MIN_SCALE), np.inf), ("optical_depth", 0.0, MAX_OPTICAL_DEPTH)):
+        if ((values[key] < low) | (values[key] > high)).any():
+            raise SarsplatError(
+                f"{name} contain {key} of {values[key].min()} to {values[key].max()}; give {low:g} to {high:g}"
+            )
     if (np.abs(values["quaternions"]).max(axis=1, initial=0) == 0).any():
         raise SarsplatError(f"{name} contain a quaternion of zeros; give each Gaussian an orientation")
 
@@ -279,23 +299,13 @@ def _stated(law: Scattering) -> str:
     return json.dumps({"kind": kind, **law.settings()})
 
 
-def _named(path: Path, kind: str) -> type[Scattering]:
-    try:
-        return scattering_named(kind)
-    except SarsplatError as error:
-        raise SarsplatError(f"{path}: {error}") from error
-
-
 def _law(path: Path, comments: list[str], parameters: Tensor) -> Scattering:
     """Make the header's law of scattering with these parameters."""
     stated = [line.removeprefix(_LAW) for line in comments if line.startswith(_LAW)]
-    if len(stated) != 1:
-        raise SarsplatError(f"{path} does not give exactly one scattering law in its header; create it again")
-    law = decode_json(stated[0].encode(), Path(f"the header of {path}"), dict[str, Any])
-    if not isinstance(law.get("kind"), str):
-        raise SarsplatError(f"{path} does not name its scattering law ({shown(law)}); create it again")
-    make = _named(path, law.pop("kind"))
+    laws = [decode_json(text.encode(), Path(f"the header of {path}"), dict[str, Any]) for text in stated]
+    if len(laws) != 1 or not isinstance(laws[0].get("kind"), str):
+        raise SarsplatError(f"{path} does not name exactly one scattering law in its header; create it again")
     try:
-        return make(parameters, **law)
+        return scattering_named(laws[0].pop("kind"))(parameters, **laws[0])
     except (TypeError, SarsplatError) as error:
         raise SarsplatError(f"{path} has an invalid scattering law ({shown(str(error))}); create it again") from error

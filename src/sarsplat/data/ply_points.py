@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Real
@@ -13,6 +12,7 @@ from jaxtyping import Float, Real
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import new_file, open_file
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.geometry.place import places_of
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -67,11 +67,12 @@ def read_ply(
         ends = newline[1] if newline else b"\n"
         head, end, _ = data.partition(ends + b"end_header" + ends)
         size = file.seek(0, 2)
-        if newline is None or not end:
-            raise SarsplatError(f"{path} is not a PLY file; give one made by `sarsplat export` or a 3DGS program")
         lines = head.split(ends)
-        if not all(re.fullmatch(rb"[\t -~]*", line) for line in lines):
-            raise SarsplatError(f"{path} has a PLY header that is not plain ASCII text; create it again")
+        if newline is None or not end or not all(re.fullmatch(rb"[\t -~]*", line) for line in lines):
+            raise SarsplatError(
+                f"{path} is not a PLY file with a header of plain text; give one made by `sarsplat export` or a 3DGS "
+                "program"
+            )
         header = [line.decode("ascii") for line in lines[1:]]
         offset, count, dtype = _vertices(path, header, len(head) + len(end), size)
         file.seek(offset)
@@ -110,8 +111,12 @@ def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[in
     """Return offset, number and type of the vertices in a file of `size` bytes whose data begin at `offset`."""
     elements = _elements(path, header)
     names = [name for name, _, _ in elements]
-    if names.count("vertex") != 1:
-        raise SarsplatError(f"{path} has the elements {shown(names)} in its PLY header, not one of vertices")
+    vertices = [[name for name, _ in properties] for name, _, properties in elements if name == "vertex"]
+    if len(vertices) != 1 or len(set(vertices[0])) < len(vertices[0]):
+        raise SarsplatError(
+            f"{path} has the elements {shown(names)} in its PLY header, not one of vertices whose properties have "
+            "different names; create it again"
+        )
     sizes = [count * sum(np.dtype(kind).itemsize for _, kind in properties) for _, count, properties in elements]
     if size != offset + sum(sizes):
         state = "is truncated" if size < offset + sum(sizes) else "is too long"
@@ -120,8 +125,6 @@ def _vertices(path: Path, header: list[str], offset: int, size: int) -> tuple[in
         )
     index = names.index("vertex")
     _, count, properties = elements[index]
-    if len({name for name, _ in properties}) < len(properties):
-        raise SarsplatError(f"{path} has two vertex properties with the same name in its PLY header; create it again")
     return offset + sum(sizes[:index]), count if properties else 0, np.dtype(properties)
 
 
@@ -138,10 +141,11 @@ def _elements(path: Path, header: list[str]) -> list[tuple[str, int, list[tuple[
                 elements.append((name, int(number), []))
             case ["property", kind, name] if kind in _TYPES and elements:
                 elements[-1][2].append((name, _TYPES[kind]))
-            case ["property", *_]:
-                raise SarsplatError(f"{path} has {shown(line)} in its header: it is a mesh, not points or Gaussians")
             case _:
-                raise SarsplatError(f"{path} has {shown(line)} in its PLY header, which is garbled; create it again")
+                raise SarsplatError(
+                    f"{path} has {shown(line)} in its PLY header, which is garbled or of a mesh; give points or "
+                    "Gaussians"
+                )
     return elements
 
 
@@ -171,29 +175,17 @@ def write_points_ply(
     SarsplatError
         If shapes do not fit, a value is not finite, or the file cannot be written.
     """
-    positions = _triples("points", points)
+    positions = places_of(points, "points").reshape(-1, 3)
     if normals is not None:
-        columns = {**named(("nx", "ny", "nz"), _triples("normals", normals)), **columns}
-    for name, column in columns.items():
-        if np.shape(column) != (len(positions),) or name in ("x", "y", "z"):
-            raise SarsplatError(
-                f"the column {name!r} has shape {np.shape(column)}; for these points it must be ({len(positions)},)"
-            )
+        columns = {**named(("nx", "ny", "nz"), places_of(normals, "normals").reshape(-1, 3)), **columns}
     table = {**named(("x", "y", "z"), positions), **{name: np.asarray(column) for name, column in columns.items()}}
     for name, column in table.items():
-        if not np.isfinite(column).all():
-            raise SarsplatError(f"the column {name!r} of the points contains NaN or an infinity; remove those points")
+        if np.shape(column) != (len(positions),) or not np.isfinite(column).all() or columns.keys() & {"x", "y", "z"}:
+            raise SarsplatError(
+                f"the column {name!r} of the points has shape {np.shape(column)}, the name of a coordinate, NaN or an "
+                f"infinity; give {len(positions)} finite numbers under another name"
+            )
     write_ply(Path(path), table, ["sarsplat points 1"])
-
-
-def _triples(name: str, values: Any) -> Real[np.ndarray, "p 3"]:
-    try:
-        table = np.asarray(values)
-    except ValueError as error:  # rows of different lengths
-        raise SarsplatError(f"the {name} are rows of different lengths; give each three numbers") from error
-    if table.ndim != 2 or table.shape[1] != 3:
-        raise SarsplatError(f"the {name} have shape {table.shape}; it must be (P, 3)")
-    return table
 
 
 @checks_arguments

@@ -82,12 +82,10 @@ def read_tiff(path: Path, shape: tuple[int, ...], pixel: DTypeLike = np.float32)
             image = tiff.asarray(key=slice(None)).reshape(shape) if fits else None
     except Exception as error:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         raise SarsplatError(f"{path} is not a readable TIFF ({shown(str(error))}); create the dataset again") from error
-    if not layouts:
-        raise SarsplatError(f"{path} is a TIFF with no image in it; create the dataset again")
     if image is None:
+        held = [f"{kind} pixels of shape {shown(size)}, compression {packed!r:.30}" for size, kind, packed in layouts]
         raise SarsplatError(
-            f"{path} holds {layouts[0][1]} pixels of shape {shown(layouts[0][0])}, compression "
-            f"{layouts[0][2]!r:.30}, on {'one page' if len(layouts) == 1 else 'several pages'}; give "
+            f"{path} holds {'no page' if not held else held[0]}{' and more pages' if len(held) > 1 else ''}; give "
             f"{counted(pages, 'page')} of uncompressed {dtype} of shape {shape[-2:]}"
         )
     image = np.asarray(image, dtype=dtype)

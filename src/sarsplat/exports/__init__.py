@@ -9,10 +9,9 @@ from typing import Any, get_args
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.exports.format import Format, Points, content_of
-from sarsplat.exports.map_system import MapSystem
+from sarsplat.exports.format import Format, Points, content_of, name_of
+from sarsplat.exports.georeference import MapSystem, refuse_elsewhere, remove_place, write_place
 from sarsplat.exports.maps import Coordinates, map_of, of_terrain, require_fit
-from sarsplat.exports.place_file import refuse_elsewhere, remove_place, write_place
 from sarsplat.geometry import View
 from sarsplat.geometry.place import DATUM
 from sarsplat.names import Colour, Content, Map
@@ -102,8 +101,7 @@ def export(
     format, holds = format_of(path, content)
     if colour is not None and holds != "gaussians":
         raise SarsplatError(f"{path} will hold {holds}, whose colours are not chosen; omit the colour")
-    name = "the run in memory" if run.path is None else str(run.path)
-    refuse_elsewhere(path, format.coordinates, name, run.place, crs)
+    refuse_elsewhere(path, format.coordinates, name_of(run), run.place, crs)
     require_fit(path, holds, pixel_m, view)
     system = None if format.coordinates != "map" or run.place is None else MapSystem.of(run.place, crs)
     data: Any

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -13,13 +13,10 @@ from jaxtyping import Float32
 from sarsplat.data import write_mesh
 from sarsplat.data.folders import Recognises
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.exports.map_system import MapSystem
+from sarsplat.exports.georeference import Coordinates, MapSystem
 from sarsplat.geometry import Place
 from sarsplat.names import Colour, Content
 from sarsplat.runs import Run
-
-Coordinates = Literal["scene", "map", "degrees"]
-"""Coordinate system of a file."""
 
 Write = Callable[[Any, Path, Colour], object]
 """Writer of `Gaussians`, `Points`, a trimesh or a `Raster` to a file; the colour is for Gaussians."""
@@ -90,30 +87,31 @@ class Points:
 
 def content_of(run: Run, content: Content) -> tuple[Any, str]:
     """Return a run's Gaussians, `Points` or mesh, and their description; raise if empty."""
-    name = "the run in memory" if run.path is None else str(run.path)
     longer = "train it longer, or look at its report"
     if run.path is None:
         longer = "export the Gaussians themselves, as .ply or .splat, or more and denser ones"
+    data: Any
     match content:
         case "gaussians":
-            gaussians = run.gaussians
-            if gaussians is None:
+            if run.gaussians is None:
                 raise SarsplatError(
-                    f"{name} was made by {run.method}, which learns no Gaussians; export its points or its mesh, such "
-                    "as with --format points to a .ply file"
+                    f"{name_of(run)} was made by {run.method}, which learns no Gaussians; export its points or its "
+                    "mesh, such as with --format points to a .ply file"
                 )
-            if len(gaussians) == 0:
-                raise SarsplatError(f"{name} has no Gaussians left; reconstruct it again, or look at its report")
-            return gaussians, counted(len(gaussians), "Gaussian")
+            data, count, noun, frame = run.gaussians, len(run.gaussians), "Gaussian", ""
         case "points":
-            if len(run.points) == 0:
-                raise SarsplatError(f"{name} has no points of a surface yet; {longer}")
-            points = Points(run.points.astype(np.float32), run.normals, run.points_gamma0, run.place)
-            return points, f"{counted(len(run.points), 'point')}, metres, in the target's own frame"
+            data = Points(run.points.astype(np.float32), run.normals, run.points_gamma0, run.place)
+            count, noun, frame = len(run.points), "point", ", metres, in the target's own frame"
         case "mesh":
-            mesh = run.mesh()
-            if len(mesh.faces) == 0:
-                raise SarsplatError(f"{name} has too few points of a surface for a mesh; {longer}")
-            return mesh, f"{counted(len(mesh.faces), 'triangle')}, metres"
+            data = run.mesh()
+            count, noun, frame = len(data.faces), "triangle", ", metres"
         case _:
             raise AssertionError(f"{content} is a map")
+    if not count:
+        raise SarsplatError(f"{name_of(run)} has no {noun}s yet; {longer}")
+    return data, f"{counted(count, noun)}{frame}"
+
+
+def name_of(run: Run) -> str:
+    """Name of a run in messages."""
+    return "the run in memory" if run.path is None else str(run.path)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from sarsplat.data import write_bytes
-from sarsplat.data.splat_files import SPLAT
+from sarsplat.data.ply import SPLAT
 from sarsplat.data.viewer_colours import viewer_colours
 from sarsplat.exports.format import Format
 from sarsplat.gaussians import Gaussians

@@ -12,9 +12,11 @@ from typing import get_args
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from sarsplat.data.geotiff import Raster, read_heights
+from sarsplat.data.geotiff import Raster
+from sarsplat.data.terrain_file import read_heights
 from sarsplat.errors import SarsplatError
-from sarsplat.exports.map_system import MapSystem
+from sarsplat.exports.format import name_of
+from sarsplat.exports.georeference import MapSystem
 from sarsplat.geometry import Terrain, View
 from sarsplat.memory import free_bytes, required
 from sarsplat.names import Map
@@ -82,8 +84,7 @@ def require_fit(path: Path, holds: str, pixel_m: float | None, view: View | None
     """Raise for a pixel size without a map, and for a view that is missing or has no effect."""
     if holds not in get_args(Map):
         if pixel_m is not None or view is not None:
-            given = "pixel" if pixel_m is not None else "direction"
-            raise SarsplatError(f"{path} will hold {holds}, which has no {given}; leave it out, or export a .tif map")
+            raise SarsplatError(f"{path} will hold {holds}, which has no pixels and no direction; export a .tif map")
         return
     if pixel_m is not None and not 0 < pixel_m < math.inf:
         raise SarsplatError(f"a pixel of {pixel_m:g} m is not possible; give a positive number of metres")
@@ -161,7 +162,7 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
     """Return heights or γ⁰ of the run's surface, and of learned ground, from above."""
     points, cell, system = np.asarray(run.points, np.float64), run.grid.cell_m, coordinates.system
     if not len(points):
-        raise SarsplatError(f"{_name(run)} has no points of a surface yet; train it longer, or look at its report")
+        raise SarsplatError(f"{name_of(run)} has no points of a surface yet; train it longer, or look at its report")
     pixel, apart = cell if pixel_m is None else pixel_m, spacing_m(points)
     least = min(coordinates.metres)
     if not pixel * least >= apart:
@@ -171,7 +172,7 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
         )
     gamma0 = run.points_gamma0 if brightness else np.zeros(len(points))
     if gamma0 is None:
-        raise SarsplatError(f"{_name(run)} was made by {run.method}, which learns no γ⁰; export its heights (dsm)")
+        raise SarsplatError(f"{name_of(run)} was made by {run.method}, which learns no γ⁰; export its heights (dsm)")
     parts = [(coordinates.of(points), run.normals[:, 2], gamma0), *_ground(run, pixel, coordinates)]
     places, upward, gamma0 = (np.concatenate(column) for column in zip(*parts, strict=True))
     first, last = np.floor(places[:, :2].min(axis=0) / pixel), np.floor(places[:, :2].max(axis=0) / pixel)
@@ -190,7 +191,7 @@ def _layover_shadow(
     """Return classes on the surface and its ground (the run's terrain, or z = 0), and a mask of seen pixels."""
     if view.aloft or any(one.aloft for one in run.snapshot.views):
         raise SarsplatError(
-            f"{_name(run)} shows a target aloft: without ground there is no map of layover and shadow; export its mesh"
+            f"{name_of(run)} shows a target aloft, without ground: no map shows its layover and shadow; export its mesh"
         )
     seen = _uppermost(run, coordinates, pixel_m)
     lift = seen.values - _ground_heights(run, seen, coordinates)
@@ -281,7 +282,3 @@ def _unseen_ground(run: Run) -> str:
     return (
         f"pixels that no view saw count as level ground at z = 0 (the lowest point of the surface is at {lowest:.3f} m)"
     )
-
-
-def _name(run: Run) -> str:
-    return str(run.path or "the run in memory")

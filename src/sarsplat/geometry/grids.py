@@ -26,16 +26,10 @@ _MIN_LENGTH, _MAX_LENGTH = 1e-6, 1e6  # m: beyond these, float32 squares go wron
 _MAX_PIXELS = 1 << 17
 
 
-def _check_pair(name: str, values: tuple[float, ...]) -> None:
-    if not isinstance(values, tuple | list) or len(values) != 2:
-        raise SarsplatError(f"{name} {described(values)} must be a pair of metres")
-
-
-def _check_lengths(name: str, values: tuple[float, ...]) -> None:
-    _check_pair(name, values)
-    if not all(is_number(value) and _MIN_LENGTH <= value <= _MAX_LENGTH for value in values):
-        limits = f"{_MIN_LENGTH:g} to {_MAX_LENGTH:g}"
-        raise SarsplatError(f"{name} {values} must be positive and finite, in metres ({limits})")
+def _check_pair(name: str, values: tuple[float, ...], least: float = _MIN_LENGTH) -> None:
+    pair = isinstance(values, tuple | list) and len(values) == 2
+    if not pair or not all(is_number(value) and least <= value <= _MAX_LENGTH for value in values):
+        raise SarsplatError(f"{name} {described(values)} must be a pair of metres, {least:g} to {_MAX_LENGTH:g}")
 
 
 @dataclass(frozen=True)
@@ -67,16 +61,13 @@ class ImageGrid:
 
     def __post_init__(self) -> None:
         expect(int, rows=self.rows, columns=self.columns)
-        size = f"an image of {self.rows} × {self.columns} pixels"
-        if self.rows < 1 or self.columns < 1:
-            raise SarsplatError(f"{size} is empty; give at least 1 × 1")
-        if max(self.rows, self.columns) > _MAX_PIXELS:
-            raise SarsplatError(f"{size} is too large; give at most {_MAX_PIXELS} per side")
-        _check_pair("image centre", self.center_m)
-        if not all(is_number(value) and abs(value) <= _MAX_LENGTH for value in self.center_m):
-            raise SarsplatError(f"image centre {self.center_m} must be a pair of finite metres")
-        _check_lengths("pixel spacing", self.spacing_m)
-        _check_lengths("resolution", self.resolution_m)
+        if min(self.rows, self.columns) < 1 or max(self.rows, self.columns) > _MAX_PIXELS:
+            raise SarsplatError(
+                f"an image of {self.rows} × {self.columns} pixels is empty or too large; give 1 to {_MAX_PIXELS} a side"
+            )
+        _check_pair("image centre", self.center_m, -_MAX_LENGTH)
+        _check_pair("pixel spacing", self.spacing_m)
+        _check_pair("resolution", self.resolution_m)
         for name in ("rows", "columns"):  # JSON cannot hold numpy's numbers
             object.__setattr__(self, name, int(getattr(self, name)))
         for name in ("spacing_m", "resolution_m", "center_m"):
@@ -186,7 +177,7 @@ class RayGrid:
     spacing_m: tuple[float, float]
 
     def __post_init__(self) -> None:
-        _check_lengths("ray spacing", self.spacing_m)
+        _check_pair("ray spacing", self.spacing_m)
 
     @classmethod
     @checks_arguments

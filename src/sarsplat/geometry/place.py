@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal, Self, get_args
@@ -13,7 +15,6 @@ from jaxtyping import Real as RealArray
 
 from sarsplat.arguments import checks_arguments, described, is_number
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry.vectors import direction_of, places_of
 
 DATUM = "WGS 84"
 """Datum of all latitudes, longitudes and geocentric coordinates."""
@@ -25,8 +26,7 @@ _FLATTENING = 1 / 298.257223563
 _ECCENTRICITY_2 = 2 * _FLATTENING - _FLATTENING**2
 _ROUNDS = 3
 """Iterations of Bowring's formula: latitudes to 10⁻¹⁵ rad up to 10,000 km above ground."""
-_HIGHEST_M = 1e5
-_FIELDS = {"latitude_deg": "latitude", "longitude_deg": "longitude", "height_m": "height", "x_towards_deg": "bearing"}
+_LIMITS = {"latitude_deg": 90.0, "longitude_deg": 360.0, "height_m": 1e5, "x_towards_deg": sys.float_info.max}
 
 
 @dataclass(frozen=True)
@@ -63,20 +63,14 @@ class Place:
     height_above: HeightAbove = "ellipsoid"
 
     def __post_init__(self) -> None:
-        for field, name in _FIELDS.items():
-            value = getattr(self, field)
-            if not is_number(value) or not math.isfinite(value):
+        for name, limit in _LIMITS.items():
+            value = getattr(self, name)
+            if not is_number(value) or not abs(value) <= limit:  # also catches NaN
                 raise SarsplatError(
-                    f"the {name} {described(value)} of a place on earth is not a finite number; give one"
+                    f"{name} {described(value)} of a place on earth is not a number between ±{limit:g}; give latitude "
+                    "before longitude, and bearing, in degrees; height in metres"
                 )
-            object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
-        if not abs(self.latitude_deg) <= 90 or not abs(self.longitude_deg) <= 360:
-            raise SarsplatError(
-                f"latitude {self.latitude_deg:g}°, longitude {self.longitude_deg:g}° is no place on earth; give "
-                "degrees between ±90 and ±180, latitude first"
-            )
-        if not abs(self.height_m) <= _HIGHEST_M:
-            raise SarsplatError(f"the height {self.height_m:g} m is not within {_HIGHEST_M:g} m; give metres")
+            object.__setattr__(self, name, float(value))  # JSON cannot hold numpy's numbers
         if self.height_above not in get_args(HeightAbove):
             raise SarsplatError(
                 f"heights above {shown(self.height_above)} are unknown; choose {', '.join(get_args(HeightAbove))}"
@@ -191,3 +185,34 @@ def geodetic_of_ecef(places: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray,
     sine, cosine = np.sin(latitude), np.cos(latitude)
     height = across * cosine + z * sine - _EQUATOR_M * np.sqrt(1 - _ECCENTRICITY_2 * sine**2)
     return np.stack([np.rad2deg(latitude), np.rad2deg(np.arctan2(y, x)), height], axis=-1)
+
+
+def direction_of(value: object, what: str) -> Float64[np.ndarray, " 3"]:
+    """Return a direction as float64 [3], finite and not zero; `what` names it in errors."""
+    vector = _numbers(value)
+    if vector is None or vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        plain = value.tolist() if isinstance(value, np.ndarray) else value
+        raise SarsplatError(f"the {what} {shown(plain)} has no direction; give three numbers, not all 0")
+    return vector
+
+
+def places_of(value: object, what: str) -> Float64[np.ndarray, "*n 3"]:
+    """Return points as float64 [..., 3]; `what` names them in errors."""
+    places = _numbers(value)
+    if places is None or places.shape[-1:] != (3,):
+        plain = f"an array of shape {value.shape}" if isinstance(value, np.ndarray) else shown(value)
+        raise SarsplatError(f"the {what} are {plain}; give an array of numbers whose last axis has three")
+    return places
+
+
+def _numbers(value: object) -> Float64[np.ndarray, "*shape"] | None:
+    """Return real numbers as float64, or None for anything else, including text and booleans."""
+    if isinstance(value, Iterable) and not hasattr(value, "dtype"):
+        value = [*value]
+        if any(isinstance(one, bool | str) for one in value):
+            return None
+    try:
+        array = np.asarray(value)
+        return None if array.dtype.kind not in "iufO" else array.astype(np.float64)
+    except (TypeError, ValueError):
+        return None

@@ -73,12 +73,27 @@ class Stack:
             raise SarsplatError(
                 f"wavelength_m is {shown(wavelength)}; give {_LEAST_WAVELENGTH:g} to {_LARGEST_WAVELENGTH:g} metres"
             )
-        if not isinstance(self.offsets_rad, tuple | list) or not self.offsets_rad:
-            raise SarsplatError(f"offsets_rad is {shown(self.offsets_rad)}; give the b/R of each pass, at least one")
-        for offset in self.offsets_rad:
-            if not is_number(offset) or not abs(offset) <= _MAX_OFFSET:
-                raise SarsplatError(f"an offset is {shown(offset)}; give b/R in radians, at most ±{_MAX_OFFSET}")
-        self._check_polarisations()
+        for name, fits, give in (
+            (
+                "offsets_rad",
+                lambda b: is_number(b) and abs(b) <= _MAX_OFFSET,
+                f"b/R in radians, at most ±{_MAX_OFFSET}",
+            ),
+            (
+                "noise",
+                lambda power: is_number(power) and 0 < power <= LOUDEST,
+                f"a positive power, at most {LOUDEST:g}",
+            ),
+            ("polarisations", lambda name: name in POLARISATIONS, f"one of {', '.join(POLARISATIONS)}"),
+        ):
+            values = getattr(self, name)
+            if values is None and name != "offsets_rad":
+                continue
+            of_each = isinstance(values, tuple | list) and len(values) == len(self.offsets_rad) > 0
+            if not of_each or not all(map(fits, values)):
+                raise SarsplatError(f"{name} is {shown(values)}; give for each channel {give}")
+            numbers = name != "polarisations"  # JSON cannot hold numpy's
+            object.__setattr__(self, name, tuple(map(float, values)) if numbers else tuple(values))
         if len(set(zip(self.offsets_rad, self.of_channels, strict=True))) < len(self.offsets_rad):
             raise SarsplatError(
                 f"offsets_rad is {shown(self.offsets_rad)}, where two passes are the same; give each once, or their "
@@ -86,33 +101,7 @@ class Stack:
             )
         if self.transmit not in _TRANSMIT:
             raise SarsplatError(f"transmit is {shown(self.transmit)}; give one of {', '.join(_TRANSMIT)}")
-        if self.noise is not None:
-            self._check_noise(self.noise)
-            object.__setattr__(self, "noise", tuple(map(float, self.noise)))
         object.__setattr__(self, "wavelength_m", float(wavelength))
-        object.__setattr__(self, "offsets_rad", tuple(map(float, self.offsets_rad)))
-
-    def _check_polarisations(self) -> None:
-        names = self.polarisations
-        if names is None:
-            return
-        if not isinstance(names, tuple | list) or len(names) != len(self.offsets_rad):
-            raise SarsplatError(
-                f"polarisations is {shown(names)}; give one for each of {len(self.offsets_rad)} channels"
-            )
-        for name in names:
-            if name not in POLARISATIONS:
-                raise SarsplatError(f"a polarisation is {shown(name)}; give one of {', '.join(POLARISATIONS)}")
-        object.__setattr__(self, "polarisations", tuple(names))
-
-    def _check_noise(self, noise: tuple[float, ...]) -> None:
-        if not isinstance(noise, tuple | list) or len(noise) != len(self.offsets_rad):
-            raise SarsplatError(f"noise is {shown(noise)}; give a power for each of {len(self.offsets_rad)} channels")
-        for power in noise:
-            if not is_number(power) or not 0 < power <= LOUDEST:
-                raise SarsplatError(
-                    f"the noise of a channel is {shown(power)}; give a positive power, at most {LOUDEST:g}"
-                )
 
     def __len__(self) -> int:
         """Number of channels."""

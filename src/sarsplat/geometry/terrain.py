@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Float64
 
-from sarsplat.arguments import is_number
+from sarsplat.arguments import expect, is_number
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.place import Place
 
@@ -42,11 +42,12 @@ class Terrain:
 
     def __post_init__(self) -> None:
         heights = self.heights_m
-        if not isinstance(heights, np.ndarray) or heights.dtype.kind != "f" or heights.ndim != 2:
-            kind = heights.shape if isinstance(heights, np.ndarray) else type(heights).__name__
-            raise SarsplatError(f"the terrain's heights are {kind}; give a numpy array of floats [ny, nx], in metres")
-        if min(heights.shape) < 2:
-            raise SarsplatError(f"the terrain has {heights.shape[0]} × {heights.shape[1]} heights; give at least 2 × 2")
+        expect(np.ndarray, heights_m=heights)
+        if heights.dtype.kind != "f" or heights.ndim != 2 or min(heights.shape) < 2:
+            raise SarsplatError(
+                f"the terrain's heights are {heights.dtype} of shape {heights.shape}; give floats [ny, nx], at least "
+                "2 × 2, in metres"
+            )
         if not np.isfinite(heights).all():
             at = tuple(int(k) for k in np.argwhere(~np.isfinite(heights))[0])
             raise SarsplatError(f"the terrain's height {at} is {heights[at]}; replace it by a finite height")

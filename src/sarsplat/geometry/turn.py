@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.arguments import checks_arguments, is_number
+from sarsplat.arguments import checks_arguments, expect, is_number
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry.vectors import direction_of
+from sarsplat.geometry.place import direction_of
 from sarsplat.geometry.view import View
 
 _FARTHEST_DEG = 36_000.0  # a hundred turns
@@ -65,8 +65,7 @@ class Turn:
             if not is_number(value) or not low <= value <= high:  # also catches NaN
                 raise SarsplatError(f"{name} {shown(value)} is not a number between {low:g} and {high:g}; give {give}")
             object.__setattr__(self, name, float(value))
-        if not isinstance(self.name, str):
-            raise SarsplatError(f"the name of a pass is {shown(self.name)}; give text")
+        expect(str, name=self.name)
 
     @property
     def of_pass(self) -> tuple[object, ...]:

@@ -10,11 +10,11 @@ from typing import Self, get_args
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.arguments import checks_arguments, described, is_number
+from sarsplat.arguments import checks_arguments, described, expect, is_number
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.grids import ImageGrid
 from sarsplat.geometry.look import Look
-from sarsplat.geometry.vectors import direction_of
+from sarsplat.geometry.place import direction_of
 from sarsplat.names import RadarSide
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
@@ -27,14 +27,7 @@ _MIN_SINE = 1e-3  # of the angle between line of sight and rotation axis: rotati
 
 _MAX_STRETCH = 2.0
 
-_ANGLES = {"azimuth_deg": "azimuth", "grazing_deg": "grazing angle", "tilt_deg": "tilt"}
-_NUMBERS = {**_ANGLES, "stretch": "stretch"}
-
-_ADVICE = (
-    "give float(…), and turn the means instead; by `a` radians of azimuth: x, y, z = means.unbind(1); "
-    "means = torch.stack([x * a.cos() - y * a.sin(), x * a.sin() + y * a.cos(), z], 1)"
-)
-"""Alternative to views with gradients, for the error message."""
+_NUMBERS = {"azimuth_deg": "azimuth", "grazing_deg": "grazing angle", "tilt_deg": "tilt", "stretch": "stretch"}
 
 
 @dataclass(frozen=True)
@@ -78,34 +71,29 @@ class View:
     def __post_init__(self) -> None:
         for field, name in _NUMBERS.items():
             value = getattr(self, field)
-            if type(value).__name__ == "Tensor":
-                raise SarsplatError(f"{name} is a tensor, but views have no gradients; {_ADVICE}")
             if not is_number(value):
-                give = "degrees" if field in _ANGLES else "1 where cross-range is scaled as it is"
-                raise SarsplatError(f"{name} {described(value)} is not a number; give {give}")
+                raise SarsplatError(
+                    f"{name} {described(value)} is not a number; give one (views have no gradients: instead of a view, "
+                    "turn the means of Gaussians)"
+                )
             object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
-        if not abs(self.azimuth_deg) <= _MAX_AZIMUTH:  # also catches NaN; 1e308° has no meaningful direction
-            raise SarsplatError(
-                f"azimuth {self.azimuth_deg} is not a number of degrees between ±{_MAX_AZIMUTH}; "
-                "give degrees, such as 0 to 360"
-            )
-        if not isinstance(self.aloft, bool):
-            raise SarsplatError(f"aloft is {described(self.aloft)}; give True or False")
+        expect(bool, aloft=self.aloft)
         lowest = -90.0 if self.aloft else 0.0
         if not lowest < self.grazing_deg < 90.0:  # also catches NaN
             raise SarsplatError(
                 f"grazing angle {self.grazing_deg}° is outside ({lowest:g}°, 90°); "
                 "give degrees above the horizon (grazing = 90° − incidence)"
             )
-        if not abs(self.tilt_deg) <= (most := 90.0 if self.aloft else _MAX_TILT):
-            raise SarsplatError(
-                f"tilt {self.tilt_deg}° is not a number of degrees between ±{most:g}; "
-                "give how far the azimuth axis rises above the level one, 0 if it is level"
-            )
+        steepest = 90.0 if self.aloft else _MAX_TILT
+        for name, value, low, high, give in (
+            ("azimuth", self.azimuth_deg, -_MAX_AZIMUTH, _MAX_AZIMUTH, "degrees, such as 0 to 360"),
+            ("tilt", self.tilt_deg, -steepest, steepest, "how far the azimuth axis rises above the level one, degrees"),
+            ("stretch", self.stretch, 1 / _MAX_STRETCH, _MAX_STRETCH, "1"),
+        ):
+            if not low <= value <= high:  # also catches NaN
+                raise SarsplatError(f"{name} {value} is not a number between {low:g} and {high:g}; give {give}")
         if self.side not in get_args(RadarSide):
             raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(RadarSide))}")
-        if not 1 / _MAX_STRETCH <= self.stretch <= _MAX_STRETCH:
-            raise SarsplatError(f"stretch {self.stretch} is not a number between 0.5 and {_MAX_STRETCH:g}; give 1")
         if self.stretch != 1 and not self.aloft:
             raise SarsplatError("only images of a target aloft can be stretched; give stretch 1")
 

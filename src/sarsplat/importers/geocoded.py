@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 from scipy.ndimage import distance_transform_edt, map_coordinates, minimum_filter, spline_filter
 
-from sarsplat.data.geotiff import Georeference
-from sarsplat.data.known_part import holes_of
-from sarsplat.data.map_place import INEXACT_M, NOT_RELATED, exactness_m, far_outside
+from sarsplat.data.geotiff import INEXACT_M, NOT_RELATED, Georeference, exactness_m, far_outside
+from sarsplat.data.terrain_file import holes_of
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid, Place, Terrain, View
 from sarsplat.importers.measured_image import MeasuredImage

@@ -17,10 +17,9 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.coverage import evenly_chosen, largest_gap
 from sarsplat.data.dataset import Dataset, DatasetEntry
 from sarsplat.data.dataset_folder import write_dataset
-from sarsplat.data.geotiff import LEVELS
+from sarsplat.data.geotiff import LEVELS, UNCONVERTED
 from sarsplat.data.header import Calibration
 from sarsplat.data.image import power_of
-from sarsplat.data.map_place import UNCONVERTED
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
 from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Place, Terrain

@@ -76,22 +76,10 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
 
     Parameters
     ----------
-    runs : sequence of Run
-        R runs.
-    count : int
-        Number of chips of each run.
-    azimuths_deg : sequence of float
-        Azimuths of a run's chips, cyclic; empty: all around.
-    grazing_deg : (float, float) or None
-        Limits of the random grazing angles; None: those of each run's training images.
-    seed : int
-        Seed of the set.
+    runs, count, azimuths_deg, grazing_deg, seed, ground, speckle, scatterers
+        See `chips`.
     encoding : Encoding
         Pixels and format.
-    ground
-        See `backdrop_of`.
-    speckle, scatterers
-        See `Run.sample`.
 
     Raises
     ------
@@ -113,15 +101,14 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
     ) -> None:
         if not runs:
             raise SarsplatError("there are no runs to draw chips from; give at least one")
-        if count < 1:
-            raise SarsplatError(f"count is {count}; give at least one chip of each run")
-        if count * len(runs) > _MOST:
-            raise SarsplatError(f"count is {count}; give at most {_MOST // len(runs)}, for numbers have eight digits")
+        if not 1 <= count <= _MOST // len(runs):
+            raise SarsplatError(f"count is {count}; give 1 to {_MOST // len(runs)} chips of each run")
         self.runs, self.count, self.seed, self.encoding = tuple(runs), count, seed, encoding
         self.ground, self.speckle, self.scatterers = ground, speckle, scatterers
         for run in self.runs:
             encoding.require_room(run.grid, "the runs")
-            _require_equal_pixels(run, self.runs[0], cut=encoding.crop is not None)
+            _require_equal_pixels(run, self.runs[0])
+            encoding.require_equal_sizes(run.grid, _name(run), self.runs[0].grid, _name(self.runs[0]))
         seed_of(seed, 0)  # refuses negative ones
         self.azimuths_deg = tuple(View(azimuth, 45.0).azimuth_deg % 360 for azimuth in azimuths_deg)
         self.grazing_deg = [_grazing(run) if grazing_deg is None else grazing_deg for run in self.runs]
@@ -310,19 +297,12 @@ def _name(run: Run) -> str:
     return "the run in memory" if run.path is None else names_of([run.path])[0]
 
 
-def _require_equal_pixels(run: Run, first: Run, cut: bool) -> None:
-    """Raise if two runs' pixels differ, or their images' sizes unless they are cropped."""
+def _require_equal_pixels(run: Run, first: Run) -> None:
     one, other = run.grid, first.grid
     if (one.spacing_m, one.resolution_m, one.response) != (other.spacing_m, other.resolution_m, other.response):
         raise SarsplatError(
             f"{_name(run)} has pixels of {_pixels(one)}, but {_name(first)} of {_pixels(other)}; draw chips from runs "
             "with the same pixels, or make one set of each"
-        )
-    least = min(one.rows, one.columns, other.rows, other.columns)
-    if not cut and (one.rows, one.columns) != (other.rows, other.columns):
-        raise SarsplatError(
-            f"{_name(run)} has images of {one.rows} × {one.columns} pixels, but {_name(first)} of {other.rows} × "
-            f"{other.columns}; cut all to one size, by a crop of at most {least}"
         )
 
 

@@ -1,8 +1,10 @@
-"""Encoding of complex amplitudes as the pixels of a chip file, and decoding."""
+"""Encoding of complex amplitudes as the pixels of a chip file, decoding, and tables of labels."""
 
 from __future__ import annotations
 
+import csv
 import io
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -12,11 +14,22 @@ from jaxtyping import Complex64, Float32, Shaped, UInt8
 from sarsplat.arguments import expect
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import ImageGrid
+from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side
 
 ENDINGS: dict[ChipFormat, str] = {"jpeg": ".jpg", "png": ".png", "npy": ".npy"}
 """Suffix of files, by format."""
+
+LABELS = "labels.csv"
+
+IMPORT_COLUMNS = (
+    *("serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"),
+    *("azimuth_spacing_m", "range_spacing_m", "azimuth_resolution_m", "range_resolution_m"),
+)
+"""Columns that `import mstar` and `import folder` ask for."""
+
+UNUSUAL_COLUMNS = ("tilt_deg", "look")
+"""Additional columns if the radar of a run squints, climbs, dives or looks to its left."""
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "quantity": get_args(ChipQuantity),
@@ -88,6 +101,15 @@ class Encoding:
                 f"most {least}"
             )
 
+    def require_equal_sizes(self, one: ImageGrid, name: str, other: ImageGrid, other_name: str) -> None:
+        """Raise if the images of two sources have different sizes and are not cropped."""
+        if self.crop is None and (one.rows, one.columns) != (other.rows, other.columns):
+            raise SarsplatError(
+                f"{name} has images of {one.rows} × {one.columns} pixels, but {other_name} of {other.rows} × "
+                f"{other.columns}; cut all to one size, by a crop of at most "
+                f"{min(one.rows, one.columns, other.rows, other.columns)}"
+            )
+
     def size(self, grid: ImageGrid) -> tuple[int, int]:
         """Rows and columns of chips of images on a grid."""
         if self.crop is not None:
@@ -152,3 +174,22 @@ def _picture(pixels: UInt8[np.ndarray, "m n"]) -> Any:
     from PIL import Image
 
     return Image.fromarray(np.ascontiguousarray(pixels))
+
+
+def encoded_table(rows: Iterable[dict[str, Any]], columns: Sequence[str]) -> bytes:
+    """Encode rows as CSV, without cells of other columns."""
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue().encode()
+
+
+def unusual_columns(views: Iterable[View]) -> tuple[str, ...]:
+    """Additional columns of unusual views: `UNUSUAL_COLUMNS` if any view is unusual, else none."""
+    return UNUSUAL_COLUMNS if any(view.unusual for view in views) else ()
+
+
+def unusual_values(view: View) -> tuple[float | str, ...]:
+    """Values of `UNUSUAL_COLUMNS`."""
+    return view.tilt_deg, view.side

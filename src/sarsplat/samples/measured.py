@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,20 +20,23 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.progress import progress
 from sarsplat.samples.chip_set import folder_name, one_serial, require_distinct_folders
-from sarsplat.samples.encoding import ENDINGS, Encoding
-from sarsplat.samples.write import UNUSUAL_COLUMNS, unusual_columns, unusual_values
+from sarsplat.samples.encoding import (
+    ENDINGS,
+    IMPORT_COLUMNS,
+    LABELS,
+    UNUSUAL_COLUMNS,
+    Encoding,
+    encoded_table,
+    unusual_columns,
+    unusual_values,
+)
 from sarsplat.version import program_version
 
-LABELS = "labels.csv"
 MARKER = "measured-chips.json"
 """File that marks a folder of measured chips."""
 _SCHEMA, _SCHEMA_VERSION = "sarsplat-measured-chips", 1
 
-_COLUMNS = (
-    *("path", "class", "split", "name", "azimuth_deg", "grazing_deg"),
-    *("serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"),  # what `import mstar` asks for
-    *("azimuth_spacing_m", "range_spacing_m", "azimuth_resolution_m", "range_resolution_m"),  # and `import folder`
-)
+_COLUMNS = ("path", "class", "split", "name", "azimuth_deg", "grazing_deg", *IMPORT_COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -143,9 +144,8 @@ def write_measured_chips(
         lacking = _lacking(counts)
         for split, target in lacking:
             (folder / split / target).mkdir()
-        write_bytes(
-            folder / LABELS, _table(rows, (*_COLUMNS, *unusual_columns(views), "near_side", encoding.scale_column))
-        )
+        columns = *_COLUMNS, *unusual_columns(views), "near_side", encoding.scale_column
+        write_bytes(folder / LABELS, encoded_table(rows, columns))
     if lacking:
         split, target = lacking[0]
         warnings.warn(
@@ -178,12 +178,7 @@ def _require_fit(path: Path, dataset: Dataset, encoding: Encoding, before: dict[
         first, (one, _) = next(iter(before.items()))
         if (one.spacing_m, one.resolution_m) != (grid.spacing_m, grid.resolution_m):
             raise SarsplatError(f"{path} has pixels of another size than {first}; make a set of each")
-        if encoding.crop is None and (one.rows, one.columns) != (grid.rows, grid.columns):
-            least = min(one.rows, one.columns, grid.rows, grid.columns)
-            raise SarsplatError(
-                f"{path} has images of {grid.rows} × {grid.columns} pixels, but {first} of {one.rows} × {one.columns}; "
-                f"cut all to one size, by a crop of at most {least}"
-            )
+        encoding.require_equal_sizes(grid, str(path), one, str(first))
 
 
 def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
@@ -215,14 +210,6 @@ def _row(file: Path, dataset: Dataset, chip: _Measured, planned: tuple[str, int]
     labels = (*planned, chip.grazing_deg, placed[1])
     lengths = (*dataset.grid.spacing_m, *dataset.grid.resolution_m)
     return dict(zip((*_COLUMNS, *UNUSUAL_COLUMNS), (*named, *labels, *lengths, *unusual), strict=False))
-
-
-def _table(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> bytes:
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return text.getvalue().encode()
 
 
 def in_words(written: MeasuredChips) -> str:

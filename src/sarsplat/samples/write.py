@@ -5,46 +5,55 @@ An unfinished set with the same settings is resumed.
 
 from __future__ import annotations
 
-import csv
+import ctypes
 import hashlib
 import io
 import json
 import math
+import signal
+import sys
 import tarfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Generic, Self, TypeVar
 
 import msgspec
 import numpy as np
+import torch
 from jaxtyping import Float64
+from torch.utils.data import DataLoader, Dataset
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder, write_bytes
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry import View
 from sarsplat.learning.sampler import LEARNED, UNIFORM
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.progress import progress
 from sarsplat.samples.chip_set import Chips
-from sarsplat.samples.encoding import ENDINGS
-from sarsplat.samples.parallel_map import parallel_map
+from sarsplat.samples.encoding import (
+    ENDINGS,
+    IMPORT_COLUMNS,
+    LABELS,
+    encoded_table,
+    unusual_columns,
+    unusual_values,
+)
 from sarsplat.version import program_version
 
-LABELS = "labels.csv"
+_COLUMNS = ("path", "class", "azimuth_deg", "grazing_deg", "seed", "run", *IMPORT_COLUMNS, "near_side")
 
-_COLUMNS = (
-    *("path", "class", "azimuth_deg", "grazing_deg", "seed", "run"),
-    *("serial", "desired_depression_deg", "measured_depression_deg", "target_az_deg"),  # what `import mstar` asks for
-    *("azimuth_spacing_m", "range_spacing_m", "azimuth_resolution_m", "range_resolution_m"),  # and `import folder`
-    "near_side",
-)
+_MIN_ITEMS = 100
+"""Minimum number of items for which processes are started."""
 
-UNUSUAL_COLUMNS = ("tilt_deg", "look")
-"""Additional columns if the radar of a run squints, climbs, dives or looks to its left."""
+_BATCH = 16
+"""Items sent to a process at a time."""
+
+_PR_SET_PDEATHSIG = 1  # of Linux's prctl
+
+T = TypeVar("T")
 
 _SCALES = "scales.npy"
 """Temporary file of the scales of finished chips, which the table takes in the end."""
@@ -93,7 +102,7 @@ def write_chips(
         raise SarsplatError(f"shard is {shard}; give at least one chip for each file")
     out = Path(out)
     header = Made.of(chips, None if shard is None else int(shard))
-    made = header.encoded(out / MARKER)
+    made = encode_json(header, out / MARKER)
 
     def goes_on(folder: Path) -> bool:
         started = (folder / MARKER).read_bytes() if (folder / MARKER).is_file() else b""
@@ -189,28 +198,14 @@ def _shard(number: int) -> str:
 
 
 def _table(chips: Chips, shard: int | None, scales: Float64[np.ndarray, " n"]) -> bytes:
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, _columns(chips), lineterminator="\n")
-    table.writeheader()
-    for index in range(len(chips)):
-        path = _file(chips, index) if shard is None else _shard(index // shard)
-        table.writerow(_row(chips, index, path, float(scales[index])))
-    return text.getvalue().encode()
+    files = (_file(chips, index) if shard is None else _shard(index // shard) for index in range(len(chips)))
+    rows = (_row(chips, index, file, float(scales[index])) for index, file in enumerate(files))
+    return encoded_table(rows, _columns(chips))
 
 
 def _columns(chips: Chips) -> tuple[str, ...]:
     unusual = unusual_columns([chips.label(place).view for place in range(len(chips.runs))])
     return (*_COLUMNS, chips.encoding.scale_column, *unusual)
-
-
-def unusual_columns(views: Iterable[View]) -> tuple[str, ...]:
-    """Additional columns of unusual views: `UNUSUAL_COLUMNS` if any view is unusual, else none."""
-    return UNUSUAL_COLUMNS if any(view.unusual for view in views) else ()
-
-
-def unusual_values(view: View) -> tuple[float | str, ...]:
-    """Values of `UNUSUAL_COLUMNS`."""
-    return view.tilt_deg, view.side
 
 
 def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:
@@ -227,6 +222,51 @@ def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:
 def _is_written(path: Path) -> bool:
     """True if a file exists and is not empty, as after a power cut."""
     return path.is_file() and path.stat().st_size > 0
+
+
+def parallel_map(work: Callable[[int], T], indices: Sequence[int]) -> Iterator[T]:
+    """Map `work` over indices, in order, with as many processes as PyTorch has threads.
+
+    Processes are forked, so only on Linux; elsewhere, and for few indices, this process does the work.
+    """
+    processes = torch.get_num_threads()
+    if processes == 1 or len(indices) < _MIN_ITEMS or sys.platform != "linux":
+        yield from map(work, indices)
+        return
+    loader = DataLoader(
+        _Work(work),
+        batch_size=None,
+        sampler=[indices[first : first + _BATCH] for first in range(0, len(indices), _BATCH)],
+        num_workers=processes,
+        multiprocessing_context="fork",
+        worker_init_fn=_end_with_parent,
+    )
+    for result in chain.from_iterable(loader):
+        if isinstance(result, Exception):
+            raise result
+        yield result
+
+
+def _end_with_parent(_: int) -> None:
+    """Make a worker ignore SIGTERM to the group, and end when its parent ends, however that ends."""
+    if sys.platform == "linux":
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # also while it waits for the parent to read
+
+
+class _Work(Dataset[list[T | Exception]], Generic[T]):
+    """Batches of results; exceptions are results, since the loader would add a worker's traceback to their text."""
+
+    def __init__(self, work: Callable[[int], T]) -> None:
+        self._work = work
+
+    def __getitem__(self, indices: Sequence[int]) -> list[T | Exception]:
+        results: list[T | Exception] = []
+        try:
+            results += map(self._work, indices)
+        except Exception as error:
+            results.append(error)
+        return results
 
 
 class MadeRun(msgspec.Struct, forbid_unknown_fields=True):
@@ -311,10 +351,6 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
             if (theirs := getattr(other, name)) != mine:
                 words.append(_CALLED.get(name) or f"{name} ({shown(theirs)}, not {shown(mine)})")
         return f"differs in {', '.join(words)}"
-
-    def encoded(self, path: Path) -> bytes:
-        """Encode the settings as JSON; errors name `path`."""
-        return encode_json(self, path)
 
 
 def _digest(path: Path) -> str:

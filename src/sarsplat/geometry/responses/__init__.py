@@ -7,8 +7,7 @@ from pkgutil import iter_modules
 from typing import Any
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry.responses.gaussian import GAUSSIAN, Gaussian
-from sarsplat.geometry.responses.response import Response, variance_of, width_of
+from sarsplat.geometry.responses.response import GAUSSIAN, Gaussian, Response, variance_of, width_of
 from sarsplat.geometry.responses.sampled import Sampled
 from sarsplat.geometry.responses.taylor import TAYLOR, UNIFORM, Taylor
 

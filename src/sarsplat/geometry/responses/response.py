@@ -1,16 +1,17 @@
-"""Response of the system along one axis: power in the image of a point scatterer."""
+"""Response of the system along one axis: power in the image of a point scatterer; a Gaussian by default."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
+_SIGMAS = 8.0  # end of a Gaussian's table in standard deviations: e⁻³² of the peak
 _RATIO = 8 * math.log(2)  # squared 3 dB width of a Gaussian over its variance
 
 
@@ -107,3 +108,25 @@ class Response(ABC):
     def as_dict(self) -> dict[str, Any]:
         """Return kind and settings for JSON; `response_of` reads them."""
         return {"kind": self.kind} | {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Gaussian(Response):
+    """Gaussian response, without side lobes; the renderer uses that of the same 3 dB width for every response."""
+
+    kind = "gaussian"
+
+    def table(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+        """Return distances in standard deviations, and the power there."""
+        distance = np.linspace(0.0, _SIGMAS, 513)
+        return distance, np.exp(-(distance**2) / 2)
+
+    def density(
+        self, distance: Float64[np.ndarray, "*n"], variance: float = variance_of(1.0)
+    ) -> Float64[np.ndarray, "*n"]:
+        """Evaluate |h|² in closed form."""
+        return np.exp(-(distance**2) / (2 * variance)) / math.sqrt(2 * math.pi * variance)
+
+
+GAUSSIAN = Gaussian()
+"""Default response."""

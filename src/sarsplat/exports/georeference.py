@@ -1,4 +1,4 @@
-"""Projection from a scene's frame to map coordinates, UTM by default."""
+"""Georeference of exported files: map coordinates, UTM by default, or a sidecar file `FILE.place.json`."""
 
 from __future__ import annotations
 
@@ -6,16 +6,23 @@ import math
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from pathlib import Path
+from typing import Any, Literal, Self
 
+import msgspec
 import numpy as np
 from jaxtyping import Float64, Real
 
-from sarsplat.data.geotiff import LEVELS
-from sarsplat.data.map_place import is_within
+from sarsplat.data import write_json
+from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json
+from sarsplat.data.geotiff import LEVELS, far_outside
+from sarsplat.data.header import PlaceHeader
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.extras import install_command
 from sarsplat.geometry import Place
+
+Coordinates = Literal["scene", "map", "degrees"]
+"""Coordinate system of a file."""
 
 _POLAR = {"N": "EPSG:5041", "S": "EPSG:5042"}  # UPS, east before north
 _UTM_ENDS_DEG = (-80.0, 84.0)
@@ -31,6 +38,20 @@ _MAX_ROUND_TRIP_M = 0.1
 """Maximum error of projection and inverse, m: ellipsoids that are not concentric leave millimetres."""
 _HEIGHT_WKT = (
     'VERT_CS["Ellipsoid (metre)",VERT_DATUM["Ellipsoid",2002],UNIT["metre",1,AUTHORITY["EPSG","9001"]],AXIS["Up",UP]]'
+)
+
+_SCHEMA = "sarsplat-place"
+_SCHEMA_VERSION = 1
+_HEAD = 100  # bytes within which the schema is named
+_ABOUT = (
+    "Coordinates of the file are metres from the place, x towards the compass bearing x_towards_deg, y to the left of "
+    "x, z up (a .glb file's root node turns z to y); (x, y, z, 1), multiplied by ecef_from_scene from the left, is the "
+    "geocentric position, m, if height_m is above the ellipsoid."
+)
+_MAKE_ONE = (
+    "import SICDs or CPHD, or a terrain with a coordinate system (--terrain), or tell the dataset in Python with "
+    "replace(dataset, place=sarsplat.Place(LATITUDE, LONGITUDE, HEIGHT)), and reconstruct that; of a file of Gaussians "
+    "that was exported, keep FILE.place.json beside it"
 )
 
 
@@ -71,47 +92,26 @@ class MapSystem:
             raise SarsplatError(
                 f"coordinates of maps need pyproj, which is not installed; {install_command('gis')}"
             ) from error
-        name = usual_system(place) if crs is None else crs
+        name, another = crs or usual_system(place), f"give another, such as {usual_system(place)}"
         try:
             found = pyproj.CRS.from_user_input(name)
         except pyproj.exceptions.CRSError as error:
+            raise SarsplatError(f"--crs {shown(name)} is not a known coordinate system; {another}") from error
+        if not found.is_projected or [axis.unit_conversion_factor for axis in found.axis_info] != [1, 1]:
             raise SarsplatError(
-                f"--crs {shown(name)} is not a known coordinate system; give one as EPSG:NUMBER, such as "
-                f"{usual_system(place)}"
-            ) from error
-        if found.is_compound or len(found.axis_info) > 2:
-            raise SarsplatError(
-                f"--crs {name} ({found.name}) includes heights, which are not converted; give the horizontal "
-                f"system alone, such as {usual_system(place)}"
-            )
-        if not found.is_projected or any(axis.unit_conversion_factor != 1 for axis in found.axis_info):
-            raise SarsplatError(
-                f"--crs {name} ({found.name}) is not in metres on a plane; give a projected one, such as "
-                f"{usual_system(place)}"
+                f"--crs {name} ({found.name}) is not in metres on a plane, without heights, which are not converted; "
+                f"{another}"
             )
         made = cls(place, found)
-        made._check()
-        if (area := found.area_of_use) is not None and not is_within(area.bounds, place):
-            west, south, east, north = area.bounds
-            warnings.warn(
-                f"--crs {name} ({found.name}) is for longitudes {west:g}° to {east:g}° and latitudes {south:g}° to "
-                f"{north:g}°, and the place is at latitude {place.latitude_deg:.4f}°, longitude "
-                f"{place.longitude_deg:.4f}°, where it may be far from true to scale or unknown to other programs; "
-                f"give another, such as {usual_system(place)}",
-                SarsplatWarning,
-                stacklevel=4,
-            )
-        return made
-
-    def _check(self) -> None:
-        """Raise if the projection and its inverse do not reproduce the place."""
         points = _STEP_M * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
-        projected = self.to_map(points)
-        if not np.isfinite(projected).all() or not np.abs(self.to_scene(projected) - points).max() < _MAX_ROUND_TRIP_M:
+        projected = made.to_map(points)
+        if not np.isfinite(projected).all() or not np.abs(made.to_scene(projected) - points).max() < _MAX_ROUND_TRIP_M:
             raise SarsplatError(
-                f"--crs {self.crs.name} cannot show {self.place.latitude_deg:.4f}°, {self.place.longitude_deg:.4f}°; "
-                f"give another, such as {usual_system(self.place)}"
+                f"--crs {found.name} cannot show {place.latitude_deg:.4f}°, {place.longitude_deg:.4f}°; {another}"
             )
+        if (outside := far_outside(found, place, 0.0)) is not None:
+            warnings.warn(f"--crs {name} ({found.name}), {outside}, or {another}", SarsplatWarning, stacklevel=4)
+        return made
 
     @property
     def epsg(self) -> int | None:
@@ -130,9 +130,7 @@ class MapSystem:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of missing grids: `__str__` says how exact it is without
             operations = TransformerGroup("EPSG:4979", self.crs, always_xy=True, area_of_interest=area).transformers
-        if not operations:
-            raise SarsplatError(f"--crs {self.crs.name} cannot be reached from WGS 84; give another")
-        if "ballpark" in operations[0].description.lower():
+        if not operations or "ballpark" in operations[0].description.lower():
             raise SarsplatError(
                 f"--crs {self.crs.name} has another datum than WGS 84, and nothing that is installed relates the two "
                 f"at {latitude:.4f}°, {longitude:.4f}°: it may be some hundred metres away; give another, such as "
@@ -204,3 +202,53 @@ def usual_system(place: Place) -> str:
         return _POLAR["N" if place.latitude_deg > 0 else "S"]
     zone = int((place.longitude_deg + 180) // 6) % 60 + 1
     return f"EPSG:{(32600 if place.latitude_deg >= 0 else 32700) + zone}"
+
+
+class _PlaceFile(msgspec.Struct, frozen=True):
+    """Content of a sidecar file."""
+
+    place: PlaceHeader
+
+
+def refuse_elsewhere(path: Path, coordinates: Coordinates, name: str, place: Place | None, crs: str | None) -> None:
+    """Raise for a map's system if the file has other coordinates, and for map coordinates without georeference."""
+    if crs is not None and coordinates != "map":
+        what = "longitudes and latitudes" if coordinates == "degrees" else "the scene's own coordinates"
+        raise SarsplatError(f"{path} will hold {what}; leave out --crs, or export points to a .las or .laz file")
+    if place is None and (crs is not None or coordinates == "degrees"):
+        raise SarsplatError(f"{name} has no georeference; {_MAKE_ONE}")
+
+
+def remove_place(path: Path) -> None:
+    """Remove the sidecar of an earlier export; raise if another program wrote it."""
+    beside = _beside(path)
+    if not beside.exists():
+        return
+    with open_file(beside) as file:
+        if _SCHEMA.encode() not in file.read(_HEAD):
+            raise SarsplatError(f"{beside} exists and was not written by an export; choose another name")
+    with plain_os_errors("remove", beside):
+        beside.unlink()
+
+
+def write_place(path: Path, place: Place) -> str:
+    """Write the sidecar of a file, and return a description of it."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = place.axes.T, place.ecef
+    beside = _beside(path)
+    header = {"schema": _SCHEMA, "schema_version": _SCHEMA_VERSION, "file": path.name, "about": _ABOUT}
+    write_json(beside, {**header, "place": place.as_dict(), "ecef_from_scene": matrix.tolist()})
+    return f"{beside}: its georeference"
+
+
+def read_place(path: Path) -> Place | None:
+    """Return the georeference of a file from its sidecar, or None; raise if that cannot be read or is not ours."""
+    beside = _beside(path)
+    if not beside.exists():
+        return None
+    remedy = "export the file again, or take this one away"
+    return read_versioned_json(beside, _PlaceFile, schema=_SCHEMA, version=_SCHEMA_VERSION, remedy=remedy).place.place
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f"{path.name}.place.json")
