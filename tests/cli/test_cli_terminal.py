@@ -127,6 +127,26 @@ def test_commands_are_shown_alike_wherever_they_are_named(tmp_path, monkeypatch,
     assert told == "warning: x/sarsplat view and what sarsplat did; see bin/sarsplat view --help\n"
 
 
+@pytest.mark.parametrize(
+    ("message", "shown"),
+    [
+        ("give ground=False or `ground=False`", "give --no-ground or --no-ground"),
+        ("pass overwrite=True", "pass --overwrite"),
+        ("with preset='scene'", "with --preset scene"),
+        ("a smaller `size_m`, as `size_m=30`", "a smaller --size, as --size 30"),
+        ("the `columns={'heading': 'NAME', 'class': 'TYPE'}`", "the --columns heading=NAME class=TYPE"),
+        ("`resolution_m=(0.5, 0.3)`", "--resolution 0.5 0.3"),
+        ("`around=(-47.1, 8.5)`", "--around=-47.1,8.5"),
+        ("give `target_class`, `calibration='absolute'` or looks=None", "give --class, --calibrated or --looks 0"),
+        ("set `points.rays_per_pixel`, or texture=None", "set --points.rays-per-pixel, or --texture off"),
+        ("seed=0/x=True exists; engine='cpu'", "seed=0/x=True exists; engine='cpu'"),
+        ("missing required field `views`; `sarsplat check x`", "missing required field `views`; `sarsplat check x`"),
+    ],
+)
+def test_parameters_are_options(message: str, shown: str) -> None:
+    assert console.as_options(message) == shown
+
+
 # ---- warnings -------------------------------------------------------------------------------------------------------
 def test_importing_counts_what_lacks_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of six chips the last has no azimuth, and one more has no label."""

@@ -39,8 +39,7 @@ def run(words: list[str]) -> int:
 
             code = parse(words or ["--help"])()
         except SarsplatError as error:
-            text = str(error).replace("overwrite=True", "--overwrite").replace("resume=True", "--resume")
-            console.complain(text)
+            console.complain(str(error))
             return _MISUSED
         except ModuleNotFoundError as error:
             extra = extras.extra_with(error.name or "")
