@@ -130,7 +130,7 @@ def _reason(job: Job, code: int, go_on: str) -> str:
         return f"the GPU failed in another run of its process; {go_on}"
     by = _SIGNALS.get(-code, f"signal {-code}")
     ended = f"was ended by {by}" if code < 0 else f"ended with code {code}"
-    fewer = "--per-device" if job.device == "cuda" else "--processes"
+    fewer = "`per_device`" if job.device == "cuda" else "`processes`"
     hint = f", as when memory runs out: give fewer {fewer}" if by == "SIGKILL" else ""
     return f"its process {ended}{hint}; {go_on}"
 
