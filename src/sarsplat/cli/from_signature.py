@@ -31,7 +31,6 @@ from sarsplat.cli.arguments import (
     TargetBox,
     corners,
     heights,
-    metres,
     numbers,
     one_of,
     refuse_existing,
@@ -77,10 +76,14 @@ def comma_separated(metavar: str, counts: tuple[int, ...], example: str) -> Opti
     return Option(kind, lambda text, name: None if text is None else numbers(text, name, counts, example), default=None)
 
 
+def _metres(text: str, name: str) -> float:
+    return numbers(text.strip().removesuffix("m"), name, (1,), "64 or 64m")[0]
+
+
 _NUMBER = Annotated[float, tyro.conf.arg(metavar="NUMBER")]
 _SHARED = {
     "out": Option(Folder),
-    "size_m": Option(Annotated[str, tyro.conf.arg(metavar="METRES")], metres),
+    "size_m": Option(Annotated[str, tyro.conf.arg(metavar="METRES")], _metres),
     "calibration": Option(
         bool,
         lambda absolute, _: "absolute" if absolute else "relative",

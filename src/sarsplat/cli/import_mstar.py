@@ -9,18 +9,18 @@ from collections import Counter
 from collections.abc import Sequence
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Angles, angles, refuse_existing
+from sarsplat.cli.arguments import Angles, angles, exclude, refuse_existing
 from sarsplat.cli.from_signature import Option, assumed_once, command_of
 from sarsplat.cli.importers import Contents, Recognised
 from sarsplat.cli.info_run import PLAN
 from sarsplat.errors import SarsplatError
 
-_USUAL_DEPRESSION = 17
+_USUAL_DEPRESSIONS = ("17",)
 _REFUSED = 2
 """Exit code if a class could not be imported."""
 
@@ -44,14 +44,6 @@ def _whole(words: tuple[str, ...], name: str) -> list[int]:
     return [round(angle) for angle in whole]
 
 
-def _all_or_number(text: str, name: str) -> int | str:
-    if text.isdecimal():
-        return int(text)
-    if text != "all":
-        raise SarsplatError(f"--{name} {text!r} is no number of chips; give one, or all")
-    return text
-
-
 _one = command_of(
     __name__,
     "sarsplat.importers.mstar:import_mstar",
@@ -64,8 +56,8 @@ _one = command_of(
         "with --split, those that it trains, unless some are named. If one cannot be imported, the others are all the "
         "same, each whole or not at all, and the exit code is 2.",
     ),
-    train_views=Option(Annotated[str, tyro.conf.arg(metavar="N|all")], _all_or_number),
-    train_depression=Option(Angles, _whole, default=(str(_USUAL_DEPRESSION),)),
+    train_views=Option(Annotated[int | Literal["all"], tyro.conf.arg(metavar="N|all")]),
+    train_depression=Option(Angles, _whole, default=_USUAL_DEPRESSIONS),
     test=Option(help="Leave out all other chips: nothing to score with, but the import takes less time."),
 )
 
@@ -74,7 +66,8 @@ _one = command_of(
 def command(**given: Any) -> int:
     classes, split = given["target_class"], given["split"]
     if split is not None:
-        _refuse_with_split(given)
+        others = {"serial": given["serial"], "train-depression": given["train_depression"] != _USUAL_DEPRESSIONS}
+        exclude("split", "determines vehicles and depression angles", {**others, "no-test": given["test"]})
         return _all_of_split(given)
     if not classes:
         raise SarsplatError("--class is missing; give a class of vehicles, such as T72, or a --split, such as soc")
@@ -117,16 +110,6 @@ def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], lis
         f"sarsplat info {shlex.quote(str(given['out']))}",
     )
     return codes, made
-
-
-def _refuse_with_split(given: dict[str, Any]) -> None:
-    """Raise if options contradict a split, which determines vehicles and depression angles."""
-    no_test = given["test"]  # as typed
-    if given["serial"] is not None or given["train_depression"] != (str(_USUAL_DEPRESSION),) or no_test:
-        raise SarsplatError(
-            f"--split {given['split']} determines vehicles and depression angles; leave out --serial, "
-            "--train-depression and --no-test"
-        )
 
 
 def _all_of_split(given: dict[str, Any]) -> int:

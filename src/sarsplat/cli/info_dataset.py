@@ -13,8 +13,9 @@ from rich.console import Console
 from rich.table import Table
 
 from sarsplat.cli import console
+from sarsplat.cli.arguments import require_ending
 from sarsplat.cli.sky import legend, sky_chart, symbols_for
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.errors import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,7 +42,8 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
     from sarsplat.data.coverage import view_groups
     from sarsplat.examination.plausible import suspicions
 
-    kind = None if plot is None else _format(plot)
+    if plot is not None:
+        require_ending("plot", plot, ".png", ".svg")
     dataset = read_dataset(path)
     for text in suspicions(dataset):
         console.warn(text)
@@ -61,24 +63,17 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
         look = shlex.join(["sarsplat", "check", str(path)])
         many = counted(len(found) if isinstance(found, list) else 1, "contradiction")
         console.warn(f"its images contradict its header ({many}, found when it was made); `{look}` lists them")
-    if plot is not None and kind is not None:
+    if plot is not None:
         from sarsplat.data import write_bytes
         from sarsplat.report.sky import sky_picture
 
         title = f"{dataset.target}: {counted(len(dataset), 'view')}"
-        write_bytes(plot, sky_picture(train, tests, title, kind, zero))
+        write_bytes(plot, sky_picture(train, tests, title, plot.suffix[1:].lower(), zero))
         console.say(f"wrote {plot}")
 
 
 _SENTENCES = {"assumptions": "assumed", "contradictions": "contradicted"}
 """Row names of the lists of sentences in a dataset's source."""
-
-
-def _format(plot: Path) -> str:
-    kind = plot.suffix.lower().removeprefix(".")
-    if kind not in ("png", "svg"):
-        raise SarsplatError(f"--plot {plot} does not end in .png or .svg; choose a name that does")
-    return kind
 
 
 def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
