@@ -174,5 +174,5 @@ def test_what_no_command_foresaw_is_one_sentence(error: OSError, reason: str, mo
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("sarsplat.cli.parser.parse", fail)
+    monkeypatch.setattr("sarsplat.cli.app.parse", fail)
     assert refused("doctor") == f"error: cannot use a file: {reason}\n"

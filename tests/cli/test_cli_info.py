@@ -14,7 +14,7 @@ from rich.console import Console
 
 from datasets import dataset_of
 from sarsplat.cli import main
-from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
+from sarsplat.cli.info_dataset import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, SarImage, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, Place, Turn, View
 from sarsplat.runs import Run

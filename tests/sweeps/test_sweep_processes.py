@@ -49,11 +49,11 @@ def until(condition: Callable[[], object]) -> None:
 
 
 def workers() -> list[int]:
-    """Processes of `worker.py` that belong to a sweep of this folder."""
+    """Processes of the local executor that belong to a sweep of this folder."""
     return [
         int(path.parent.name)
         for path in Path("/proc").glob("[0-9]*/cmdline")
-        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.executors.worker" in text
+        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.executors.executor_local" in text
     ]
 
 

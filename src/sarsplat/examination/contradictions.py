@@ -12,8 +12,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.image import power_of
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.errors import counted
-from sarsplat.examination.on_map import OnMap, on_map
-from sarsplat.examination.orientation import Orientation, orientation, turned_grid
+from sarsplat.examination.orientation import OnMap, Orientation, on_map, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.scaling import MUCH_CLIPPED, examine_cut_off, examine_scaling
