@@ -64,21 +64,6 @@ def test_views_are_the_protocol_s_or_own_ones_tested_on_these() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        ({"random_views": 12, "azimuth": ("0",)}, "--random-views draws the azimuths"),
-        ({"random_views": 0}, "0 random views cannot be drawn"),
-        ({"random_views": 3, "seed": -1}, "seed -1"),
-        ({"random_views": 3, "test_grazing": ("30",)}, "--test-azimuth is missing"),
-        ({"random_views": 3, "test_azimuth": ("30",), "test_protocol": True}, "both --test-protocol and"),
-    ],
-)
-def test_views_that_contradict_each_other_are_refused(options: dict[str, Any], told: str) -> None:
-    with pytest.raises(SarsplatError, match=told):
-        chosen(**options)
-
-
-@pytest.mark.parametrize(
     ("words", "degrees"),
     [
         (["30"], [30]),
@@ -189,19 +174,6 @@ def test_second_bounces_are_recorded_and_told(box: Path, capsys: pytest.CaptureF
     assert shares["by way of the ground"] + shares["between facets"] == pytest.approx(added, rel=1e-3)
     assert main(["info", str(twice.path)]) == 0
     assert "by way of the ground" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("--ground-reflectivity 0.5", "is for second bounces; ask for 2 bounces"),
-        ("--bounces 2 --ground 0.1", "mirror reflectivity is None"),
-        ("--bounces 2 --passes 2 --baseline 0.004", "--bounces 2 is for single images"),
-        ("--bounces 2 --source splat", "second bounces need a ground that reflects"),
-    ],
-)
-def test_second_bounces_that_make_no_sense_are_refused(box: Path, words: str, told: str, refused) -> None:
-    assert told in refused(f"simulate --mesh {box} --scale 0.001 {words} --out {box.parent}/refused")
 
 
 def test_a_protocol_is_named_only_if_views_and_pixels_are_its_own(tmp_path: Path, monkeypatch) -> None:
@@ -356,16 +328,3 @@ def test_inverse_sar_of_what_flies(tmp_path: Path) -> None:
     low, high = run.points.min(axis=0), run.points.max(axis=0)
     assert low[2] < -0.8 and high[2] > 0.8
     assert high[1] - low[1] > 9  # its wings
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("--isar 0 0", "--isar has 2 numbers; give three"),
-        ("--isar 0 0 1 --ground 0.1", "but --ground was given"),
-        ("--isar 1 0 0.5", "along the line of sight"),
-        ("", "the satellite is in free space; give the axis"),
-    ],
-)
-def test_inverse_sar_that_cannot_be(words: str, message: str, tmp_path: Path, refused) -> None:
-    assert message in refused(f"simulate --target satellite {words} --out {tmp_path}/set")

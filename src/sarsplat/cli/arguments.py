@@ -156,7 +156,8 @@ def numbers(text: str, name: str, counts: tuple[int, ...], example: str, between
     except ValueError:
         values = ()
     if len(values) not in counts:
-        raise SarsplatError(f"--{name} {text!r} is not {' or '.join(map(str, counts))} numbers; write it as {example}")
+        wanted = "a number" if counts == (1,) else f"{' or '.join(map(str, counts))} numbers"
+        raise SarsplatError(f"--{name} {text!r} is not {wanted}; write it as {example}")
     return values
 
 
