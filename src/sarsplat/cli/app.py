@@ -116,9 +116,13 @@ def _chosen(
         raise SystemExit(0)
     plain_names = {name.replace("_", "-"): name for name in names}
     name = plain_names.get(words[0].replace("_", "-")) if words else None
-    if name is None:
-        raise SarsplatError(_no_command(program, words, plain_names.values()))
-    return name, words[1:]
+    if name is not None:
+        return name, words[1:]
+    choices = f"choose one of {', '.join(plain_names.values())}"
+    if not words:
+        raise SarsplatError(f"{program} needs a command; {choices}")
+    meant = _meant(words[0], plain_names.values()) or choices
+    raise SarsplatError(f"{words[0]!r} is not a command of {program}; {meant}")
 
 
 def _read(program: str, command: Command, words: Sequence[str]) -> Callable[[], int | None]:
@@ -148,14 +152,6 @@ def _later(command: Command, words: Sequence[str]) -> Callable[..., Callable[[],
         return partial(command, *arguments, **options)
 
     return bound
-
-
-def _no_command(program: str, words: Sequence[str], commands: Iterable[str]) -> str:
-    """Return the error sentence for words that begin with no command of a program."""
-    if not words:
-        return f"{program} needs a command; choose one of {', '.join(commands)}"
-    meant = _meant(words[0], commands) or f"choose one of {', '.join(commands)}"
-    return f"{words[0]!r} is not a command of {program}; {meant}"
 
 
 def _meant(word: str, names: Iterable[str]) -> str:

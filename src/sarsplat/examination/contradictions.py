@@ -12,7 +12,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.image import power_of
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.errors import counted
-from sarsplat.examination.orientation import OnMap, Orientation, on_map, orientation, turned_grid
+from sarsplat.examination.orientation import Orientation, on_map, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.scaling import MUCH_CLIPPED, examine_cut_off, examine_scaling
@@ -127,7 +127,11 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
     if not estimate.by_shadow:
         mapped = on_map(dataset.power, dataset.views, dataset.grid, estimate, ground=ground)
         if mapped.certain:
-            examined.conclude("geometry", [_on_map(mapped)], "")
+            examined.contradictions.append(
+                f"the images seem to be geocoded, for {mapped}; import them with geocoded='level', or "
+                "geocoded='terrain' with `terrain`, by what their producer took for the ground"
+            )
+            examined.checks["geometry"] = "see below"
             return dataset  # neither side is near range
     near = estimate.near or "top"
     examined.checks["near range"] = _near_range(estimate)
@@ -157,13 +161,6 @@ def _shaded_below(view: View, grid: ImageGrid) -> bool:
 def _edges(power: np.ndarray) -> np.ndarray:
     """Return the outermost pixels of all images."""
     return np.concatenate([power[:, [0, -1]].ravel(), power[:, :, [0, -1]].ravel()])
-
-
-def _on_map(mapped: OnMap) -> str:
-    return (
-        f"the images seem to be geocoded, for {mapped}; import them with geocoded='level', or geocoded='terrain' with "
-        "`terrain`, by what their producer took for the ground"
-    )
 
 
 def _orientation(dataset: Dataset, estimate: Orientation, near: Side, layout: Layout | None, geocoded: bool) -> str:
