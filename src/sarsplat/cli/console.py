@@ -22,8 +22,8 @@ from sarsplat.cli.commands import COMMANDS
 _WIDEST = 200  # columns
 
 _PARAMETER = re.compile(
-    r"(?<!field )`(?P<name>[a-z][a-z0-9_.]*)(?:=(?P<value>[^`]*))?`"  # not msgspec's: "missing required field `views`"
-    r"|(?<![\w./=-])(?P<bare>[a-z][a-z0-9_]*)=(?P<literal>True|False|None|'[^']*'|\"[^\"]*\")(?!\w)"
+    r"(?<!field )`(?P<name>[a-z][a-z0-9_.]+)(?:=(?P<value>[^`]*))?`"  # not msgspec's: "missing required field `views`"
+    r"|(?<![\w./=-])(?P<bare>[a-z][a-z0-9_]+)=(?P<literal>True|False|None|'[^']*'|\"[^\"]*\")(?!\w)"
 )
 """A Python parameter in a message: `name` or `name=value` in backquotes, or name=True, =False, =None or ='text'."""
 
@@ -31,7 +31,7 @@ _RENAMED = {"alignment": "align", "azimuths_deg": "azimuth", "ground_gamma0": "g
 """Options that are not named like the library's parameters, besides units."""
 
 _SPECIAL = {"calibration='absolute'": "--calibrated", "looks=None": "--looks 0"}
-_PYTHON_ONLY = ("allow_empty", "create_graph", "engine", "plane_gradients")
+_PYTHON_ONLY = ("allow_empty", "create_graph", "engine", "initial", "name", "plane_gradients")
 _COMMA_SEPARATED = ("around", "pixel", "place")
 
 
@@ -130,7 +130,7 @@ def _as_option(found: re.Match[str]) -> str:
     parameter, value = found["name"] or found["bare"], found["value"] or found["literal"]
     if parameter in _PYTHON_ONLY:
         return found[0]
-    if (special := _SPECIAL.get(f"{parameter}={value}")) is not None:
+    if value is not None and (special := _SPECIAL.get(f"{parameter}={value}")) is not None:
         return special
     name = option_name(parameter)
     match value:
