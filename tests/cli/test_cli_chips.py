@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,8 +13,10 @@ import pytest
 
 from sample_runs import GRID, made_up
 from sarsplat.cli import main
+from sarsplat.errors import SarsplatError
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.samples import write
+from sarsplat.samples.write import Made
 
 Command = Callable[[str], str]
 
@@ -35,6 +38,11 @@ def test_chips_in_folders_of_classes(runs: str, said: Command, refused: Command,
     for row in rows:
         assert read_pixels(out / row["path"]).shape == (24, 24)
     said(f"import folder {out} --class box --out {tmp_path / 'back'}")
+    header = json.loads((out / "chips.json").read_text())
+    for change, told in (({"count": -1}, "count is -1: expected"), ({"schema": None}, "its schema is None")):
+        (out / "chips.json").write_text(json.dumps(header | change))
+        with pytest.raises(SarsplatError, match=told):
+            Made.read(out)
 
 
 def test_azimuths_and_shards(runs: str, said: Command, tmp_path: Path) -> None:
