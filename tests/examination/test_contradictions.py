@@ -20,10 +20,11 @@ from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.examination.contradictions import examine
+from sarsplat.examination.orientation import edge_sides
 from sarsplat.examination.significance import Evidence
 from sarsplat.examination.units import clutter, contrast_of
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.regions.outlines import levels_db, outline
+from sarsplat.regions.outlines import Outline, levels_db, outline
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -329,6 +330,15 @@ def test_speckle_is_measured_where_few_cells_fit_into_an_image(width: tuple[floa
     assert 0.75 < found.contrast_of_many < 1.1
     for measured, stated in zip(found.width_m, width, strict=True):
         assert measured is None or measured / stated > 0.6
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_bright_edge_with_a_tail_behind_it_is_on_its_side(side: str) -> None:
+    level = np.zeros((32, 32))
+    level[8:24, 10:22] = np.linspace(30, 10, 16)[:, None]
+    level = np.rot90(level, -SIDES.index(side))
+    found = edge_sides(np.stack([level] * 6), [Outline(level > 0, level < 0)] * 6)
+    assert found.strongest == side and found.lead > 0.3
 
 
 def test_what_is_dark_on_one_side_from_one_direction_may_lie_there() -> None:
