@@ -174,7 +174,7 @@ def exclude(name: str, does: str, others: Mapping[str, object]) -> None:
 
 
 def require(needed: str, others: Mapping[str, object]) -> None:
-    """Raise if one of `others`, option → whether it was given, lacks what it needs."""
+    """Raise if one of `others`, option → whether it was given, lacks the option `needed`."""
     if (other := _first_given(others)) is not None:
         raise SarsplatError(f"--{other} needs {needed}; give that too, or leave out --{other}")
 

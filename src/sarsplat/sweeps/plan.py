@@ -81,7 +81,7 @@ class Plan(Record):
                 raise SarsplatError(f"{one} is {shown(list(value))}, the same twice; give each once")
         for setting in [name for _, settings in self.each_method() for name in settings]:
             if setting in _OWN:
-                raise SarsplatError(f"the setting {setting} has a key of its own; give {_OWN[setting]} instead")
+                raise SarsplatError(f"{setting} is a key of the plan, not a setting; give {_OWN[setting]} instead")
 
     @classmethod
     def read(cls, path: Path) -> Self:
