@@ -129,16 +129,13 @@ def test_what_the_images_cannot_show_is_warned_of(
     assert told in capsys.readouterr().err
 
 
-def test_a_response_with_side_lobes_goes_from_the_simulation_into_the_run(box: Path) -> None:
+def test_a_response_with_side_lobes(box: Path) -> None:
     words = "--scale 0.001 --test-azimuth 45 --resolution 0.45"
     plain, lobed = simulated(box, words), simulated(box, f"{words} --response taylor")
     assert (plain.grid.response, lobed.grid.response) == (GAUSSIAN, TAYLOR)
     assert lobed.power.sum() == pytest.approx(plain.power.sum(), rel=0.02)
     edge = np.s_[:, :, :4]  # beyond the target, where only side lobes reach
     assert lobed.power[edge].mean() > 1e-4 * lobed.power.mean() > 100 * plain.power[edge].mean()
-    short = replace(preset("quick"), iterations=2, gaussians=50, points=FEW_POINTS)
-    made = reconstruct(lobed, short, box.parent / "run")
-    assert Run.load(made.path).grid == lobed.grid
 
 
 def test_laws_and_the_reflectivity_of_parts_are_recorded_and_shown(box: Path) -> None:
@@ -287,15 +284,12 @@ def test_terrain_goes_from_its_heights_to_a_reconstruction(tmp_path: Path, said)
 
 def test_a_village_is_as_wide_as_the_images_allow(tmp_path: Path) -> None:
     words = f"simulate --target village --azimuth 0 --grazing 45 --ray-spacing 0.1 --out {tmp_path}"
-    houses = {}
-    for name, options in (("small", "--pixels 96"), ("large", "--pixels 192"), ("other", "--pixels 96 --seed 1")):
-        assert main([*f"{words}/{name} {options}".split()]) == 0
-        made = read_dataset(tmp_path / name)
-        assert made.target == "village" and made.truth_mesh is not None
-        houses[name] = trimesh.load(made.truth_mesh)
-    assert houses["large"].extents.max() == pytest.approx(0.64 * 192 * 0.3, abs=10)
-    assert houses["small"].extents.max() < houses["large"].extents.max() / 1.5
-    assert not np.array_equal(houses["small"].extents, houses["other"].extents)
+    houses = []
+    for seed in (0, 1):
+        assert main(f"{words}/{seed} --pixels 96 --seed {seed}".split()) == 0
+        houses.append(trimesh.load(read_dataset(tmp_path / str(seed)).truth_mesh))
+    assert 0.5 < houses[0].extents.max() / (0.64 * 96 * 0.3) <= 1  # of a width that whole plots fill
+    assert not np.array_equal(houses[0].extents, houses[1].extents)
 
 
 def test_views_may_be_tilted_and_look_left(tmp_path: Path) -> None:

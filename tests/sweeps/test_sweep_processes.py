@@ -87,26 +87,6 @@ def test_as_many_runs_are_done_at_a_time_as_there_are_processes(place, plan, mon
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
-def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, results):
-    found: list[int] = []
-
-    def kill() -> None:
-        until(lambda: found.extend(workers()) or found)
-        os.kill(found[0], signal.SIGKILL)
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    first = sweep(plan, place / "out", means=Means(processes=1), quiet=True)
-    killer.join()
-    (failed,) = first.failed
-    assert "ended by SIGKILL" in failed.reason
-    assert sum(one.finished for one in first.results) == 1
-    second = sweep(plan, place / "out", executor="here", quiet=True)
-    assert all(one.finished for one in second.results)
-    assert results(place / "out") == expected  # bit for bit
-
-
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
 @SLOW
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_sweep_that_is_ended_leaves_no_process_and_continues(place, plan, expected, results, command, number):
